@@ -2,7 +2,12 @@
 //!
 //! The table of docs/access.md is what this test has seen; `UPDATE_DOCS=1 cargo test --workspace --test access` writes it anew.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -51,14 +56,24 @@ type Key = (Place, KeyFamily);
 
 fn key((place, family): Key) -> String {
     let name = |text: &str| Name::new(text).unwrap();
-    let structure = if place == Place::OtherStructure { "other" } else { "demo" };
-    let node = if place == Place::OtherNode { "floor-1" } else { "ground" };
+    let structure = if place == Place::OtherStructure {
+        "other"
+    } else {
+        "demo"
+    };
+    let node = if place == Place::OtherNode {
+        "floor-1"
+    } else {
+        "ground"
+    };
     family.expression(&name("spandrel"), Some(&name(structure)), Some(&name(node)))
 }
 
 /// Whether a name in the keys of this family can be that of a node.
 fn has_node(family: KeyFamily) -> bool {
-    Right::ALL.into_iter().any(|right| is_of_node(right, family))
+    Right::ALL
+        .into_iter()
+        .any(|right| is_of_node(right, family))
 }
 
 fn keys() -> Vec<Key> {
@@ -84,7 +99,10 @@ fn is_meant(party: &Party, right: Right, (place, family): Key) -> bool {
 /// Adds a party that may do everything to the file of the router; the rules of all others stay as they were written.
 fn admit_probe(site: &Secured) {
     let text = std::fs::read_to_string(site.router_file()).unwrap();
-    let json: String = text.lines().filter(|line| !line.starts_with("//")).collect();
+    let json: String = text
+        .lines()
+        .filter(|line| !line.starts_with("//"))
+        .collect();
     let mut config: serde_json::Value = serde_json::from_str(&json).unwrap();
     let every: Vec<String> = keys().into_iter().map(key).collect();
     let control = &mut config["access_control"];
@@ -103,14 +121,29 @@ fn admit_probe(site: &Secured) {
 /// Waits until the router has taken all data that this session has sent, and this session all that was sent to it: queries are
 /// answered in their order, also those that are refused.
 async fn data_settled(session: &Session) {
-    let end = session.get("spandrel/nobody/answers").timeout(DEADLINE).await.unwrap();
-    within("end of a query", async { while end.recv_async().await.is_ok() {} }).await;
+    let end = session
+        .get("spandrel/nobody/answers")
+        .timeout(DEADLINE)
+        .await
+        .unwrap();
+    within("end of a query", async {
+        while end.recv_async().await.is_ok() {}
+    })
+    .await;
 }
 
 /// As [`data_settled`], for declarations.
 async fn declarations_settled(session: &Session) {
-    let end = session.liveliness().get("spandrel/nobody/lives").timeout(DEADLINE).await.unwrap();
-    within("end of a liveliness query", async { while end.recv_async().await.is_ok() {} }).await;
+    let end = session
+        .liveliness()
+        .get("spandrel/nobody/lives")
+        .timeout(DEADLINE)
+        .await
+        .unwrap();
+    within("end of a liveliness query", async {
+        while end.recv_async().await.is_ok() {}
+    })
+    .await;
 }
 
 /// What a party was seen to be able to do.
@@ -134,8 +167,13 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     let mut subscribers = Vec::new();
     for key in keys.keys() {
         let heard = heard.clone();
-        subscribers
-            .push(probe.declare_subscriber(key).callback(move |sample| heard.send(sample).unwrap()).await.unwrap());
+        subscribers.push(
+            probe
+                .declare_subscriber(key)
+                .callback(move |sample| heard.send(sample).unwrap())
+                .await
+                .unwrap(),
+        );
     }
     settled().await;
     for key in keys.keys() {
@@ -144,7 +182,12 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     }
     settled().await;
     for sample in hearing.drain() {
-        assert_eq!(sample.kind(), SampleKind::Put, "{} was deleted", sample.key_expr());
+        assert_eq!(
+            sample.kind(),
+            SampleKind::Put,
+            "{} was deleted",
+            sample.key_expr()
+        );
         seen.insert((Right::Put, keys[sample.key_expr().as_str()]));
     }
     drop(subscribers);
@@ -154,15 +197,24 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     let mut subscribers = Vec::new();
     for key in keys.keys() {
         let heard = heard.clone();
-        subscribers
-            .push(party.declare_subscriber(key).callback(move |sample| heard.send(sample).unwrap()).await.unwrap());
+        subscribers.push(
+            party
+                .declare_subscriber(key)
+                .callback(move |sample| heard.send(sample).unwrap())
+                .await
+                .unwrap(),
+        );
     }
     settled().await;
     for key in keys.keys() {
         probe.put(key, "message").await.unwrap();
     }
     settled().await;
-    seen.extend(hearing.drain().map(|sample| (Right::Subscribe, keys[sample.key_expr().as_str()])));
+    seen.extend(
+        hearing
+            .drain()
+            .map(|sample| (Right::Subscribe, keys[sample.key_expr().as_str()])),
+    );
     drop(subscribers);
 
     // query
@@ -175,7 +227,12 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
         queryables.push(probe.declare_queryable(key).callback(answer).await.unwrap());
     }
     settled().await;
-    seen.extend(answered(party, &keys).await.into_iter().map(|key| (Right::Query, key)));
+    seen.extend(
+        answered(party, &keys)
+            .await
+            .into_iter()
+            .map(|key| (Right::Query, key)),
+    );
     drop(queryables);
 
     // answer
@@ -189,7 +246,12 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
         queryables.push(party.declare_queryable(key).callback(answer).await.unwrap());
     }
     settled().await;
-    seen.extend(answered(probe, &keys).await.into_iter().map(|key| (Right::Answer, key)));
+    seen.extend(
+        answered(probe, &keys)
+            .await
+            .into_iter()
+            .map(|key| (Right::Answer, key)),
+    );
     drop(queryables);
 
     // announce
@@ -200,7 +262,9 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     settled().await;
     for (key, tried) in &keys {
         let replies = probe.liveliness().get(key).timeout(DEADLINE).await.unwrap();
-        let is_alive = within("liveliness", replies.recv_async()).await.is_ok_and(|reply| reply.result().is_ok());
+        let is_alive = within("liveliness", replies.recv_async())
+            .await
+            .is_ok_and(|reply| reply.result().is_ok());
         seen.extend(is_alive.then_some((Right::Announce, *tried)));
     }
     drop(tokens);
@@ -217,14 +281,23 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     for key in keys.keys() {
         let heard = heard.clone();
         let declared = party.liveliness().declare_subscriber(key).history(true);
-        subscribers.push(declared.callback(move |sample| heard.send(sample).unwrap()).await.unwrap());
+        subscribers.push(
+            declared
+                .callback(move |sample| heard.send(sample).unwrap())
+                .await
+                .unwrap(),
+        );
     }
     settled().await;
     for key in keys.keys().skip(1).step_by(2) {
         tokens.push(probe.liveliness().declare_token(key).await.unwrap());
     }
     settled().await;
-    seen.extend(hearing.drain().map(|sample| (Right::Watch, keys[sample.key_expr().as_str()])));
+    seen.extend(
+        hearing
+            .drain()
+            .map(|sample| (Right::Watch, keys[sample.key_expr().as_str()])),
+    );
     seen
 }
 
@@ -233,7 +306,9 @@ async fn answered(session: &Session, keys: &BTreeMap<String, Key>) -> Vec<Key> {
     let mut answered = Vec::new();
     for (key, tried) in keys {
         let replies = session.get(key).timeout(DEADLINE).await.unwrap();
-        let is_answered = within("reply", replies.recv_async()).await.is_ok_and(|reply| reply.result().is_ok());
+        let is_answered = within("reply", replies.recv_async())
+            .await
+            .is_ok_and(|reply| reply.result().is_ok());
         answered.extend(is_answered.then_some(*tried));
     }
     answered
@@ -241,7 +316,10 @@ async fn answered(session: &Session, keys: &BTreeMap<String, Key>) -> Vec<Key> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_role_may_do_what_it_is_for_and_nothing_else() {
-    let others: Vec<&str> = PARTIES.into_iter().filter(|party| !party.starts_with("sensor.")).collect();
+    let others: Vec<&str> = PARTIES
+        .into_iter()
+        .filter(|party| !party.starts_with("sensor."))
+        .collect();
     let site = Secured::new(&five_storeys(), &[&others[..], &[PROBE]].concat());
     admit_probe(&site);
     let _router = site.router();
@@ -256,11 +334,22 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
     let mut wrong = String::new();
     for name in PARTIES {
         let party: Party = name.parse().unwrap();
-        for (right, tried) in Right::ALL.into_iter().flat_map(|right| keys().into_iter().map(move |key| (right, key))) {
-            let (meant, found) = (is_meant(&party, right, tried), table[name].contains(&(right, tried)));
+        for (right, tried) in Right::ALL
+            .into_iter()
+            .flat_map(|right| keys().into_iter().map(move |key| (right, key)))
+        {
+            let (meant, found) = (
+                is_meant(&party, right, tried),
+                table[name].contains(&(right, tried)),
+            );
             if meant != found {
                 let (expected, found) = (may(meant), may(found));
-                let _ = writeln!(wrong, "{name} {expected} {} {}, found: {found}", right.as_str(), key(tried));
+                let _ = writeln!(
+                    wrong,
+                    "{name} {expected} {} {}, found: {found}",
+                    right.as_str(),
+                    key(tried)
+                );
             }
         }
     }
@@ -288,10 +377,19 @@ fn written(table: &BTreeMap<&str, Seen>) -> String {
         let expression = family.expression(&own, Some(&own), Some(&own));
         let mut chunks: Vec<&str> = expression.split('/').skip(1).collect();
         chunks[0] = structure;
-        chunks.iter_mut().skip(1).filter(|chunk| **chunk == "own").for_each(|chunk| *chunk = node);
+        chunks
+            .iter_mut()
+            .skip(1)
+            .filter(|chunk| **chunk == "own")
+            .for_each(|chunk| *chunk = node);
         let cells = PARTIES.map(|name| {
             let of_key = |right: &Right| table[name].contains(&(*right, tried));
-            Right::ALL.into_iter().filter(of_key).map(Right::as_str).collect::<Vec<_>>().join(", ")
+            Right::ALL
+                .into_iter()
+                .filter(of_key)
+                .map(Right::as_str)
+                .collect::<Vec<_>>()
+                .join(", ")
         });
         let _ = writeln!(text, "| `{}` | {} |", chunks.join("/"), cells.join(" | "));
     }
@@ -310,23 +408,36 @@ fn compare_with_the_page(table: &str) {
         std::fs::write(&path, format!("{before}{BEGIN}{table}{END}{after}")).unwrap();
         return;
     }
-    assert!(kept == table, "docs/access.md differs from what was seen; UPDATE_DOCS=1 writes it anew:\n{table}");
+    assert!(
+        kept == table,
+        "docs/access.md differs from what was seen; UPDATE_DOCS=1 writes it anew:\n{table}"
+    );
 }
 
 /// A session of Zenoh alone that tries to connect: what Spandrel itself refuses before it connects is not in the way.
 async fn connects(endpoint: &str, tls: Option<&TlsConfig>, authority: &Path) -> bool {
     let mut config = zenoh::Config::default();
-    let mut set = |key: &str, value: serde_json::Value| config.insert_json5(key, &value.to_string()).unwrap();
+    let mut set =
+        |key: &str, value: serde_json::Value| config.insert_json5(key, &value.to_string()).unwrap();
     set("mode", "client".into());
     set("scouting/multicast/enabled", false.into());
     set("connect/endpoints", vec![endpoint].into());
     set("connect/timeout_ms", 3000.into());
     set("connect/exit_on_failure", true.into());
-    set("transport/link/tls/root_ca_certificate", authority.to_str().unwrap().into());
+    set(
+        "transport/link/tls/root_ca_certificate",
+        authority.to_str().unwrap().into(),
+    );
     if let Some(tls) = tls {
         set("transport/link/tls/enable_mtls", true.into());
-        set("transport/link/tls/connect_certificate", tls.certificate.to_str().unwrap().into());
-        set("transport/link/tls/connect_private_key", tls.key().to_str().unwrap().into());
+        set(
+            "transport/link/tls/connect_certificate",
+            tls.certificate.to_str().unwrap().into(),
+        );
+        set(
+            "transport/link/tls/connect_private_key",
+            tls.key().to_str().unwrap().into(),
+        );
     }
     match zenoh::open(config).await {
         Ok(session) => {
@@ -344,7 +455,9 @@ fn expired(site: &Secured) -> TlsConfig {
     let issuer = Issuer::from_ca_cert_pem(&read("authority.pem"), authority_key).unwrap();
     let key = KeyPair::generate().unwrap();
     let mut params = CertificateParams::default();
-    params.distinguished_name.push(DnType::CommonName, "viewer.ada");
+    params
+        .distinguished_name
+        .push(DnType::CommonName, "viewer.ada");
     (params.not_before, params.not_after) = (date_time_ymd(2020, 1, 1), date_time_ymd(2021, 1, 1));
     let certificate = params.signed_by(&key, &issuer).unwrap();
     let tls = TlsConfig::beside(site.folder().join("expired.pem"));
@@ -361,7 +474,9 @@ fn of_another_authority(site: &Secured) -> TlsConfig {
     let issuer = Issuer::new(params, authority_key);
     let key = KeyPair::generate().unwrap();
     let mut params = CertificateParams::default();
-    params.distinguished_name.push(DnType::CommonName, "viewer.ada");
+    params
+        .distinguished_name
+        .push(DnType::CommonName, "viewer.ada");
     let certificate = params.signed_by(&key, &issuer).unwrap();
     let tls = TlsConfig::beside(site.folder().join("foreign.pem"));
     std::fs::write(&tls.certificate, certificate.pem()).unwrap();
@@ -375,13 +490,28 @@ async fn the_router_takes_valid_certificates_of_its_authority_only() {
     let _router = site.router();
     let authority = site.folder().join("authority.pem");
     let valid = TlsConfig::beside(site.certificate("viewer.ada"));
-    assert!(connects(site.endpoint(), Some(&valid), &authority).await, "a valid certificate is refused");
-    assert!(!connects(site.endpoint(), None, &authority).await, "no certificate is needed");
-    assert!(!connects(site.endpoint(), Some(&expired(&site)), &authority).await, "an expired certificate is taken");
+    assert!(
+        connects(site.endpoint(), Some(&valid), &authority).await,
+        "a valid certificate is refused"
+    );
+    assert!(
+        !connects(site.endpoint(), None, &authority).await,
+        "no certificate is needed"
+    );
+    assert!(
+        !connects(site.endpoint(), Some(&expired(&site)), &authority).await,
+        "an expired certificate is taken"
+    );
     let foreign = of_another_authority(&site);
-    assert!(!connects(site.endpoint(), Some(&foreign), &authority).await, "another authority's certificate is taken");
+    assert!(
+        !connects(site.endpoint(), Some(&foreign), &authority).await,
+        "another authority's certificate is taken"
+    );
     let plain = site.endpoint().replace("quic/", "tcp/");
-    assert!(!connects(&plain, None, &authority).await, "plain TCP is taken");
+    assert!(
+        !connects(&plain, None, &authority).await,
+        "plain TCP is taken"
+    );
     // and it still works for those that it is for
     assert!(connects(site.endpoint(), Some(&valid), &authority).await);
 }
@@ -391,7 +521,10 @@ async fn why_there_is_no_session_is_told() {
     let site = Secured::new(&five_storeys(), &["viewer.ada"]);
     let other = Secured::new(&five_storeys(), &["viewer.ada"]);
     let _router = site.router();
-    let hurried = |party: &str| spandrel_bus::BusConfig { connect_timeout_s: Some(3.0), ..site.config(party) };
+    let hurried = |party: &str| spandrel_bus::BusConfig {
+        connect_timeout_s: Some(3.0),
+        ..site.config(party)
+    };
     let told = async |config: &spandrel_bus::BusConfig| match Bus::open(config).await {
         Ok(_) => panic!("{config:?} has connected"),
         Err(error) => error.to_string(),
@@ -400,20 +533,35 @@ async fn why_there_is_no_session_is_told() {
     let mut config = hurried("viewer.ada");
     config.tls = Some(expired(&site));
     let text = told(&config).await;
-    assert!(text.contains("expired.pem") && text.contains("it expired"), "{text}");
+    assert!(
+        text.contains("expired.pem") && text.contains("it expired"),
+        "{text}"
+    );
 
     config.tls = Some(TlsConfig::beside(other.certificate("viewer.ada")));
     let text = told(&config).await;
-    assert!(text.contains(site.endpoint()) && text.contains("the authority has not issued it"), "{text}");
+    assert!(
+        text.contains(site.endpoint()) && text.contains("the authority has not issued it"),
+        "{text}"
+    );
 
     // the authority of the router, and a certificate of another: what the router says of it is heard
-    let mixed = TlsConfig { authority: Some(site.folder().join("authority.pem")), ..of_another_authority(&site) };
+    let mixed = TlsConfig {
+        authority: Some(site.folder().join("authority.pem")),
+        ..of_another_authority(&site)
+    };
     let error = TlsConfig::check(&mixed).unwrap_err().to_string();
-    assert!(error.contains("foreign.pem") && error.contains("has not issued it"), "{error}");
+    assert!(
+        error.contains("foreign.pem") && error.contains("has not issued it"),
+        "{error}"
+    );
 
     let mut config = hurried("viewer.ada");
     config.tls = None;
-    assert!(matches!(Bus::open(&config).await, Err(BusError::NoCertificates { .. })));
+    assert!(matches!(
+        Bus::open(&config).await,
+        Err(BusError::NoCertificates { .. })
+    ));
 
     // an address that is not in the certificate of the router
     let mut config = hurried("viewer.ada");
@@ -430,10 +578,17 @@ async fn a_certificate_taken_out_of_the_folder_is_worth_nothing() {
     for file in ["operator.grace.pem", "operator.grace.key"] {
         std::fs::rename(site.folder().join(file), kept.join(file)).unwrap();
     }
-    std::fs::copy(site.folder().join("authority.pem"), kept.join("authority.pem")).unwrap();
+    std::fs::copy(
+        site.folder().join("authority.pem"),
+        kept.join("authority.pem"),
+    )
+    .unwrap();
     let structure = five_storeys();
     let listen = ["--listen", site.endpoint(), "--replace"];
-    site.tool(&["router"], &[&[structure.to_str().unwrap()], &listen[..]].concat());
+    site.tool(
+        &["router"],
+        &[&[structure.to_str().unwrap()], &listen[..]].concat(),
+    );
     let _router = site.router();
     let taken_out = spandrel_bus::BusConfig {
         tls: Some(TlsConfig::beside(kept.join("operator.grace.pem"))),
@@ -442,13 +597,27 @@ async fn a_certificate_taken_out_of_the_folder_is_worth_nothing() {
     let former = Bus::open(&taken_out).await.unwrap();
     let viewer = site.join("viewer.ada").await;
     let keys = viewer_keys();
-    let heard = viewer.session().declare_subscriber(keys.all_acknowledgements()).await.unwrap();
+    let heard = viewer
+        .session()
+        .declare_subscriber(keys.all_acknowledgements())
+        .await
+        .unwrap();
     declarations_settled(viewer.session()).await;
     let storey: Name = "storey-2".parse().unwrap();
-    former.session().put(keys.acknowledge(&storey), "seen").await.unwrap();
+    former
+        .session()
+        .put(keys.acknowledge(&storey), "seen")
+        .await
+        .unwrap();
     data_settled(former.session()).await;
     data_settled(viewer.session()).await;
-    assert_eq!(heard.try_recv().unwrap().map(|sample| sample.key_expr().to_string()), None);
+    assert_eq!(
+        heard
+            .try_recv()
+            .unwrap()
+            .map(|sample| sample.key_expr().to_string()),
+        None
+    );
 }
 
 fn viewer_keys() -> spandrel_bus::Keys {
@@ -457,15 +626,35 @@ fn viewer_keys() -> spandrel_bus::Keys {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_alert_arrives_over_the_router() {
-    let parties = ["worker.main", "alert.main", "viewer.ada", "operator.grace", "gateway.demo", "dashboard.hall"];
+    let parties = [
+        "worker.main",
+        "alert.main",
+        "viewer.ada",
+        "operator.grace",
+        "gateway.demo",
+        "dashboard.hall",
+    ];
     let site = Secured::new(&five_storeys(), &parties);
     let _router = site.router();
     let viewer = site.join("viewer.ada").await;
-    let alerts = viewer.subscribe::<AlertMessage>(viewer_keys().all_alerts(), 64).await.unwrap();
-    let services = [("worker.main", "ingest"), ("worker.main", "identify"), ("alert.main", "alert")];
-    let services = services.map(|(party, service)| Process::start(&mut site.connecting(party, service)));
-    services.iter().for_each(|service| service.wait_for_log("ready structures=1"));
-    let page = Process::start(site.connecting("dashboard.hall", "dashboard").args(["--http", "127.0.0.1:0"]));
+    let alerts = viewer
+        .subscribe::<AlertMessage>(viewer_keys().all_alerts(), 64)
+        .await
+        .unwrap();
+    let services = [
+        ("worker.main", "ingest"),
+        ("worker.main", "identify"),
+        ("alert.main", "alert"),
+    ];
+    let services =
+        services.map(|(party, service)| Process::start(&mut site.connecting(party, service)));
+    services
+        .iter()
+        .for_each(|service| service.wait_for_log("ready structures=1"));
+    let page = Process::start(
+        site.connecting("dashboard.hall", "dashboard")
+            .args(["--http", "127.0.0.1:0"]),
+    );
     let mut simulate = site.connecting("gateway.demo", "simulate");
     let simulation = Process::start(simulate.args(["--speed", "max", "--duration", "120"]));
     let raised = within("alert", next(&alerts, AlertState::Raised)).await;
@@ -482,11 +671,17 @@ async fn an_alert_arrives_over_the_router() {
     });
     let (status, told) = refused.await;
     assert_eq!(status, 403, "{told}");
-    assert!(told.contains("role dashboard may not acknowledge; roles that may: server, operator"), "{told}");
+    assert!(
+        told.contains("role dashboard may not acknowledge; roles that may: server, operator"),
+        "{told}"
+    );
 
     // an operator is heard
     let operator = site.join("operator.grace").await;
-    let publisher = operator.publish_display(viewer_keys().acknowledge(&raised.parameter)).await.unwrap();
+    let publisher = operator
+        .publish_display(viewer_keys().acknowledge(&raised.parameter))
+        .await
+        .unwrap();
     let acknowledgement = spandrel_bus::Acknowledgement {
         structure: raised.structure.clone(),
         parameter: raised.parameter.clone(),
@@ -495,7 +690,11 @@ async fn an_alert_arrives_over_the_router() {
         note: String::new(),
     };
     publisher.put(&acknowledgement).await.unwrap();
-    let acknowledged = within("acknowledged alert", next(&alerts, AlertState::Acknowledged)).await;
+    let acknowledged = within(
+        "acknowledged alert",
+        next(&alerts, AlertState::Acknowledged),
+    )
+    .await;
     assert_eq!(acknowledged.acknowledged_by.as_deref(), Some("Grace"));
     simulation.wait().expect_code(0);
     page.stop().expect_code(0);
@@ -508,22 +707,35 @@ async fn an_alert_arrives_over_the_router() {
 
 /// Acknowledges the alert of storey 2 on a page; the status and the body of the answer.
 fn acknowledge_on(page: &Process) -> (u16, String) {
-    page.wait_for_output("the address of the page", |said| said.contains("page: http://") && said.contains('\n'));
+    page.wait_for_output("the address of the page", |said| {
+        said.contains("page: http://") && said.contains('\n')
+    });
     let output = page.output();
-    let address = output.lines().find_map(|line| line.strip_prefix("page: http://")).unwrap().trim_end_matches('/');
+    let address = output
+        .lines()
+        .find_map(|line| line.strip_prefix("page: http://"))
+        .unwrap()
+        .trim_end_matches('/');
     let body = r#"{"who": "Grace"}"#;
     let mut stream = std::net::TcpStream::connect(address).unwrap();
     let head = format!(
         "POST /api/structures/demo/alerts/storey-2/acknowledge HTTP/1.1\r\nHost: {address}\r\nConnection: close"
     );
     let length = body.len();
-    write!(stream, "{head}\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n\r\n{body}").unwrap();
+    write!(
+        stream,
+        "{head}\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n\r\n{body}"
+    )
+    .unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     (answer.split(' ').nth(1).unwrap().parse().unwrap(), answer)
 }
 
-async fn next(alerts: &spandrel_bus::Subscription<AlertMessage>, state: AlertState) -> AlertMessage {
+async fn next(
+    alerts: &spandrel_bus::Subscription<AlertMessage>,
+    state: AlertState,
+) -> AlertMessage {
     loop {
         let (_, alert) = alerts.messages().recv_async().await.unwrap();
         if alert.state == state {
@@ -537,7 +749,10 @@ async fn a_node_is_heard_with_a_certificate_of_its_own() {
     let site = Secured::new(&five_storeys(), &["worker.main", "viewer.ada"]);
     let _router = site.router();
     let viewer = site.join("viewer.ada").await;
-    let statuses = viewer.subscribe::<Status>(viewer_keys().all_statuses(), 64).await.unwrap();
+    let statuses = viewer
+        .subscribe::<Status>(viewer_keys().all_statuses(), 64)
+        .await
+        .unwrap();
     let ingest = Process::start(&mut site.connecting("worker.main", "ingest"));
     ingest.wait_for_log("ready structures=1");
     let mut node = site.connecting("sensor.demo.ground", "simulate");
@@ -551,20 +766,46 @@ async fn a_node_is_heard_with_a_certificate_of_its_own() {
 
 #[test]
 fn a_certificate_of_another_role_ends_a_subcommand_with_the_roles_that_may() {
-    let site = Secured::new(&five_storeys(), &["viewer.ada", "worker.main", "gateway.demo"]);
+    let site = Secured::new(
+        &five_storeys(),
+        &["viewer.ada", "worker.main", "gateway.demo"],
+    );
     let _router = site.router();
     let refused = [
-        ("viewer.ada", "simulate", "role viewer may not put samples", "gateway, sensor"),
-        ("gateway.demo", "run", "role gateway may not put frames", "server"),
-        ("worker.main", "alert", "role worker may not put alerts", "server, alert"),
-        ("sensor.demo.ground", "simulate", "for node ground of demo only", "--node ground"),
+        (
+            "viewer.ada",
+            "simulate",
+            "role viewer may not put samples",
+            "gateway, sensor",
+        ),
+        (
+            "gateway.demo",
+            "run",
+            "role gateway may not put frames",
+            "server",
+        ),
+        (
+            "worker.main",
+            "alert",
+            "role worker may not put alerts",
+            "server, alert",
+        ),
+        (
+            "sensor.demo.ground",
+            "simulate",
+            "for node ground of demo only",
+            "--node ground",
+        ),
     ];
     for (party, subcommand, why, way) in refused {
         let mut command = site.connecting(party, subcommand);
         if subcommand == "simulate" {
             command.args(["--speed", "max", "--duration", "1"]);
         }
-        Process::start(&mut command).wait().expect_code(2).expect_told(&[&format!("{party}.pem"), why, way]);
+        Process::start(&mut command)
+            .wait()
+            .expect_code(2)
+            .expect_told(&[&format!("{party}.pem"), why, way]);
     }
 }
 
@@ -577,18 +818,38 @@ fn the_folder_of_a_site_says_what_it_wrote_and_refuses_to_lose_it() {
         let mut command = support::spandrel("site");
         Process::start(command.arg(arguments[0]).arg(&folder).args(&arguments[1..])).wait()
     };
-    let issued = run(&["issue", "worker", "east", "--days", "30"]).expect_code(0).stdout;
-    assert!(issued.contains("worker.east.pem") && issued.contains("worker.east.key") && issued.contains("until 2"));
-    run(&["issue", "worker", "east"]).expect_code(2).expect_told(&["worker.east.pem", "--replace"]);
-    run(&["create"]).expect_code(2).expect_told(&["authority.pem", "--replace"]);
-    run(&["issue", "router", "second"]).expect_code(2).expect_told(&["--host"]);
-    run(&["issue", "sensor", "roof"]).expect_code(2).expect_told(&["STRUCTURE.NODE"]);
-    run(&["issue", "boss", "x"]).expect_code(2).expect_told(&["boss", "operator"]);
+    let issued = run(&["issue", "worker", "east", "--days", "30"])
+        .expect_code(0)
+        .stdout;
+    assert!(
+        issued.contains("worker.east.pem")
+            && issued.contains("worker.east.key")
+            && issued.contains("until 2")
+    );
+    run(&["issue", "worker", "east"])
+        .expect_code(2)
+        .expect_told(&["worker.east.pem", "--replace"]);
+    run(&["create"])
+        .expect_code(2)
+        .expect_told(&["authority.pem", "--replace"]);
+    run(&["issue", "router", "second"])
+        .expect_code(2)
+        .expect_told(&["--host"]);
+    run(&["issue", "sensor", "roof"])
+        .expect_code(2)
+        .expect_told(&["STRUCTURE.NODE"]);
+    run(&["issue", "boss", "x"])
+        .expect_code(2)
+        .expect_told(&["boss", "operator"]);
     run(&["issue", "sensor", "demo.attic"]).expect_code(0);
     let listen = ["--listen", "quic/127.0.0.1:7447", "--replace"];
     let with = |file: &str| run(&[&["router", file][..], &listen[..]].concat());
-    with(structure.to_str().unwrap()).expect_code(2).expect_told(&["attic", "ground"]);
-    run(&[&["router"][..], &listen[..]].concat()).expect_code(2).expect_told(&["sensor.demo", "not given"]);
+    with(structure.to_str().unwrap())
+        .expect_code(2)
+        .expect_told(&["attic", "ground"]);
+    run(&[&["router"][..], &listen[..]].concat())
+        .expect_code(2)
+        .expect_told(&["sensor.demo", "not given"]);
     for file in ["sensor.demo.attic.pem", "sensor.demo.attic.key"] {
         std::fs::remove_file(folder.join(file)).unwrap();
     }
@@ -608,36 +869,71 @@ fn a_router_file_that_lets_strangers_in_is_refused() {
         Process::start(support::spandrel("router").arg(&file)).wait()
     };
     let quiet = "scouting: { multicast: { enabled: false } }";
-    run(&format!("{{ {quiet} }}")).expect_code(2).expect_told(&["tcp/[::]:7447", "spandrel site"]);
-    run(&format!("{{ listen: {{ endpoints: [\"quic/0.0.0.0:7447\"] }}, {quiet} }}"))
+    run(&format!("{{ {quiet} }}"))
         .expect_code(2)
-        .expect_told(&["quic/0.0.0.0:7447", "enable_mtls"]);
-    run("{ listen: { endpoints: [\"tcp/127.0.0.1:0\"] } }").expect_code(2).expect_told(&["multicast"]);
-    run(&format!("{{ mode: \"client\", {quiet} }}")).expect_code(2).expect_told(&["router.json5", "client"]);
-    run("{ listen: { endpoint: [] } }").expect_code(2).expect_told(&["router.json5", "endpoint"]);
-    run("{ mode: ").expect_code(2).expect_told(&["router.json5"]);
+        .expect_told(&["tcp/[::]:7447", "spandrel site"]);
+    run(&format!(
+        "{{ listen: {{ endpoints: [\"quic/0.0.0.0:7447\"] }}, {quiet} }}"
+    ))
+    .expect_code(2)
+    .expect_told(&["quic/0.0.0.0:7447", "enable_mtls"]);
+    run("{ listen: { endpoints: [\"tcp/127.0.0.1:0\"] } }")
+        .expect_code(2)
+        .expect_told(&["multicast"]);
+    run(&format!("{{ mode: \"client\", {quiet} }}"))
+        .expect_code(2)
+        .expect_told(&["router.json5", "client"]);
+    run("{ listen: { endpoint: [] } }")
+        .expect_code(2)
+        .expect_told(&["router.json5", "endpoint"]);
+    run("{ mode: ")
+        .expect_code(2)
+        .expect_told(&["router.json5"]);
     let tls = "transport: { link: { tls: { root_ca_certificate: \"/nowhere/a.pem\", enable_mtls: true, \
                listen_certificate: \"/nowhere/r.pem\", listen_private_key: \"/nowhere/r.key\" } } }";
-    run(&format!("{{ listen: {{ endpoints: [\"quic/127.0.0.1:0\"] }}, {quiet}, {tls} }}"))
-        .expect_code(2)
-        .expect_told(&["/nowhere/r.pem"]);
+    run(&format!(
+        "{{ listen: {{ endpoints: [\"quic/127.0.0.1:0\"] }}, {quiet}, {tls} }}"
+    ))
+    .expect_code(2)
+    .expect_told(&["/nowhere/r.pem"]);
     let nowhere = Process::start(support::spandrel("router").arg("/nowhere/router.json5")).wait();
-    nowhere.expect_code(2).expect_told(&["/nowhere/router.json5"]);
+    nowhere
+        .expect_code(2)
+        .expect_told(&["/nowhere/router.json5"]);
 }
 
 #[test]
 fn services_refuse_to_listen_beyond_this_machine_without_certificates() {
     let run = |arguments: &[&str]| {
-        Process::start(support::spandrel("ingest").arg(five_storeys()).args(arguments)).wait().expect_code(2)
+        Process::start(
+            support::spandrel("ingest")
+                .arg(five_storeys())
+                .args(arguments),
+        )
+        .wait()
+        .expect_code(2)
     };
-    run(&["--listen", "tcp/0.0.0.0:7447"]).expect_told(&["tcp/0.0.0.0:7447", "bus.tls", "127.0.0.1"]);
+    run(&["--listen", "tcp/0.0.0.0:7447"]).expect_told(&[
+        "tcp/0.0.0.0:7447",
+        "bus.tls",
+        "127.0.0.1",
+    ]);
     run(&["--listen", "quic/0.0.0.0:7447"]).expect_told(&["quic/0.0.0.0:7447", "bus.tls"]);
     run(&["--connect", "quic/10.0.0.5:7447"]).expect_told(&["quic/10.0.0.5:7447", "--certificate"]);
     let site = Secured::new(&five_storeys(), &["worker.main"]);
-    std::fs::copy(site.folder().join("authority.key"), site.folder().join("worker.main.key")).unwrap();
+    std::fs::copy(
+        site.folder().join("authority.key"),
+        site.folder().join("worker.main.key"),
+    )
+    .unwrap();
     let certificate = site.certificate("worker.main");
-    let told = run(&["--connect", site.endpoint(), "--certificate", certificate.to_str().unwrap()])
-        .expect_told(&["worker.main.key", "is not that of certificate"]);
+    let told = run(&[
+        "--connect",
+        site.endpoint(),
+        "--certificate",
+        certificate.to_str().unwrap(),
+    ])
+    .expect_told(&["worker.main.key", "is not that of certificate"]);
     assert!(!told.stderr.contains("PRIVATE"), "{}", told.stderr);
 }
 
@@ -652,7 +948,11 @@ fn certificates_can_stand_in_the_configuration() {
         site.endpoint()
     );
     std::fs::write(&file, text).unwrap();
-    let ingest = Process::start(support::spandrel("ingest").args(["-v", "--config"]).arg(&file));
+    let ingest = Process::start(
+        support::spandrel("ingest")
+            .args(["-v", "--config"])
+            .arg(&file),
+    );
     ingest.wait_for_log("ready structures=1");
     ingest.stop().expect_code(0);
     let elsewhere = support::spandrel("ingest")
@@ -661,7 +961,10 @@ fn certificates_can_stand_in_the_configuration() {
         .env("SPANDREL_BUS__TLS__CERTIFICATE", "/nowhere/worker.main.pem")
         .output()
         .unwrap();
-    assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("/nowhere/worker.main.pem"), "{elsewhere:?}");
+    assert!(
+        String::from_utf8_lossy(&elsewhere.stderr).contains("/nowhere/worker.main.pem"),
+        "{elsewhere:?}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -669,35 +972,80 @@ async fn what_a_party_may_not_do_at_its_router_reaches_nobody_at_another() {
     let structure = five_storeys();
     let site = Secured::new(&structure, &["worker.main"]);
     site.tool(&["issue"], &["router", "second", "--host", "127.0.0.1"]);
-    let second = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let second = std::net::UdpSocket::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap();
     let (second, file) = (format!("quic/{second}"), site.folder().join("second.json5"));
     let router = |name: &str, more: &[&str]| {
-        let of_each = [structure.to_str().unwrap(), "--router", name, "--replace", "--listen"];
+        let of_each = [
+            structure.to_str().unwrap(),
+            "--router",
+            name,
+            "--replace",
+            "--listen",
+        ];
         site.tool(&["router"], &[&of_each, more].concat());
     };
     router("main", &[site.endpoint()]);
-    router("second", &[&second, "--connect", site.endpoint(), "--output", file.to_str().unwrap()]);
+    router(
+        "second",
+        &[
+            &second,
+            "--connect",
+            site.endpoint(),
+            "--output",
+            file.to_str().unwrap(),
+        ],
+    );
     let _router = site.router();
     let other = Process::start(support::spandrel("router").arg(&file).arg("-v"));
     other.wait_for_log("ready");
 
     let worker = site.join("worker.main").await;
     let (heard, hearing) = flume::unbounded::<Sample>();
-    let all = worker.session().declare_subscriber("spandrel/demo/sensor/*/samples");
-    let _subscriber = all.callback(move |sample| heard.send(sample).unwrap()).await.unwrap();
-    let at_second = spandrel_bus::BusConfig { connect: vec![second], ..site.config("sensor.demo.ground") };
+    let all = worker
+        .session()
+        .declare_subscriber("spandrel/demo/sensor/*/samples");
+    let _subscriber = all
+        .callback(move |sample| heard.send(sample).unwrap())
+        .await
+        .unwrap();
+    let at_second = spandrel_bus::BusConfig {
+        connect: vec![second],
+        ..site.config("sensor.demo.ground")
+    };
     let sensor = Bus::open(&at_second).await.unwrap();
-    let own = sensor.session().declare_publisher("spandrel/demo/sensor/ground/samples").await.unwrap();
+    let own = sensor
+        .session()
+        .declare_publisher("spandrel/demo/sensor/ground/samples")
+        .await
+        .unwrap();
     let matching = own.matching_listener().await.unwrap();
     within("the subscription behind the other router", async {
-        while !own.matching_status().await.unwrap().matching() && !matching.recv_async().await.unwrap().matching() {}
+        while !own.matching_status().await.unwrap().matching()
+            && !matching.recv_async().await.unwrap().matching()
+        {}
     })
     .await;
     // one link keeps the order: what is refused would be heard before what is allowed
-    sensor.session().put("spandrel/demo/sensor/floor-1/samples", "message").await.unwrap();
-    sensor.session().put("spandrel/demo/sensor/ground/samples", "message").await.unwrap();
-    let sample = within("samples from the other router", hearing.recv_async()).await.unwrap();
-    assert_eq!(sample.key_expr().as_str(), "spandrel/demo/sensor/ground/samples");
+    sensor
+        .session()
+        .put("spandrel/demo/sensor/floor-1/samples", "message")
+        .await
+        .unwrap();
+    sensor
+        .session()
+        .put("spandrel/demo/sensor/ground/samples", "message")
+        .await
+        .unwrap();
+    let sample = within("samples from the other router", hearing.recv_async())
+        .await
+        .unwrap();
+    assert_eq!(
+        sample.key_expr().as_str(),
+        "spandrel/demo/sensor/ground/samples"
+    );
     sensor.close().await.unwrap();
     worker.close().await.unwrap();
     other.stop().expect_code(0);
@@ -705,19 +1053,34 @@ async fn what_a_party_may_not_do_at_its_router_reaches_nobody_at_another() {
 
 #[test]
 fn the_router_file_in_deploy_is_what_the_program_writes() {
-    let others: Vec<&str> = PARTIES.into_iter().filter(|party| !party.starts_with("sensor.")).collect();
+    let others: Vec<&str> = PARTIES
+        .into_iter()
+        .filter(|party| !party.starts_with("sensor."))
+        .collect();
     let site = Secured::new(&five_storeys(), &others);
     let written = site.folder().join("written.json5");
     let structure = five_storeys();
     let credentials = "/run/credentials/spandrel-router@main.service";
-    let listen =
-        ["--listen", "quic/10.0.0.5:7447", "--installed-in", credentials, "--output", written.to_str().unwrap()];
-    site.tool(&["router"], &[&[structure.to_str().unwrap()], &listen[..]].concat());
+    let listen = [
+        "--listen",
+        "quic/10.0.0.5:7447",
+        "--installed-in",
+        credentials,
+        "--output",
+        written.to_str().unwrap(),
+    ];
+    site.tool(
+        &["router"],
+        &[&[structure.to_str().unwrap()], &listen[..]].concat(),
+    );
     let written = std::fs::read_to_string(written).unwrap();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/router-tls.json5");
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(&path, &written).unwrap();
     }
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(kept == written, "deploy/router-tls.json5 is not what the program writes; UPDATE_DOCS=1 writes it anew");
+    assert!(
+        kept == written,
+        "deploy/router-tls.json5 is not what the program writes; UPDATE_DOCS=1 writes it anew"
+    );
 }

@@ -1,6 +1,11 @@
 //! From damage to an acknowledged alert, through the services: the life of an alert as people see it.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -36,7 +41,13 @@ impl Watched {
         let bus = site.join().await;
         site.wait_for_services(&bus).await;
         let alerts = bus.subscribe(site.keys().all_alerts(), 4096).await.unwrap();
-        Self { site, _services: services, bus, alerts, heard: Vec::new() }
+        Self {
+            site,
+            _services: services,
+            bus,
+            alerts,
+            heard: Vec::new(),
+        }
     }
 
     /// Replays a record, and listens until storey 2 reaches a state.
@@ -49,7 +60,12 @@ impl Watched {
 
     async fn heard_of_storey_2(&mut self, state: AlertState) -> AlertMessage {
         loop {
-            let (_, alert) = within(&format!("storey-2 {state:?}"), self.alerts.messages().recv_async()).await.unwrap();
+            let (_, alert) = within(
+                &format!("storey-2 {state:?}"),
+                self.alerts.messages().recv_async(),
+            )
+            .await
+            .unwrap();
             self.heard.push(alert.clone());
             if alert.parameter.as_str() == "storey-2" && alert.state == state {
                 return alert;
@@ -58,7 +74,11 @@ impl Watched {
     }
 
     fn states_of(&self, parameter: &str) -> Vec<AlertState> {
-        self.heard.iter().filter(|alert| alert.parameter.as_str() == parameter).map(|alert| alert.state).collect()
+        self.heard
+            .iter()
+            .filter(|alert| alert.parameter.as_str() == parameter)
+            .map(|alert| alert.state)
+            .collect()
     }
 
     async fn acknowledge(&self, parameter: &str, json: &str) {
@@ -75,7 +95,11 @@ fn seconds(time_ns: i64) -> f64 {
 #[track_caller]
 fn assert_says(alert: &AlertMessage, parts: &[&str]) {
     for part in parts {
-        assert!(alert.why.contains(part), "why of the alert\n  expected {part}\n  found    {}", alert.why);
+        assert!(
+            alert.why.contains(part),
+            "why of the alert\n  expected {part}\n  found    {}",
+            alert.why
+        );
     }
 }
 
@@ -85,13 +109,27 @@ async fn damage_is_pending_for_the_sustain_time_and_then_raised() {
     let record = watched.site.simulate(60.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
     let states = watched.states_of("storey-2");
-    assert_eq!(states[states.len() - 2..], [AlertState::Pending, AlertState::Raised], "all states: {states:?}");
+    assert_eq!(
+        states[states.len() - 2..],
+        [AlertState::Pending, AlertState::Raised],
+        "all states: {states:?}"
+    );
     let since_s = seconds(raised.since_ns.unwrap());
-    assert!((20.0..40.0).contains(&since_s), "credible since {since_s} s, damaged at 20 s");
+    assert!(
+        (20.0..40.0).contains(&since_s),
+        "credible since {since_s} s, damaged at 20 s"
+    );
     let sustained_s = seconds(raised.time_ns) - since_s;
     // the loss is a jump, and no new alert is raised in its first 8 s
-    assert!((4.989..8.011).contains(&sustained_s), "raised {sustained_s} s after the loss was credible");
-    assert!(!watched.states_of("storey-1").contains(&AlertState::Raised), "storey 1 is sound: {:?}", watched.heard);
+    assert!(
+        (4.989..8.011).contains(&sustained_s),
+        "raised {sustained_s} s after the loss was credible"
+    );
+    assert!(
+        !watched.states_of("storey-1").contains(&AlertState::Raised),
+        "storey 1 is sound: {:?}",
+        watched.heard
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -103,10 +141,23 @@ async fn a_raised_alert_says_what_has_lost_how_much_how_surely_and_since_when() 
     let loss = raised.loss.unwrap();
     assert_says(
         &raised,
-        &["storey-2 has lost", "of its stiffness", "95 % interval", "more than 5 %", "probability", &since],
+        &[
+            "storey-2 has lost",
+            "of its stiffness",
+            "95 % interval",
+            "more than 5 %",
+            "probability",
+            &since,
+        ],
     );
-    assert!(raised.credibility >= 0.99 && raised.rule_credibility == 0.99, "{raised:?}");
-    assert!((0.05..0.20).contains(&loss), "loss {loss} on the way from 0 to 0.15");
+    assert!(
+        raised.credibility >= 0.99 && raised.rule_credibility == 0.99,
+        "{raised:?}"
+    );
+    assert!(
+        (0.05..0.20).contains(&loss),
+        "loss {loss} on the way from 0 to 0.15"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -128,12 +179,30 @@ async fn whoever_asks_later_gets_the_last_alert() {
     let raised = watched.replay_until(&record, AlertState::Raised).await;
     let keys = watched.site.keys();
     let later = watched.site.join().await;
-    let of_storey_2 = later.ask::<AlertMessage>(&keys.alert(&raised.parameter), DEADLINE).await.unwrap();
-    let [(key, last)] = &of_storey_2[..] else { panic!("answers: {of_storey_2:?}") };
+    let of_storey_2 = later
+        .ask::<AlertMessage>(&keys.alert(&raised.parameter), DEADLINE)
+        .await
+        .unwrap();
+    let [(key, last)] = &of_storey_2[..] else {
+        panic!("answers: {of_storey_2:?}")
+    };
     // the loss may have been revised since
-    assert_eq!((key, last.state, last.since_ns), (&keys.alert(&raised.parameter), raised.state, raised.since_ns));
-    let of_all = later.ask::<AlertMessage>(&keys.all_alerts(), DEADLINE).await.unwrap();
-    assert!(of_all.contains(&of_storey_2[0]), "answers to alert/*: {of_all:?}");
+    assert_eq!(
+        (key, last.state, last.since_ns),
+        (
+            &keys.alert(&raised.parameter),
+            raised.state,
+            raised.since_ns
+        )
+    );
+    let of_all = later
+        .ask::<AlertMessage>(&keys.all_alerts(), DEADLINE)
+        .await
+        .unwrap();
+    assert!(
+        of_all.contains(&of_storey_2[0]),
+        "answers to alert/*: {of_all:?}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -145,10 +214,20 @@ async fn a_rule_with_a_learnt_reference_finds_damage_of_what_was_weak_from_the_s
     let mut states = watched.states_of("storey-2");
     states.retain(|state| *state != AlertState::Undecided);
     states.dedup();
-    assert_eq!(states[..2], [AlertState::Learning, AlertState::Normal], "all states: {states:?}");
+    assert_eq!(
+        states[..2],
+        [AlertState::Learning, AlertState::Normal],
+        "all states: {states:?}"
+    );
     let (reference, since_s) = (raised.reference.unwrap(), seconds(raised.since_ns.unwrap()));
-    assert!((reference - 0.90).abs() < 0.02, "learnt {reference}, built with 0.90");
-    assert!((40.0..60.0).contains(&since_s), "credible since {since_s} s, damaged at 40 s");
+    assert!(
+        (reference - 0.90).abs() < 0.02,
+        "learnt {reference}, built with 0.90"
+    );
+    assert!(
+        (40.0..60.0).contains(&since_s),
+        "credible since {since_s} s, damaged at 40 s"
+    );
     assert_says(&raised, &["storey-2 has lost"]);
 }
 
@@ -158,19 +237,37 @@ async fn sound_values_from_recordings_take_the_place_of_learning() {
     let sound = site.simulate(38.0);
     let baseline = site.folder().join("house.baseline.json");
     let mut learn = spandrel("baseline");
-    learn.arg(site.structure_file()).arg("--record").arg(sound.path()).arg("--output").arg(&baseline);
+    learn
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(sound.path())
+        .arg("--output")
+        .arg(&baseline);
     learn.args(["--between-std", "0"]); // a simulated building does not differ from record to record
     Process::start(&mut learn).wait().expect_code(0);
     let configuration = site.folder().join("spandrel.toml");
-    std::fs::write(&configuration, "[baselines]\nhouse = \"house.baseline.json\"\n").unwrap();
+    std::fs::write(
+        &configuration,
+        "[baselines]\nhouse = \"house.baseline.json\"\n",
+    )
+    .unwrap();
     let services = Process::start(site.listening("run").arg("--config").arg(&configuration));
     services.wait_for_log("ready structures=1");
     let mut watched = Watched::join(site, services).await;
     let record = watched.site.simulate(80.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
     let reference = raised.reference.unwrap();
-    assert!((reference - 0.90).abs() < 0.02, "learnt {reference}, built with 0.90");
-    assert!(!watched.states_of("storey-2").contains(&AlertState::Learning), "{:?}", watched.states_of("storey-2"));
+    assert!(
+        (reference - 0.90).abs() < 0.02,
+        "learnt {reference}, built with 0.90"
+    );
+    assert!(
+        !watched
+            .states_of("storey-2")
+            .contains(&AlertState::Learning),
+        "{:?}",
+        watched.states_of("storey-2")
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -186,7 +283,11 @@ async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
     alert.kill();
     let _alert = Process::start(&mut watched.site.connecting("alert"));
     let again = watched.heard_of_storey_2(AlertState::Raised).await;
-    assert_eq!((again.state, again.since_ns), (raised.state, raised.since_ns), "{again:?}");
+    assert_eq!(
+        (again.state, again.since_ns),
+        (raised.state, raised.since_ns),
+        "{again:?}"
+    );
 }
 
 /// Alerts that could not be decided were said to be normal, or not spoken of at all.
@@ -195,7 +296,13 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
     let mut watched = Watched::start(DAMAGED).await;
     let record = watched.site.simulate(20.0);
     let text = std::fs::read_to_string(record.path()).unwrap();
-    let ground = text.lines().next().unwrap().split(',').position(|name| name.starts_with("ground")).unwrap();
+    let ground = text
+        .lines()
+        .next()
+        .unwrap()
+        .split(',')
+        .position(|name| name.starts_with("ground"))
+        .unwrap();
     let without = text.lines().enumerate().map(|(row, line)| {
         let mut cells: Vec<&str> = line.split(',').collect();
         if row > 0 {
@@ -206,15 +313,42 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
     std::fs::write(record.path(), without.collect::<String>()).unwrap();
     let undecided = watched.replay_until(&record, AlertState::Undecided).await;
     // the noise levels come first
-    assert_eq!(undecided.undecided_because, Some(UndecidedBecause::NoiseTraining));
-    assert_says(&undecided, &["no alert of storey-2 is decided", "the filter still learns its noise levels"]);
+    assert_eq!(
+        undecided.undecided_because,
+        Some(UndecidedBecause::NoiseTraining)
+    );
+    assert_says(
+        &undecided,
+        &[
+            "no alert of storey-2 is decided",
+            "the filter still learns its noise levels",
+        ],
+    );
     let mut estimate = spandrel("estimate");
-    estimate.arg(watched.site.structure_file()).arg("--record").arg(record.path()).arg("--json");
+    estimate
+        .arg(watched.site.structure_file())
+        .arg("--record")
+        .arg(record.path())
+        .arg("--json");
     let summary: serde_json::Value =
         serde_json::from_str(&Process::start(&mut estimate).wait().expect_code(0).stdout).unwrap();
-    assert_eq!(summary["decided"]["storey-2"]["share"], serde_json::json!(0.0), "{summary}");
-    let warned = summary["warnings"].as_array().unwrap().iter().filter_map(|warning| warning.as_str());
-    assert_eq!(warned.filter(|warning| warning.starts_with("no alert of storey-2 is decided")).count(), 1, "{summary}");
+    assert_eq!(
+        summary["decided"]["storey-2"]["share"],
+        serde_json::json!(0.0),
+        "{summary}"
+    );
+    let warned = summary["warnings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter_map(|warning| warning.as_str());
+    assert_eq!(
+        warned
+            .filter(|warning| warning.starts_with("no alert of storey-2 is decided"))
+            .count(),
+        1,
+        "{summary}"
+    );
 }
 
 #[test]
@@ -222,7 +356,11 @@ fn log_in_json_is_one_object_a_line() {
     let site = Site::with(&two_storeys(DAMAGED));
     let record = site.simulate(30.0);
     let mut command = spandrel("estimate");
-    command.arg(site.structure_file()).arg("--record").arg(record.path()).args(["--log", "json", "-vv"]);
+    command
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path())
+        .args(["--log", "json", "-vv"]);
     let finished = Process::start(&mut command).wait().expect_code(0);
     let lines: Vec<serde_json::Value> = finished
         .stderr
@@ -231,7 +369,12 @@ fn log_in_json_is_one_object_a_line() {
         .collect();
     assert!(!lines.is_empty(), "nothing was logged");
     for line in &lines {
-        assert!(line["timestamp"].is_string() && line["level"].is_string() && line["fields"].is_object(), "{line}");
+        assert!(
+            line["timestamp"].is_string()
+                && line["level"].is_string()
+                && line["fields"].is_object(),
+            "{line}"
+        );
     }
 }
 
@@ -243,15 +386,26 @@ async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
     let view = watched.site.watch();
     let record = watched.site.simulate(20.0);
     watched.site.replay(&record, "max").wait().expect_code(0);
-    let is_normal =
-        |said: &str| said.lines().any(|line| line.contains("storey-1 ") && line.contains(" normal, storey-2 "));
+    let is_normal = |said: &str| {
+        said.lines()
+            .any(|line| line.contains("storey-1 ") && line.contains(" normal, storey-2 "))
+    };
     view.wait_for_output("storey-1 … normal, storey-2 …", is_normal);
     let keys = watched.site.keys();
     let later = watched.site.join().await;
-    let answers = later.ask::<AlertMessage>(&keys.all_alerts(), DEADLINE).await.unwrap();
-    let told: Vec<(&str, AlertState, f64)> =
-        answers.iter().map(|(_, alert)| (alert.parameter.as_str(), alert.state, alert.rule_loss)).collect();
-    assert_eq!(told, [("storey-1", AlertState::Normal, 0.2)], "no rule watches storey 2");
+    let answers = later
+        .ask::<AlertMessage>(&keys.all_alerts(), DEADLINE)
+        .await
+        .unwrap();
+    let told: Vec<(&str, AlertState, f64)> = answers
+        .iter()
+        .map(|(_, alert)| (alert.parameter.as_str(), alert.state, alert.rule_loss))
+        .collect();
+    assert_eq!(
+        told,
+        [("storey-1", AlertState::Normal, 0.2)],
+        "no rule watches storey 2"
+    );
     let afresh = watched.site.watch();
     let live = watched.site.replay(&record, "10");
     afresh.wait_for_output("storey-1 … normal, storey-2 …", is_normal);

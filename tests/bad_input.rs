@@ -1,6 +1,11 @@
 //! What the command line says of bad input, and with which exit code: 2 for files and usage, 1 for all else.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -44,7 +49,10 @@ fn finish(command: &mut Command) -> Finished {
 /// Writes a file in a folder that lasts as long as the test.
 fn write(folder: &TempDir, name: &str, text: &str) -> PathBuf {
     let path = folder.path().join(name);
-    std::fs::File::create(&path).unwrap().write_all(text.as_bytes()).unwrap();
+    std::fs::File::create(&path)
+        .unwrap()
+        .write_all(text.as_bytes())
+        .unwrap();
     path
 }
 
@@ -59,13 +67,22 @@ fn assert_refused(structure: &str, part: &str, told: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let path = write(&folder, "tower.toml", structure);
     let place = format!("{}:{}: ", path.display(), line_of(structure, part));
-    let told: Vec<&str> = std::iter::once(place.as_str()).chain(told.iter().copied()).collect();
+    let told: Vec<&str> = std::iter::once(place.as_str())
+        .chain(told.iter().copied())
+        .collect();
     let mut simulate = spandrel("simulate");
-    finish(simulate.arg(&path).arg("--record").arg(folder.path().join("x.csv")))
+    finish(
+        simulate
+            .arg(&path)
+            .arg("--record")
+            .arg(folder.path().join("x.csv")),
+    )
+    .expect_code(BAD_INPUT)
+    .expect_told(&told);
+    let mut run = spandrel("run");
+    finish(run.arg(&path).args(["--listen", "tcp/127.0.0.1:0"]))
         .expect_code(BAD_INPUT)
         .expect_told(&told);
-    let mut run = spandrel("run");
-    finish(run.arg(&path).args(["--listen", "tcp/127.0.0.1:0"])).expect_code(BAD_INPUT).expect_told(&told);
 }
 
 /// The two-storey building with one text replaced.
@@ -78,57 +95,91 @@ fn building_with(old: &str, new: &str) -> String {
 #[test]
 fn unknown_key_of_a_structure_is_named_with_its_line_and_a_hint() {
     let structure = building_with("mass-kg = 20_000", "mass-kg = 20_000\nmass-hg = 1");
-    assert_refused(&structure, "mass-hg", &["model.mass-hg", "not a known key", "mass-kg"]);
+    assert_refused(
+        &structure,
+        "mass-hg",
+        &["model.mass-hg", "not a known key", "mass-kg"],
+    );
 }
 
 #[test]
 fn wrong_unit_is_named_with_the_right_one() {
     let structure = building_with("unit = \"m/s\"\n", "unit = \"g\"\n");
-    assert_refused(&structure, "unit = \"g\"", &["node.channel.unit", "\"g\"", "m/s"]);
+    assert_refused(
+        &structure,
+        "unit = \"g\"",
+        &["node.channel.unit", "\"g\"", "m/s"],
+    );
 }
 
 #[test]
 fn negative_mass_is_refused() {
     let structure = building_with("mass-kg = 20_000", "mass-kg = -20_000");
-    assert_refused(&structure, "-20_000", &["model.mass-kg", "-20000", "above 0"]);
+    assert_refused(
+        &structure,
+        "-20_000",
+        &["model.mass-kg", "-20000", "above 0"],
+    );
 }
 
 #[test]
 fn duplicate_names_are_refused() {
-    let structure = building_with("[[node]]\nname = \"floor-1\"", "[[node]]\nname = \"ground\" # again");
+    let structure = building_with(
+        "[[node]]\nname = \"floor-1\"",
+        "[[node]]\nname = \"ground\" # again",
+    );
     assert_refused(&structure, "# again", &["node.name", "ground"]);
 }
 
 #[test]
 fn parameter_without_effect_is_refused() {
-    let structure = two_storeys("[[parameter]]\nname = \"alpha\"\nscales = \"damping-alpha\" # none\n");
+    let structure =
+        two_storeys("[[parameter]]\nname = \"alpha\"\nscales = \"damping-alpha\" # none\n");
     let structure = structure.replace("ratio = 0.02", "beta-s = 0.01");
     let line = "[[parameter]]\nname = \"alpha\"".lines().next().unwrap();
-    let last = structure.lines().count() - structure.lines().rev().position(|text| text == line).unwrap();
+    let last = structure.lines().count()
+        - structure
+            .lines()
+            .rev()
+            .position(|text| text == line)
+            .unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = write(&folder, "tower.toml", &structure);
     let place = format!("{}:{last}: ", path.display());
     let mut command = spandrel("simulate");
-    command.arg(&path).arg("--record").arg(folder.path().join("x.csv"));
-    finish(&mut command).expect_code(BAD_INPUT).expect_told(&[&place, "parameter.scales", "no effect"]);
+    command
+        .arg(&path)
+        .arg("--record")
+        .arg(folder.path().join("x.csv"));
+    finish(&mut command).expect_code(BAD_INPUT).expect_told(&[
+        &place,
+        "parameter.scales",
+        "no effect",
+    ]);
 }
 
 #[test]
 fn all_mistakes_of_a_structure_are_told_at_once() {
-    let structure = two_storeys("").replace("storeys = 2", "storeys = 0").replace("ratio = 0.02", "ratio = 2");
+    let structure = two_storeys("")
+        .replace("storeys = 2", "storeys = 0")
+        .replace("ratio = 0.02", "ratio = 2");
     let ratio = format!(":{}: damping.ratio", line_of(&structure, "ratio = 2"));
     assert_refused(&structure, "storeys = 0", &["model.storeys", &ratio]);
 }
 
 /// A structure of two degrees of freedom from matrices; `stiffness` are the entries of its second substructure.
 fn matrices(folder: &TempDir, mass: &str, stiffness: &str) -> String {
-    let matrix = |entries: &str| format!("%%MatrixMarket matrix array real general\n2 2\n{entries}\n");
+    let matrix =
+        |entries: &str| format!("%%MatrixMarket matrix array real general\n2 2\n{entries}\n");
     write(folder, "m.mtx", &matrix(mass));
     write(folder, "k1.mtx", &matrix("2e6\n-1e6\n-1e6\n1e6"));
     write(folder, "k2.mtx", &matrix(stiffness));
     let model = "kind = \"matrices\"\nmass = \"m.mtx\"\nsubstructures = { storey-1 = \"k1.mtx\", storey-2 = \"k2.mtx\" }\n\
                  degrees-of-freedom = [\"floor-1\", \"floor-2\"]\n";
-    building_with("kind = \"shear-building\"\nstoreys = 2\nmass-kg = 20_000\nfirst-frequency-hz = 2.0\n", model)
+    building_with(
+        "kind = \"shear-building\"\nstoreys = 2\nmass-kg = 20_000\nfirst-frequency-hz = 2.0\n",
+        model,
+    )
 }
 
 /// Lets `simulate` read a structure of matrices, which it must refuse with `told` at the line of `part`.
@@ -138,16 +189,28 @@ fn assert_matrices_refused(mass: &str, stiffness: &str, part: &str, told: &[&str
     let structure = matrices(&folder, mass, stiffness);
     let path = write(&folder, "tower.toml", &structure);
     let place = format!("{}:{}: ", path.display(), line_of(&structure, part));
-    let told: Vec<&str> = std::iter::once(place.as_str()).chain(told.iter().copied()).collect();
+    let told: Vec<&str> = std::iter::once(place.as_str())
+        .chain(told.iter().copied())
+        .collect();
     let mut command = spandrel("simulate");
-    command.arg(&path).arg("--record").arg(folder.path().join("x.csv"));
-    finish(&mut command).expect_code(BAD_INPUT).expect_told(&told);
+    command
+        .arg(&path)
+        .arg("--record")
+        .arg(folder.path().join("x.csv"));
+    finish(&mut command)
+        .expect_code(BAD_INPUT)
+        .expect_told(&told);
 }
 
 #[test]
 fn indefinite_stiffness_matrix_is_refused() {
     let told = ["model.substructures.storey-2", "semidefinite"];
-    assert_matrices_refused("1e4\n0\n0\n1e4", "1e6\n2e6\n2e6\n1e6", "substructures", &told);
+    assert_matrices_refused(
+        "1e4\n0\n0\n1e4",
+        "1e6\n2e6\n2e6\n1e6",
+        "substructures",
+        &told,
+    );
 }
 
 #[test]
@@ -161,10 +224,21 @@ fn matrix_file_that_is_not_there_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let structure = matrices(&folder, "1e4\n0\n0\n1e4", "0\n0\n0\n1e6").replace("k2.mtx", "k3.mtx");
     let path = write(&folder, "tower.toml", &structure);
-    let place = format!("{}:{}: ", path.display(), line_of(&structure, "substructures"));
+    let place = format!(
+        "{}:{}: ",
+        path.display(),
+        line_of(&structure, "substructures")
+    );
     let mut command = spandrel("simulate");
-    command.arg(&path).arg("--record").arg(folder.path().join("x.csv"));
-    finish(&mut command).expect_code(BAD_INPUT).expect_told(&[&place, "model.substructures.storey-2", "k3.mtx"]);
+    command
+        .arg(&path)
+        .arg("--record")
+        .arg(folder.path().join("x.csv"));
+    finish(&mut command).expect_code(BAD_INPUT).expect_told(&[
+        &place,
+        "model.substructures.storey-2",
+        "k3.mtx",
+    ]);
 }
 
 #[test]
@@ -194,10 +268,19 @@ fn every_command_that_reads_a_structure_names_one_that_is_not_there() {
 #[track_caller]
 fn assert_record_refused(site: &Site, record: &Path, told: &[&str]) {
     let mut estimate = spandrel("estimate");
-    estimate.arg(site.structure_file()).arg("--record").arg(record);
-    finish(&mut estimate).expect_code(BAD_INPUT).expect_told(told);
+    estimate
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record);
+    finish(&mut estimate)
+        .expect_code(BAD_INPUT)
+        .expect_told(told);
     let mut replay = spandrel("replay");
-    replay.arg(record).arg("--structure").arg(site.structure_file()).args(["--connect", &free_endpoint()]);
+    replay
+        .arg(record)
+        .arg("--structure")
+        .arg(site.structure_file())
+        .args(["--connect", &free_endpoint()]);
     finish(&mut replay).expect_code(BAD_INPUT).expect_told(told);
 }
 
@@ -213,27 +296,46 @@ fn record_with(change: impl FnOnce(String) -> String) -> (Site, Record, String) 
 
 /// A text with one line changed, counted from 1.
 fn with_line(text: &str, number: usize, change: impl Fn(&str) -> String) -> String {
-    let lines = (1..).zip(text.lines()).map(|(at, line)| if at == number { change(line) } else { line.to_owned() });
+    let lines = (1..).zip(text.lines()).map(|(at, line)| {
+        if at == number {
+            change(line)
+        } else {
+            line.to_owned()
+        }
+    });
     lines.map(|line| line + "\n").collect()
 }
 
 #[test]
 fn record_without_columns_is_told_which_are_missing_and_which_are_there() {
     let (site, record, name) = record_with(|text| text.replacen(",roof,", ",tower,", 1));
-    assert_record_refused(&site, record.path(), &[&format!("{name}:1: "), "`roof`", "`tower`"]);
+    assert_record_refused(
+        &site,
+        record.path(),
+        &[&format!("{name}:1: "), "`roof`", "`tower`"],
+    );
 }
 
 #[test]
 fn ragged_row_is_named_by_its_line() {
-    let (site, record, name) = record_with(|text| with_line(&text, 42, |line| line.to_owned() + ",1"));
-    assert_record_refused(&site, record.path(), &[&format!("{name}:42: "), "6 fields", "5"]);
+    let (site, record, name) =
+        record_with(|text| with_line(&text, 42, |line| line.to_owned() + ",1"));
+    assert_record_refused(
+        &site,
+        record.path(),
+        &[&format!("{name}:42: "), "6 fields", "5"],
+    );
 }
 
 #[test]
 fn field_that_is_no_number_is_named_by_line_and_column() {
     let much = |line: &str| format!("{},much", line.rsplit_once(',').unwrap().0);
     let (site, record, name) = record_with(|text| with_line(&text, 8, much));
-    assert_record_refused(&site, record.path(), &[&format!("{name}:8: "), "`roof-velocity`", "`much`"]);
+    assert_record_refused(
+        &site,
+        record.path(),
+        &[&format!("{name}:8: "), "`roof-velocity`", "`much`"],
+    );
 }
 
 #[test]
@@ -251,13 +353,21 @@ fn record_of_no_known_format_is_told_the_known_ones() {
     let (site, record, _) = record_with(|text| text);
     let path = record.path().with_extension("xyz");
     std::fs::write(&path, [0, 1, 2, 3]).unwrap();
-    assert_record_refused(&site, &path, &["record.xyz", "no known format", "CSV", "miniSEED"]);
+    assert_record_refused(
+        &site,
+        &path,
+        &["record.xyz", "no known format", "CSV", "miniSEED"],
+    );
 }
 
 #[test]
 fn record_that_is_not_there_is_named() {
     let (site, record, _) = record_with(|text| text);
-    assert_record_refused(&site, &record.path().with_file_name("nowhere.csv"), &["nowhere.csv"]);
+    assert_record_refused(
+        &site,
+        &record.path().with_file_name("nowhere.csv"),
+        &["nowhere.csv"],
+    );
 }
 
 // What is looked at before anything is put are the first 1000 rows.
@@ -266,13 +376,25 @@ fn mistake_far_down_a_record_is_bad_input_on_both_routes() {
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(15.0);
     let text = std::fs::read_to_string(record.path()).unwrap();
-    std::fs::write(record.path(), with_line(&text, 1401, |line| line.to_owned() + ",1")).unwrap();
+    std::fs::write(
+        record.path(),
+        with_line(&text, 1401, |line| line.to_owned() + ",1"),
+    )
+    .unwrap();
     let place = format!("{}:1401: ", record.path().display());
     let mut estimate = spandrel("estimate");
-    estimate.arg(site.structure_file()).arg("--record").arg(record.path());
-    finish(&mut estimate).expect_code(BAD_INPUT).expect_told(&[&place]);
+    estimate
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path());
+    finish(&mut estimate)
+        .expect_code(BAD_INPUT)
+        .expect_told(&[&place]);
     let _services = site.run();
-    site.replay(&record, "max").wait().expect_code(BAD_INPUT).expect_told(&[&place]);
+    site.replay(&record, "max")
+        .wait()
+        .expect_code(BAD_INPUT)
+        .expect_told(&[&place]);
 }
 
 #[test]
@@ -286,14 +408,18 @@ fn wrong_configuration_is_named_by_file_and_key() {
         ("structures = \n", "spandrel.toml"),
     ] {
         let path = write(&folder, "spandrel.toml", text);
-        finish(spandrel("run").arg("--config").arg(path)).expect_code(BAD_INPUT).expect_told(&["spandrel.toml", key]);
+        finish(spandrel("run").arg("--config").arg(path))
+            .expect_code(BAD_INPUT)
+            .expect_told(&["spandrel.toml", key]);
     }
 }
 
 #[test]
 fn configuration_that_is_not_there_is_named() {
     let mut command = spandrel("run");
-    finish(command.args(["--config", "nowhere.toml"])).expect_code(BAD_INPUT).expect_told(&["nowhere.toml"]);
+    finish(command.args(["--config", "nowhere.toml"]))
+        .expect_code(BAD_INPUT)
+        .expect_told(&["nowhere.toml"]);
 }
 
 #[test]
@@ -305,7 +431,8 @@ fn wrong_variable_is_named() {
         ("SPANDREL_BUS__ROOTS", "a", "roots"),
     ] {
         let mut command = spandrel("run");
-        let finished = finish(command.arg(site.structure_file()).env(variable, value)).expect_code(BAD_INPUT);
+        let finished =
+            finish(command.arg(site.structure_file()).env(variable, value)).expect_code(BAD_INPUT);
         finished.expect_told(&[told, "SPANDREL_"]);
     }
 }
@@ -314,13 +441,16 @@ fn wrong_variable_is_named() {
 fn root_that_is_no_name_is_refused() {
     let site = Site::with(&two_storeys(""));
     let mut command = spandrel("run");
-    let finished = finish(command.arg(site.structure_file()).args(["--root", "a/b"])).expect_code(BAD_INPUT);
+    let finished =
+        finish(command.arg(site.structure_file()).args(["--root", "a/b"])).expect_code(BAD_INPUT);
     finished.expect_told(&["\"a/b\"", "'/'"]);
 }
 
 #[test]
 fn no_structure_at_all_is_bad_usage() {
-    finish(&mut spandrel("run")).expect_code(BAD_INPUT).expect_told(&["no structure"]);
+    finish(&mut spandrel("run"))
+        .expect_code(BAD_INPUT)
+        .expect_told(&["no structure"]);
 }
 
 #[test]
@@ -339,43 +469,75 @@ fn files_that_cannot_be_read_or_written_are_bad_input() {
     let with = |subcommand: &str, arguments: &[&str]| {
         let mut command = spandrel(subcommand);
         command.arg(site.structure_file()).args(arguments);
-        finish(&mut command).expect_code(BAD_INPUT).expect_told(&["file"])
+        finish(&mut command)
+            .expect_code(BAD_INPUT)
+            .expect_told(&["file"])
     };
     let (nowhere, record) = (nowhere.to_str().unwrap(), record.path().to_str().unwrap());
     with("estimate", &["--record", record, "--baseline", nowhere]);
     with("estimate", &["--record", record, "--output", nowhere]);
-    with("baseline", &["--record", record, "--skip", "0.5", "--output", nowhere]);
+    with(
+        "baseline",
+        &["--record", record, "--skip", "0.5", "--output", nowhere],
+    );
     with("simulate", &["--duration", "1", "--record", nowhere]);
     let told = with("run", &["--zenoh-config", nowhere]);
-    assert!(!told.stderr.contains(".rs:"), "whoever runs this knows no source file: {}", told.stderr);
+    assert!(
+        !told.stderr.contains(".rs:"),
+        "whoever runs this knows no source file: {}",
+        told.stderr
+    );
     let folder = tempfile::tempdir().unwrap();
     let wrong = write(&folder, "file.json5", "{ mode: 7 }");
     with("run", &["--zenoh-config", wrong.to_str().unwrap()]);
     let wrong = write(&folder, "file.json", "{}");
-    with("estimate", &["--record", record, "--baseline", wrong.to_str().unwrap()]);
+    with(
+        "estimate",
+        &["--record", record, "--baseline", wrong.to_str().unwrap()],
+    );
 }
 
 #[test]
 fn baseline_that_is_of_no_use_is_told() {
-    let site = Site::with(&two_storeys("[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.1\n"));
+    let site = Site::with(&two_storeys(
+        "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.1\n",
+    ));
     let record = site.simulate(20.0);
     let baseline = site.folder().join("house.baseline.json");
     let mut learn = spandrel("baseline");
-    learn.arg(site.structure_file()).arg("--record").arg(record.path()).arg("--output").arg(&baseline);
+    learn
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path())
+        .arg("--output")
+        .arg(&baseline);
     learn.args(["--between-std", "0"]);
     finish(&mut learn).expect_code(0);
     let estimate = |structure: &Path, baseline: &Path| {
         let mut command = spandrel("estimate");
-        finish(command.arg(structure).arg("--record").arg(record.path()).arg("--baseline").arg(baseline)).expect_code(0)
+        finish(
+            command
+                .arg(structure)
+                .arg("--record")
+                .arg(record.path())
+                .arg("--baseline")
+                .arg(baseline),
+        )
+        .expect_code(0)
     };
-    estimate(site.structure_file(), &baseline).expect_told(&["house.baseline.json: not used", "learn-s"]);
+    estimate(site.structure_file(), &baseline)
+        .expect_told(&["house.baseline.json: not used", "learn-s"]);
     // a rule that learns, and a baseline of the building before its storeys were renamed
-    let learning = two_storeys("[[alert]]\nparameters = \"all\"\nloss = 0.1\nreference = { learn-s = 5 }\n");
+    let learning =
+        two_storeys("[[alert]]\nparameters = \"all\"\nloss = 0.1\nreference = { learn-s = 5 }\n");
     let folder = tempfile::tempdir().unwrap();
     let structure = write(&folder, "house.toml", &learning);
-    let text = std::fs::read_to_string(&baseline).unwrap().replace("storey-2", "storey-two");
+    let text = std::fs::read_to_string(&baseline)
+        .unwrap()
+        .replace("storey-2", "storey-two");
     let renamed = write(&folder, "house.baseline.json", &text);
-    estimate(&structure, &renamed).expect_told(&["storey-two; it has storey-1, storey-2", "lacks storey-2"]);
+    estimate(&structure, &renamed)
+        .expect_told(&["storey-two; it has storey-1, storey-2", "lacks storey-2"]);
     // a configuration that has sound values of a structure that it does not name
     let text = format!(
         "structures = [{:?}]\n[baselines]\ntower = {:?}\n",
@@ -395,7 +557,12 @@ fn port_in_use_is_named_with_what_to_do() {
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
     for subcommand in ["run", "ingest"] {
         let mut command = spandrel(subcommand);
-        let finished = finish(command.arg(site.structure_file()).args(["--listen", &endpoint])).expect_code(FAILED);
+        let finished = finish(
+            command
+                .arg(site.structure_file())
+                .args(["--listen", &endpoint]),
+        )
+        .expect_code(FAILED);
         finished.expect_told(&[&endpoint, "cannot listen", "bus.listen"]);
     }
 }
@@ -405,7 +572,12 @@ fn nobody_at_the_endpoint_to_connect_to_ends_the_program() {
     let site = Site::with(&two_storeys(""));
     let endpoint = free_endpoint();
     let mut command = spandrel("identify");
-    let finished = finish(command.arg(site.structure_file()).args(["--connect", &endpoint])).expect_code(FAILED);
+    let finished = finish(
+        command
+            .arg(site.structure_file())
+            .args(["--connect", &endpoint]),
+    )
+    .expect_code(FAILED);
     finished.expect_told(&[&endpoint, "nobody answers"]);
 }
 
@@ -416,7 +588,14 @@ fn bad_usage_ends_with_2() {
         vec!["run", "--fly"],
         vec!["simulate"],
         vec!["simulate", "a.toml", "--duration", "-1"],
-        vec!["replay", "a.csv", "--structure", "a.toml", "--speed", "fast"],
+        vec![
+            "replay",
+            "a.csv",
+            "--structure",
+            "a.toml",
+            "--speed",
+            "fast",
+        ],
         vec!["estimate", "a.toml"],
         vec!["completions", "cmd"],
     ] {
@@ -431,22 +610,39 @@ fn reader_of_the_result_may_leave() {
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(5.0);
     let mut estimate = spandrel("estimate");
-    estimate.arg(site.structure_file()).arg("--record").arg(record.path()).arg("--json");
+    estimate
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path())
+        .arg("--json");
     let mut completions = spandrel("completions");
     completions.arg("bash");
     for command in [&mut estimate, &mut completions] {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         drop(child.stdout.take()); // as `| head -0` does
         let output = child.wait_with_output().unwrap();
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!told.contains("panicked"), "{command:?} with a closed pipe panicked:\n{told}");
-        assert_eq!(output.status.code(), Some(0), "{command:?} with a closed pipe:\n{told}");
+        assert!(
+            !told.contains("panicked"),
+            "{command:?} with a closed pipe panicked:\n{told}"
+        );
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{command:?} with a closed pipe:\n{told}"
+        );
     }
 }
 
 #[test]
 fn reader_of_the_errors_may_leave() {
-    Process::start_with_closed_log(spandrel("check").arg("nowhere.toml")).wait().expect_code(BAD_INPUT);
+    Process::start_with_closed_log(spandrel("check").arg("nowhere.toml"))
+        .wait()
+        .expect_code(BAD_INPUT);
 }
 
 #[test]
@@ -454,30 +650,60 @@ fn help_of_every_subcommand_shows_an_example() {
     for subcommand in SUBCOMMANDS.into_iter().chain(["completions"]) {
         let finished = finish(spandrel(subcommand).arg("--help")).expect_code(0);
         let example = format!("spandrel {subcommand}");
-        let has_example = finished.stdout.contains("Example") && finished.stdout.matches(&example).count() >= 2;
-        assert!(has_example, "expected an example of {example}, found:\n{}", finished.stdout);
+        let has_example =
+            finished.stdout.contains("Example") && finished.stdout.matches(&example).count() >= 2;
+        assert!(
+            has_example,
+            "expected an example of {example}, found:\n{}",
+            finished.stdout
+        );
     }
 }
 
 #[test]
 fn completions_are_scripts_that_their_shell_can_read() {
-    let script = finish(spandrel("completions").arg("bash")).expect_code(0).stdout;
+    let script = finish(spandrel("completions").arg("bash"))
+        .expect_code(0)
+        .stdout;
     for subcommand in SUBCOMMANDS {
-        assert!(script.contains(subcommand), "no {subcommand} in the completions");
+        assert!(
+            script.contains(subcommand),
+            "no {subcommand} in the completions"
+        );
     }
-    let mut bash = Command::new("bash").arg("-n").stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    bash.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
+    let mut bash = Command::new("bash")
+        .arg("-n")
+        .stdin(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    bash.stdin
+        .take()
+        .unwrap()
+        .write_all(script.as_bytes())
+        .unwrap();
     let output = bash.wait_with_output().unwrap();
-    assert!(output.status.success(), "bash -n: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "bash -n: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }
 
 #[test]
 fn a_result_that_cannot_be_written_names_its_file() {
     let (site, record, _) = record_with(|text| text);
     let mut command = spandrel("estimate");
-    command.arg(site.structure_file()).arg("--record").arg(record.path());
+    command
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path());
     let finished = finish(command.args(["--output", "/nowhere/estimates.csv"]));
-    assert!(finished.code.is_some_and(|code| code != 0), "exit code {:?}", finished.code);
+    assert!(
+        finished.code.is_some_and(|code| code != 0),
+        "exit code {:?}",
+        finished.code
+    );
     finished.expect_told(&["/nowhere/estimates.csv"]);
 }
 
@@ -487,16 +713,46 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
     let text = two_storeys("");
     let structure = write(&folder, "house.toml", &text);
     let record = folder.path().join("record.csv");
-    finish(spandrel("simulate").arg(&structure).arg("--record").arg(&record).args(["--duration", "2"])).expect_code(0);
+    finish(
+        spandrel("simulate")
+            .arg(&structure)
+            .arg("--record")
+            .arg(&record)
+            .args(["--duration", "2"]),
+    )
+    .expect_code(0);
     let before = std::fs::read(&record).unwrap();
     let refused = [
-        finish(spandrel("simulate").arg(&structure).arg("--record").arg(&structure)),
-        finish(spandrel("estimate").arg(&structure).arg("--record").arg(&record).arg("--output").arg(&record)),
-        finish(spandrel("baseline").arg(&structure).arg("--record").arg(&record).arg("--output").arg(&record)),
+        finish(
+            spandrel("simulate")
+                .arg(&structure)
+                .arg("--record")
+                .arg(&structure),
+        ),
+        finish(
+            spandrel("estimate")
+                .arg(&structure)
+                .arg("--record")
+                .arg(&record)
+                .arg("--output")
+                .arg(&record),
+        ),
+        finish(
+            spandrel("baseline")
+                .arg(&structure)
+                .arg("--record")
+                .arg(&record)
+                .arg("--output")
+                .arg(&record),
+        ),
     ];
     for finished in refused {
         let finished = finished.expect_code(2);
-        assert!(finished.stderr.contains("would be written over"), "{}", finished.stderr);
+        assert!(
+            finished.stderr.contains("would be written over"),
+            "{}",
+            finished.stderr
+        );
     }
     assert_eq!(std::fs::read_to_string(&structure).unwrap(), text);
     assert_eq!(std::fs::read(&record).unwrap(), before);
@@ -506,9 +762,11 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
 #[test]
 fn a_structure_that_cannot_be_handed_over_is_refused_a_standby_with_its_size() {
     let site = Site::with(&storeys(400, ""));
-    finish(site.listening("identify").arg("--standby")).expect_code(BAD_INPUT).expect_told(&[
-        "structure house cannot have a standby",
-        "must have at most 8388608",
-        "--standby",
-    ]);
+    finish(site.listening("identify").arg("--standby"))
+        .expect_code(BAD_INPUT)
+        .expect_told(&[
+            "structure house cannot have a standby",
+            "must have at most 8388608",
+            "--standby",
+        ]);
 }

@@ -1,14 +1,21 @@
 //! Clocks that are wrong: of one node, of all of them, of the machine that aligns their samples. What is identified is compared, to
 //! the bit, with the record that says what the clocks have made of it.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use spandrel_bus::{Bus, Keys, SampleBlock, Service};
 use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
 use std::collections::BTreeMap;
-use support::{Drops, EstimateReader, Process, Record, Sensors, Site, assert_same_bits, two_storeys, within};
+use support::{
+    Drops, EstimateReader, Process, Record, Sensors, Site, assert_same_bits, two_storeys, within,
+};
 
 const ROWS: usize = 800;
 /// The row at which clocks are set.
@@ -43,7 +50,15 @@ impl Running {
         let drops = Drops::watch(&bus, &keys).await;
         let reader = EstimateReader::join(&bus, &keys).await;
         let sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
-        Self { site, services, bus, keys, drops, reader, sensors }
+        Self {
+            site,
+            services,
+            bus,
+            keys,
+            drops,
+            reader,
+            sensors,
+        }
     }
 
     /// Puts the record; from [`SET`] on the clocks of some nodes are off by so many seconds.
@@ -65,7 +80,12 @@ impl Running {
     async fn assert_as_in(&mut self, what: &str, equivalent: &mut Record, frames: usize) {
         let expected = self.site.estimate(equivalent.save_as("equivalent.csv"));
         let found = self.reader.read_frames(frames).await;
-        assert_same_bits(what, &expected.parameters, &expected.frames[..frames], &found[..frames]);
+        assert_same_bits(
+            what,
+            &expected.parameters,
+            &expected.frames[..frames],
+            &found[..frames],
+        );
     }
 
     async fn counted(&self, reason: &str, least: u64) -> BTreeMap<String, u64> {
@@ -73,7 +93,11 @@ impl Running {
     }
 
     async fn end(self) {
-        let mut decided = self.bus.watch_progress(self.keys.progress(Service::Alert)).await.unwrap();
+        let mut decided = self
+            .bus
+            .watch_progress(self.keys.progress(Service::Alert))
+            .await
+            .unwrap();
         within("decisions", decided.wait_for(|progress| progress.done > 0)).await;
         self.services.stop().expect_code(0).expect_told(&[]);
     }
@@ -85,7 +109,9 @@ async fn a_node_whose_clock_steps_forth_is_missing_for_as_long_and_believed_from
     running.put(&["floor-1"], 1).await;
     let mut equivalent = running.sensors.record().clone();
     equivalent.shift("floor-1", SET, SECOND as isize);
-    running.assert_as_in("a second forth", &mut equivalent, ROWS).await;
+    running
+        .assert_as_in("a second forth", &mut equivalent, ROWS)
+        .await;
     let drops = running.counted("missing-samples", SECOND as u64).await;
     assert_eq!(drops["missing-samples"], SECOND as u64, "{drops:?}");
     running.end().await;
@@ -102,10 +128,16 @@ async fn a_node_whose_clock_steps_back_is_late_for_as_long_and_believed_from_the
         let later = running.sensors.record().value(row + SECOND, "floor-1");
         equivalent.change("floor-1", row..row + 1, |_, _| later);
     }
-    running.assert_as_in("a second back", &mut equivalent, whole).await;
+    running
+        .assert_as_in("a second back", &mut equivalent, whole)
+        .await;
     let drops = running.counted("late-samples", SECOND as u64 - 1).await;
     // the last sample of the second is one too many for the frame that was closed last
-    assert_eq!((drops["late-samples"], drops["duplicate-samples"]), (SECOND as u64 - 1, 1), "{drops:?}");
+    assert_eq!(
+        (drops["late-samples"], drops["duplicate-samples"]),
+        (SECOND as u64 - 1, 1),
+        "{drops:?}"
+    );
     running.end().await;
 }
 
@@ -115,10 +147,18 @@ async fn a_leap_second_that_is_repeated_is_late_and_nothing_comes_twice() {
     running.put(&NODES, -1).await;
     let mut equivalent = running.sensors.record().clone();
     equivalent.cut(SET..SET + SECOND).delay_from(SET, -1.0);
-    running.assert_as_in("a repeated second", &mut equivalent, ROWS - SECOND).await;
+    running
+        .assert_as_in("a repeated second", &mut equivalent, ROWS - SECOND)
+        .await;
     let lost = NODES.len() as u64;
-    let drops = running.counted("late-samples", lost * (SECOND as u64 - 1)).await;
-    assert_eq!(drops["late-samples"] + drops["duplicate-samples"], lost * SECOND as u64, "{drops:?}");
+    let drops = running
+        .counted("late-samples", lost * (SECOND as u64 - 1))
+        .await;
+    assert_eq!(
+        drops["late-samples"] + drops["duplicate-samples"],
+        lost * SECOND as u64,
+        "{drops:?}"
+    );
     running.end().await;
 }
 
@@ -128,7 +168,9 @@ async fn a_second_that_is_left_out_is_a_gap_of_a_second() {
     running.put(&NODES, 1).await;
     let mut equivalent = running.sensors.record().clone();
     equivalent.delay_from(SET, 1.0);
-    running.assert_as_in("a second left out", &mut equivalent, ROWS + SECOND).await;
+    running
+        .assert_as_in("a second left out", &mut equivalent, ROWS + SECOND)
+        .await;
     let drops = running.counted("missing-samples", 3 * SECOND as u64).await;
     assert_eq!(drops["missing-samples"], 3 * SECOND as u64, "{drops:?}");
     running.end().await;
@@ -143,9 +185,20 @@ async fn times_before_1970_and_across_it_are_times_like_others() {
     assert!(running.sensors.record().time_ns(0) < 0);
     running.put(&[], 0).await;
     let mut equivalent = running.sensors.record().clone();
-    running.assert_as_in("across 1970", &mut equivalent, ROWS).await;
-    let (first, last) = (running.reader.read_frames(ROWS).await[0].time_ns, 3_990_000_000);
-    assert_eq!((first, running.reader.read_frames(ROWS).await[ROWS - 1].time_ns), (-4 * SECOND_NS, last));
+    running
+        .assert_as_in("across 1970", &mut equivalent, ROWS)
+        .await;
+    let (first, last) = (
+        running.reader.read_frames(ROWS).await[0].time_ns,
+        3_990_000_000,
+    );
+    assert_eq!(
+        (
+            first,
+            running.reader.read_frames(ROWS).await[ROWS - 1].time_ns
+        ),
+        (-4 * SECOND_NS, last)
+    );
     running.end().await;
 }
 
@@ -154,13 +207,24 @@ async fn times_before_1970_and_across_it_are_times_like_others() {
 async fn a_machine_whose_clock_is_decades_behind_its_sensors_identifies_the_same() {
     let mut running = Running::start(|_| {}).await;
     for node in NODES {
-        running.sensors.put_changed(node, 0..ROWS, |block| block.header.time_ns += IN_2100_NS).await;
+        running
+            .sensors
+            .put_changed(node, 0..ROWS, |block| block.header.time_ns += IN_2100_NS)
+            .await;
     }
     let mut equivalent = running.sensors.record().clone();
     let mut expected = running.site.estimate(equivalent.save_as("equivalent.csv"));
-    expected.frames.iter_mut().for_each(|frame| frame.time_ns += IN_2100_NS);
+    expected
+        .frames
+        .iter_mut()
+        .for_each(|frame| frame.time_ns += IN_2100_NS);
     let found = running.reader.read_frames(ROWS).await;
-    assert_same_bits("sensors of 2100", &expected.parameters, &expected.frames, found);
+    assert_same_bits(
+        "sensors of 2100",
+        &expected.parameters,
+        &expected.frames,
+        found,
+    );
     let status = running.drops.when_done(Service::Ingest, ROWS as u64).await;
     assert!(status.drops.is_empty(), "{:?}", status.drops);
     assert!(status.lag_s.unwrap() < -1e9, "lag {:?} s", status.lag_s);
@@ -178,8 +242,15 @@ async fn clocks_of_all_nodes_set_back_by_a_day_begin_new_frames() {
         (3_990_000_000, 4 * SECOND_NS - 86_400 * SECOND_NS),
         "the last frame before, the first one after"
     );
-    let status = running.drops.when_done(Service::Ingest, ROWS as u64 / 2).await;
-    assert!(!status.drops.contains_key("late-samples"), "{:?}", status.drops);
+    let status = running
+        .drops
+        .when_done(Service::Ingest, ROWS as u64 / 2)
+        .await;
+    assert!(
+        !status.drops.contains_key("late-samples"),
+        "{:?}",
+        status.drops
+    );
     running.end().await;
 }
 
@@ -190,8 +261,16 @@ async fn an_ingest_whose_clock_was_set_back_since_its_last_life_is_believed() {
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(4.0);
     let state = site.folder().join("state");
-    let folder = state.join("spandrel").join(site.keys().root().as_str()).join("house/recording");
-    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let folder = state
+        .join("spandrel")
+        .join(site.keys().root().as_str())
+        .join("house/recording");
+    let names = |names: &[&str]| {
+        names
+            .iter()
+            .map(|name| (*name).to_owned())
+            .collect::<Vec<_>>()
+    };
     let layout = LogLayout {
         structure: "house".to_owned(),
         channels: names(&["ground", "floor-1", "roof", "roof-velocity"]),
@@ -212,11 +291,23 @@ async fn an_ingest_whose_clock_was_set_back_since_its_last_life_is_believed() {
     let (mut log, _) = FrameLog::open(&folder, layout, LogSettings::default()).unwrap();
     log.append(&[last]).unwrap();
     log.close().unwrap();
-    let services = Process::start(site.listening("run").args(["--http", "none"]).env("XDG_STATE_HOME", &state));
+    let services = Process::start(
+        site.listening("run")
+            .args(["--http", "none"])
+            .env("XDG_STATE_HOME", &state),
+    );
     services.wait_for_log("ready structures=1");
     site.replay(&record, "max").wait().expect_code(0);
     services.stop().expect_code(0);
-    let newest = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    let newest = newest.filter(|name| name.starts_with("frames-")).max().unwrap();
-    assert!(newest > format!("frames-{LATER:020}-{:020}.mcap", 0), "{newest}");
+    let newest = std::fs::read_dir(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let newest = newest
+        .filter(|name| name.starts_with("frames-"))
+        .max()
+        .unwrap();
+    assert!(
+        newest > format!("frames-{LATER:020}-{:020}.mcap", 0),
+        "{newest}"
+    );
 }

@@ -1,6 +1,11 @@
 //! The file of the container image, without an engine: what it copies is there, and its command does what it is for with those files.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -11,18 +16,30 @@ use support::{Process, spandrel};
 const CONFIGURATION: &str = "/etc/spandrel/";
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
 }
 
 /// The instructions of the file: a word and what follows it.
 fn instructions() -> Vec<(String, String)> {
     let text = std::fs::read_to_string(root().join("deploy/Containerfile")).unwrap();
-    let lines = text.lines().filter(|line| !line.trim().is_empty() && !line.starts_with('#'));
-    lines.map(|line| line.split_once(' ').unwrap()).map(|(word, rest)| (word.to_owned(), rest.to_owned())).collect()
+    let lines = text
+        .lines()
+        .filter(|line| !line.trim().is_empty() && !line.starts_with('#'));
+    lines
+        .map(|line| line.split_once(' ').unwrap())
+        .map(|(word, rest)| (word.to_owned(), rest.to_owned()))
+        .collect()
 }
 
 fn all(word: &str) -> Vec<String> {
-    instructions().into_iter().filter(|(found, _)| found == word).map(|(_, rest)| rest).collect()
+    instructions()
+        .into_iter()
+        .filter(|(found, _)| found == word)
+        .map(|(_, rest)| rest)
+        .collect()
 }
 
 /// A list of words in the form of JSON.
@@ -47,21 +64,49 @@ fn what_the_image_copies_is_there_and_it_runs_without_privileges() {
     let configuration = copied_to(CONFIGURATION);
     assert_eq!(configuration.len(), 2, "{configuration:?}");
     for path in configuration {
-        assert!(path.is_file(), "{} is copied, and not there", path.display());
+        assert!(
+            path.is_file(),
+            "{} is copied, and not there",
+            path.display()
+        );
     }
     assert_eq!(all("USER"), ["65532:65532"]);
     let last = all("FROM").pop().unwrap();
-    assert!(last.contains("distroless") && last.ends_with(":nonroot"), "the image is made from {last}");
+    assert!(
+        last.contains("distroless") && last.ends_with(":nonroot"),
+        "the image is made from {last}"
+    );
     // the compiler of the image is that of the repository
     let toolchain = std::fs::read_to_string(root().join("rust-toolchain.toml")).unwrap();
-    let compiler = all("FROM")[0].split_once("rust:").unwrap().1.split('-').next().unwrap().to_owned();
-    assert!(toolchain.contains(&format!("channel = \"{compiler}")), "compiler {compiler}, {toolchain}");
+    let compiler = all("FROM")[0]
+        .split_once("rust:")
+        .unwrap()
+        .1
+        .split('-')
+        .next()
+        .unwrap()
+        .to_owned();
+    assert!(
+        toolchain.contains(&format!("channel = \"{compiler}")),
+        "compiler {compiler}, {toolchain}"
+    );
     // what the engine does not see must not be what the program is made from
     let ignored = std::fs::read_to_string(root().join(".containerignore")).unwrap();
-    for needed in
-        [".cargo", "crates", "tests", "docs", "deploy", "Cargo.toml", "Cargo.lock", "rust-toolchain.toml", "clients"]
-    {
-        assert!(root().join(needed).exists() && ignored.lines().all(|line| line != needed), "{needed} is left out");
+    for needed in [
+        ".cargo",
+        "crates",
+        "tests",
+        "docs",
+        "deploy",
+        "Cargo.toml",
+        "Cargo.lock",
+        "rust-toolchain.toml",
+        "clients",
+    ] {
+        assert!(
+            root().join(needed).exists() && ignored.lines().all(|line| line != needed),
+            "{needed} is left out"
+        );
     }
 }
 
@@ -75,15 +120,24 @@ fn the_command_of_the_image_starts_with_its_files_and_stops_in_order() {
     std::fs::create_dir(&state).unwrap();
     assert_eq!(words(&all("ENTRYPOINT")[0]), ["/usr/local/bin/spandrel"]);
     assert_eq!(all("STOPSIGNAL"), ["SIGTERM"]);
-    assert_eq!(all("ENV"), [format!("STATE_DIRECTORY={}", all("VOLUME")[0])]);
-    let here = |word: &String| word.replace(CONFIGURATION, &format!("{}/", folder.path().display()));
+    assert_eq!(
+        all("ENV"),
+        [format!("STATE_DIRECTORY={}", all("VOLUME")[0])]
+    );
+    let here =
+        |word: &String| word.replace(CONFIGURATION, &format!("{}/", folder.path().display()));
     let arguments: Vec<String> = words(&all("CMD")[0]).iter().map(here).collect();
     let mut command = spandrel(&arguments[0]);
     command.args(&arguments[1..]).env("STATE_DIRECTORY", &state);
     // other programs of this machine may have the usual ports
-    command.env("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:0").env("SPANDREL_DASHBOARD__LISTEN", "127.0.0.1:0");
+    command
+        .env("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:0")
+        .env("SPANDREL_DASHBOARD__LISTEN", "127.0.0.1:0");
     let services = Process::start(&mut command);
     services.wait_for_log("ready structures=1");
     services.stop().expect_code(0);
-    assert!(state.join("history.sqlite").is_file(), "what is kept lies in the volume");
+    assert!(
+        state.join("history.sqlite").is_file(),
+        "what is kept lies in the volume"
+    );
 }

@@ -4,7 +4,12 @@
 //! A short form runs with the other tests; the long one, with 200 kills, by
 //! `cargo test --workspace --test crash -- --ignored --nocapture`.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -12,8 +17,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use spandrel_alert::Watch;
 use spandrel_bus::{
-    AlertMessage, AlertState, Bus, BusConfig, FrameBlock, Header, HistoryLog, Mode, Name, Service, StreamState,
-    Subscription,
+    AlertMessage, AlertState, Bus, BusConfig, FrameBlock, Header, HistoryLog, Mode, Name, Service,
+    StreamState, Subscription,
 };
 use spandrel_identify::{Identification, Input, Output};
 use spandrel_record::{FrameLog, LogLayout, LogSettings};
@@ -23,8 +28,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 use support::{
-    DEADLINE, Drops, EstimateReader, Identified, Node, Process, Record, Sensors, Site, SmallDisk, assert_same_bits,
-    spandrel, two_storeys, within,
+    DEADLINE, Drops, EstimateReader, Identified, Node, Process, Record, Sensors, Site, SmallDisk,
+    assert_same_bits, spandrel, two_storeys, within,
 };
 use tokio::time::Instant;
 
@@ -59,7 +64,14 @@ impl Town {
              [history]\ndatabase = \"history.sqlite\"\n"
         );
         std::fs::write(&configuration, text).unwrap();
-        let mut town = Self { site, record, speed, configuration, router: None, running: BTreeMap::new() };
+        let mut town = Self {
+            site,
+            record,
+            speed,
+            configuration,
+            router: None,
+            running: BTreeMap::new(),
+        };
         town.start_router().await;
         for name in SERVICES {
             town.run(name);
@@ -71,8 +83,11 @@ impl Town {
     }
 
     async fn start_router(&mut self) {
-        let config =
-            BusConfig { mode: Mode::Router, listen: vec![self.site.endpoint().to_owned()], ..BusConfig::default() };
+        let config = BusConfig {
+            mode: Mode::Router,
+            listen: vec![self.site.endpoint().to_owned()],
+            ..BusConfig::default()
+        };
         self.router = Some(Bus::open(&config).await.unwrap());
     }
 
@@ -80,8 +95,18 @@ impl Town {
         let mut command = match name {
             "replay" => {
                 let mut command = spandrel("replay");
-                command.arg(self.record.path()).arg("--structure").arg(self.site.structure_file());
-                command.args(["-v", "--resume", "--speed", self.speed, "--root", self.site.keys().root().as_str()]);
+                command
+                    .arg(self.record.path())
+                    .arg("--structure")
+                    .arg(self.site.structure_file());
+                command.args([
+                    "-v",
+                    "--resume",
+                    "--speed",
+                    self.speed,
+                    "--root",
+                    self.site.keys().root().as_str(),
+                ]);
                 command.args(["--connect", self.site.endpoint()]);
                 command
             }
@@ -107,7 +132,10 @@ impl Town {
         let (started, rate_hz) = (Instant::now(), self.site.structure().sampling_rate_hz());
         let length_s = self.record.len() as f64 / rate_hz / self.speed.parse::<f64>().unwrap();
         while !self.has_ended("replay") {
-            assert!(started.elapsed() < DEADLINE + Duration::from_secs_f64(length_s), "the replay does not end");
+            assert!(
+                started.elapsed() < DEADLINE + Duration::from_secs_f64(length_s),
+                "the replay does not end"
+            );
             tokio::time::sleep(Duration::from_millis(200)).await;
         }
         self.running.remove("replay").unwrap().wait().expect_code(0);
@@ -117,27 +145,38 @@ impl Town {
 
         let is_last = |alert: &&AlertMessage| {
             let is_later = |other: &AlertMessage| {
-                (&other.parameter, other.state, other.since_ns) == (&alert.parameter, alert.state, alert.since_ns)
+                (&other.parameter, other.state, other.since_ns)
+                    == (&alert.parameter, alert.state, alert.since_ns)
                     && other.revision > alert.revision
             };
             alert.revision == 0 || !expected.alerts.iter().any(is_later)
         };
         // the history keeps the first announcement and the last revision
         let wanted: Vec<&AlertMessage> = expected.alerts.iter().filter(is_last).collect();
-        assert!(wanted.iter().any(|alert| alert.state == AlertState::Raised), "the record has no alert to lose");
+        assert!(
+            wanted.iter().any(|alert| alert.state == AlertState::Raised),
+            "the record has no alert to lose"
+        );
         let key = format!("{}?points=1000", self.site.keys().history_log());
         let started = Instant::now();
         let known = loop {
             let logs = bus.ask::<HistoryLog>(&key, DEADLINE).await.unwrap();
-            let known: Vec<AlertMessage> = logs.into_iter().flat_map(|(_, log)| log.alerts).collect();
+            let known: Vec<AlertMessage> =
+                logs.into_iter().flat_map(|(_, log)| log.alerts).collect();
             if wanted.iter().all(|alert| known.contains(alert)) || started.elapsed() > DEADLINE {
                 break known;
             }
             tokio::time::sleep(Duration::from_millis(200)).await;
         };
         // that a parameter is normal is put again by each life of the service; all else is told once
-        let decided: Vec<&AlertMessage> = known.iter().filter(|alert| alert.state != AlertState::Normal).collect();
-        let wanted: Vec<&AlertMessage> = wanted.into_iter().filter(|alert| alert.state != AlertState::Normal).collect();
+        let decided: Vec<&AlertMessage> = known
+            .iter()
+            .filter(|alert| alert.state != AlertState::Normal)
+            .collect();
+        let wanted: Vec<&AlertMessage> = wanted
+            .into_iter()
+            .filter(|alert| alert.state != AlertState::Normal)
+            .collect();
         assert_eq!(decided, wanted, "alerts in the history");
 
         bus.close().await.unwrap();
@@ -148,12 +187,30 @@ impl Town {
     }
 
     fn compare_recording(&self, expected: &Expected) {
-        let (root, structure) = (self.site.keys().root().to_string(), self.site.structure().name().to_owned());
-        let folder = self.state_folder().join(root).join(&structure).join("recording");
-        let nodes = self.site.structure().nodes().iter().map(|node| node.name().to_owned()).collect();
+        let (root, structure) = (
+            self.site.keys().root().to_string(),
+            self.site.structure().name().to_owned(),
+        );
+        let folder = self
+            .state_folder()
+            .join(root)
+            .join(&structure)
+            .join("recording");
+        let nodes = self
+            .site
+            .structure()
+            .nodes()
+            .iter()
+            .map(|node| node.name().to_owned())
+            .collect();
         let layout = LogLayout {
             structure,
-            channels: self.site.structure().channels().map(|channel| channel.name().to_owned()).collect(),
+            channels: self
+                .site
+                .structure()
+                .channels()
+                .map(|channel| channel.name().to_owned())
+                .collect(),
             nodes,
             sampling_rate_hz: self.site.structure().sampling_rate_hz(),
         };
@@ -161,11 +218,18 @@ impl Town {
         let reader = log.reader();
         let spans = reader.spans();
         assert_eq!(spans.len(), 1, "{spans:?}");
-        assert_eq!((spans[0].from, spans[0].to, spans[0].missing), (0, self.record.len() as u64, 0), "{spans:?}");
+        assert_eq!(
+            (spans[0].from, spans[0].to, spans[0].missing),
+            (0, self.record.len() as u64, 0),
+            "{spans:?}"
+        );
         let mut values = Vec::new();
         let mut after = 0;
         loop {
-            let frames = reader.read(spans[0].epoch, after, 1000, 1 << 20).unwrap().expect("the end is recorded");
+            let frames = reader
+                .read(spans[0].epoch, after, 1000, 1 << 20)
+                .unwrap()
+                .expect("the end is recorded");
             assert_eq!(frames.sequence, after);
             after += frames.count();
             values.extend(frames.values);
@@ -173,13 +237,27 @@ impl Town {
                 break;
             }
         }
-        let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
-        assert!(bits(&values) == bits(&expected.values), "the recording differs from the record");
+        let bits = |values: &[f64]| {
+            values
+                .iter()
+                .map(|value| value.to_bits())
+                .collect::<Vec<_>>()
+        };
+        assert!(
+            bits(&values) == bits(&expected.values),
+            "the recording differs from the record"
+        );
     }
 
     fn state_folder(&self) -> PathBuf {
         let text = std::fs::read_to_string(&self.configuration).unwrap();
-        let folder = text.split("folder = \"").nth(1).unwrap().split('"').next().unwrap();
+        let folder = text
+            .split("folder = \"")
+            .nth(1)
+            .unwrap()
+            .split('"')
+            .next()
+            .unwrap();
         self.site.folder().join(folder)
     }
 }
@@ -193,12 +271,21 @@ struct Expected {
 impl Expected {
     fn of(site: &Site, record: &Record) -> Self {
         let structure = site.structure();
-        let channels: Vec<String> = structure.channels().map(|channel| channel.name().to_owned()).collect();
+        let channels: Vec<String> = structure
+            .channels()
+            .map(|channel| channel.name().to_owned())
+            .collect();
         let value = |row: usize, channel: &String| record.value(row, channel);
-        let values: Vec<f64> =
-            (0..record.len()).flat_map(|row| channels.iter().map(move |channel| value(row, channel))).collect();
+        let values: Vec<f64> = (0..record.len())
+            .flat_map(|row| channels.iter().map(move |channel| value(row, channel)))
+            .collect();
         let block = FrameBlock {
-            header: Header { source: "ingest".into(), epoch: 1, sequence: 0, time_ns: 0 },
+            header: Header {
+                source: "ingest".into(),
+                epoch: 1,
+                sequence: 0,
+                time_ns: 0,
+            },
             t0_ns: 0,
             sampling_rate_hz: structure.sampling_rate_hz(),
             channels: channels.len() as u16,
@@ -207,7 +294,9 @@ impl Expected {
         };
         let mut watch = Watch::new(structure, None).unwrap();
         let (mut outputs, mut alerts) = (Vec::new(), Vec::new());
-        Identification::new(structure, "identify").unwrap().handle(Input::Frames(block), &mut outputs);
+        Identification::new(structure, "identify")
+            .unwrap()
+            .handle(Input::Frames(block), &mut outputs);
         for output in outputs {
             if let Output::Estimates(block) = output {
                 watch.handle_block(&block, &mut alerts).unwrap();
@@ -215,9 +304,15 @@ impl Expected {
         }
         let name = |name: &str| Name::new(name).unwrap();
         let message = |alert: &spandrel_alert::Alert| {
-            alert.to_message(&name(structure.name()), &name(structure.parameters()[alert.parameter].name()))
+            alert.to_message(
+                &name(structure.name()),
+                &name(structure.parameters()[alert.parameter].name()),
+            )
         };
-        Self { values, alerts: alerts.iter().map(message).collect() }
+        Self {
+            values,
+            alerts: alerts.iter().map(message).collect(),
+        }
     }
 }
 
@@ -225,7 +320,10 @@ impl Expected {
 async fn read_all(site: &Site) -> (Bus, tokio::task::JoinHandle<Vec<Identified>>) {
     let bus = site.join().await;
     let mut reader = EstimateReader::join(&bus, &site.keys()).await;
-    (bus, tokio::spawn(async move { reader.read_to_end(1).await.to_vec() }))
+    (
+        bus,
+        tokio::spawn(async move { reader.read_to_end(1).await.to_vec() }),
+    )
 }
 
 /// Kills `kills` processes at random moments while a record is replayed.
@@ -238,12 +336,17 @@ async fn killed_at_random_moments(kills: u32, length_s: f64, speed: &'static str
     let victims = ["ingest", "identify", "alert", "history", "replay"];
     for _ in 0..kills {
         tokio::time::sleep(Duration::from_millis(random.random_range(50..700))).await;
-        assert!(!town.has_ended("replay"), "the record ended before {kills} kills: {killed:?}");
+        assert!(
+            !town.has_ended("replay"),
+            "the record ended before {kills} kills: {killed:?}"
+        );
         let victim = victims[random.random_range(0..victims.len())];
         *killed.entry(victim).or_default() += 1;
         town.kill(victim);
     }
-    println!("seed {seed}: killed {killed:?} in a record of {length_s} s at {speed} times real time");
+    println!(
+        "seed {seed}: killed {killed:?} in a record of {length_s} s at {speed} times real time"
+    );
     town.finish(bus, found).await;
 }
 
@@ -273,7 +376,12 @@ async fn a_router_that_is_started_again_and_a_recording_that_is_torn_cost_nothin
     town.running.remove("ingest").unwrap().kill();
     let segment = newest(&town.state_folder());
     let length = std::fs::metadata(&segment).unwrap().len();
-    std::fs::OpenOptions::new().write(true).open(&segment).unwrap().set_len(length - 100).unwrap();
+    std::fs::OpenOptions::new()
+        .write(true)
+        .open(&segment)
+        .unwrap()
+        .set_len(length - 100)
+        .unwrap();
     town.run("ingest");
     town.running["ingest"].wait_for_log("the recording was torn");
     town.finish(bus, found).await;
@@ -281,16 +389,25 @@ async fn a_router_that_is_started_again_and_a_recording_that_is_torn_cost_nothin
 
 /// The file of a recording that was written last.
 fn newest(folder: &Path) -> PathBuf {
-    let found = Command::new("find").arg(folder).args(["-name", "*.mcap", "-printf", "%T@ %p\n"]).output().unwrap();
+    let found = Command::new("find")
+        .arg(folder)
+        .args(["-name", "*.mcap", "-printf", "%T@ %p\n"])
+        .output()
+        .unwrap();
     let text = String::from_utf8(found.stdout).unwrap();
-    let newest = text.lines().max_by(|a, b| a.partial_cmp(b).unwrap()).unwrap();
+    let newest = text
+        .lines()
+        .max_by(|a, b| a.partial_cmp(b).unwrap())
+        .unwrap();
     PathBuf::from(newest.split_once(' ').unwrap().1)
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
     let disk = tempfile::tempdir().unwrap();
-    let Some(_mounted) = SmallDisk::or_skip(disk.path(), "8m") else { return };
+    let Some(_mounted) = SmallDisk::or_skip(disk.path(), "8m") else {
+        return;
+    };
     let mut town = Town::start(150.0, "10", disk.path().to_str().unwrap()).await;
     let (bus, found) = read_all(&town.site).await;
     let drops = Drops::watch(&bus, &town.site.keys()).await;
@@ -299,7 +416,9 @@ async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
     let filling = disk.path().join("filling");
     let mut file = std::fs::File::create(&filling).unwrap();
     while file.write_all(&[0; 4096]).is_ok() {}
-    drops.expect(Service::Ingest, "frames-waiting-for-the-disk", 1).await;
+    drops
+        .expect(Service::Ingest, "frames-waiting-for-the-disk", 1)
+        .await;
     tokio::time::sleep(Duration::from_secs(5)).await;
     drop(file);
     std::fs::remove_file(&filling).unwrap();
@@ -308,14 +427,24 @@ async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
 }
 
 /// Listens to frames until as many are known, by epoch and number; one that comes again must be the same to the bit.
-async fn hear(frames: &Subscription<FrameBlock>, heard: &mut BTreeMap<(u64, u64), Vec<u64>>, count: usize) {
+async fn hear(
+    frames: &Subscription<FrameBlock>,
+    heard: &mut BTreeMap<(u64, u64), Vec<u64>>,
+    count: usize,
+) {
     let listening = async {
         while heard.len() < count {
             let (_, block) = frames.messages().recv_async().await.unwrap();
             for (number, values) in block.iter() {
                 let bits: Vec<u64> = values.iter().map(|value| value.to_bits()).collect();
-                let known = heard.entry((block.header.epoch, number)).or_insert_with(|| bits.clone());
-                assert!(*known == bits, "frame {number} of epoch {} came with other samples", block.header.epoch);
+                let known = heard
+                    .entry((block.header.epoch, number))
+                    .or_insert_with(|| bits.clone());
+                assert!(
+                    *known == bits,
+                    "frame {number} of epoch {} came with other samples",
+                    block.header.epoch
+                );
             }
         }
     };
@@ -327,16 +456,24 @@ async fn hear(frames: &Subscription<FrameBlock>, heard: &mut BTreeMap<(u64, u64)
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_samples() {
     let disk = tempfile::tempdir().unwrap();
-    let Some(_mounted) = SmallDisk::or_skip(disk.path(), "2m") else { return };
+    let Some(_mounted) = SmallDisk::or_skip(disk.path(), "2m") else {
+        return;
+    };
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(6.0);
     let (bus, keys) = (site.host().await, site.keys());
     let run = || {
-        let ingest = Process::start(site.connecting("ingest").env("SPANDREL_STATE__FOLDER", disk.path()));
+        let ingest = Process::start(
+            site.connecting("ingest")
+                .env("SPANDREL_STATE__FOLDER", disk.path()),
+        );
         ingest.wait_for_log("ready structures=1");
         ingest
     };
-    let frames = bus.subscribe::<FrameBlock>(keys.frames(), 4096).await.unwrap();
+    let frames = bus
+        .subscribe::<FrameBlock>(keys.frames(), 4096)
+        .await
+        .unwrap();
     let mut heard: BTreeMap<(u64, u64), Vec<u64>> = BTreeMap::new();
     let mut ingest = run();
     let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
@@ -357,7 +494,11 @@ async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_
     ingest = run();
     let mut nodes = Vec::new();
     for node in site.structure().nodes() {
-        let channels = node.channels().iter().map(|channel| channel.name().to_owned()).collect();
+        let channels = node
+            .channels()
+            .iter()
+            .map(|channel| channel.name().to_owned())
+            .collect();
         let mut node = Node::start(&bus, &keys, Name::new(node.name()).unwrap(), channels, 2).await;
         let block = node.block(&record, 400..600);
         node.put(block).await;

@@ -1,6 +1,11 @@
 //! The demo's building: what is found, how soon, and that nothing else is.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 use serde_json::Value;
 use spandrel_bus::{AlertState, FrameBlock, Header, StreamState};
@@ -10,26 +15,42 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn example(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
 }
 
 /// The text of an example with another damage.
 fn with_damage(name: &str, parameter: &str, loss: f64, over_s: f64) -> String {
     let text = std::fs::read_to_string(example(name)).unwrap();
     let (before, _) = text.split_once("[[simulation.damage]]").unwrap();
-    format!("{before}[[simulation.damage]]\nparameter = \"{parameter}\"\nat-s = 60\nloss = {loss}\nover-s = {over_s}\n")
+    format!(
+        "{before}[[simulation.damage]]\nparameter = \"{parameter}\"\nat-s = 60\nloss = {loss}\nover-s = {over_s}\n"
+    )
 }
 
 /// Runs the demo as a user would and returns its last line.
 fn demo(structure: Option<&Path>, seed: u64) -> Value {
     let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
-    command.args(["demo", "--speed", "max", "--duration", "120", "--headless", "--json"]);
+    command.args([
+        "demo",
+        "--speed",
+        "max",
+        "--duration",
+        "120",
+        "--headless",
+        "--json",
+    ]);
     command.args(["--listen", "tcp/127.0.0.1:0", "--seed", &seed.to_string()]);
     if let Some(path) = structure {
         command.arg("--structure").arg(path);
     }
     let output = command.output().unwrap();
-    assert!(output.status.success(), "seed {seed}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "seed {seed}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let text = String::from_utf8(output.stdout).unwrap();
     serde_json::from_str(text.lines().last().unwrap()).unwrap()
 }
@@ -46,24 +67,49 @@ struct Expected {
 fn check(result: &Value, seed: u64, expected: &Expected) -> f64 {
     assert_eq!(result["frames"], 12_000, "seed {seed}: frames were lost");
     let parameters = result["parameters"].as_object().unwrap();
-    for (name, estimate) in parameters.iter().filter(|(name, _)| name.starts_with("storey-")) {
+    for (name, estimate) in parameters
+        .iter()
+        .filter(|(name, _)| name.starts_with("storey-"))
+    {
         let mean = estimate["mean"].as_f64().unwrap();
         let (truth, within) = match name == expected.parameter {
             true => (expected.end, expected.within),
             false => (1.0, expected.others_within),
         };
-        assert!((mean - truth).abs() <= within, "seed {seed}: {name} ends at {mean}, expected {truth} ± {within}");
+        assert!(
+            (mean - truth).abs() <= within,
+            "seed {seed}: {name} ends at {mean}, expected {truth} ± {within}"
+        );
     }
     let alerts = result["alerts"].as_array().unwrap();
-    let told: Vec<_> =
-        alerts.iter().map(|a| (a["parameter"].as_str().unwrap(), a["state"].as_str().unwrap())).collect();
-    let raised: Vec<_> = told.into_iter().filter(|(_, state)| *state == "raised").collect();
+    let told: Vec<_> = alerts
+        .iter()
+        .map(|a| {
+            (
+                a["parameter"].as_str().unwrap(),
+                a["state"].as_str().unwrap(),
+            )
+        })
+        .collect();
+    let raised: Vec<_> = told
+        .into_iter()
+        .filter(|(_, state)| *state == "raised")
+        .collect();
     assert_eq!(raised, [(expected.parameter, "raised")], "seed {seed}");
-    let alerts: Vec<_> = alerts.iter().filter(|alert| alert["state"] == "raised").collect();
+    let alerts: Vec<_> = alerts
+        .iter()
+        .filter(|alert| alert["state"] == "raised")
+        .collect();
     let delay_s = alerts[0]["time_s"].as_f64().unwrap() - 60.0;
-    assert!(delay_s > 0.0, "seed {seed}: raised {delay_s} s after the damage");
+    assert!(
+        delay_s > 0.0,
+        "seed {seed}: raised {delay_s} s after the damage"
+    );
     if let Some(allowed) = expected.delay_s {
-        assert!(delay_s <= allowed, "seed {seed}: raised {delay_s} s after the damage, allowed {allowed}");
+        assert!(
+            delay_s <= allowed,
+            "seed {seed}: raised {delay_s} s after the damage, allowed {allowed}"
+        );
     }
     delay_s
 }
@@ -72,33 +118,63 @@ fn damaged(name: &str, loss: f64, over_s: f64, expected: &Expected) {
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("damaged.toml");
     std::fs::write(&path, with_damage(name, expected.parameter, loss, over_s)).unwrap();
-    let delays: Vec<f64> = (1..=10).map(|seed| check(&demo(Some(&path), seed), seed, expected)).collect();
-    println!("{} loses {loss} over {over_s} s: raised after {delays:.1?} s", expected.parameter);
+    let delays: Vec<f64> = (1..=10)
+        .map(|seed| check(&demo(Some(&path), seed), seed, expected))
+        .collect();
+    println!(
+        "{} loses {loss} over {over_s} s: raised after {delays:.1?} s",
+        expected.parameter
+    );
 }
 
 #[test]
 fn demo_raises_storey_2_and_nothing_else() {
-    let expected =
-        Expected { parameter: "storey-2", end: 0.85, within: 0.01, others_within: 0.015, delay_s: Some(15.0) };
-    let delays: Vec<f64> = (1..=10).map(|seed| check(&demo(None, seed), seed, &expected)).collect();
+    let expected = Expected {
+        parameter: "storey-2",
+        end: 0.85,
+        within: 0.01,
+        others_within: 0.015,
+        delay_s: Some(15.0),
+    };
+    let delays: Vec<f64> = (1..=10)
+        .map(|seed| check(&demo(None, seed), seed, &expected))
+        .collect();
     println!("demo: raised after {delays:.1?} s");
 }
 
 #[test]
 fn smaller_loss_of_storey_4_is_raised() {
-    let expected = Expected { parameter: "storey-4", end: 0.92, within: 0.015, others_within: 0.015, delay_s: None };
+    let expected = Expected {
+        parameter: "storey-4",
+        end: 0.92,
+        within: 0.015,
+        others_within: 0.015,
+        delay_s: None,
+    };
     damaged("demo.toml", 0.08, 0.0, &expected);
 }
 
 #[test]
 fn larger_loss_of_storey_1_is_raised() {
-    let expected = Expected { parameter: "storey-1", end: 0.75, within: 0.015, others_within: 0.015, delay_s: None };
+    let expected = Expected {
+        parameter: "storey-1",
+        end: 0.75,
+        within: 0.015,
+        others_within: 0.015,
+        delay_s: None,
+    };
     damaged("demo.toml", 0.25, 0.0, &expected);
 }
 
 #[test]
 fn slow_loss_of_storey_3_is_raised() {
-    let expected = Expected { parameter: "storey-3", end: 0.90, within: 0.015, others_within: 0.015, delay_s: None };
+    let expected = Expected {
+        parameter: "storey-3",
+        end: 0.90,
+        within: 0.015,
+        others_within: 0.015,
+        delay_s: None,
+    };
     damaged("demo.toml", 0.10, 60.0, &expected);
 }
 
@@ -107,16 +183,35 @@ fn storey_2_is_found_without_the_motion_of_the_ground() {
     // storey 1 rests on the level and the colour of the excitation, and its interval says so
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("output-only.toml");
-    std::fs::write(&path, with_damage("output-only.toml", "storey-2", 0.15, 0.0)).unwrap();
+    std::fs::write(
+        &path,
+        with_damage("output-only.toml", "storey-2", 0.15, 0.0),
+    )
+    .unwrap();
     for seed in 1..=10 {
         let mut result = demo(Some(&path), seed);
-        let storey_1 = result["parameters"].as_object_mut().unwrap().remove("storey-1").unwrap();
+        let storey_1 = result["parameters"]
+            .as_object_mut()
+            .unwrap()
+            .remove("storey-1")
+            .unwrap();
         let mean = storey_1["mean"].as_f64().unwrap();
         let std = storey_1["std"].as_f64().unwrap();
-        assert!((mean - 1.0).abs() <= 1.96 * std, "seed {seed}: storey-1 ends at {mean} ± {std}");
-        assert!((0.05..0.5).contains(&std), "seed {seed}: storey-1 is stated to {std}");
-        let expected =
-            Expected { parameter: "storey-2", end: 0.85, within: 0.02, others_within: 0.02, delay_s: Some(20.0) };
+        assert!(
+            (mean - 1.0).abs() <= 1.96 * std,
+            "seed {seed}: storey-1 ends at {mean} ± {std}"
+        );
+        assert!(
+            (0.05..0.5).contains(&std),
+            "seed {seed}: storey-1 is stated to {std}"
+        );
+        let expected = Expected {
+            parameter: "storey-2",
+            end: 0.85,
+            within: 0.02,
+            others_within: 0.02,
+            delay_s: Some(20.0),
+        };
         let delay_s = check(&result, seed, &expected);
         println!("seed {seed}: raised after {delay_s:.1} s, storey-1 at {mean:.3}");
     }
@@ -134,7 +229,12 @@ fn sound_hour(seed: u64) {
     for frame in structure.simulator(seed).take(360_000) {
         core.handle(
             Input::Frames(FrameBlock {
-                header: Header { source: "simulator".into(), epoch: 1, sequence: frame.index, time_ns: 0 },
+                header: Header {
+                    source: "simulator".into(),
+                    epoch: 1,
+                    sequence: frame.index,
+                    time_ns: 0,
+                },
                 t0_ns: 0,
                 sampling_rate_hz: 100.0,
                 channels: 6,
@@ -152,21 +252,40 @@ fn sound_hour(seed: u64) {
             continue; // the first 60 s
         }
         counted += 1.0;
-        let Estimator::Filter(filter) = core.estimator() else { panic!("the demo has one model") };
+        let Estimator::Filter(filter) = core.estimator() else {
+            panic!("the demo has one model")
+        };
         for storey in 0..5 {
-            let (mean, variance) = (filter.mean()[10 + storey], filter.parameter_covariance(storey, storey));
-            covered[storey] += f64::from(u8::from((mean - 1.0).powi(2) <= 1.96_f64.powi(2) * variance));
+            let (mean, variance) = (
+                filter.mean()[10 + storey],
+                filter.parameter_covariance(storey, storey),
+            );
+            covered[storey] += f64::from(u8::from(
+                (mean - 1.0).powi(2) <= 1.96_f64.powi(2) * variance,
+            ));
             let innovation = filter.innovation()[storey];
-            misfit[storey] += innovation * innovation / filter.innovation_covariance()[(storey, storey)];
+            misfit[storey] +=
+                innovation * innovation / filter.innovation_covariance()[(storey, storey)];
         }
     }
     let covered = covered.map(|count| count / counted);
     let misfit = misfit.map(|sum| sum / counted);
-    println!("seed {seed}: 95 % interval covers {covered:.3?}, normalised innovation squared {misfit:.3?}");
-    let raised = alerts.iter().filter(|alert: &&spandrel_alert::Alert| alert.state == AlertState::Raised).count();
+    println!(
+        "seed {seed}: 95 % interval covers {covered:.3?}, normalised innovation squared {misfit:.3?}"
+    );
+    let raised = alerts
+        .iter()
+        .filter(|alert: &&spandrel_alert::Alert| alert.state == AlertState::Raised)
+        .count();
     assert_eq!(raised, 0, "seed {seed}: {alerts:?}");
-    assert!(covered.iter().all(|share| (0.90..=0.99).contains(share)), "seed {seed}: covers {covered:?}");
-    assert!(misfit.iter().all(|mean| (mean - 1.0).abs() <= 0.05), "seed {seed}: misfit {misfit:?}");
+    assert!(
+        covered.iter().all(|share| (0.90..=0.99).contains(share)),
+        "seed {seed}: covers {covered:?}"
+    );
+    assert!(
+        misfit.iter().all(|mean| (mean - 1.0).abs() <= 0.05),
+        "seed {seed}: misfit {misfit:?}"
+    );
 }
 
 #[test]

@@ -3,17 +3,23 @@
 //! In each test sound sensors send a record to a running `spandrel run`, and something is wrong in the middle. What is identified
 //! must be, to the bit, what `spandrel estimate` finds in the record without the samples that were lost.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use spandrel_bus::{
-    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, Pace, SampleBlock, Service,
-    StreamState,
+    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, Pace,
+    SampleBlock, Service, StreamState,
 };
 use std::ops::Range;
 use support::{
-    Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw, two_storeys, within,
+    Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw,
+    two_storeys, within,
 };
 
 /// Encoding of sample blocks.
@@ -53,7 +59,16 @@ impl Faulty {
         let drops = Drops::watch(&bus, &keys).await;
         let reader = EstimateReader::join(&bus, &keys).await;
         let sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
-        Self { site, keys, services, bus, drops, reader, sensors, equivalent: record }
+        Self {
+            site,
+            keys,
+            services,
+            bus,
+            drops,
+            reader,
+            sensors,
+            equivalent: record,
+        }
     }
 
     /// All nodes send these rows.
@@ -73,7 +88,9 @@ impl Faulty {
     /// The block that `floor-1` will put next.
     fn next_block(&mut self) -> SampleBlock {
         let record = self.sensors.record().clone();
-        self.sensors.node("floor-1").block(&record, BEFORE..BEFORE + 100)
+        self.sensors
+            .node("floor-1")
+            .block(&record, BEFORE..BEFORE + 100)
     }
 
     /// Waits until as many frames have been identified.
@@ -83,8 +100,16 @@ impl Faulty {
 
     /// Waits until alert has decided on the whole record.
     async fn wait_for_decisions(&self) {
-        let mut decided = self.bus.watch_progress(self.keys.progress(Service::Alert)).await.unwrap();
-        within("decision on all frames", decided.wait_for(|progress| progress.done >= ROWS as u64)).await;
+        let mut decided = self
+            .bus
+            .watch_progress(self.keys.progress(Service::Alert))
+            .await
+            .unwrap();
+        within(
+            "decision on all frames",
+            decided.wait_for(|progress| progress.done >= ROWS as u64),
+        )
+        .await;
     }
 
     /// Sends the rest of the record, and compares all estimates with the numbers of the equivalent record.
@@ -95,12 +120,17 @@ impl Faulty {
 
     /// Compares all estimates with the numbers of the equivalent record, and waits until they have been decided on.
     async fn assert_sound(mut self, fault: &str) {
-        let expected = self.site.estimate(self.equivalent.save_as("equivalent.csv"));
+        let expected = self
+            .site
+            .estimate(self.equivalent.save_as("equivalent.csv"));
         let found = self.reader.read_frames(ROWS).await;
         assert_same_bits(fault, &expected.parameters, &expected.frames, found);
         self.wait_for_decisions().await;
         let log = self.services.log();
-        assert!(!log.contains("panicked"), "{fault}: a service panicked:\n{log}");
+        assert!(
+            !log.contains("panicked"),
+            "{fault}: a service panicked:\n{log}"
+        );
         self.services.stop().expect_code(0);
     }
 }
@@ -110,15 +140,26 @@ async fn a_message_of_another_version_is_refused_on_every_stream() {
     let mut faulty = Faulty::start().await;
     let payload = faulty.next_block().encode().unwrap();
     let (frames, estimates) = (faulty.keys.frames(), faulty.keys.estimates());
-    faulty.put_raw("application/postcard;spandrel.samples.v2", payload.clone()).await;
-    put_raw(&faulty.bus, &frames, "application/postcard;spandrel.frames.v9", payload.clone()).await;
+    faulty
+        .put_raw("application/postcard;spandrel.samples.v2", payload.clone())
+        .await;
+    put_raw(
+        &faulty.bus,
+        &frames,
+        "application/postcard;spandrel.frames.v9",
+        payload.clone(),
+    )
+    .await;
     put_raw(&faulty.bus, &estimates, SAMPLES, payload).await;
     for service in [Service::Ingest, Service::Identify, Service::Alert] {
         faulty.drops.expect(service, "refused-encoding", 1).await;
     }
     let log = faulty.services.log();
     let both = ["spandrel.samples.v1", "spandrel.samples.v2"];
-    assert!(both.iter().all(|version| log.contains(version)), "the log names both versions:\n{log}");
+    assert!(
+        both.iter().all(|version| log.contains(version)),
+        "the log names both versions:\n{log}"
+    );
     faulty.assert_goes_on("message of another version").await;
 }
 
@@ -128,7 +169,10 @@ async fn a_truncated_message_is_refused() {
     let mut payload = faulty.next_block().encode().unwrap();
     payload.truncate(payload.len() - 3);
     faulty.put_raw(SAMPLES, payload).await;
-    faulty.drops.expect(Service::Ingest, "refused-undecodable", 1).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "refused-undecodable", 1)
+        .await;
     faulty.assert_goes_on("truncated message").await;
 }
 
@@ -138,7 +182,10 @@ async fn a_message_with_trailing_bytes_is_refused() {
     let mut payload = faulty.next_block().encode().unwrap();
     payload.extend([0, 1, 2]);
     faulty.put_raw(SAMPLES, payload).await;
-    faulty.drops.expect(Service::Ingest, "refused-undecodable", 1).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "refused-undecodable", 1)
+        .await;
     faulty.assert_goes_on("trailing bytes").await;
 }
 
@@ -156,7 +203,10 @@ async fn random_bytes_are_refused() {
         let payload = (0..40 * length).map(|_| random()).collect();
         faulty.put_raw(SAMPLES, payload).await;
     }
-    faulty.drops.expect(Service::Ingest, "refused-undecodable", MESSAGES).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "refused-undecodable", MESSAGES)
+        .await;
     faulty.assert_goes_on("random bytes").await;
 }
 
@@ -164,10 +214,18 @@ async fn random_bytes_are_refused() {
 async fn a_block_without_a_rate_is_refused() {
     let mut faulty = Faulty::start().await;
     for sampling_rate_hz in [0.0, -100.0, f64::NAN, f64::INFINITY] {
-        let block = SampleBlock { sampling_rate_hz, ..faulty.next_block() };
-        faulty.put_raw(SAMPLES, postcard::to_stdvec(&block).unwrap()).await;
+        let block = SampleBlock {
+            sampling_rate_hz,
+            ..faulty.next_block()
+        };
+        faulty
+            .put_raw(SAMPLES, postcard::to_stdvec(&block).unwrap())
+            .await;
     }
-    faulty.drops.expect(Service::Ingest, "refused-malformed", 4).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "refused-malformed", 4)
+        .await;
     faulty.assert_goes_on("block without a rate").await;
 }
 
@@ -187,7 +245,10 @@ async fn a_block_with_a_wrong_number_of_channels_is_missing() {
     };
     faulty.sensors.put_changed("floor-1", 400..500, wrong).await;
     faulty.sensors.put_all_but(&["floor-1"], 400..500).await;
-    faulty.drops.expect(Service::Ingest, "wrong-channels", 1).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "wrong-channels", 1)
+        .await;
     faulty.equivalent.remove("floor-1", 400..500);
     faulty.put(500..ROWS).await;
     faulty.assert_sound("wrong number of channels").await;
@@ -197,18 +258,33 @@ async fn a_block_with_a_wrong_number_of_channels_is_missing() {
 async fn samples_that_nobody_can_have_measured_are_missing() {
     let mut faulty = Faulty::start().await;
     let wrong = |block: &mut SampleBlock| {
-        let values = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e6, -1e300, 200.1];
+        let values = [
+            f64::NAN,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            1e6,
+            -1e300,
+            200.1,
+        ];
         for (sample, value) in block.samples.iter_mut().zip(values) {
             *sample = value;
         }
     };
     faulty.sensors.put_changed("floor-1", 400..500, wrong).await;
     faulty.sensors.put_all_but(&["floor-1"], 400..500).await;
-    faulty.drops.expect(Service::Ingest, "not-finite-values", 2).await;
-    faulty.drops.expect(Service::Ingest, "out-of-range-values", 3).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "not-finite-values", 2)
+        .await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "out-of-range-values", 3)
+        .await;
     faulty.equivalent.remove("floor-1", 400..406);
     faulty.put(500..ROWS).await;
-    faulty.assert_sound("samples that nobody can have measured").await;
+    faulty
+        .assert_sound("samples that nobody can have measured")
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -217,7 +293,10 @@ async fn a_block_of_a_foreign_node_is_refused() {
     let mut block = faulty.next_block();
     block.header.source = "floor-7".to_owned();
     faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
-    faulty.drops.expect(Service::Ingest, "foreign-blocks", 1).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "foreign-blocks", 1)
+        .await;
     faulty.assert_goes_on("foreign node").await;
 }
 
@@ -228,8 +307,13 @@ async fn a_block_of_a_foreign_node_that_started_later_is_refused() {
     let mut block = faulty.next_block();
     (block.header.source, block.header.epoch) = ("floor-7".to_owned(), 7);
     faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
-    faulty.drops.expect(Service::Ingest, "foreign-blocks", 1).await;
-    faulty.assert_goes_on("foreign node that started later").await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "foreign-blocks", 1)
+        .await;
+    faulty
+        .assert_goes_on("foreign node that started later")
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -240,7 +324,10 @@ async fn a_block_that_comes_again_counts_once() {
     for _ in 0..3 {
         faulty.put_raw(SAMPLES, again.clone()).await;
     }
-    faulty.drops.expect(Service::Ingest, "duplicate-items", 300).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "duplicate-items", 300)
+        .await;
     faulty.put(BEFORE + 100..ROWS).await;
     faulty.assert_sound("blocks that come again").await;
 }
@@ -251,7 +338,10 @@ async fn a_block_of_a_lower_epoch_is_refused() {
     let mut block = faulty.next_block();
     block.header.epoch = 0;
     faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
-    faulty.drops.expect(Service::Ingest, "stale-blocks", 1).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "stale-blocks", 1)
+        .await;
     faulty.assert_goes_on("lower epoch").await;
 }
 
@@ -262,7 +352,10 @@ async fn a_block_numbered_far_ahead_of_its_node_is_refused() {
     let mut block = faulty.next_block();
     block.header.sequence = 1 << 60;
     faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
-    faulty.drops.expect(Service::Ingest, "impossible-blocks", 1).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "impossible-blocks", 1)
+        .await;
     faulty.assert_goes_on("block numbered far ahead").await;
 }
 
@@ -271,15 +364,29 @@ async fn a_block_numbered_far_ahead_of_its_node_is_refused() {
 async fn frames_of_another_structure_are_refused() {
     let faulty = Faulty::start().await;
     let block = FrameBlock {
-        header: Header { source: "ingest".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "ingest".to_owned(),
+            epoch: u64::MAX - 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         channels: 2,
         values: vec![0.0; 20],
         state: StreamState::Running,
     };
-    put_raw(&faulty.bus, &faulty.keys.frames(), &FrameBlock::encoding(), block.encode().unwrap()).await;
-    faulty.drops.expect(Service::Identify, "frames-of-another-structure", 1).await;
+    put_raw(
+        &faulty.bus,
+        &faulty.keys.frames(),
+        &FrameBlock::encoding(),
+        block.encode().unwrap(),
+    )
+    .await;
+    faulty
+        .drops
+        .expect(Service::Identify, "frames-of-another-structure", 1)
+        .await;
     faulty.assert_goes_on("frames of another structure").await;
 }
 
@@ -287,7 +394,12 @@ async fn frames_of_another_structure_are_refused() {
 async fn estimates_of_another_structure_are_refused() {
     let mut faulty = Faulty::start().await;
     let block = EstimateBlock {
-        header: Header { source: "identify".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "identify".to_owned(),
+            epoch: u64::MAX - 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -297,8 +409,17 @@ async fn estimates_of_another_structure_are_refused() {
         estimates: Vec::new(),
         state: StreamState::Running,
     };
-    put_raw(&faulty.bus, &faulty.keys.estimates(), &EstimateBlock::encoding(), block.encode().unwrap()).await;
-    faulty.drops.expect(Service::Alert, "estimates-of-another-structure", 1).await;
+    put_raw(
+        &faulty.bus,
+        &faulty.keys.estimates(),
+        &EstimateBlock::encoding(),
+        block.encode().unwrap(),
+    )
+    .await;
+    faulty
+        .drops
+        .expect(Service::Alert, "estimates-of-another-structure", 1)
+        .await;
     // The reader of this test believes every epoch: what counts is that alert does not.
     faulty.put(BEFORE..ROWS).await;
     faulty.wait_for_decisions().await;
@@ -316,9 +437,18 @@ async fn a_sensor_that_dies_is_missing_until_it_comes_back() {
     faulty.sensors.add(node);
     // What it kept while it was away comes too late (the last sample counts as a second one of the frame just closed); that it
     // has been counted says that the node is waited for again.
-    faulty.sensors.put_changed("floor-1", 550..600, |_| {}).await;
-    faulty.sensors.put_changed("floor-1", 600..650, |_| {}).await;
-    faulty.drops.expect(Service::Ingest, "late-samples", 49).await;
+    faulty
+        .sensors
+        .put_changed("floor-1", 550..600, |_| {})
+        .await;
+    faulty
+        .sensors
+        .put_changed("floor-1", 600..650, |_| {})
+        .await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "late-samples", 49)
+        .await;
     faulty.sensors.put_all_but(&["floor-1"], 600..650).await;
     faulty.equivalent.remove("floor-1", 400..600);
     faulty.put(650..ROWS).await;
@@ -337,9 +467,21 @@ async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
     let drops = Drops::watch(&bus, &keys).await;
     let mut reader = EstimateReader::join(&bus, &keys).await;
     let name = |text: &str| Name::new(text).unwrap();
-    let channels = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let channels = |names: &[&str]| {
+        names
+            .iter()
+            .map(|name| (*name).to_owned())
+            .collect::<Vec<_>>()
+    };
     let mut ground = Node::start(&bus, &keys, name("ground"), channels(&["ground"]), 1).await;
-    let mut roof = Node::start(&bus, &keys, name("roof"), channels(&["roof", "roof-velocity"]), 1).await;
+    let mut roof = Node::start(
+        &bus,
+        &keys,
+        name("roof"),
+        channels(&["roof", "roof-velocity"]),
+        1,
+    )
+    .await;
     // as a hand-written node puts its samples: nobody could ever be asked for them again
     let key = keys.samples(&name("floor-1"));
     let rows = |block: usize| 10 * block..10 * block + 10;
@@ -353,12 +495,15 @@ async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
         sampling_rate_hz: 100.0,
         pace: Pace::Live,
         channels: 1,
-        samples: rows(block).map(|row| record.value(row, "floor-1")).collect(),
+        samples: rows(block)
+            .map(|row| record.value(row, "floor-1"))
+            .collect(),
         state: StreamState::Running,
     };
     let start = tokio::time::Instant::now();
     for block in 0..80 {
-        tokio::time::sleep_until(start + std::time::Duration::from_millis(100 * block as u64)).await;
+        tokio::time::sleep_until(start + std::time::Duration::from_millis(100 * block as u64))
+            .await;
         for node in [&mut ground, &mut roof] {
             let put = node.block(&record, rows(block));
             node.put(put).await;
@@ -371,7 +516,12 @@ async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
     let streamed = reader.read_frames(750).await;
     record.remove("floor-1", rows(LOST)).save_as("without.csv");
     let offline = site.estimate(&record);
-    assert_same_bits("the services", &offline.parameters, &offline.frames[..750], &streamed[..750]);
+    assert_same_bits(
+        "the services",
+        &offline.parameters,
+        &offline.frames[..750],
+        &streamed[..750],
+    );
     drops.expect(Service::Ingest, "lost-items", 10).await;
 }
 
@@ -387,23 +537,51 @@ async fn a_sensor_that_falls_silent_is_waited_for_as_long_as_declared() {
     sensors.put(0..200).await;
     sensors.put_all_but(&["floor-1"], 200..400).await; // its token is still there
     let mut equivalent = record.clone();
-    let expected = site.estimate(equivalent.remove("floor-1", 200..400).save_as("equivalent.csv"));
-    assert_same_bits("silent sensor", &expected.parameters, &expected.frames, reader.read_frames(400).await);
+    let expected = site.estimate(
+        equivalent
+            .remove("floor-1", 200..400)
+            .save_as("equivalent.csv"),
+    );
+    assert_same_bits(
+        "silent sensor",
+        &expected.parameters,
+        &expected.frames,
+        reader.read_frames(400).await,
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_sensor_whose_clock_jumps_is_missing_while_it_is_wrong() {
-    let shifted = |seconds: i64| move |block: &mut SampleBlock| block.header.time_ns += seconds * 1_000_000_000;
+    let shifted = |seconds: i64| {
+        move |block: &mut SampleBlock| block.header.time_ns += seconds * 1_000_000_000
+    };
     let mut faulty = Faulty::start().await;
-    for (rows, seconds) in [(400..420, 5), (420..440, -2), (440..460, -100_000), (460..480, 100_000)] {
-        faulty.sensors.put_changed("floor-1", rows.clone(), shifted(seconds)).await;
+    for (rows, seconds) in [
+        (400..420, 5),
+        (420..440, -2),
+        (440..460, -100_000),
+        (460..480, 100_000),
+    ] {
+        faulty
+            .sensors
+            .put_changed("floor-1", rows.clone(), shifted(seconds))
+            .await;
         faulty.sensors.put_all_but(&["floor-1"], rows).await;
     }
     // Once its clock is right, what it had sent of the future is taken back: from then on it is waited for again.
-    faulty.sensors.put_changed("floor-1", 480..ROWS, |_| {}).await;
-    faulty.drops.expect(Service::Ingest, "retracted-samples", 40).await;
+    faulty
+        .sensors
+        .put_changed("floor-1", 480..ROWS, |_| {})
+        .await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "retracted-samples", 40)
+        .await;
     faulty.sensors.put_all_but(&["floor-1"], 480..ROWS).await;
-    faulty.drops.expect(Service::Ingest, "late-samples", 40).await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "late-samples", 40)
+        .await;
     faulty.equivalent.remove("floor-1", 400..480);
     faulty.assert_sound("clock that jumps").await;
 }
@@ -411,12 +589,27 @@ async fn a_sensor_whose_clock_jumps_is_missing_while_it_is_wrong() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_time_at_the_ends_of_the_scale_is_no_frame() {
     let mut faulty = Faulty::start().await;
-    for (rows, time_ns) in [(400..410, i64::MAX), (410..420, i64::MIN), (420..430, i64::MAX - 50_000_000)] {
-        faulty.sensors.put_changed("floor-1", rows.clone(), |block| block.header.time_ns = time_ns).await;
+    for (rows, time_ns) in [
+        (400..410, i64::MAX),
+        (410..420, i64::MIN),
+        (420..430, i64::MAX - 50_000_000),
+    ] {
+        faulty
+            .sensors
+            .put_changed("floor-1", rows.clone(), |block| {
+                block.header.time_ns = time_ns
+            })
+            .await;
         faulty.sensors.put_all_but(&["floor-1"], rows).await;
     }
-    faulty.sensors.put_changed("floor-1", 430..ROWS, |_| {}).await;
-    faulty.drops.expect(Service::Ingest, "retracted-samples", 20).await;
+    faulty
+        .sensors
+        .put_changed("floor-1", 430..ROWS, |_| {})
+        .await;
+    faulty
+        .drops
+        .expect(Service::Ingest, "retracted-samples", 20)
+        .await;
     faulty.sensors.put_all_but(&["floor-1"], 430..ROWS).await;
     faulty.equivalent.remove("floor-1", 400..430);
     faulty.assert_sound("times at the ends of the scale").await;
@@ -433,7 +626,10 @@ async fn an_acknowledgement_of_nothing_is_counted() {
         who: "anna".to_owned(),
         note: String::new(),
     };
-    let (known, unknown) = (faulty.keys.acknowledge(&name("storey-1")), faulty.keys.acknowledge(&name("storey-9")));
+    let (known, unknown) = (
+        faulty.keys.acknowledge(&name("storey-1")),
+        faulty.keys.acknowledge(&name("storey-9")),
+    );
     // PostgreSQL takes no text with a zero byte, and no name of kilobytes
     let of_structure = |who: &str| {
         let structure = faulty.keys.structure();
@@ -441,13 +637,41 @@ async fn an_acknowledgement_of_nothing_is_counted() {
             .into_bytes()
     };
     for (key, payload, reason) in [
-        (&unknown, of("storey-9").encode().unwrap(), "acknowledgement-on-another-key"),
-        (&known, of("storey-2").encode().unwrap(), "acknowledgement-on-another-key"),
-        (&known, of("storey-1").encode().unwrap(), "acknowledgement-without-alert"),
-        (&known, b"{\"who\": ".to_vec(), "acknowledgement-undecodable"),
-        (&known, b"{\"who\": 7}".to_vec(), "acknowledgement-undecodable"),
-        (&known, of_structure("Ada\\u0000"), "acknowledgement-malformed"),
-        (&known, of_structure(&"a".repeat(600)), "acknowledgement-malformed"),
+        (
+            &unknown,
+            of("storey-9").encode().unwrap(),
+            "acknowledgement-on-another-key",
+        ),
+        (
+            &known,
+            of("storey-2").encode().unwrap(),
+            "acknowledgement-on-another-key",
+        ),
+        (
+            &known,
+            of("storey-1").encode().unwrap(),
+            "acknowledgement-without-alert",
+        ),
+        (
+            &known,
+            b"{\"who\": ".to_vec(),
+            "acknowledgement-undecodable",
+        ),
+        (
+            &known,
+            b"{\"who\": 7}".to_vec(),
+            "acknowledgement-undecodable",
+        ),
+        (
+            &known,
+            of_structure("Ada\\u0000"),
+            "acknowledgement-malformed",
+        ),
+        (
+            &known,
+            of_structure(&"a".repeat(600)),
+            "acknowledgement-malformed",
+        ),
     ] {
         put_raw(&faulty.bus, key, "application/json", payload).await;
         faulty.drops.expect(Service::Alert, reason, 1).await;
@@ -465,7 +689,11 @@ async fn a_log_that_nobody_reads_stops_no_service() {
     site.wait_for_services(&bus).await;
     let mut reader = EstimateReader::join(&bus, &site.keys()).await;
     site.replay(&record, "max").wait().expect_code(0);
-    assert_eq!(reader.read_to_end(1).await.len(), record.len(), "frames identified");
+    assert_eq!(
+        reader.read_to_end(1).await.len(),
+        record.len(),
+        "frames identified"
+    );
     services.stop().expect_code(0);
 }
 
@@ -474,8 +702,19 @@ async fn a_query_for_frames_that_is_no_range_is_refused_by_name() {
     let faulty = Faulty::start().await;
     let selector = format!("{}?after=-1;limit=many", faulty.keys.recording());
     let replies = faulty.bus.session().get(&selector).await.unwrap();
-    let reply = within("answer to a query", replies.recv_async()).await.unwrap();
-    let refusal = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
-    assert!(refusal.contains("after") && refusal.contains("-1"), "expected after and -1, found {refusal}");
+    let reply = within("answer to a query", replies.recv_async())
+        .await
+        .unwrap();
+    let refusal = reply
+        .result()
+        .unwrap_err()
+        .payload()
+        .try_to_string()
+        .unwrap()
+        .into_owned();
+    assert!(
+        refusal.contains("after") && refusal.contains("-1"),
+        "expected after and -1, found {refusal}"
+    );
     faulty.assert_goes_on("query that is no range").await;
 }

@@ -1,6 +1,11 @@
 //! What was, when everything that saw it is gone: the history behind the services, the queries and the page.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -20,16 +25,28 @@ const LENGTH_S: f64 = 100.0;
 /// A configuration whose history is in this file.
 fn configuration(site: &Site, database: &Path) -> std::path::PathBuf {
     let path = site.folder().join("spandrel.toml");
-    std::fs::write(&path, format!("[history]\ndatabase = \"{}\"\n", database.display())).unwrap();
+    std::fs::write(
+        &path,
+        format!("[history]\ndatabase = \"{}\"\n", database.display()),
+    )
+    .unwrap();
     path
 }
 
 /// Asks until there is an answer that is accepted: what was just said is written within seconds.
-async fn span(bus: &Bus, site: &Site, parameters: &str, accepted: impl Fn(&HistorySpan) -> bool) -> HistorySpan {
+async fn span(
+    bus: &Bus,
+    site: &Site,
+    parameters: &str,
+    accepted: impl Fn(&HistorySpan) -> bool,
+) -> HistorySpan {
     let key = site.keys().history(&Name::new("storey-2").unwrap());
     within("an answer of the history", async {
         loop {
-            let answers = bus.ask::<HistorySpan>(&format!("{key}?{parameters}"), DEADLINE).await.unwrap();
+            let answers = bus
+                .ask::<HistorySpan>(&format!("{key}?{parameters}"), DEADLINE)
+                .await
+                .unwrap();
             if let Some((_, span)) = answers.into_iter().find(|(_, span)| accepted(span)) {
                 return span;
             }
@@ -43,7 +60,11 @@ async fn span(bus: &Bus, site: &Site, parameters: &str, accepted: impl Fn(&Histo
 fn get(address: &str, path: &str) -> Value {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(DEADLINE)).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    write!(
+        stream,
+        "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"
+    )
+    .unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();
@@ -55,29 +76,60 @@ fn get(address: &str, path: &str) -> Value {
 async fn what_was_is_still_there_when_all_has_been_started_anew() {
     let site = Site::with(&two_storeys(DAMAGED));
     let configuration = configuration(&site, Path::new("house.sqlite"));
-    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    let services = Process::start(
+        site.listening("run")
+            .arg("--config")
+            .arg(&configuration)
+            .args(["--http", "none"]),
+    );
     services.wait_for_log("ready structures=1");
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let record = site.simulate(LENGTH_S);
     site.replay(&record, "max").wait().expect_code(0);
-    let is_whole = |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0);
+    let is_whole = |span: &HistorySpan| {
+        span.rows
+            .time_s
+            .last()
+            .is_some_and(|last| *last > LENGTH_S - 1.0)
+    };
     let before = span(&bus, &site, "points=20000", is_whole).await;
-    assert!(before.rows.mean[..200].iter().all(|mean| (mean - 1.0).abs() < 0.2));
-    assert!((before.rows.mean.last().unwrap() - 0.85).abs() < 0.05, "{:?}", before.rows.mean.last());
+    assert!(
+        before.rows.mean[..200]
+            .iter()
+            .all(|mean| (mean - 1.0).abs() < 0.2)
+    );
+    assert!(
+        (before.rows.mean.last().unwrap() - 0.85).abs() < 0.05,
+        "{:?}",
+        before.rows.mean.last()
+    );
     bus.close().await.unwrap();
     services.stop().expect_code(0);
-    assert!(site.folder().join("house.sqlite").is_file(), "a relative file lies beside the configuration");
+    assert!(
+        site.folder().join("house.sqlite").is_file(),
+        "a relative file lies beside the configuration"
+    );
 
     // another life, in which nothing is measured
-    let history = Process::start(site.listening("history").arg("--config").arg(&configuration));
+    let history = Process::start(
+        site.listening("history")
+            .arg("--config")
+            .arg(&configuration),
+    );
     history.wait_for_log("ready structures=1");
     let bus = site.join().await;
     let after = span(&bus, &site, "points=20000", is_whole).await;
     assert_eq!(after, before);
     let minutes = span(&bus, &site, "points=2", |_| true).await;
-    assert_eq!(minutes.rows.count.iter().sum::<u64>(), before.rows.count.iter().sum::<u64>());
-    let logs = bus.ask::<HistoryLog>(&site.keys().history_log(), DEADLINE).await.unwrap();
+    assert_eq!(
+        minutes.rows.count.iter().sum::<u64>(),
+        before.rows.count.iter().sum::<u64>()
+    );
+    let logs = bus
+        .ask::<HistoryLog>(&site.keys().history_log(), DEADLINE)
+        .await
+        .unwrap();
     let states: Vec<AlertState> = logs[0]
         .1
         .alerts
@@ -85,10 +137,16 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
         .filter(|alert| alert.parameter.as_str() == "storey-2")
         .map(|alert| alert.state)
         .collect();
-    assert!(states.contains(&AlertState::Pending) && states.contains(&AlertState::Raised), "{states:?}");
+    assert!(
+        states.contains(&AlertState::Pending) && states.contains(&AlertState::Raised),
+        "{states:?}"
+    );
     for refused in ["from=yesterday", "kind=weather", "from=2;to=1"] {
         let key = site.keys().history(&Name::new("storey-2").unwrap());
-        let answers = bus.ask::<HistorySpan>(&format!("{key}?{refused}"), DEADLINE).await.unwrap();
+        let answers = bus
+            .ask::<HistorySpan>(&format!("{key}?{refused}"), DEADLINE)
+            .await
+            .unwrap();
         assert!(answers.is_empty(), "{refused}: {answers:?}");
     }
 
@@ -96,12 +154,23 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
     let page = Process::start(site.connecting("dashboard").args(["--http", "127.0.0.1:0"]));
     page.wait_for_output("address of the page", |said| said.contains("page: http://"));
     let said = page.output();
-    let address = said.split("page: http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
+    let address = said
+        .split("page: http://")
+        .nth(1)
+        .unwrap()
+        .split('/')
+        .next()
+        .unwrap()
+        .to_owned();
     let shown = within("the page has found the history", async {
         loop {
-            let path = "/api/structures/house/history?series=parameter/storey-2&from=0&to=1000&points=500";
+            let path =
+                "/api/structures/house/history?series=parameter/storey-2&from=0&to=1000&points=500";
             let answer = tokio::task::block_in_place(|| get(&address, path));
-            if answer["series"][0]["data"][0].as_array().is_some_and(|times| times.len() > 100) {
+            if answer["series"][0]["data"][0]
+                .as_array()
+                .is_some_and(|times| times.len() > 100)
+            {
                 return answer;
             }
             tokio::time::sleep(Duration::from_millis(200)).await;
@@ -110,10 +179,15 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
     .await;
     let mean = &shown["series"][0]["data"][1];
     let last = mean.as_array().unwrap().last().unwrap().as_f64().unwrap();
-    assert!((last - before.rows.mean.last().unwrap()).abs() < 0.02, "{last}");
+    assert!(
+        (last - before.rows.mean.last().unwrap()).abs() < 0.02,
+        "{last}"
+    );
     assert!(shown["kept_from_s"].as_f64().unwrap() < 10.0);
     within("the page has learnt of the alerts", async {
-        while tokio::task::block_in_place(|| get(&address, "/api/alerts?state=raised"))["changes"] == json!([]) {
+        while tokio::task::block_in_place(|| get(&address, "/api/alerts?state=raised"))["changes"]
+            == json!([])
+        {
             tokio::time::sleep(Duration::from_millis(200)).await;
         }
     })
@@ -134,7 +208,9 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
     let site = Site::with(&two_storeys(DAMAGED));
     let disk = site.folder().join("disk");
     std::fs::create_dir(&disk).unwrap();
-    let Some(_mounted) = SmallDisk::or_skip(&disk, "2m") else { return };
+    let Some(_mounted) = SmallDisk::or_skip(&disk, "2m") else {
+        return;
+    };
     let filling = disk.join("filling");
     let file = fill(&filling);
     // recording and checkpoints are on this disk as well
@@ -144,7 +220,12 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
         "[state]\nfolder = \"disk/state\"\n[history]\ndatabase = \"disk/state/house.sqlite\"\n",
     )
     .unwrap();
-    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    let services = Process::start(
+        site.listening("run")
+            .arg("--config")
+            .arg(&configuration)
+            .args(["--http", "none"]),
+    );
     services.wait_for_log("history waits for its database");
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
@@ -154,7 +235,12 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
     site.replay(&record, "max").wait().expect_code(0);
     drop(file);
     std::fs::remove_file(&filling).unwrap();
-    let is_whole = |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0);
+    let is_whole = |span: &HistorySpan| {
+        span.rows
+            .time_s
+            .last()
+            .is_some_and(|last| *last > LENGTH_S - 1.0)
+    };
     let whole = span(&bus, &site, "points=20000", is_whole).await;
     assert!(whole.rows.time_s[0] < 1.0, "{:?}", &whole.rows.time_s[..3]);
     bus.close().await.unwrap();
@@ -165,10 +251,17 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
 fn a_place_where_no_history_can_be_ends_with_an_error_that_names_it() {
     let site = Site::with(&two_storeys(""));
     std::fs::create_dir(site.folder().join("folder.sqlite")).unwrap();
-    for (database, told) in [("folder.sqlite", "Is a directory"), ("structure.toml/house.sqlite", "File exists")] {
+    for (database, told) in [
+        ("folder.sqlite", "Is a directory"),
+        ("structure.toml/house.sqlite", "File exists"),
+    ] {
         let configuration = configuration(&site, Path::new(database));
-        let services =
-            Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+        let services = Process::start(
+            site.listening("run")
+                .arg("--config")
+                .arg(&configuration)
+                .args(["--http", "none"]),
+        );
         let name = database.split('/').next().unwrap();
         services.wait().expect_code(1).expect_told(&[name, told]);
     }
@@ -179,9 +272,16 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let site = Site::with(&two_storeys(DAMAGED));
     let disk = site.folder().join("disk");
     std::fs::create_dir(&disk).unwrap();
-    let Some(_mounted) = SmallDisk::or_skip(&disk, "2m") else { return };
+    let Some(_mounted) = SmallDisk::or_skip(&disk, "2m") else {
+        return;
+    };
     let configuration = configuration(&site, &disk.join("house.sqlite"));
-    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    let services = Process::start(
+        site.listening("run")
+            .arg("--config")
+            .arg(&configuration)
+            .args(["--http", "none"]),
+    );
     services.wait_for_log("ready structures=1");
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
@@ -194,12 +294,21 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     services.wait_for_log("history not written, it is tried again");
     drop(file); // as long as it is open its room is not free
     std::fs::remove_file(&filling).unwrap();
-    let whole =
-        span(&bus, &site, "points=20000", |span| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0))
-            .await;
+    let whole = span(&bus, &site, "points=20000", |span| {
+        span.rows
+            .time_s
+            .last()
+            .is_some_and(|last| *last > LENGTH_S - 1.0)
+    })
+    .await;
     // all of it, from the beginning on
     assert!(whole.rows.time_s[0] < 1.0, "{:?}", &whole.rows.time_s[..3]);
-    let longest = whole.rows.time_s.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+    let longest = whole
+        .rows
+        .time_s
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .fold(0.0, f64::max);
     assert!(longest < 0.15, "{longest} s without a value");
     bus.close().await.unwrap();
     services.stop().expect_code(0);
@@ -214,12 +323,22 @@ async fn connections_that_say_nothing_are_bounded_and_closed() {
     let services = Process::start(site.listening("run").args(["--http", "127.0.0.1:0"]));
     services.wait_for_output("address of the page", |said| said.contains("page: http://"));
     let said = services.output();
-    let address = said.split("page: http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
-    let silent: Vec<TcpStream> = (0..MANY).map(|_| TcpStream::connect(&address).unwrap()).collect();
+    let address = said
+        .split("page: http://")
+        .nth(1)
+        .unwrap()
+        .split('/')
+        .next()
+        .unwrap()
+        .to_owned();
+    let silent: Vec<TcpStream> = (0..MANY)
+        .map(|_| TcpStream::connect(&address).unwrap())
+        .collect();
     services.wait_for_log("too many connections to the page");
     let open = std::fs::read_dir(format!("/proc/{}/fd", services.id())).unwrap();
     let sockets = open.flatten().filter(|file| {
-        std::fs::read_link(file.path()).is_ok_and(|target| target.to_string_lossy().starts_with("socket:"))
+        std::fs::read_link(file.path())
+            .is_ok_and(|target| target.to_string_lossy().starts_with("socket:"))
     });
     let sockets = sockets.count();
     assert!(sockets < MOST + 100, "{sockets} sockets are open");
@@ -229,7 +348,9 @@ async fn connections_that_say_nothing_are_bounded_and_closed() {
             stream.set_read_timeout(Some(DEADLINE)).unwrap();
             let mut said = Vec::new();
             let ended = stream.read_to_end(&mut said);
-            let is_reset = ended.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::ConnectionReset);
+            let is_reset = ended
+                .as_ref()
+                .is_err_and(|error| error.kind() == std::io::ErrorKind::ConnectionReset);
             assert!(ended.is_ok() || is_reset, "{ended:?}");
         }
         assert!(get(&address, "/api/structures")["structures"].is_array());

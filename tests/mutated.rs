@@ -1,7 +1,12 @@
 //! Checkpoints of each service that identifies, damaged in many ways: the one before it is taken and the damaged one set aside, and not even a
 //! state behind a right checksum makes the program panic or take more memory than the file accounts for.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 #[path = "support/mutation.rs"]
 mod mutation;
@@ -12,10 +17,14 @@ use rand_chacha::ChaCha8Rng;
 use serde::de::DeserializeOwned;
 use serde::ser::SerializeTuple;
 use serde::{Serialize, Serializer};
-use spandrel_bus::{FrameBlock, Header, LocalDensity, LocalMessage, NodeLineage, Pace, SampleBlock, StreamState};
+use spandrel_bus::{
+    FrameBlock, Header, LocalDensity, LocalMessage, NodeLineage, Pace, SampleBlock, StreamState,
+};
 use spandrel_checkpoint::{Checkpoints, Identity, Place, Refusal};
 use spandrel_fuse::{Fusion, FusionState};
-use spandrel_identify::{Identification, IdentificationState, NodeIdentification, NodeInput, NodeState};
+use spandrel_identify::{
+    Identification, IdentificationState, NodeIdentification, NodeInput, NodeState,
+};
 use spandrel_structure::Structure;
 use std::path::Path;
 use std::sync::Once;
@@ -26,15 +35,27 @@ const FILES: usize = 200;
 const RESERVED_BYTES: u64 = 4 << 20;
 const BYTES_PER_BYTE: u64 = 40;
 
-const BEFORE: Place = Place { epoch: 1, sequence: 100 };
-const NEWEST: Place = Place { epoch: 1, sequence: 200 };
+const BEFORE: Place = Place {
+    epoch: 1,
+    sequence: 100,
+};
+const NEWEST: Place = Place {
+    epoch: 1,
+    sequence: 200,
+};
 
 fn identity(kind: &'static str, version: u16, structure: &Structure) -> Identity {
-    Identity { kind, version, of: structure.name().to_owned(), basis: structure.identification_basis() }
+    Identity {
+        kind,
+        version,
+        of: structure.name().to_owned(),
+        basis: structure.identification_basis(),
+    }
 }
 
 fn distributed() -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
     Structure::read(&path).unwrap()
 }
 
@@ -42,11 +63,20 @@ fn distributed() -> Structure {
 fn of_identification(structure: &Structure) -> IdentificationState {
     let mut core = Identification::new(structure, "identify").unwrap();
     let block = FrameBlock {
-        header: Header { source: "ingest".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "ingest".into(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: structure.sampling_rate_hz(),
         channels: structure.channel_count() as u16,
-        values: structure.simulator(1).take(300).flat_map(|frame| frame.values).collect(),
+        values: structure
+            .simulator(1)
+            .take(300)
+            .flat_map(|frame| frame.values)
+            .collect(),
         state: StreamState::Running,
     };
     core.handle(spandrel_identify::Input::Frames(block), &mut Vec::new());
@@ -60,9 +90,16 @@ fn of_node(structure: &Structure) -> NodeState {
     let node = &structure.nodes()[0];
     let rate_hz = structure.of_node(node.name()).unwrap().sampling_rate_hz();
     let channels = node.channels().len();
-    let samples = (0..(3.3 * rate_hz) as usize * channels).map(|number| 1e-3 * (number as f64 * 0.1).sin()).collect();
+    let samples = (0..(3.3 * rate_hz) as usize * channels)
+        .map(|number| 1e-3 * (number as f64 * 0.1).sin())
+        .collect();
     let block = SampleBlock {
-        header: Header { source: "node".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "node".into(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         sampling_rate_hz: rate_hz,
         pace: Pace::Live,
         channels: channels as u16,
@@ -78,15 +115,27 @@ fn of_node(structure: &Structure) -> NodeState {
 fn of_station(structure: &Structure) -> FusionState {
     let mut core = Fusion::new(structure, "fuse", 5).unwrap();
     let parameters = structure.parameters().len();
-    let covariance: Vec<f64> =
-        (0..parameters).flat_map(|j| (0..=j).map(move |i| if i == j { 0.005 } else { 0.0 })).collect();
+    let covariance: Vec<f64> = (0..parameters)
+        .flat_map(|j| (0..=j).map(move |i| if i == j { 0.005 } else { 0.0 }))
+        .collect();
     let message = |index: u64| LocalMessage {
-        header: Header { source: "node".into(), epoch: 2, sequence: index, time_ns: index as i64 * 1_000_000_000 },
+        header: Header {
+            source: "node".into(),
+            epoch: 2,
+            sequence: index,
+            time_ns: index as i64 * 1_000_000_000,
+        },
         pace: Pace::Replayed,
         density: Some(LocalDensity {
             mean: vec![0.95; parameters],
-            covariance: covariance.iter().map(|entry| entry / index as f64).collect(),
-            lineage: Some(NodeLineage { own: index - 1, answers: Vec::new() }),
+            covariance: covariance
+                .iter()
+                .map(|entry| entry / index as f64)
+                .collect(),
+            lineage: Some(NodeLineage {
+                own: index - 1,
+                answers: Vec::new(),
+            }),
             motion: None,
         }),
         restarts: 0,
@@ -117,7 +166,9 @@ struct Raw(Vec<u8>);
 impl Serialize for Raw {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let mut tuple = to.serialize_tuple(self.0.len())?;
-        self.0.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
+        self.0
+            .iter()
+            .try_for_each(|byte| tuple.serialize_element(byte))?;
         tuple.end()
     }
 }
@@ -128,7 +179,10 @@ fn keep_silent_of_what_is_caught() {
     ONCE.call_once(|| {
         let told = std::panic::take_hook();
         std::panic::set_hook(Box::new(move |panic| {
-            if panic.location().is_none_or(|at| !at.file().contains("nalgebra")) {
+            if panic
+                .location()
+                .is_none_or(|at| !at.file().contains("nalgebra"))
+            {
                 told(panic);
             }
         }));
@@ -142,10 +196,15 @@ where
 {
     keep_silent_of_what_is_caught();
     let kind = identity.kind;
-    let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
+    let folder = tempfile::tempdir_in("/dev/shm")
+        .or_else(|_| tempfile::tempdir())
+        .unwrap();
     let checkpoints = Checkpoints::open(folder.path(), identity.clone()).unwrap();
     checkpoints.save(BEFORE, state).unwrap();
-    let newest = folder.path().join(format!("{kind}-{:020}-{:020}.checkpoint", NEWEST.epoch, NEWEST.sequence));
+    let newest = folder.path().join(format!(
+        "{kind}-{:020}-{:020}.checkpoint",
+        NEWEST.epoch, NEWEST.sequence
+    ));
     let aside = newest.with_extension("checkpoint.refused");
     let whole = identity.seal(state).unwrap();
     let content = postcard::to_stdvec(state).unwrap();
@@ -158,26 +217,44 @@ where
             let file = damaged(&whole, &mut random);
             std::fs::write(&newest, &file).unwrap();
             let mut loaded = None;
-            let taken = allocation_counter::measure(|| loaded = Some(checkpoints.load_latest::<T>()));
-            assert!(taken.bytes_max <= allowed(file.len() + whole.len()), "{case}: took {}", taken.bytes_max);
+            let taken =
+                allocation_counter::measure(|| loaded = Some(checkpoints.load_latest::<T>()));
+            assert!(
+                taken.bytes_max <= allowed(file.len() + whole.len()),
+                "{case}: took {}",
+                taken.bytes_max
+            );
             let loaded = loaded.unwrap();
             if file == whole {
                 assert_eq!(loaded.found.unwrap().0, NEWEST, "{case}");
                 continue; // one damage has undone the other
             }
-            let [(path, why)] = &loaded.refused[..] else { panic!("{case}: {:?}", loaded.refused) };
+            let [(path, why)] = &loaded.refused[..] else {
+                panic!("{case}: {:?}", loaded.refused)
+            };
             let (place, found) = loaded.found.unwrap_or_else(|| panic!("{case}: {why}"));
             assert!(
                 place == BEFORE && identity.seal(&found).unwrap() == whole,
                 "{case}: the one before it is as it was"
             );
-            assert!(*path == aside && aside.is_file() && !newest.exists(), "{case}: {}", path.display());
-            assert!(matches!(why, Refusal::Damaged | Refusal::Foreign), "{case}: {why}");
+            assert!(
+                *path == aside && aside.is_file() && !newest.exists(),
+                "{case}: {}",
+                path.display()
+            );
+            assert!(
+                matches!(why, Refusal::Damaged | Refusal::Foreign),
+                "{case}: {why}"
+            );
 
             let sealed = identity.seal(&Raw(damaged(&content, &mut random))).unwrap();
             let mut opened = None;
             let taken = allocation_counter::measure(|| opened = Some(identity.open::<T>(&sealed)));
-            assert!(taken.bytes_max <= allowed(sealed.len()), "{case}, sealed: took {}", taken.bytes_max);
+            assert!(
+                taken.bytes_max <= allowed(sealed.len()),
+                "{case}, sealed: took {}",
+                taken.bytes_max
+            );
             match opened.unwrap() {
                 Ok(state) => {
                     decoded += 1;
@@ -199,8 +276,10 @@ where
 
 #[test]
 fn damaged_checkpoints_of_identify_are_set_aside_and_the_one_before_taken() {
-    let structure =
-        Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/kept/0.1.0/structure.toml"));
+    let structure = Structure::read(
+        &Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../tests/fixtures/kept/0.1.0/structure.toml"),
+    );
     let structure = structure.unwrap();
     let identity = identity("identify", IdentificationState::VERSION, &structure);
     let state = of_identification(&structure);
@@ -214,18 +293,26 @@ fn damaged_checkpoints_of_identify_are_set_aside_and_the_one_before_taken() {
 fn damaged_checkpoints_of_nodes_are_set_aside_and_the_one_before_taken() {
     let structure = distributed();
     let state = of_node(&structure);
-    try_damages(&identity("node", NodeState::VERSION, &structure), &state, |state| {
-        let mut core = NodeIdentification::new(&structure, 0, 6).unwrap();
-        core.restore(state).map_err(|why| why.to_string())
-    });
+    try_damages(
+        &identity("node", NodeState::VERSION, &structure),
+        &state,
+        |state| {
+            let mut core = NodeIdentification::new(&structure, 0, 6).unwrap();
+            core.restore(state).map_err(|why| why.to_string())
+        },
+    );
 }
 
 #[test]
 fn damaged_checkpoints_of_the_station_are_set_aside_and_the_one_before_taken() {
     let structure = distributed();
     let state = of_station(&structure);
-    try_damages(&identity("fuse", FusionState::VERSION, &structure), &state, |state| {
-        let mut core = Fusion::new(&structure, "fuse", 6).unwrap();
-        core.restore(state).map_err(|why| why.to_string())
-    });
+    try_damages(
+        &identity("fuse", FusionState::VERSION, &structure),
+        &state,
+        |state| {
+            let mut core = Fusion::new(&structure, "fuse", 6).unwrap();
+            core.restore(state).map_err(|why| why.to_string())
+        },
+    );
 }

@@ -5,14 +5,19 @@
 //! skipped, and fail where `REQUIRE_ALL_TESTS` is set. Packets are delayed, shuffled, lost and held up in user space
 //! ([`links.py`](support/links.py)) and not by the kernel's netem, which many kernels lack.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 #![cfg(target_os = "linux")]
 
 mod support;
 
 use spandrel_bus::{
-    Bus, BusConfig, EstimateBlock, LocalMessage, Message, Mode, NodeDisplay, NodeHealth, ParameterDisplay, Service,
-    Subscription,
+    Bus, BusConfig, EstimateBlock, LocalMessage, Message, Mode, NodeDisplay, NodeHealth,
+    ParameterDisplay, Service, Subscription,
 };
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -97,18 +102,31 @@ impl Network {
         let mut lab = Lab::or_skip(&[&NODES[..], &[STATION]].concat(), 1)?;
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("house.toml"), house(fusion, clocks)).unwrap();
-        let socket = format!("unixsock-stream/{}", folder.path().join("station.sock").display());
+        let socket = format!(
+            "unixsock-stream/{}",
+            folder.path().join("station.sock").display()
+        );
         issue_certificates(folder.path(), &lab.address(STATION));
         let remote = format!("quic/{}:7447", lab.address(STATION));
         let mut command = lab.spandrel(STATION, "fuse");
-        command.arg(folder.path().join("house.toml")).args(["-v", "--listen", &remote, "--listen", &socket]);
-        command.arg("--certificate").arg(folder.path().join("site/server.station.pem"));
+        command
+            .arg(folder.path().join("house.toml"))
+            .args(["-v", "--listen", &remote, "--listen", &socket]);
+        command
+            .arg("--certificate")
+            .arg(folder.path().join("site/server.station.pem"));
         let station = Process::start(&mut command);
         station.wait_for_log("ready structures=1");
         NODES.iter().for_each(|node| lab.set(node, link));
         let workers = NODES.map(|node| (node, worker(&lab, folder.path(), node)));
-        workers.iter().for_each(|(_, worker)| worker.wait_for_log("ready structures=1"));
-        let config = BusConfig { mode: Mode::Client, connect: vec![socket], ..BusConfig::default() };
+        workers
+            .iter()
+            .for_each(|(_, worker)| worker.wait_for_log("ready structures=1"));
+        let config = BusConfig {
+            mode: Mode::Client,
+            connect: vec![socket],
+            ..BusConfig::default()
+        };
         let bus = Bus::open(&config).await.unwrap();
         let keys = config.keys("house").unwrap();
         Some(Self {
@@ -131,18 +149,35 @@ impl Network {
     fn measure(&mut self, start_s: f64) {
         let sensors = NODES.map(|node| {
             let mut command = self.lab.spandrel(node, "simulate");
-            command.arg(self.folder.path().join("house.toml")).args(["--live", "--node", node, "--connect", AT_NODE]);
-            command.args(["--start", &start_s.to_string(), "--duration", &LENGTH_S.to_string()]);
+            command.arg(self.folder.path().join("house.toml")).args([
+                "--live",
+                "--node",
+                node,
+                "--connect",
+                AT_NODE,
+            ]);
+            command.args([
+                "--start",
+                &start_s.to_string(),
+                "--duration",
+                &LENGTH_S.to_string(),
+            ]);
             Process::start(command.env("SPANDREL_BUS__MODE", "client"))
         });
         self.sensors = sensors.into();
         self.start_s = start_s;
-        assert!(now_s() < start_s, "{HEAD_START_S} s are too short for the sensors to start");
+        assert!(
+            now_s() < start_s,
+            "{HEAD_START_S} s are too short for the sensors to start"
+        );
     }
 
     /// Waits for a time of the record (s).
     async fn until(&self, time_s: f64) {
-        tokio::time::sleep(Duration::from_secs_f64((self.start_s + time_s - now_s()).max(0.0))).await;
+        tokio::time::sleep(Duration::from_secs_f64(
+            (self.start_s + time_s - now_s()).max(0.0),
+        ))
+        .await;
     }
 
     /// What was fused up to the end of the record; checks on the way that all of it is a number, and that nothing went missing.
@@ -150,19 +185,37 @@ impl Network {
         self.until(LENGTH_S).await;
         for (_, parameter) in self.parameters.messages().drain() {
             let numbers = [parameter.mean, parameter.std, parameter.probability_of_loss];
-            assert!(numbers.iter().all(|number| number.is_finite()), "{parameter:?}");
+            assert!(
+                numbers.iter().all(|number| number.is_finite()),
+                "{parameter:?}"
+            );
         }
         let blocks = self.estimates.messages().drain().map(|(_, block)| block);
         let fused = blocks.flat_map(|block| {
             let time_s = block.header.time_ns as f64 * 1e-9 - self.start_s;
             block.estimates.into_iter().map(move |estimate| {
-                let std = (0..estimate.mean.len()).map(|i| estimate.covariance[i * (i + 3) / 2].sqrt()).collect();
-                Fused { time_s, mean: estimate.mean, std }
+                let std = (0..estimate.mean.len())
+                    .map(|i| estimate.covariance[i * (i + 3) / 2].sqrt())
+                    .collect();
+                Fused {
+                    time_s,
+                    mean: estimate.mean,
+                    std,
+                }
             })
         });
         let fused: Vec<Fused> = fused.collect();
-        let sound = |fused: &Fused| fused.mean.iter().chain(&fused.std).all(|number| number.is_finite());
-        assert!(fused.iter().all(sound), "a number that is none was published");
+        let sound = |fused: &Fused| {
+            fused
+                .mean
+                .iter()
+                .chain(&fused.std)
+                .all(|number| number.is_finite())
+        };
+        assert!(
+            fused.iter().all(sound),
+            "a number that is none was published"
+        );
         // what does not decode, such as numbers that are none, would have been refused by this session
         assert!(self.estimates.refused().is_empty() && self.parameters.refused().is_empty());
         fused
@@ -171,8 +224,16 @@ impl Network {
     /// When the station did not hear a node in time for a fusion (s of the record), by node.
     fn silences(&self) -> BTreeMap<String, Vec<f64>> {
         let mut silent: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-        for (_, node) in self.nodes.messages().drain().filter(|(_, node)| node.state == NodeHealth::Silent) {
-            silent.entry(node.node.to_string()).or_default().push(node.time_ns as f64 * 1e-9 - self.start_s);
+        for (_, node) in self
+            .nodes
+            .messages()
+            .drain()
+            .filter(|(_, node)| node.state == NodeHealth::Silent)
+        {
+            silent
+                .entry(node.node.to_string())
+                .or_default()
+                .push(node.time_ns as f64 * 1e-9 - self.start_s);
         }
         silent
     }
@@ -193,7 +254,10 @@ const AT_NODE: &str = "tcp/127.0.0.1:7447";
 fn issue_certificates(folder: &Path, station: &str) {
     let site = |arguments: &[&str]| {
         let mut command = spandrel("site");
-        command.arg(arguments[0]).arg(folder.join("site")).args(&arguments[1..]);
+        command
+            .arg(arguments[0])
+            .arg(folder.join("site"))
+            .args(&arguments[1..]);
         Process::start(&mut command).wait().expect_code(0);
     };
     site(&["create"]);
@@ -204,14 +268,27 @@ fn issue_certificates(folder: &Path, station: &str) {
 fn worker(lab: &Lab, folder: &Path, node: &str) -> Process {
     let mut command = lab.spandrel(node, "identify");
     let remote = format!("quic/{}:7447", lab.address(STATION));
-    command.arg(folder.join("house.toml")).args(["-v", "--node", node, "--listen", AT_NODE, "--connect", &remote]);
-    command.arg("--certificate").arg(folder.join(format!("site/node-worker.house.{node}.pem")));
+    command.arg(folder.join("house.toml")).args([
+        "-v",
+        "--node",
+        node,
+        "--listen",
+        AT_NODE,
+        "--connect",
+        &remote,
+    ]);
+    command
+        .arg("--certificate")
+        .arg(folder.join(format!("site/node-worker.house.{node}.pem")));
     // the first packets of a connection may be lost more than once
     Process::start(command.env("SPANDREL_BUS__CONNECT_TIMEOUT_S", "40"))
 }
 
 fn now_s() -> f64 {
-    #[expect(clippy::disallowed_methods, reason = "live sensors and the station go by the clock on the wall")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "live sensors and the station go by the clock on the wall"
+    )]
     let now = SystemTime::now();
     now.duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
@@ -228,7 +305,11 @@ async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network()
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "a minute and a half, at the same time as the test above too much for two cores"]
 async fn so_are_those_of_nodes_that_tell_samples() {
-    disturb("motion = \"samples\"\nsamples-per-period = 10\n", CLOSE_CLOCKS).await;
+    disturb(
+        "motion = \"samples\"\nsamples-per-period = 10\n",
+        CLOSE_CLOCKS,
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -241,10 +322,23 @@ const CLOSE_CLOCKS: &str = "clock-offsets-s = { floor-1 = 0.002, floor-4 = -0.00
                             clock-drifts-ppm = { floor-1 = 20, floor-4 = -20 }\n";
 
 async fn disturb(fusion: &str, clocks: &str) {
-    let good = Link { loss: 0.0, delay_s: 0.0, jitter_s: 0.0 };
-    let bad = Link { loss: 0.1, delay_s: 0.05, jitter_s: 0.01 };
-    let (undisturbed, disturbed) = tokio::join!(Network::start(fusion, "", good), Network::start(fusion, clocks, bad));
-    let (Some(mut undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else { return };
+    let good = Link {
+        loss: 0.0,
+        delay_s: 0.0,
+        jitter_s: 0.0,
+    };
+    let bad = Link {
+        loss: 0.1,
+        delay_s: 0.05,
+        jitter_s: 0.01,
+    };
+    let (undisturbed, disturbed) = tokio::join!(
+        Network::start(fusion, "", good),
+        Network::start(fusion, clocks, bad)
+    );
+    let (Some(mut undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else {
+        return;
+    };
     let start_s = now_s().ceil() + HEAD_START_S;
     undisturbed.measure(start_s);
     disturbed.measure(start_s);
@@ -262,19 +356,37 @@ async fn disturb(fusion: &str, clocks: &str) {
 
     disturbed.until(NOT_FINITE_S).await;
     let heard: Vec<(String, LocalMessage)> = disturbed.local.messages().drain().collect();
-    let (key, last) = heard.iter().rfind(|(key, _)| key.ends_with("floor-4")).expect("a message of floor-4");
+    let (key, last) = heard
+        .iter()
+        .rfind(|(key, _)| key.ends_with("floor-4"))
+        .expect("a message of floor-4");
     let sent = put_not_finite(&disturbed.bus, key, last).await;
-    disturbed.drops.expect(Service::Fuse, "refused-malformed", sent).await;
+    disturbed
+        .drops
+        .expect(Service::Fuse, "refused-malformed", sent)
+        .await;
 
     disturbed.until(OLD_S).await;
     // floor-3 of its life before it was killed, floor-1 of half a minute ago
-    let (dead, first) = heard.iter().find(|(key, _)| key.ends_with("floor-3")).expect("a message of floor-3");
+    let (dead, first) = heard
+        .iter()
+        .find(|(key, _)| key.ends_with("floor-3"))
+        .expect("a message of floor-3");
     put_raw(&disturbed.bus, dead, LOCAL, first.encode().unwrap()).await;
-    let of_floor_1: Vec<&(String, LocalMessage)> = heard.iter().filter(|(key, _)| key.ends_with("floor-1")).collect();
+    let of_floor_1: Vec<&(String, LocalMessage)> = heard
+        .iter()
+        .filter(|(key, _)| key.ends_with("floor-1"))
+        .collect();
     let (key, old) = of_floor_1[of_floor_1.len() / 2];
     put_raw(&disturbed.bus, key, LOCAL, old.encode().unwrap()).await;
-    disturbed.drops.expect(Service::Fuse, "refused-stale-epoch", 1).await;
-    disturbed.drops.expect(Service::Fuse, "refused-old", 1).await;
+    disturbed
+        .drops
+        .expect(Service::Fuse, "refused-stale-epoch", 1)
+        .await;
+    disturbed
+        .drops
+        .expect(Service::Fuse, "refused-old", 1)
+        .await;
 
     let (expected, found) = tokio::join!(undisturbed.fused(), disturbed.fused());
     assert_never_stopped("undisturbed", &expected);
@@ -299,7 +411,10 @@ async fn put_not_finite(bus: &Bus, key: &str, last: &LocalMessage) -> u64 {
         wrong.extend([of_mean, of_covariance]);
     }
     for (number, density) in wrong.iter().enumerate() {
-        let mut message = LocalMessage { density: Some(density.clone()), ..last.clone() };
+        let mut message = LocalMessage {
+            density: Some(density.clone()),
+            ..last.clone()
+        };
         message.header.sequence += 1 + number as u64;
         put_raw(bus, key, LOCAL, postcard::to_stdvec(&message).unwrap()).await;
     }
@@ -310,8 +425,14 @@ async fn put_not_finite(bus: &Bus, key: &str, last: &LocalMessage) -> u64 {
 fn assert_never_stopped(which: &str, fused: &[Fused]) {
     let (first, last) = (fused.first().unwrap().time_s, fused.last().unwrap().time_s);
     assert!(first < 4.0, "{which}: first fusion after {first:.1} s");
-    assert!(last > LENGTH_S - 2.0, "{which}: last fusion after {last:.1} s");
-    let longest = fused.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).fold(0.0, f64::max);
+    assert!(
+        last > LENGTH_S - 2.0,
+        "{which}: last fusion after {last:.1} s"
+    );
+    let longest = fused
+        .windows(2)
+        .map(|pair| pair[1].time_s - pair[0].time_s)
+        .fold(0.0, f64::max);
     assert!(longest < 2.0, "{which}: {longest:.1} s without a fusion");
 }
 
@@ -321,10 +442,19 @@ fn assert_faults_were_felt(silent: &BTreeMap<String, Vec<f64>>) {
         let of_node = silent.get(node).map_or(&[][..], Vec::as_slice);
         println!("{node} silent at {of_node:.0?}");
         let span = span.start..span.end + RECOVERY_S;
-        let (within, outside): (Vec<f64>, Vec<f64>) = of_node.iter().partition(|time_s| span.contains(*time_s));
-        assert!(within.len() >= least, "{node} silent in {} fusions", within.len());
+        let (within, outside): (Vec<f64>, Vec<f64>) =
+            of_node.iter().partition(|time_s| span.contains(*time_s));
+        assert!(
+            within.len() >= least,
+            "{node} silent in {} fusions",
+            within.len()
+        );
         // a message that is lost twice comes too late for its fusion
-        assert!(outside.len() < 10, "{node} silent in {} fusions outside of its fault", outside.len());
+        assert!(
+            outside.len() < 10,
+            "{node} silent in {} fusions outside of its fault",
+            outside.len()
+        );
     }
 }
 
@@ -336,19 +466,33 @@ const FIRST_SECONDS_S: f64 = 10.0;
 fn compare((expected, late_there): (&[Fused], &[f64]), (found, late): (&[Fused], &[f64])) {
     let is_late = |fused: &Fused, late: &[f64]| {
         let felt_later = |time_s: f64| fused.time_s < FIRST_SECONDS_S && time_s < fused.time_s;
-        late.iter().any(|time_s| (time_s - fused.time_s).abs() < 1e-3 || felt_later(*time_s))
+        late.iter()
+            .any(|time_s| (time_s - fused.time_s).abs() < 1e-3 || felt_later(*time_s))
     };
     let disturbed = [PARTITION_S, OUTAGE_S].map(|span| span.start..span.end + RECOVERY_S);
     let (mut outside, mut inside, mut compared) = ((0.0, 0.0), (0.0, 0.0), 0);
     for fused in found {
         let away = |other: &&Fused| (other.time_s - fused.time_s).abs();
-        let undisturbed = expected.iter().min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
-        let differences = fused.mean.iter().zip(&undisturbed.mean).zip(&undisturbed.std);
-        let largest = differences.map(|((a, b), std)| (a - b).abs() / std).fold(0.0, f64::max);
+        let undisturbed = expected
+            .iter()
+            .min_by(|a, b| away(a).total_cmp(&away(b)))
+            .unwrap();
+        let differences = fused
+            .mean
+            .iter()
+            .zip(&undisturbed.mean)
+            .zip(&undisturbed.std);
+        let largest = differences
+            .map(|((a, b), std)| (a - b).abs() / std)
+            .fold(0.0, f64::max);
         let is_disturbed = disturbed.iter().any(|span| span.contains(&fused.time_s))
             || is_late(fused, late)
             || is_late(undisturbed, late_there);
-        let worst = if is_disturbed { &mut inside } else { &mut outside };
+        let worst = if is_disturbed {
+            &mut inside
+        } else {
+            &mut outside
+        };
         if largest > worst.0 {
             *worst = (largest, fused.time_s);
         }
@@ -366,7 +510,10 @@ fn compare((expected, late_there): (&[Fused], &[f64]), (found, late): (&[Fused],
         "largest difference in deviations: {:.2} at {:.0} s, in disturbed spans {:.2} at {:.0} s",
         outside.0, outside.1, inside.0, inside.1
     );
-    assert!(compared > 25, "only {compared} fusions outside the disturbed spans");
+    assert!(
+        compared > 25,
+        "only {compared} fusions outside the disturbed spans"
+    );
     let end = found.last().unwrap();
     println!("at the end {:.3?} ± {:.3?}", end.mean, end.std);
 }

@@ -4,7 +4,12 @@
 //! Processor time is counted by the kernel and divided by the seconds of samples that were filtered in it, so that a machine with other
 //! work gives the figure of one without but for what its caches and clock do.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 #![cfg(target_os = "linux")]
 
 mod support;
@@ -29,20 +34,34 @@ const MOST_SHARE: f64 = 0.25;
 fn processor_s(process: u32) -> f64 {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
     // what follows the name in parentheses: state is field 3, utime 14, stime 15, in hundredths of a second
-    let fields: Vec<&str> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
+    let fields: Vec<&str> = stat
+        .rsplit_once(')')
+        .unwrap()
+        .1
+        .split_whitespace()
+        .collect();
     (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap()) / 100.0
 }
 
 /// Largest resident size of a process so far (MB).
 fn peak_mb(process: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmHWM:")).unwrap();
-    line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
+    let line = status
+        .lines()
+        .find(|line| line.starts_with("VmHWM:"))
+        .unwrap();
+    line.split_whitespace()
+        .nth(1)
+        .unwrap()
+        .parse::<f64>()
+        .unwrap()
+        / 1024.0
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_worker_of_a_node_stays_below_thirty_megabytes_and_a_quarter_of_a_core() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/forty-storey-building.toml");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples/forty-storey-building.toml");
     let command = |subcommand: &str| {
         let mut command = spandrel(subcommand);
         command.arg(&file).arg("-v");
@@ -52,15 +71,31 @@ async fn the_worker_of_a_node_stays_below_thirty_megabytes_and_a_quarter_of_a_co
     let station = Process::start(command("fuse").args(["--listen", &at_station]));
     station.wait_for_log("ready structures=1");
     let mut worker = command("identify");
-    let worker = Process::start(worker.args(["--node", NODE, "--listen", &at_node, "--connect", &at_station]));
+    let worker = Process::start(worker.args([
+        "--node",
+        NODE,
+        "--listen",
+        &at_node,
+        "--connect",
+        &at_station,
+    ]));
     worker.wait_for_log("ready structures=1");
     let mut sensor = command("simulate");
-    sensor.args(["--live", "--node", NODE, "--connect", &at_node]).env("SPANDREL_BUS__MODE", "client");
+    sensor
+        .args(["--live", "--node", NODE, "--connect", &at_node])
+        .env("SPANDREL_BUS__MODE", "client");
     let _sensor = Process::start(&mut sensor);
-    let config = BusConfig { mode: Mode::Client, connect: vec![at_node], ..BusConfig::default() };
+    let config = BusConfig {
+        mode: Mode::Client,
+        connect: vec![at_node],
+        ..BusConfig::default()
+    };
     let bus = Bus::open(&config).await.unwrap();
     let keys = config.keys("forty-storey-building").unwrap();
-    let statuses = bus.subscribe::<Status>(keys.all_statuses(), 256).await.unwrap();
+    let statuses = bus
+        .subscribe::<Status>(keys.all_statuses(), 256)
+        .await
+        .unwrap();
 
     // the worker says how far it is, and at that moment the kernel is asked what it has cost
     let next = async || loop {
@@ -84,9 +119,15 @@ async fn the_worker_of_a_node_stays_below_thirty_megabytes_and_a_quarter_of_a_co
         1e3 * share,
         1e2 * share
     );
-    println!("counted over {data_s:.0} s of samples; lag {:?} s, drops {:?}", last.lag_s, last.drops);
+    println!(
+        "counted over {data_s:.0} s of samples; lag {:?} s, drops {:?}",
+        last.lag_s, last.drops
+    );
     assert!(peak < MOST_MB, "{peak} MB");
-    assert!(share < MOST_SHARE, "{share} s of processor time per second of samples");
+    assert!(
+        share < MOST_SHARE,
+        "{share} s of processor time per second of samples"
+    );
     worker.stop().expect_code(0);
     station.stop().expect_code(0);
 }

@@ -1,7 +1,12 @@
 //! The station of distributed identification and the workers of its nodes, killed while live sensors measure: they go on from their
 //! checkpoints, and what is found is what a run finds that nothing disturbs.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -50,14 +55,35 @@ impl Town {
         let configuration = site.folder().join("spandrel.toml");
         let text = "[bus]\nmode = \"client\"\n[state]\nfolder = \"kept\"\ncheckpoint-s = 0.5\n";
         std::fs::write(&configuration, text).unwrap();
-        let config = BusConfig { mode: Mode::Router, listen: vec![site.endpoint().to_owned()], ..BusConfig::default() };
+        let config = BusConfig {
+            mode: Mode::Router,
+            listen: vec![site.endpoint().to_owned()],
+            ..BusConfig::default()
+        };
         let router = Bus::open(&config).await.unwrap();
         let bus = site.join().await;
-        let estimates = bus.subscribe(site.keys().estimates(), 1 << 12).await.unwrap();
-        let local = bus.subscribe(site.keys().all_local(), 1 << 12).await.unwrap();
+        let estimates = bus
+            .subscribe(site.keys().estimates(), 1 << 12)
+            .await
+            .unwrap();
+        let local = bus
+            .subscribe(site.keys().all_local(), 1 << 12)
+            .await
+            .unwrap();
         let running = BTreeMap::new();
-        let mut town = Self { site, configuration, running, bus, _router: router, estimates, local, fused: Vec::new() };
-        ["station", "worker", "others"].into_iter().for_each(|name| town.run(name));
+        let mut town = Self {
+            site,
+            configuration,
+            running,
+            bus,
+            _router: router,
+            estimates,
+            local,
+            fused: Vec::new(),
+        };
+        ["station", "worker", "others"]
+            .into_iter()
+            .for_each(|name| town.run(name));
         town
     }
 
@@ -84,13 +110,24 @@ impl Town {
     /// Starts the sensors, whose record begins at this time (s since 1970, UTC).
     fn measure(&mut self, start_s: f64) {
         let mut command = self.site.connecting("simulate");
-        command.args(["--live", "--start", &start_s.to_string(), "--duration", &LENGTH_S.to_string()]);
-        self.running.insert("sensors", Process::start(command.env("SPANDREL_BUS__MODE", "client")));
+        command.args([
+            "--live",
+            "--start",
+            &start_s.to_string(),
+            "--duration",
+            &LENGTH_S.to_string(),
+        ]);
+        self.running.insert(
+            "sensors",
+            Process::start(command.env("SPANDREL_BUS__MODE", "client")),
+        );
     }
 
     /// Kills processes, lets something be done to what they have left, and starts them again.
     fn kill(&mut self, names: &[&'static str], meanwhile: impl FnOnce(&Self)) {
-        names.iter().for_each(|name| self.running.remove(name).unwrap().kill());
+        names
+            .iter()
+            .for_each(|name| self.running.remove(name).unwrap().kill());
         meanwhile(self);
         names.iter().for_each(|name| self.run(name));
     }
@@ -100,7 +137,9 @@ impl Town {
         let wanted = self.fused.len() + count;
         while self.fused.len() < wanted {
             let what = format!("fusion {} of {wanted}", self.fused.len() + 1);
-            let (_, block) = within(&what, self.estimates.messages().recv_async()).await.unwrap();
+            let (_, block) = within(&what, self.estimates.messages().recv_async())
+                .await
+                .unwrap();
             for estimate in &block.estimates {
                 let std = |index| estimate.variance(index).unwrap().sqrt();
                 self.fused.push(Fused {
@@ -117,7 +156,9 @@ impl Town {
     async fn first_after(&self, epoch: u64) -> LocalMessage {
         loop {
             let what = "a message of the worker in its new life";
-            let (key, message) = within(what, self.local.messages().recv_async()).await.unwrap();
+            let (key, message) = within(what, self.local.messages().recv_async())
+                .await
+                .unwrap();
             if key.ends_with(NODE) && message.header.epoch > epoch && message.density.is_some() {
                 return message;
             }
@@ -126,13 +167,24 @@ impl Town {
 
     /// The last local estimate of the node that has come.
     fn last_local(&self) -> LocalMessage {
-        let of_node = self.local.messages().drain().filter(|(key, _)| key.ends_with(NODE));
-        of_node.map(|(_, message)| message).last().expect("the worker has sent something")
+        let of_node = self
+            .local
+            .messages()
+            .drain()
+            .filter(|(key, _)| key.ends_with(NODE));
+        of_node
+            .map(|(_, message)| message)
+            .last()
+            .expect("the worker has sent something")
     }
 
     fn checkpoints(&self) -> PathBuf {
         let keys = self.site.keys();
-        self.site.folder().join("kept").join(keys.root().as_str()).join("house/checkpoints")
+        self.site
+            .folder()
+            .join("kept")
+            .join(keys.root().as_str())
+            .join("house/checkpoints")
     }
 
     fn log(&self, name: &str) -> String {
@@ -142,12 +194,17 @@ impl Town {
 
 /// The newest checkpoint in a folder.
 fn newest(folder: &Path, kind: &str) -> PathBuf {
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let entries = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
     let is_one = |path: &PathBuf| {
         let name = path.file_name().unwrap().to_str().unwrap();
         name.starts_with(kind) && name.ends_with(".checkpoint")
     };
-    entries.filter(is_one).max().unwrap_or_else(|| panic!("no checkpoint of {kind} in {}", folder.display()))
+    entries
+        .filter(is_one)
+        .max()
+        .unwrap_or_else(|| panic!("no checkpoint of {kind} in {}", folder.display()))
 }
 
 /// Changes a bit in the middle of a file, and returns its name.
@@ -160,7 +217,10 @@ fn damage(path: &Path) -> String {
 }
 
 fn now_ns() -> i64 {
-    #[expect(clippy::disallowed_methods, reason = "live sensors and the station go by the clock on the wall")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "live sensors and the station go by the clock on the wall"
+    )]
     let now = SystemTime::now();
     now.duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64
 }
@@ -172,9 +232,17 @@ fn assert_goes_on(what: &str, last: (&[f64], &[f64]), next: (&[f64], &[f64])) {
     for parameter in 0..last.0.len() {
         let (std, next_std) = (last.1[parameter], next.1[parameter]);
         let moved = (next.0[parameter] - last.0[parameter]).abs() / std;
-        println!("{what}: parameter {parameter} moved by {moved:.2} deviations, {std:.4} became {next_std:.4}");
-        assert!(moved < 1.0, "{what}: parameter {parameter} moved by {moved:.2} deviations");
-        assert!(next_std < 1.5 * std, "{what}: deviation {std:.4} of parameter {parameter} became {next_std:.4}");
+        println!(
+            "{what}: parameter {parameter} moved by {moved:.2} deviations, {std:.4} became {next_std:.4}"
+        );
+        assert!(
+            moved < 1.0,
+            "{what}: parameter {parameter} moved by {moved:.2} deviations"
+        );
+        assert!(
+            next_std < 1.5 * std,
+            "{what}: deviation {std:.4} of parameter {parameter} became {next_std:.4}"
+        );
     }
 }
 
@@ -185,17 +253,28 @@ async fn station_goes_on(town: &mut Town, what: &str) {
         town.more(1).await;
     }
     // what it had put before its death may have come after it
-    let before = town.fused.iter().rfind(|fused| fused.epoch == last.epoch).unwrap();
+    let before = town
+        .fused
+        .iter()
+        .rfind(|fused| fused.epoch == last.epoch)
+        .unwrap();
     let next = town.fused.last().unwrap();
     assert!(next.epoch > last.epoch);
     assert_goes_on(what, (&before.mean, &before.std), (&next.mean, &next.std));
-    assert!(town.log("station").contains("goes on from its checkpoint"), "{}", town.log("station"));
+    assert!(
+        town.log("station").contains("goes on from its checkpoint"),
+        "{}",
+        town.log("station")
+    );
 }
 
 fn local_numbers(message: &LocalMessage) -> (Vec<f64>, Vec<f64>) {
     let density = message.density.as_ref().unwrap();
     let std = |index: usize| density.covariance[index * (index + 3) / 2].sqrt();
-    (density.mean.clone(), (0..density.mean.len()).map(std).collect())
+    (
+        density.mean.clone(),
+        (0..density.mean.len()).map(std).collect(),
+    )
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -208,26 +287,48 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
 
     // a worker
     let last = town.last_local();
-    let statuses = town.bus.subscribe::<Status>(town.site.keys().all_statuses(), 1 << 10).await.unwrap();
+    let statuses = town
+        .bus
+        .subscribe::<Status>(town.site.keys().all_statuses(), 1 << 10)
+        .await
+        .unwrap();
     let killed_ns = now_ns();
     town.kill(&["worker"], |_| ());
     let first = town.first_after(last.header.epoch).await;
     let ((mean, std), (next_mean, next_std)) = (local_numbers(&last), local_numbers(&first));
     assert_goes_on("a worker", (&mean, &std), (&next_mean, &next_std));
-    assert!(first.header.time_ns > killed_ns, "of the past nothing is told");
-    assert!(town.log("worker").contains("goes on from its checkpoint"), "{}", town.log("worker"));
+    assert!(
+        first.header.time_ns > killed_ns,
+        "of the past nothing is told"
+    );
+    assert!(
+        town.log("worker").contains("goes on from its checkpoint"),
+        "{}",
+        town.log("worker")
+    );
     // and its sensor has given it what it had missed
     let status = async {
         loop {
             let (_, status) = statuses.messages().recv_async().await.unwrap();
-            if status.id.as_str() == NODE && status.done > 0 && status.time_ns > first.header.time_ns {
+            if status.id.as_str() == NODE
+                && status.done > 0
+                && status.time_ns > first.header.time_ns
+            {
                 return status;
             }
         }
     };
     let status = within("a status of the worker", status).await;
-    assert!(!status.drops.contains_key("missing-samples"), "{:?}", status.drops);
-    assert!(status.drops.contains_key("fetched-items"), "{:?}", status.drops);
+    assert!(
+        !status.drops.contains_key("missing-samples"),
+        "{:?}",
+        status.drops
+    );
+    assert!(
+        status.drops.contains_key("fetched-items"),
+        "{:?}",
+        status.drops
+    );
     town.more(RECOVERED).await;
 
     // the station
@@ -250,8 +351,12 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
     for (name, file) in ["station", "worker"].into_iter().zip(&damaged) {
         let log = town.log(name);
         let refused = log.lines().find(|line| line.contains("checkpoint refused"));
-        let refused = refused.unwrap_or_else(|| panic!("{name} has not said that it refuses {file}:\n{log}"));
-        assert!(refused.contains(file.as_str()) && refused.contains("damaged"), "{refused}");
+        let refused =
+            refused.unwrap_or_else(|| panic!("{name} has not said that it refuses {file}:\n{log}"));
+        assert!(
+            refused.contains(file.as_str()) && refused.contains("damaged"),
+            "{refused}"
+        );
         assert!(log.contains("goes on from its checkpoint"), "{log}");
     }
     let aside = town.checkpoints().join(format!("{}.refused", damaged[0]));
@@ -261,21 +366,37 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
 
     // nobody has lost what was known on the way
     let end_ns = town.fused.last().unwrap().time_ns;
-    while undisturbed.fused.last().is_none_or(|fused| fused.time_ns < end_ns) {
+    while undisturbed
+        .fused
+        .last()
+        .is_none_or(|fused| fused.time_ns < end_ns)
+    {
         undisturbed.more(1).await;
     }
     let (mut furthest, mut widest) = (0.0_f64, 0.0_f64);
     for fused in &town.fused[LEARNT / 2..] {
-        let other = undisturbed.fused.iter().min_by_key(|other| (other.time_ns - fused.time_ns).abs()).unwrap();
+        let other = undisturbed
+            .fused
+            .iter()
+            .min_by_key(|other| (other.time_ns - fused.time_ns).abs())
+            .unwrap();
         for parameter in 0..4 {
             let off = (fused.mean[parameter] - other.mean[parameter]).abs() / fused.std[parameter];
             let wider = fused.std[parameter] / other.std[parameter];
             (furthest, widest) = (furthest.max(off), widest.max(wider));
-            assert!(off < 2.0, "parameter {parameter}: {fused:?} in place of {other:?}");
-            assert!(wider < 2.0, "parameter {parameter}: {fused:?} in place of {other:?}");
+            assert!(
+                off < 2.0,
+                "parameter {parameter}: {fused:?} in place of {other:?}"
+            );
+            assert!(
+                wider < 2.0,
+                "parameter {parameter}: {fused:?} in place of {other:?}"
+            );
         }
     }
-    println!("off the undisturbed run by at most {furthest:.2} deviations, and at most {widest:.2} times as wide");
+    println!(
+        "off the undisturbed run by at most {furthest:.2} deviations, and at most {widest:.2} times as wide"
+    );
     for name in ["worker", "others", "station"] {
         town.running.remove(name).unwrap().stop().expect_code(0);
     }

@@ -1,6 +1,11 @@
 //! Alerts that reach people who are not looking: a webhook, an Alertmanager and a mail server of the test itself.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -63,10 +68,22 @@ fn answer(mut stream: TcpStream, fails: bool, requests: &Sender<Request>) {
     }
     let mut body = vec![0; length];
     reader.read_exact(&mut body).unwrap();
-    let status = if fails { "503 Service Unavailable" } else { "200 OK" };
-    write!(stream, "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n").unwrap();
+    let status = if fails {
+        "503 Service Unavailable"
+    } else {
+        "200 OK"
+    };
+    write!(
+        stream,
+        "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+    )
+    .unwrap();
     // the test may have ended
-    let _ = requests.send(Request { head, body: serde_json::from_slice(&body).unwrap(), is_taken: !fails });
+    let _ = requests.send(Request {
+        head,
+        body: serde_json::from_slice(&body).unwrap(),
+        is_taken: !fails,
+    });
 }
 
 /// Takes mails, and sends what stands in them.
@@ -84,7 +101,10 @@ fn smtp() -> (SocketAddr, Receiver<String>) {
                 match line.split(' ').next().unwrap().to_uppercase().as_str() {
                     "DATA" => {
                         write!(stream, "354 go on\r\n").unwrap();
-                        let text = lines.by_ref().map(Result::unwrap).take_while(|line| line != ".");
+                        let text = lines
+                            .by_ref()
+                            .map(Result::unwrap)
+                            .take_while(|line| line != ".");
                         mail += &text.collect::<Vec<_>>().join("\n");
                         write!(stream, "250 taken\r\n").unwrap();
                     }
@@ -117,7 +137,12 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
         server.port()
     );
     std::fs::write(&configuration, text).unwrap();
-    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    let services = Process::start(
+        site.listening("run")
+            .arg("--config")
+            .arg(&configuration)
+            .args(["--http", "none"]),
+    );
     services.wait_for_log("ready structures=1");
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
@@ -125,34 +150,80 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
     site.replay(&record, "max").wait().expect_code(0);
 
     // two attempts fail, the third is taken: the same alert under the same key
-    let attempts: Vec<Request> = (0..3).map(|_| hooks.recv_timeout(DEADLINE).unwrap()).collect();
+    let attempts: Vec<Request> = (0..3)
+        .map(|_| hooks.recv_timeout(DEADLINE).unwrap())
+        .collect();
     for attempt in &attempts {
-        assert!(attempt.head.starts_with(&format!("POST {PATH} ")), "{}", attempt.head);
-        assert!(attempt.head.to_lowercase().contains(&format!("authorization: bearer {TOKEN}")), "{}", attempt.head);
-        assert_eq!((&attempt.body["parameter"], &attempt.body["state"]), (&"storey-2".into(), &"raised".into()));
+        assert!(
+            attempt.head.starts_with(&format!("POST {PATH} ")),
+            "{}",
+            attempt.head
+        );
+        assert!(
+            attempt
+                .head
+                .to_lowercase()
+                .contains(&format!("authorization: bearer {TOKEN}")),
+            "{}",
+            attempt.head
+        );
+        assert_eq!(
+            (&attempt.body["parameter"], &attempt.body["state"]),
+            (&"storey-2".into(), &"raised".into())
+        );
         assert_eq!(attempt.body["key"], attempts[0].body["key"]);
-        assert!(attempt.body["why"].as_str().unwrap().contains("storey-2 has lost"), "{}", attempt.body);
+        assert!(
+            attempt.body["why"]
+                .as_str()
+                .unwrap()
+                .contains("storey-2 has lost"),
+            "{}",
+            attempt.body
+        );
     }
     let alert = managed.recv_timeout(DEADLINE).unwrap();
-    assert!(alert.head.starts_with("POST /api/v2/alerts "), "{}", alert.head);
+    assert!(
+        alert.head.starts_with("POST /api/v2/alerts "),
+        "{}",
+        alert.head
+    );
     assert_eq!(alert.body[0]["labels"]["parameter"], "storey-2");
     assert!(alert.body[0].get("endsAt").is_none(), "{}", alert.body);
     let mail = mails.recv_timeout(DEADLINE).unwrap();
-    for part in ["RCPT TO:<ada@site.example>", "RCPT TO:<bo@site.example>", "Subject: house: alert of storey-2 raised"]
-    {
+    for part in [
+        "RCPT TO:<ada@site.example>",
+        "RCPT TO:<bo@site.example>",
+        "Subject: house: alert of storey-2 raised",
+    ] {
         assert!(mail.contains(part), "{part}\n{mail}");
     }
-    assert!(mail.contains("storey-2 has lost") && mail.contains("Rule:"), "{mail}");
+    assert!(
+        mail.contains("storey-2 has lost") && mail.contains("Rule:"),
+        "{mail}"
+    );
 
     // whoever asks the alert service again hears the same, and it is not told again
-    assert!(hooks.recv_timeout(Duration::from_secs(2)).is_err(), "told once");
+    assert!(
+        hooks.recv_timeout(Duration::from_secs(2)).is_err(),
+        "told once"
+    );
     assert!(mails.try_recv().is_err(), "told once");
     bus.close().await.unwrap();
     let finished = services.stop().expect_code(0);
     for secret in [TOKEN, "s3cret-path"] {
-        assert!(!finished.stderr.contains(secret), "{secret} in the log:\n{}", finished.stderr);
+        assert!(
+            !finished.stderr.contains(secret),
+            "{secret} in the log:\n{}",
+            finished.stderr
+        );
     }
-    assert!(finished.stderr.contains("alert not told, it is tried again"), "{}", finished.stderr);
+    assert!(
+        finished
+            .stderr
+            .contains("alert not told, it is tried again"),
+        "{}",
+        finished.stderr
+    );
 }
 
 /// An alert of storey 2 as the alert service puts it.
@@ -185,7 +256,10 @@ fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
 
 /// Waits until `notify` has taken so many alerts: its status comes after they are on the disk.
 async fn taken(bus: &Bus, keys: &Keys, count: u64) {
-    let statuses = bus.subscribe::<Status>(keys.all_statuses(), 64).await.unwrap();
+    let statuses = bus
+        .subscribe::<Status>(keys.all_statuses(), 64)
+        .await
+        .unwrap();
     let taken = async {
         loop {
             let (_, status) = statuses.messages().recv_async().await.unwrap();
@@ -212,18 +286,28 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
          [state]\nfolder = \"state\"\n"
     );
     std::fs::write(&configuration, text).unwrap();
-    let mut tokens = bus.watch_live(keys.all_live(Service::Notify)).await.unwrap();
+    let mut tokens = bus
+        .watch_live(keys.all_live(Service::Notify))
+        .await
+        .unwrap();
     let mut notify = async || {
         // that of a life before has to be gone
         within("no token of notify", async {
             while !tokens.present().is_empty() && !tokens.changed().await.is_empty() {}
         })
         .await;
-        let process = Process::start(site.connecting("notify").arg("--config").arg(&configuration));
+        let process = Process::start(
+            site.connecting("notify")
+                .arg("--config")
+                .arg(&configuration),
+        );
         within("token of notify", tokens.some()).await;
         process
     };
-    let publisher = bus.publish_display(keys.alert(&Name::new("storey-2").unwrap())).await.unwrap();
+    let publisher = bus
+        .publish_display(keys.alert(&Name::new("storey-2").unwrap()))
+        .await
+        .unwrap();
     let put = async |seconds, state| publisher.put(&alert(&site, seconds, state)).await.unwrap();
     let states = [AlertState::Raised, AlertState::Cleared];
 
@@ -233,11 +317,16 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
         let process = notify().await;
         for (number, state) in (1..).zip(states) {
             let seconds = 100 * i64::from(life) + number;
-            expected.push(format!("house/storey-2/{seconds}000000000/{}", state.as_str()));
+            expected.push(format!(
+                "house/storey-2/{seconds}000000000/{}",
+                state.as_str()
+            ));
             put(seconds, state).await;
         }
         taken(&bus, &keys, 2).await;
-        let attempts: Vec<Request> = (0..2).map(|_| hooks.recv_timeout(DEADLINE).unwrap()).collect();
+        let attempts: Vec<Request> = (0..2)
+            .map(|_| hooks.recv_timeout(DEADLINE).unwrap())
+            .collect();
         for attempt in attempts {
             assert_eq!(attempt.body["key"], expected[0], "in order");
         }
@@ -252,7 +341,11 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
         let mut keys: Vec<String> = Vec::new();
         while keys.last().is_none_or(|key| key != last) {
             let request = requests.recv_timeout(DEADLINE).unwrap();
-            keys.extend(request.is_taken.then(|| request.body["key"].as_str().unwrap().to_owned()));
+            keys.extend(
+                request
+                    .is_taken
+                    .then(|| request.body["key"].as_str().unwrap().to_owned()),
+            );
         }
         keys
     };
@@ -283,10 +376,19 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
             }
         }
     }
-    assert!(files.iter().any(|file| file.to_string_lossy().contains("notify-")), "{files:?}");
+    assert!(
+        files
+            .iter()
+            .any(|file| file.to_string_lossy().contains("notify-")),
+        "{files:?}"
+    );
     for file in files {
         let bytes = std::fs::read(&file).unwrap();
-        assert!(!bytes.windows(6).any(|part| part == b"s3cret"), "{}", file.display());
+        assert!(
+            !bytes.windows(6).any(|part| part == b"s3cret"),
+            "{}",
+            file.display()
+        );
     }
     bus.close().await.unwrap();
 }
@@ -296,8 +398,14 @@ fn settings_that_cannot_be_used_are_named() {
     let site = Site::with(&two_storeys(DAMAGED));
     let configuration = site.folder().join("spandrel.toml");
     for (text, parts) in [
-        ("[[notify.webhook]]\nurl = \"gopher://x/s3cret\"\n", &["notify.webhook[0].url", "https://"][..]),
-        ("[[notify.webhook]]\nurl = \"http://x/\"\ntoken-file = \"nowhere\"\n", &["nowhere", "webhook[0].token-file"]),
+        (
+            "[[notify.webhook]]\nurl = \"gopher://x/s3cret\"\n",
+            &["notify.webhook[0].url", "https://"][..],
+        ),
+        (
+            "[[notify.webhook]]\nurl = \"http://x/\"\ntoken-file = \"nowhere\"\n",
+            &["nowhere", "webhook[0].token-file"],
+        ),
         (
             "[[notify.email]]\nserver = \"mail\"\nfrom = \"a@b.example\"\nto = [\"somebody\"]\n",
             &["notify.email[0].to", "\"somebody\""],
@@ -307,8 +415,14 @@ fn settings_that_cannot_be_used_are_named() {
     ] {
         std::fs::write(&configuration, text).unwrap();
         let mut command = spandrel("notify");
-        command.arg(site.structure_file()).arg("--config").arg(&configuration);
-        let finished = Process::start(&mut command).wait().expect_code(2).expect_told(parts);
+        command
+            .arg(site.structure_file())
+            .arg("--config")
+            .arg(&configuration);
+        let finished = Process::start(&mut command)
+            .wait()
+            .expect_code(2)
+            .expect_told(parts);
         assert!(!finished.stderr.contains("s3cret"), "{}", finished.stderr);
     }
 }

@@ -1,13 +1,18 @@
 //! An identification that cannot keep up: it shows people less, then falls behind while all is recorded, then catches up; each state is
 //! told, and in the end its estimates are those of an unhurried run, to the bit.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use spandrel_bus::{
-    Bus, BusConfig, Event, EventKind, Load, Mode, ParameterDisplay, ProgressWatch, Service, Status, StreamState,
-    Subscription,
+    Bus, BusConfig, Event, EventKind, Load, Mode, ParameterDisplay, ProgressWatch, Service, Status,
+    StreamState, Subscription,
 };
 use std::os::unix::net::UnixDatagram;
 use std::process::Command;
@@ -23,14 +28,25 @@ const WINDOW: u64 = 2_000;
 /// A tower of sixty storeys: some thousand frames a second on one core, where ingest makes many times as many.
 fn tower() -> String {
     let storeys = |range: std::ops::RangeInclusive<u32>| -> String {
-        range.map(|storey| format!("\"storey-{storey}\"")).collect::<Vec<_>>().join(", ")
+        range
+            .map(|storey| format!("\"storey-{storey}\""))
+            .collect::<Vec<_>>()
+            .join(", ")
     };
-    tower_with(60, &(parameter("lower", storeys(1..=30)) + &parameter("upper", storeys(31..=60))))
+    tower_with(
+        60,
+        &(parameter("lower", storeys(1..=30)) + &parameter("upper", storeys(31..=60))),
+    )
 }
 
 /// One of 160 storeys with the stiffness of each storey to be found: a few hundred frames a second.
 fn heavy_tower() -> String {
-    let of_storey = |storey| parameter(&format!("stiffness-{storey}"), format!("\"storey-{storey}\""));
+    let of_storey = |storey| {
+        parameter(
+            &format!("stiffness-{storey}"),
+            format!("\"storey-{storey}\""),
+        )
+    };
     tower_with(160, &(1..=160).map(of_storey).collect::<String>())
 }
 
@@ -79,9 +95,17 @@ impl Rush {
         let done = |watch: &ProgressWatch| watch.latest().map_or(0, |progress| progress.done);
         while self.states.last() != Some(&state) {
             let (put, identified) = (self.put as u64, done(&self.identify));
-            assert!(self.put + BLOCK < self.sensors.record().len(), "the record is over before it is {state:?}");
+            assert!(
+                self.put + BLOCK < self.sensors.record().len(),
+                "the record is over before it is {state:?}"
+            );
             if put - identified < behind {
-                within("ingest", self.ingest.wait_for(|progress| progress.done + WINDOW > put)).await;
+                within(
+                    "ingest",
+                    self.ingest
+                        .wait_for(|progress| progress.done + WINDOW > put),
+                )
+                .await;
                 self.put_block().await;
                 while let Ok((_, status)) = self.statuses.messages().try_recv() {
                     self.note(status);
@@ -98,7 +122,11 @@ impl Rush {
     /// Waits, without a sample more, until identify says that it is in a state.
     async fn wait_for(&mut self, state: Load) {
         while self.states.last() != Some(&state) {
-            let status = within(&format!("state {state:?}"), self.statuses.messages().recv_async()).await;
+            let status = within(
+                &format!("state {state:?}"),
+                self.statuses.messages().recv_async(),
+            )
+            .await;
             self.note(status.unwrap().1);
         }
     }
@@ -118,30 +146,53 @@ impl Rush {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_with_the_same_bits() {
+async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_with_the_same_bits()
+{
     let site = Site::with(&tower());
     let mut record = site.simulate(900.0);
-    let config = BusConfig { mode: Mode::Router, listen: vec![site.endpoint().to_owned()], ..BusConfig::default() };
+    let config = BusConfig {
+        mode: Mode::Router,
+        listen: vec![site.endpoint().to_owned()],
+        ..BusConfig::default()
+    };
     let _router = Bus::open(&config).await.unwrap();
     let start = |service: &str, queue: &str| {
         let mut command = site.connecting(service);
-        command.env("SPANDREL_BUS__MODE", "client").env("SPANDREL_BUS__QUEUE", queue);
+        command
+            .env("SPANDREL_BUS__MODE", "client")
+            .env("SPANDREL_BUS__QUEUE", queue);
         let process = Process::start(&mut command);
         process.wait_for_log("ready structures=1");
         process
     };
     // A short queue: what identify cannot take at once is not hidden in it, but fetched from ingest, and soon from its disk.
-    let services = [start("alert", "256"), start("identify", "8"), start("ingest", "256")];
+    let services = [
+        start("alert", "256"),
+        start("identify", "8"),
+        start("ingest", "256"),
+    ];
     let (bus, keys) = (site.join().await, site.keys());
     let mut reader = EstimateReader::join(&bus, &keys).await;
     let events = bus.subscribe::<Event>(keys.event(), 256).await.unwrap();
-    let alert_statuses = bus.subscribe::<Status>(keys.statuses(Service::Alert), 4).await.unwrap();
+    let alert_statuses = bus
+        .subscribe::<Status>(keys.statuses(Service::Alert), 4)
+        .await
+        .unwrap();
     let mut rush = Rush {
         sensors: Sensors::start(&bus, &keys, site.structure(), &record).await,
         put: 0,
-        ingest: bus.watch_progress(keys.progress(Service::Ingest)).await.unwrap(),
-        identify: bus.watch_progress(keys.progress(Service::Identify)).await.unwrap(),
-        statuses: bus.subscribe(keys.statuses(Service::Identify), 256).await.unwrap(),
+        ingest: bus
+            .watch_progress(keys.progress(Service::Ingest))
+            .await
+            .unwrap(),
+        identify: bus
+            .watch_progress(keys.progress(Service::Identify))
+            .await
+            .unwrap(),
+        statuses: bus
+            .subscribe(keys.statuses(Service::Identify), 256)
+            .await
+            .unwrap(),
         states: Vec::new(),
         last: None,
     };
@@ -153,32 +204,57 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
     rush.until(Load::Behind, 12_000).await;
     // Ingest waits for nobody: all is recorded long before it is identified.
     let put = rush.put as u64;
-    within("ingest", rush.ingest.wait_for(|progress| progress.done == put)).await;
+    within(
+        "ingest",
+        rush.ingest.wait_for(|progress| progress.done == put),
+    )
+    .await;
     rush.wait_for(Load::CatchingUp).await;
     rush.wait_for(Load::Normal).await;
     assert_eq!(
         rush.states,
-        [Load::Normal, Load::DisplayShed, Load::Behind, Load::CatchingUp, Load::Normal],
+        [
+            Load::Normal,
+            Load::DisplayShed,
+            Load::Behind,
+            Load::CatchingUp,
+            Load::Normal
+        ],
         "states told in the status"
     );
 
     // Values for people are back, ten in a second of measurement.
-    let displayed = bus.subscribe::<ParameterDisplay>(keys.all_parameters(), 4096).await.unwrap();
+    let displayed = bus
+        .subscribe::<ParameterDisplay>(keys.all_parameters(), 4096)
+        .await
+        .unwrap();
     let mut times_ns = Vec::new();
-    while !times_ns.windows(2).any(|pair: &[i64]| pair[1] - pair[0] == 100_000_000) {
+    while !times_ns
+        .windows(2)
+        .any(|pair: &[i64]| pair[1] - pair[0] == 100_000_000)
+    {
         rush.put_block().await;
-        let (_, shown) = within("a displayed value", displayed.messages().recv_async()).await.unwrap();
+        let (_, shown) = within("a displayed value", displayed.messages().recv_async())
+            .await
+            .unwrap();
         times_ns.extend((shown.parameter.as_str() == "lower").then_some(shown.time_ns));
     }
     let rows = rush.put;
     for node in ["ground", "floor-30", "floor-60"] {
-        rush.sensors.put_changed(node, rows..rows, |block| block.state = StreamState::Ended).await;
+        rush.sensors
+            .put_changed(node, rows..rows, |block| block.state = StreamState::Ended)
+            .await;
     }
 
     let found = within("the last estimate", read).await.unwrap();
     record.cut(rows..record.len()).save_as("rushed.csv");
     let unhurried = site.estimate(&record);
-    assert_same_bits("overloaded", &unhurried.parameters, &unhurried.frames, &found);
+    assert_same_bits(
+        "overloaded",
+        &unhurried.parameters,
+        &unhurried.frames,
+        &found,
+    );
 
     let decided = async {
         loop {
@@ -193,11 +269,20 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
     for (service, drops) in [("alert", &decided), ("identify", &counted)] {
         assert_eq!(drops.get("lost-items"), None, "{service}: {drops:?}");
     }
-    assert!(counted["fetched-items"] > 1_024, "no more came from the recording than ingest has in memory: {counted:?}");
+    assert!(
+        counted["fetched-items"] > 1_024,
+        "no more came from the recording than ingest has in memory: {counted:?}"
+    );
     assert!(counted["shed-values"] > 0, "nothing was shed: {counted:?}");
-    let told: Vec<EventKind> = events.messages().try_iter().map(|(_, event)| event.kind).collect();
-    let of_load: Vec<&EventKind> =
-        told.iter().filter(|kind| matches!(kind, EventKind::Overloaded | EventKind::CaughtUp)).collect();
+    let told: Vec<EventKind> = events
+        .messages()
+        .try_iter()
+        .map(|(_, event)| event.kind)
+        .collect();
+    let of_load: Vec<&EventKind> = told
+        .iter()
+        .filter(|kind| matches!(kind, EventKind::Overloaded | EventKind::CaughtUp))
+        .collect();
     assert_eq!(of_load, [&EventKind::Overloaded, &EventKind::CaughtUp]);
     println!("{rows} rows; identify counted {counted:?}");
     for service in services.into_iter().rev() {
@@ -217,7 +302,9 @@ impl Systemd {
     fn of(command: &mut Command, site: &Site) -> Self {
         let path = site.folder().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
-        command.env("NOTIFY_SOCKET", path).env("WATCHDOG_USEC", Self::WATCHDOG.as_micros().to_string());
+        command
+            .env("NOTIFY_SOCKET", path)
+            .env("WATCHDOG_USEC", Self::WATCHDOG.as_micros().to_string());
         command.env_remove("WATCHDOG_PID");
         let (heard, words) = mpsc::unbounded_channel();
         std::thread::spawn(move || {
@@ -233,7 +320,9 @@ impl Systemd {
     }
 
     async fn next(&mut self) -> String {
-        within("a word to systemd", self.words.recv()).await.unwrap()
+        within("a word to systemd", self.words.recv())
+            .await
+            .unwrap()
     }
 
     /// Waits for the next word of life as systemd does.
@@ -254,12 +343,22 @@ async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard(
     let ingest = Process::start(&mut site.listening("ingest"));
     ingest.wait_for_log("ready structures=1");
     let (bus, keys) = (site.join().await, site.keys());
-    let mut made = bus.watch_progress(keys.progress(Service::Ingest)).await.unwrap();
-    let identified = bus.watch_progress(keys.progress(Service::Identify)).await.unwrap();
+    let mut made = bus
+        .watch_progress(keys.progress(Service::Ingest))
+        .await
+        .unwrap();
+    let identified = bus
+        .watch_progress(keys.progress(Service::Identify))
+        .await
+        .unwrap();
     let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
     for first in (0..FRAMES).step_by(500) {
         sensors.put(first..first + 500).await;
-        within("frames", made.wait_for(|progress| progress.done >= first as u64 + 500)).await;
+        within(
+            "frames",
+            made.wait_for(|progress| progress.done >= first as u64 + 500),
+        )
+        .await;
     }
 
     let mut command = site.connecting("identify");
@@ -274,9 +373,18 @@ async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard(
         systemd.is_fed(told).await;
         times += 1;
     }
-    assert!(done() < FRAMES as u64, "it has caught up already: this tests nothing");
+    assert!(
+        done() < FRAMES as u64,
+        "it has caught up already: this tests nothing"
+    );
     identify.terminate();
     while systemd.next().await != "STOPPING=1" {}
-    identify.wait().expect_code(0).expect_untold(&["did not finish in time", "do not answer"]);
-    assert!(done() < FRAMES as u64, "it has worked off all before it stopped");
+    identify
+        .wait()
+        .expect_code(0)
+        .expect_untold(&["did not finish in time", "do not answer"]);
+    assert!(
+        done() < FRAMES as u64,
+        "it has worked off all before it stopped"
+    );
 }

@@ -2,7 +2,12 @@
 //!
 //! Records are not part of the repository. They stand in `shared/data` beside it; without that folder these tests say so and pass.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 #[path = "support/page.rs"]
 mod page;
@@ -25,13 +30,17 @@ fn records(folder: &str) -> Option<PathBuf> {
 /// In a network of its own, because the page says which ports the services listen on.
 #[test]
 fn ten_minutes_go_as_the_page_says() {
-    let Some(lab) = Lab::or_skip(&["desk"], 1) else { return };
+    let Some(lab) = Lab::or_skip(&["desk"], 1) else {
+        return;
+    };
     assert_eq!(Page::open("start.md").follow(|| lab.inside("desk")), 9);
 }
 
 #[test]
 fn laboratory_frame_goes_as_the_page_says() {
-    let Some(records) = records("mini-shake-table") else { return };
+    let Some(records) = records("mini-shake-table") else {
+        return;
+    };
     let page = Page::open("laboratory-frame.md");
     for (state, sensor) in ["stiff", "flexible"]
         .into_iter()
@@ -50,13 +59,18 @@ fn laboratory_frame_goes_as_the_page_says() {
     for state in ["stiff", "flexible"] {
         let name = format!("{state}-northridge.csv");
         let kept = std::fs::read_to_string(records.join("aligned").join(&name)).unwrap();
-        assert!(page.read(&name) == kept, "{name} is not as it was made for the records");
+        assert!(
+            page.read(&name) == kept,
+            "{name} is not as it was made for the records"
+        );
     }
 }
 
 #[test]
 fn highway_bridge_goes_as_the_page_says() {
-    let Some(records) = records("painter-street-bridge") else { return };
+    let Some(records) = records("painter-street-bridge") else {
+        return;
+    };
     let page = Page::open("highway-bridge.md");
     let events = [
         "petroliaaftershock1_26apr1992",
@@ -81,8 +95,12 @@ fn highway_bridge_goes_as_the_page_says() {
 /// The subscriber of docs/topics.md. It asks at the usual address, so that it has a network of its own.
 #[test]
 fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
-    let Some(lab) = Lab::or_skip(&["desk"], 3) else { return };
-    let example = Path::new(env!("CARGO_BIN_EXE_spandrel")).with_file_name("examples").join("subscribe");
+    let Some(lab) = Lab::or_skip(&["desk"], 3) else {
+        return;
+    };
+    let example = Path::new(env!("CARGO_BIN_EXE_spandrel"))
+        .with_file_name("examples")
+        .join("subscribe");
     if !example.exists() {
         let why = "skipped: no example subscribe: `cargo test --workspace` builds it, and a test that is asked for alone does not";
         assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
@@ -99,7 +117,13 @@ fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
     run.wait_for_log("ready structures=1");
     let subscriber = on_desk(Command::new(example));
     let mut simulate = lab.spandrel("desk", "simulate");
-    simulate.arg(five_storeys()).args(["--live", "--duration", "600", "--connect", "tcp/127.0.0.1:7447"]);
+    simulate.arg(five_storeys()).args([
+        "--live",
+        "--duration",
+        "600",
+        "--connect",
+        "tcp/127.0.0.1:7447",
+    ]);
     let _simulate = Process::start(&mut simulate);
     subscriber.wait_for_output("every parameter", |printed| {
         let of = |name: &str| printed.contains(&format!("spandrel/demo/parameter/{name}: "));

@@ -1,7 +1,12 @@
 //! What stands in deploy/prometheus and deploy/grafana: Prometheus takes configuration and rules, and each query of the dashboard
 //! finds what running systems tell of themselves. Grafana itself does not take part.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -19,17 +24,26 @@ const ASK_EVERY: Duration = Duration::from_millis(500);
 const TARGET: &str = r#"["127.0.0.1:8080"]"#;
 
 fn deploy(file: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy").join(file)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../deploy")
+        .join(file)
 }
 
 /// Whether Prometheus is installed; a failure where everything is required.
 fn is_installed() -> bool {
     let folders = std::env::var_os("PATH").unwrap_or_default();
-    let is_there = |program: &str| std::env::split_paths(&folders).any(|folder| folder.join(program).is_file());
-    let missing = ["promtool", "prometheus"].into_iter().find(|program| !is_there(program));
+    let is_there = |program: &str| {
+        std::env::split_paths(&folders).any(|folder| folder.join(program).is_file())
+    };
+    let missing = ["promtool", "prometheus"]
+        .into_iter()
+        .find(|program| !is_there(program));
     if let Some(missing) = missing {
         let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
-        assert!(!required, "{missing} is not installed, and REQUIRE_ALL_TESTS is set: apt-get install prometheus");
+        assert!(
+            !required,
+            "{missing} is not installed, and REQUIRE_ALL_TESTS is set: apt-get install prometheus"
+        );
         println!("skipped: {missing} is not installed (apt-get install prometheus)");
     }
     missing.is_none()
@@ -40,19 +54,47 @@ fn promtool_finds_nothing_wrong_in_configuration_and_rules() {
     if !is_installed() {
         return;
     }
-    for (check, file) in [("config", "prometheus/prometheus.yml"), ("rules", "prometheus/rules.yml")] {
-        let checked = Command::new("promtool").args(["check", check]).arg(deploy(file)).output().unwrap();
-        let told = String::from_utf8_lossy(&checked.stdout).into_owned() + &String::from_utf8_lossy(&checked.stderr);
+    for (check, file) in [
+        ("config", "prometheus/prometheus.yml"),
+        ("rules", "prometheus/rules.yml"),
+    ] {
+        let checked = Command::new("promtool")
+            .args(["check", check])
+            .arg(deploy(file))
+            .output()
+            .unwrap();
+        let told = String::from_utf8_lossy(&checked.stdout).into_owned()
+            + &String::from_utf8_lossy(&checked.stderr);
         assert!(checked.status.success(), "{file}:\n{told}");
     }
 }
 
 /// What a count does in ten minutes, by the reason and the service that counts it, and the rule that has to fire by then.
 const DISKS: [(&str, &str, &str, &str); 6] = [
-    ("frames-waiting-for-the-disk", "ingest", "0x4 500+10x16", "SpandrelRecordingWaits"),
-    ("frames-not-recorded", "ingest", "_x4 40+10x16", "SpandrelFramesNotRecorded"),
-    ("failed-writes", "history", "_x4 1+2x16", "SpandrelHistoryNotWritten"),
-    ("checkpoints-not-kept", "alert", "_x4 1+6x16", "SpandrelCheckpointsNotKept"),
+    (
+        "frames-waiting-for-the-disk",
+        "ingest",
+        "0x4 500+10x16",
+        "SpandrelRecordingWaits",
+    ),
+    (
+        "frames-not-recorded",
+        "ingest",
+        "_x4 40+10x16",
+        "SpandrelFramesNotRecorded",
+    ),
+    (
+        "failed-writes",
+        "history",
+        "_x4 1+2x16",
+        "SpandrelHistoryNotWritten",
+    ),
+    (
+        "checkpoints-not-kept",
+        "alert",
+        "_x4 1+6x16",
+        "SpandrelCheckpointsNotKept",
+    ),
     // over since long: they do not go on firing
     ("checkpoints-not-kept", "identify", "7x20", ""),
     ("failed-writes", "notify", "3x20", ""),
@@ -65,18 +107,30 @@ fn the_rules_of_the_disks_fire_while_something_is_not_kept_and_not_after_that() 
     }
     // promtool compares the words too, which are for people: they are left out
     let rules = std::fs::read_to_string(deploy("prometheus/rules.yml")).unwrap();
-    let is_word = |line: &&str| ["annotations:", "summary:"].iter().any(|word| line.trim().starts_with(word));
+    let is_word = |line: &&str| {
+        ["annotations:", "summary:"]
+            .iter()
+            .any(|word| line.trim().starts_with(word))
+    };
     let rules: Vec<&str> = rules.lines().filter(|line| !is_word(line)).collect();
     let mut text = "rule_files: [rules.yml]\nevaluation_interval: 30s\ntests:\n".to_owned();
     for (reason, service, values, fires) in DISKS {
-        let labels = format!("structure=\"tower\", service=\"{service}\", id=\"one\", reason=\"{reason}\"");
-        text +=
-            &format!("  - interval: 30s\n    input_series:\n      - series: 'spandrel_dropped_total{{{labels}}}'\n");
+        let labels =
+            format!("structure=\"tower\", service=\"{service}\", id=\"one\", reason=\"{reason}\"");
+        text += &format!(
+            "  - interval: 30s\n    input_series:\n      - series: 'spandrel_dropped_total{{{labels}}}'\n"
+        );
         text += &format!("        values: '{values}'\n    alert_rule_test:\n");
         for (_, _, _, rule) in DISKS.iter().filter(|(_, _, _, rule)| !rule.is_empty()) {
-            text += &format!("      - eval_time: 10m\n        alertname: {rule}\n        exp_alerts: [");
+            text += &format!(
+                "      - eval_time: 10m\n        alertname: {rule}\n        exp_alerts: ["
+            );
             if *rule == fires {
-                let severity = if fires == "SpandrelFramesNotRecorded" { "critical" } else { "warning" };
+                let severity = if fires == "SpandrelFramesNotRecorded" {
+                    "critical"
+                } else {
+                    "warning"
+                };
                 text += &format!(
                     "{{ exp_labels: {{ structure: tower, service: {service}, id: one, reason: {reason}, severity: {severity} }} }}"
                 );
@@ -88,8 +142,13 @@ fn the_rules_of_the_disks_fire_while_something_is_not_kept_and_not_after_that() 
     std::fs::write(folder.path().join("rules.yml"), rules.join("\n")).unwrap();
     let file = folder.path().join("test.yml");
     std::fs::write(&file, &text).unwrap();
-    let tested = Command::new("promtool").args(["test", "rules"]).arg(&file).output().unwrap();
-    let told = String::from_utf8_lossy(&tested.stdout).into_owned() + &String::from_utf8_lossy(&tested.stderr);
+    let tested = Command::new("promtool")
+        .args(["test", "rules"])
+        .arg(&file)
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&tested.stdout).into_owned()
+        + &String::from_utf8_lossy(&tested.stderr);
     assert!(tested.status.success(), "{told}\n{text}");
 }
 
@@ -113,37 +172,71 @@ impl Prometheus {
     fn start(pages: &[String]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let text = std::fs::read_to_string(deploy("prometheus/prometheus.yml")).unwrap();
-        assert!(text.contains(TARGET), "the configuration does not ask {TARGET}");
+        assert!(
+            text.contains(TARGET),
+            "the configuration does not ask {TARGET}"
+        );
         let configuration = folder.path().join("prometheus.yml");
         std::fs::write(&configuration, text.replace(TARGET, &format!("{pages:?}"))).unwrap();
-        std::fs::copy(deploy("prometheus/rules.yml"), folder.path().join("rules.yml")).unwrap();
-        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+        std::fs::copy(
+            deploy("prometheus/rules.yml"),
+            folder.path().join("rules.yml"),
+        )
+        .unwrap();
+        let address = TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .to_string();
         let mut command = Command::new("prometheus");
         command.arg(format!("--config.file={}", configuration.display()));
-        command.arg(format!("--storage.tsdb.path={}", folder.path().join("data").display()));
+        command.arg(format!(
+            "--storage.tsdb.path={}",
+            folder.path().join("data").display()
+        ));
         command.arg(format!("--web.listen-address={address}"));
-        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        Self { child, address, _folder: folder }
+        let child = command
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self {
+            child,
+            address,
+            _folder: folder,
+        }
     }
 
     /// The answer to a request; none while nobody answers.
     fn ask(&self, path: &str, name: &str, expression: &str) -> Option<Value> {
         let mut stream = TcpStream::connect(&self.address).ok()?;
         // of version 1.0, so that the answer comes in one piece
-        write!(stream, "GET /api/v1/{path}?{name}={} HTTP/1.0\r\n\r\n", encoded(expression)).ok()?;
+        write!(
+            stream,
+            "GET /api/v1/{path}?{name}={} HTTP/1.0\r\n\r\n",
+            encoded(expression)
+        )
+        .ok()?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer).ok()?;
         let (head, body) = answer.split_once("\r\n\r\n")?;
         if head.starts_with("HTTP/1.0 503") {
             return None; // it is starting
         }
-        let mut body: Value = serde_json::from_str(body).unwrap_or_else(|error| panic!("{path}: {error}\n{answer}"));
+        let mut body: Value =
+            serde_json::from_str(body).unwrap_or_else(|error| panic!("{path}: {error}\n{answer}"));
         assert_eq!(body["status"], "success", "{path} {expression}: {body}");
         Some(body["data"].take())
     }
 
     /// Waits until an answer is as it must be.
-    fn wait(&self, path: &str, name: &str, expression: &str, is_right: impl Fn(&Value) -> bool) -> Value {
+    fn wait(
+        &self,
+        path: &str,
+        name: &str,
+        expression: &str,
+        is_right: impl Fn(&Value) -> bool,
+    ) -> Value {
         let start = now();
         let mut last = None;
         while start.elapsed() < DEADLINE {
@@ -153,7 +246,10 @@ impl Prometheus {
             }
             std::thread::sleep(ASK_EVERY);
         }
-        panic!("waited {} s in vain: {path} {expression}\n  last answer: {last:?}", DEADLINE.as_secs());
+        panic!(
+            "waited {} s in vain: {path} {expression}\n  last answer: {last:?}",
+            DEADLINE.as_secs()
+        );
     }
 }
 
@@ -175,16 +271,29 @@ fn encoded(text: &str) -> String {
 /// A demo that stays, and the address of its page.
 fn demo(more: &[&str]) -> (Process, String) {
     let mut command = spandrel("demo");
-    command.args(["--stay", "--http", "127.0.0.1:0", "--listen", "tcp/127.0.0.1:0"]).args(more);
+    command
+        .args([
+            "--stay",
+            "--http",
+            "127.0.0.1:0",
+            "--listen",
+            "tcp/127.0.0.1:0",
+        ])
+        .args(more);
     let process = Process::start(&mut command);
     let page = page_of(&process);
     (process, page)
 }
 
 fn page_of(process: &Process) -> String {
-    process.wait_for_output("the address of a page", |said| said.contains("page: http://") && said.contains('\n'));
+    process.wait_for_output("the address of a page", |said| {
+        said.contains("page: http://") && said.contains('\n')
+    });
     let output = process.output();
-    let address = output.lines().find_map(|line| line.strip_prefix("page: http://")).unwrap();
+    let address = output
+        .lines()
+        .find_map(|line| line.strip_prefix("page: http://"))
+        .unwrap();
     address.trim_end_matches('/').to_owned()
 }
 
@@ -193,28 +302,44 @@ fn queries(dashboard: &Value) -> Vec<(String, String)> {
     let panels = dashboard["panels"].as_array().unwrap();
     let targets = panels.iter().flat_map(|panel| {
         let title = panel["title"].as_str().unwrap();
-        panel["targets"].as_array().into_iter().flatten().map(move |target| (title.to_owned(), target))
+        panel["targets"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .map(move |target| (title.to_owned(), target))
     });
-    targets.map(|(title, target)| (title, target["expr"].as_str().unwrap().to_owned())).collect()
+    targets
+        .map(|(title, target)| (title, target["expr"].as_str().unwrap().to_owned()))
+        .collect()
 }
 
 fn dashboard() -> Value {
-    serde_json::from_str(&std::fs::read_to_string(deploy("grafana/dashboards/spandrel.json")).unwrap()).unwrap()
+    serde_json::from_str(
+        &std::fs::read_to_string(deploy("grafana/dashboards/spandrel.json")).unwrap(),
+    )
+    .unwrap()
 }
 
 #[test]
 fn every_panel_of_the_dashboard_asks_the_source_that_is_provisioned_and_none_lies_on_another() {
-    let source = std::fs::read_to_string(deploy("grafana/provisioning/datasources/prometheus.yml")).unwrap();
+    let source =
+        std::fs::read_to_string(deploy("grafana/provisioning/datasources/prometheus.yml")).unwrap();
     let dashboard = dashboard();
     let mut taken = std::collections::BTreeMap::new();
     for panel in dashboard["panels"].as_array().unwrap() {
         let title = panel["title"].as_str().unwrap();
         if panel["type"] != "row" {
             let uid = panel["datasource"]["uid"].as_str().unwrap();
-            assert!(source.contains(&format!("uid: {uid}\n")), "{title}: source {uid} is not provisioned");
+            assert!(
+                source.contains(&format!("uid: {uid}\n")),
+                "{title}: source {uid} is not provisioned"
+            );
         }
         let place = |key: &str| panel["gridPos"][key].as_u64().unwrap();
-        assert!(place("x") + place("w") <= 24, "{title} is wider than the page");
+        assert!(
+            place("x") + place("w") <= 24,
+            "{title} is wider than the page"
+        );
         for x in place("x")..place("x") + place("w") {
             for y in place("y")..place("y") + place("h") {
                 let other = taken.insert((x, y), title);
@@ -232,8 +357,9 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
     }
     let (_whole, whole) = demo(&["--speed", "10"]);
     let (_distributed, distributed) = demo(&["--distributed", "--speed", "10"]);
-    let classes =
-        support::Site::of(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/bouc-wen-five.toml"));
+    let classes = support::Site::of(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/bouc-wen-five.toml"),
+    );
     let mut run = classes.listening("run");
     let run = Process::start(run.args(["--http", "127.0.0.1:0"]));
     let page = page_of(&run);
@@ -251,14 +377,33 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
     let names = ["demo", "demo-distributed", classes.structure().name()];
     for variable in dashboard()["templating"]["list"].as_array().unwrap() {
         let query = variable["query"]["query"].as_str().unwrap();
-        let (series, label) =
-            query.strip_prefix("label_values(").unwrap().strip_suffix(')').unwrap().rsplit_once(", ").unwrap();
+        let (series, label) = query
+            .strip_prefix("label_values(")
+            .unwrap()
+            .strip_suffix(')')
+            .unwrap()
+            .rsplit_once(", ")
+            .unwrap();
         let series = series.replace("$structure", "demo");
-        let found = prometheus.wait(&format!("label/{label}/values"), "match[]", &series, |found| {
-            found.as_array().is_some_and(|found| found.len() >= names.len())
-        });
-        let expected = if label == "structure" { "demo-distributed" } else { "storey-2" };
-        assert!(found.as_array().unwrap().iter().any(|one| one == expected), "{query}: {found}");
+        let found = prometheus.wait(
+            &format!("label/{label}/values"),
+            "match[]",
+            &series,
+            |found| {
+                found
+                    .as_array()
+                    .is_some_and(|found| found.len() >= names.len())
+            },
+        );
+        let expected = if label == "structure" {
+            "demo-distributed"
+        } else {
+            "storey-2"
+        };
+        assert!(
+            found.as_array().unwrap().iter().any(|one| one == expected),
+            "{query}: {found}"
+        );
     }
     for (title, query) in queries(&dashboard()) {
         // one structure has what another has not: nodes that identify for themselves, model classes
@@ -267,16 +412,24 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
         assert!(!any.contains('$'), "{title}: {query}");
         // where nothing was dropped there is nothing to show
         let may_be_empty = any.contains("spandrel_dropped_total");
-        let found = prometheus.wait("query", "query", &any, |answer| may_be_empty || count(answer) > 0);
+        let found = prometheus.wait("query", "query", &any, |answer| {
+            may_be_empty || count(answer) > 0
+        });
         let found = count(&found);
         println!("{found:3} values: {title}: {query}");
     }
     let rules = prometheus.wait("rules", "type", "alert", |rules| {
         let rules = rules["groups"][0]["rules"].as_array();
-        rules.is_some_and(|rules| !rules.is_empty() && rules.iter().all(|rule| rule["health"] == "ok"))
+        rules.is_some_and(|rules| {
+            !rules.is_empty() && rules.iter().all(|rule| rule["health"] == "ok")
+        })
     });
-    let rules: Vec<&str> =
-        rules["groups"][0]["rules"].as_array().unwrap().iter().map(|rule| rule["name"].as_str().unwrap()).collect();
+    let rules: Vec<&str> = rules["groups"][0]["rules"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|rule| rule["name"].as_str().unwrap())
+        .collect();
     let expected = [
         "SpandrelDown",
         "SpandrelNothingMeasured",

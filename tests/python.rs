@@ -3,7 +3,12 @@
 //! Needs Python 3 with the package `eclipse-zenoh` (and `matplotlib` for the plot) as `python3`, or as the program in `PYTHON`; without
 //! it the test says that it was skipped, and fails where `REQUIRE_ALL_TESTS` is set.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -16,7 +21,9 @@ const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1
 
 fn python() -> Option<String> {
     let program = std::env::var("PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_packages = Command::new(&program).args(["-c", "import zenoh, matplotlib"]).output();
+    let has_packages = Command::new(&program)
+        .args(["-c", "import zenoh, matplotlib"])
+        .output();
     if has_packages.is_ok_and(|output| output.status.success()) {
         return Some(program);
     }
@@ -30,7 +37,9 @@ fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
     let mut command = Command::new(python);
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python/watch.py"));
     let root = site.keys().root().to_string();
-    command.args(["house", "--root", &root, "--connect", site.endpoint()]).args(arguments);
+    command
+        .args(["house", "--root", &root, "--connect", site.endpoint()])
+        .args(arguments);
     command
 }
 
@@ -42,21 +51,39 @@ async fn a_script_with_a_certificate_hears_what_a_viewer_may() {
     std::fs::write(&structure, two_storeys(DAMAGED)).unwrap();
     let site = Secured::new(&structure, &["server.main", "gateway.house", "viewer.ada"]);
     let _router = site.router();
-    let server = Process::start(site.connecting("server.main", "run").args(["--http", "none"]));
+    let server = Process::start(
+        site.connecting("server.main", "run")
+            .args(["--http", "none"]),
+    );
     server.wait_for_log("ready structures=1");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python/watch.py");
     let mut client = Command::new(python);
-    client.arg(script).args(["house", "--seconds", "20", "--connect", site.endpoint(), "--certificate"]);
+    client.arg(script).args([
+        "house",
+        "--seconds",
+        "20",
+        "--connect",
+        site.endpoint(),
+        "--certificate",
+    ]);
     let listening = Process::start(client.arg(site.certificate("viewer.ada")));
     listening.wait_for_output("that it listens", |said| said.contains("listening below"));
     let mut simulate = site.connecting("gateway.house", "simulate");
-    Process::start(simulate.args(["--speed", "max", "--duration", "60"])).wait().expect_code(0);
-    listening.wait_for_output("alert of storey-2", |said| said.contains("ALERT storey-2 raised"));
+    Process::start(simulate.args(["--speed", "max", "--duration", "60"]))
+        .wait()
+        .expect_code(0);
+    listening.wait_for_output("alert of storey-2", |said| {
+        said.contains("ALERT storey-2 raised")
+    });
     server.stop().expect_code(0);
 }
 
 fn text(output: &Output) -> String {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
@@ -76,7 +103,11 @@ async fn a_script_hears_alerts_and_draws_what_was() {
         said.contains("ALERT storey-2 raised: storey-2 has lost") && said.contains("storey-1 1.0")
     });
     let picture = site.folder().join("storey-2.png");
-    let mut past = client(&python, &site, &["--history", "storey-2", "--plot", picture.to_str().unwrap()]);
+    let mut past = client(
+        &python,
+        &site,
+        &["--history", "storey-2", "--plot", picture.to_str().unwrap()],
+    );
     // what was just said is written within seconds
     let said = within("a past with the damage in it", async {
         loop {
@@ -87,7 +118,10 @@ async fn a_script_hears_alerts_and_draws_what_was() {
         }
     })
     .await;
-    assert!(said.contains("rows of storey-2, resolution as displayed"), "{said}");
+    assert!(
+        said.contains("rows of storey-2, resolution as displayed"),
+        "{said}"
+    );
     assert!(std::fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
     bus.close().await.unwrap();
     services.stop().expect_code(0);

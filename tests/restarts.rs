@@ -1,16 +1,22 @@
 //! Processes that are killed or stopped on the way, and started again.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, Bus, Description, EstimateBlock, Name, Service, Subscription,
+    Acknowledgement, AlertMessage, AlertState, Block, Bus, Description, EstimateBlock, Name,
+    Service, Subscription,
 };
 use std::path::{Path, PathBuf};
 use support::{
-    DEADLINE, EstimateReader, Identified, Process, Site, assert_same_bits, distributed_storeys, five_storeys,
-    two_storeys, within,
+    DEADLINE, EstimateReader, Identified, Process, Site, assert_same_bits, distributed_storeys,
+    five_storeys, two_storeys, within,
 };
 
 /// Longer than what may be on the way, so that a replay cannot end before it has been read from.
@@ -31,14 +37,27 @@ async fn an_identification_that_was_killed_in_a_replay_comes_to_the_same_numbers
     let replay = site.replay(&record, "max");
     reader.read_frames(1).await;
     identify.kill();
-    let mut tokens = bus.watch_live(keys.all_live(Service::Identify)).await.unwrap();
+    let mut tokens = bus
+        .watch_live(keys.all_live(Service::Identify))
+        .await
+        .unwrap();
     within("identify to be gone", tokens.none()).await;
     let _identify = Process::start(&mut site.connecting("identify"));
     replay.wait().expect_code(0);
     let found = reader.read_to_end(1).await;
-    assert_same_bits("first reader", &expected.parameters, &expected.frames, found);
+    assert_same_bits(
+        "first reader",
+        &expected.parameters,
+        &expected.frames,
+        found,
+    );
     let mut late = EstimateReader::join(&bus, &keys).await;
-    assert_same_bits("late reader", &expected.parameters, &expected.frames, late.read_to_end(1).await);
+    assert_same_bits(
+        "late reader",
+        &expected.parameters,
+        &expected.frames,
+        late.read_to_end(1).await,
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -55,12 +74,20 @@ async fn an_ingest_that_was_killed_in_a_replay_gets_the_samples_from_its_nodes()
     let replay = site.replay(&record, "max");
     let before = reader.read_frames(1).await.len();
     ingest.kill();
-    let mut tokens = bus.watch_live(keys.all_live(Service::Ingest)).await.unwrap();
+    let mut tokens = bus
+        .watch_live(keys.all_live(Service::Ingest))
+        .await
+        .unwrap();
     within("ingest to be gone", tokens.none()).await;
     let _ingest = Process::start(&mut site.connecting("ingest"));
     replay.wait().expect_code(0);
     let found = reader.read_to_end(1).await;
-    assert!(found.len() >= before + record.len(), "{} frames in all, {} of the record", found.len(), record.len());
+    assert!(
+        found.len() >= before + record.len(),
+        "{} frames in all, {} of the record",
+        found.len(),
+        record.len()
+    );
     assert_is_the_whole_record(&found[found.len() - record.len()..]);
 }
 
@@ -78,7 +105,12 @@ async fn a_replay_that_is_stopped_ends_its_nodes_where_they_are() {
     replay.stop().expect_code(0);
     let found = reader.read_to_end(1).await;
     assert!(found.len() < record.len(), "stopped on the way");
-    assert_same_bits("up to the stop", &expected.parameters, &expected.frames[..found.len()], found);
+    assert_same_bits(
+        "up to the stop",
+        &expected.parameters,
+        &expected.frames[..found.len()],
+        found,
+    );
     services.stop().expect_code(0);
 }
 
@@ -99,7 +131,11 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     let replay = site.replay(&record, "20");
     reader.read_frames(500).await;
     // what is wrong is told and changes nothing
-    std::fs::write(site.structure_file(), two_storeys("[[alert]]\nparameters = \"none of them\"\n")).unwrap();
+    std::fs::write(
+        site.structure_file(),
+        two_storeys("[[alert]]\nparameters = \"none of them\"\n"),
+    )
+    .unwrap();
     services.hang_up();
     services.wait_for_log("nothing changes");
     reader.read_frames(1000).await;
@@ -108,9 +144,22 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     services.wait_for_log("services begin anew");
     replay.wait().expect_code(0);
     let found = reader.read_to_end(1).await;
-    assert_same_bits("with another rule", &expected.parameters, &expected.frames, found);
-    let answers = bus.ask::<Description>(&site.keys().description(), DEADLINE).await.unwrap();
-    assert!(answers.iter().any(|(_, description)| description.text.contains("loss = 0.2")), "{answers:?}");
+    assert_same_bits(
+        "with another rule",
+        &expected.parameters,
+        &expected.frames,
+        found,
+    );
+    let answers = bus
+        .ask::<Description>(&site.keys().description(), DEADLINE)
+        .await
+        .unwrap();
+    assert!(
+        answers
+            .iter()
+            .any(|(_, description)| description.text.contains("loss = 0.2")),
+        "{answers:?}"
+    );
     services.stop().expect_code(0);
 }
 
@@ -130,7 +179,10 @@ async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_r
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let parameter = Name::new("storey-2").unwrap();
-    let alerts = bus.subscribe::<AlertMessage>(site.keys().alert(&parameter), 256).await.unwrap();
+    let alerts = bus
+        .subscribe::<AlertMessage>(site.keys().alert(&parameter), 256)
+        .await
+        .unwrap();
     let until = async |state: AlertState| loop {
         let (_, alert) = alerts.messages().recv_async().await.unwrap();
         if alert.state == state {
@@ -139,7 +191,10 @@ async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_r
     };
     site.replay(&record, "max").wait().expect_code(0);
     within("a raised alert", until(AlertState::Raised)).await;
-    let person = bus.publish_display(site.keys().acknowledge(&parameter)).await.unwrap();
+    let person = bus
+        .publish_display(site.keys().acknowledge(&parameter))
+        .await
+        .unwrap();
     let seen = Acknowledgement {
         structure: Name::new("house").unwrap(),
         parameter: parameter.clone(),
@@ -150,7 +205,11 @@ async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_r
     person.put(&seen).await.unwrap();
     within("an acknowledged alert", until(AlertState::Acknowledged)).await;
 
-    std::fs::write(site.structure_file(), format!("# anna has been there\n{}", with(0.05))).unwrap();
+    std::fs::write(
+        site.structure_file(),
+        format!("# anna has been there\n{}", with(0.05)),
+    )
+    .unwrap();
     services.hang_up();
     let again = within("what stands", until(AlertState::Acknowledged)).await;
     assert_eq!(again.acknowledged_by.as_deref(), Some("anna"));
@@ -177,21 +236,44 @@ impl Beside {
     /// Starts the service that the others connect to.
     async fn start(site: Site, host: &str) -> Self {
         let configuration = site.folder().join("spandrel.toml");
-        std::fs::write(&configuration, "[state]\nfolder = \"kept\"\ncheckpoint-s = 3600\n").unwrap();
+        std::fs::write(
+            &configuration,
+            "[state]\nfolder = \"kept\"\ncheckpoint-s = 3600\n",
+        )
+        .unwrap();
         let host = Process::start(site.listening(host).arg("--config").arg(&configuration));
         host.wait_for_log("ready structures=1");
         let bus = site.join().await;
-        let estimates = bus.subscribe(site.keys().estimates(), 1 << 12).await.unwrap();
-        Self { site, configuration, bus, estimates, _host: host }
+        let estimates = bus
+            .subscribe(site.keys().estimates(), 1 << 12)
+            .await
+            .unwrap();
+        Self {
+            site,
+            configuration,
+            bus,
+            estimates,
+            _host: host,
+        }
     }
 
     fn service(&self, subcommand: &str, arguments: &[&str]) -> Process {
-        Process::start(self.site.connecting(subcommand).args(arguments).arg("--config").arg(&self.configuration))
+        Process::start(
+            self.site
+                .connecting(subcommand)
+                .args(arguments)
+                .arg("--config")
+                .arg(&self.configuration),
+        )
     }
 
     /// Sensors that measure for longer than the test takes.
     fn measure(&self) -> Process {
-        Process::start(self.site.connecting("simulate").args(["--live", "--duration", "600"]))
+        Process::start(
+            self.site
+                .connecting("simulate")
+                .args(["--live", "--duration", "600"]),
+        )
     }
 
     /// Waits for estimates in a higher term or epoch than this one, and returns theirs.
@@ -211,7 +293,11 @@ impl Beside {
 
     /// How many processes claim to lead the identification.
     async fn leaders(&self) -> usize {
-        self.bus.ask_who_is_there(&self.site.keys().all_leaders(), DEADLINE).await.unwrap().len()
+        self.bus
+            .ask_who_is_there(&self.site.keys().all_leaders(), DEADLINE)
+            .await
+            .unwrap()
+            .len()
     }
 
     /// Names of the checkpoints of this kind, also of nodes.
@@ -244,12 +330,27 @@ async fn an_identification_beside_live_sensors_begins_anew_and_ends_in_order() {
         for _ in 0..2 {
             identify.hang_up();
             life = beside.after(life).await;
-            assert_eq!(beside.leaders().await, 1, "{arguments:?}: leaders after a hangup");
+            assert_eq!(
+                beside.leaders().await,
+                1,
+                "{arguments:?}: leaders after a hangup"
+            );
         }
         let before = beside.checkpoints("identify");
-        identify.stop().expect_code(0).expect_untold(&["did not finish in time"]);
-        assert_eq!(beside.leaders().await, 0, "{arguments:?}: leaders after the end");
-        assert_ne!(beside.checkpoints("identify"), before, "{arguments:?}: no checkpoint of the end");
+        identify
+            .stop()
+            .expect_code(0)
+            .expect_untold(&["did not finish in time"]);
+        assert_eq!(
+            beside.leaders().await,
+            0,
+            "{arguments:?}: leaders after the end"
+        );
+        assert_ne!(
+            beside.checkpoints("identify"),
+            before,
+            "{arguments:?}: no checkpoint of the end"
+        );
         sensors.stop().expect_code(0);
     }
 }
@@ -261,16 +362,28 @@ async fn station_and_nodes_beside_live_sensors_end_in_order() {
     let (station, workers) = (beside.service("fuse", &[]), beside.service("identify", &[]));
     let sensors = beside.measure();
     beside.after((0, 0)).await;
-    station.stop().expect_code(0).expect_untold(&["did not finish in time"]);
+    station
+        .stop()
+        .expect_code(0)
+        .expect_untold(&["did not finish in time"]);
     assert_eq!(beside.checkpoints("fuse").len(), 1, "the one of the end");
-    workers.stop().expect_code(0).expect_untold(&["did not finish in time"]);
-    assert_eq!(beside.checkpoints("node").len(), 4, "the one of the end of each");
+    workers
+        .stop()
+        .expect_code(0)
+        .expect_untold(&["did not finish in time"]);
+    assert_eq!(
+        beside.checkpoints("node").len(),
+        4,
+        "the one of the end of each"
+    );
     sensors.stop().expect_code(0);
 }
 
 /// Checks that frames follow each other from time 0 on, at 100 Hz.
 #[track_caller]
 fn assert_is_the_whole_record(frames: &[Identified]) {
-    let wrong = (0..).zip(frames).find(|(number, frame)| frame.time_ns != number * 10_000_000);
+    let wrong = (0..)
+        .zip(frames)
+        .find(|(number, frame)| frame.time_ns != number * 10_000_000);
     assert!(wrong.is_none(), "frame {wrong:?} is not at its time");
 }

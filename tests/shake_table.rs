@@ -3,7 +3,12 @@
 //! The records and the figures to expect stand in `shared/data/mini-shake-table` beside the repository, with source and
 //! licence; without that folder these tests say so and pass.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
@@ -52,7 +57,8 @@ fn records_are_missing() -> bool {
 }
 
 fn example(state: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../docs/examples/shake-table-{state}.toml"))
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join(format!("../../docs/examples/shake-table-{state}.toml"))
 }
 
 /// Reads the example file of a state, with some of its text replaced.
@@ -75,14 +81,21 @@ fn frames(structure: &Structure, motion: &str, state: &str) -> FrameBlock {
         .map(|(channel, column)| ChannelColumn::new(channel.name()).with_column(column.column()));
     let mapping = ColumnMapping::new(columns.collect()).with_time_column(map.time_column());
     let path = folder().join(format!("{state}-{motion}.csv"));
-    let offset = OffsetRemoval::MeanOfFirst { seconds: map.remove_offset_s() };
+    let offset = OffsetRemoval::MeanOfFirst {
+        seconds: map.remove_offset_s(),
+    };
     let mut recording = Recording::open(&path, &mapping, offset).unwrap();
     let mut values = Vec::new();
     while let Some(row) = recording.next_row().unwrap() {
         values.extend_from_slice(row.values);
     }
     FrameBlock {
-        header: Header { source: "record".to_owned(), epoch: 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "record".to_owned(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: structure.sampling_rate_hz(),
         channels: structure.channel_count() as u16,
@@ -113,7 +126,12 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
     let mut core = Identification::new(structure, "test").unwrap();
     let mut outputs = Vec::new();
     core.handle(Input::Frames(block), &mut outputs);
-    assert_eq!(core.restarts(), 0, "{} {motion}: the filter was restarted", frame.state);
+    assert_eq!(
+        core.restarts(),
+        0,
+        "{} {motion}: the filter was restarted",
+        frame.state
+    );
     let estimates: Vec<_> = outputs
         .iter()
         .flat_map(|output| match output {
@@ -122,7 +140,10 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
         })
         .collect();
     assert_eq!(estimates.len(), top.len());
-    let mut outcome = Outcome { stiffnesses: vec![], first_frequencies: vec![] };
+    let mut outcome = Outcome {
+        stiffnesses: vec![],
+        first_frequencies: vec![],
+    };
     let mut last_motion = None;
     for (k, estimate) in estimates.iter().enumerate() {
         if top[k].abs() > 0.5 {
@@ -131,7 +152,9 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
         if last_motion.is_some_and(|last| k - last < 120) {
             let k = [0, 1, 2].map(|storey| estimate.mean[storey] * frame.stiffnesses[storey]);
             outcome.stiffnesses.push(k);
-            outcome.first_frequencies.push(first_frequency_hz(frame.masses_kg, k));
+            outcome
+                .first_frequencies
+                .push(first_frequency_hz(frame.masses_kg, k));
         }
     }
     outcome
@@ -144,22 +167,54 @@ fn innovations(structure: &Structure, frame: &Frame, motion: &str) -> Innovation
     let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).unwrap();
     let block = frames(structure, motion, frame.state);
     let count = block.iter().count() as f64;
-    let mut found = Innovations { misfit: 0.0, below_bound: 0.0 };
+    let mut found = Innovations {
+        misfit: 0.0,
+        below_bound: 0.0,
+    };
     for (_, values) in block.iter() {
-        let observations: Vec<f64> = structure.observation_channels().iter().map(|c| values[*c]).collect();
-        let excitation: Vec<f64> =
-            structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| values[c])).collect();
-        let step = filter.step(SamplesOfAFrame { observations: &observations, excitation: &excitation }).unwrap();
+        let observations: Vec<f64> = structure
+            .observation_channels()
+            .iter()
+            .map(|c| values[*c])
+            .collect();
+        let excitation: Vec<f64> = structure
+            .excitation_channels()
+            .iter()
+            .map(|c| c.map_or(0.0, |c| values[c]))
+            .collect();
+        let step = filter
+            .step(SamplesOfAFrame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
         found.misfit += step.normalised_innovation_squared / 3.0 / count;
-        found.below_bound += f64::from(u8::from(step.normalised_innovation_squared < CHI_SQUARED_95)) / count;
+        found.below_bound += f64::from(u8::from(
+            step.normalised_innovation_squared < CHI_SQUARED_95,
+        )) / count;
     }
     found
 }
 
 fn first_frequency_hz(m: [f64; 3], k: [f64; 3]) -> f64 {
-    let stiffness = Matrix3::new(k[0] + k[1], -k[1], 0.0, -k[1], k[1] + k[2], -k[2], 0.0, -k[2], k[2]);
+    let stiffness = Matrix3::new(
+        k[0] + k[1],
+        -k[1],
+        0.0,
+        -k[1],
+        k[1] + k[2],
+        -k[2],
+        0.0,
+        -k[2],
+        k[2],
+    );
     let scale = Matrix3::from_diagonal(&Vector3::from(m.map(|mass| 1.0 / mass.sqrt())));
-    (scale * stiffness * scale).symmetric_eigenvalues().min().max(0.0).sqrt() / std::f64::consts::TAU
+    (scale * stiffness * scale)
+        .symmetric_eigenvalues()
+        .min()
+        .max(0.0)
+        .sqrt()
+        / std::f64::consts::TAU
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -179,8 +234,12 @@ fn identified_model_has_the_first_frequency_of_the_frame_in_every_motion() {
         for motion in MOTIONS {
             let outcome = identify(&structure, frame, motion);
             let frequency = median(outcome.first_frequencies.iter().copied());
-            let stiffness = [0, 1, 2].map(|storey| median(outcome.stiffnesses.iter().map(|k| k[storey])));
-            println!("{} {motion}: {frequency:.3} Hz, {stiffness:.0?} N/m", frame.state);
+            let stiffness =
+                [0, 1, 2].map(|storey| median(outcome.stiffnesses.iter().map(|k| k[storey])));
+            println!(
+                "{} {motion}: {frequency:.3} Hz, {stiffness:.0?} N/m",
+                frame.state
+            );
             let (low, high) = frame.first_frequency_hz;
             let allowed = (0.96 * low)..=(1.04 * high);
             assert!(
@@ -190,8 +249,14 @@ fn identified_model_has_the_first_frequency_of_the_frame_in_every_motion() {
             );
             storey_1.push(stiffness[0]);
         }
-        let (low, high) = storey_1.iter().fold((f64::MAX, 0.0_f64), |(low, high), k| (low.min(*k), high.max(*k)));
-        assert!(high / low <= 1.10, "{}: storey 1 has {storey_1:.0?} N/m in the three motions", frame.state);
+        let (low, high) = storey_1.iter().fold((f64::MAX, 0.0_f64), |(low, high), k| {
+            (low.min(*k), high.max(*k))
+        });
+        assert!(
+            high / low <= 1.10,
+            "{}: storey 1 has {storey_1:.0?} N/m in the three motions",
+            frame.state
+        );
     }
 }
 
@@ -205,9 +270,13 @@ fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
         let band = format!("[band-limit]\nfrequency-hz = {corner}\norder = 4\n");
         let floor = "noise-floor = 1          # never sure beyond what the model explains";
         let whole_band = structure(frame.state, &[(&band, ""), (floor, "")]);
-        let published = structure(frame.state, &[(&band, ""), (floor, "noise-rule = \"published\"")]);
+        let published = structure(
+            frame.state,
+            &[(&band, ""), (floor, "noise-rule = \"published\"")],
+        );
         for motion in MOTIONS {
-            let [default, published] = [&whole_band, &published].map(|s| innovations(s, frame, motion));
+            let [default, published] =
+                [&whole_band, &published].map(|s| innovations(s, frame, motion));
             println!(
                 "{} {motion}: misfit {:.3}, {:.1} % below χ² 95 %; published rule {:.1}, {:.1} %",
                 frame.state,
@@ -216,9 +285,20 @@ fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
                 published.misfit,
                 100.0 * published.below_bound
             );
-            let Innovations { misfit, below_bound } = default;
-            assert!((0.3..=1.3).contains(&misfit), "{} {motion}: misfit {misfit}", frame.state);
-            assert!(below_bound >= 0.90, "{} {motion}: {below_bound} below the bound", frame.state);
+            let Innovations {
+                misfit,
+                below_bound,
+            } = default;
+            assert!(
+                (0.3..=1.3).contains(&misfit),
+                "{} {motion}: misfit {misfit}",
+                frame.state
+            );
+            assert!(
+                below_bound >= 0.90,
+                "{} {motion}: {below_bound} below the bound",
+                frame.state
+            );
         }
     }
 }
@@ -235,7 +315,11 @@ fn estimate(record: &str, baseline: &Path) -> Value {
         .arg("--json")
         .output()
         .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let text = String::from_utf8(output.stdout).unwrap();
     serde_json::from_str(text.lines().last().unwrap()).unwrap()
 }
@@ -248,25 +332,41 @@ fn baseline_of_the_stiff_frame_tells_strong_shaking_from_softer_walls() {
     let scratch = tempfile::tempdir().unwrap();
     let baseline = scratch.path().join("stiff.baseline.json");
     let mut learn = Command::new(env!("CARGO_BIN_EXE_spandrel"));
-    learn.arg("baseline").arg(example("stiff")).arg("--output").arg(&baseline);
+    learn
+        .arg("baseline")
+        .arg(example("stiff"))
+        .arg("--output")
+        .arg(&baseline);
     // two records know next to nothing of the scatter between records: 5 % is what amplitude alone makes in this frame
     learn.args(["--between-std", "0.05"]);
     for motion in ["sine1.0", "sine2.0"] {
-        learn.arg("--record").arg(folder().join(format!("stiff-{motion}.csv")));
+        learn
+            .arg("--record")
+            .arg(folder().join(format!("stiff-{motion}.csv")));
     }
     let output = learn.output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     println!("{}", String::from_utf8_lossy(&output.stdout));
 
     let sound = estimate("stiff-northridge.csv", &baseline);
     println!("stiff-northridge: {}", sound["alerts"]);
-    assert_eq!(sound["alerts"], Value::Array(vec![]), "strong shaking of the sound frame raised an alert");
+    assert_eq!(
+        sound["alerts"],
+        Value::Array(vec![]),
+        "strong shaking of the sound frame raised an alert"
+    );
 
     let softer = estimate("flexible-northridge.csv", &baseline);
     println!("flexible-northridge: {}", softer["alerts"]);
     let alerts = softer["alerts"].as_array().unwrap();
     for storey in ["storey-1", "storey-2", "storey-3"] {
-        let raised = alerts.iter().any(|alert| alert["parameter"] == storey && alert["state"] == "raised");
+        let raised = alerts
+            .iter()
+            .any(|alert| alert["parameter"] == storey && alert["state"] == "raised");
         assert!(raised, "{storey} was not raised: {alerts:?}");
     }
 }

@@ -1,13 +1,18 @@
 //! A reader that stalls holds up nobody and loses nothing without being told.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use spandrel_alert::AlertService;
 use spandrel_bus::{
-    Bus, BusConfig, Delivery, EstimateBlock, FrameBlock, Keys, Name, Service, Start, Stream, StreamSettings,
-    StreamState,
+    Bus, BusConfig, Delivery, EstimateBlock, FrameBlock, Keys, Name, Service, Start, Stream,
+    StreamSettings, StreamState,
 };
 use spandrel_identify::{FilterPool, IdentifyService, Precedence};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
@@ -19,7 +24,8 @@ use std::process::Command;
 use std::sync::Once;
 use std::time::Duration;
 use support::{
-    Drops, EstimateReader, Process, Site, assert_same_bits, five_storeys, free_endpoint, spandrel, storeys, within,
+    Drops, EstimateReader, Process, Site, assert_same_bits, five_storeys, free_endpoint, spandrel,
+    storeys, within,
 };
 
 /// How long the stalled reader stalls at least; longer than Zenoh waits before it closes a link that blocks (5 s).
@@ -31,7 +37,10 @@ const STALLED_READER: &str = "STALLED_READER";
 async fn read_frames_to_end(stream: &Stream<FrameBlock>) -> u64 {
     let mut next = 0;
     loop {
-        match within("frames", stream.deliveries().recv_async()).await.unwrap() {
+        match within("frames", stream.deliveries().recv_async())
+            .await
+            .unwrap()
+        {
             Delivery::Gap(gap) => panic!("frames lost: {gap:?}"),
             Delivery::Block(block) => {
                 assert_eq!(block.header.sequence, next, "number of the next frame");
@@ -45,7 +54,9 @@ async fn read_frames_to_end(stream: &Stream<FrameBlock>) -> u64 {
 }
 
 async fn follow_frames(bus: &Bus, keys: &Keys, settings: StreamSettings) -> Stream<FrameBlock> {
-    bus.follow(keys.frames(), keys.recording(), settings).await.unwrap()
+    bus.follow(keys.frames(), keys.recording(), settings)
+        .await
+        .unwrap()
 }
 
 /// What a process of its own does in the test below: its link stalls from the first estimates on.
@@ -59,18 +70,38 @@ async fn stalled_reader() {
     let [endpoint, root, structure, output] = told.split(' ').collect::<Vec<_>>()[..] else {
         panic!("{STALLED_READER} is {told}");
     };
-    let config = BusConfig { root: root.to_owned(), connect: vec![endpoint.to_owned()], ..BusConfig::default() };
-    let (bus, keys) = (Bus::open(&config).await.unwrap(), Keys::parse(root, structure).unwrap());
+    let config = BusConfig {
+        root: root.to_owned(),
+        connect: vec![endpoint.to_owned()],
+        ..BusConfig::default()
+    };
+    let (bus, keys) = (
+        Bus::open(&config).await.unwrap(),
+        Keys::parse(root, structure).unwrap(),
+    );
     let stall = |_| {
         FIRST.call_once(|| {
             eprintln!("stalled");
             std::thread::sleep(STALL); // the fault itself
-            std::io::stdin().lock().read_line(&mut String::new()).unwrap();
+            std::io::stdin()
+                .lock()
+                .read_line(&mut String::new())
+                .unwrap();
             eprintln!("awake");
         });
     };
-    let _frames = bus.session().declare_subscriber(keys.frames()).callback(|_| {}).await.unwrap();
-    let _estimates = bus.session().declare_subscriber(keys.estimates()).callback(stall).await.unwrap();
+    let _frames = bus
+        .session()
+        .declare_subscriber(keys.frames())
+        .callback(|_| {})
+        .await
+        .unwrap();
+    let _estimates = bus
+        .session()
+        .declare_subscriber(keys.estimates())
+        .callback(stall)
+        .await
+        .unwrap();
     let frames = follow_frames(&bus, &keys, StreamSettings::new(Start::Beginning)).await;
     let mut reader = EstimateReader::join(&bus, &keys).await;
     eprintln!("joined");
@@ -79,7 +110,10 @@ async fn stalled_reader() {
     std::fs::write(output, lines.collect::<String>()).unwrap();
     let counts = (read_frames_to_end(&frames).await, estimates.len());
     eprintln!("read {} frames and {} estimates", counts.0, counts.1);
-    assert!(reader.fetched() > 0, "nothing was dropped on the way: this was no stall");
+    assert!(
+        reader.fetched() > 0,
+        "nothing was dropped on the way: this was no stall"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -94,9 +128,17 @@ async fn a_reader_that_stalls_holds_up_nobody_and_recovers_everything() {
     let drops = Drops::watch(&bus, &keys).await;
 
     let output = site.folder().join("stalled.txt");
-    let told = [site.endpoint(), keys.root().as_str(), keys.structure().as_str(), output.to_str().unwrap()].join(" ");
+    let told = [
+        site.endpoint(),
+        keys.root().as_str(),
+        keys.structure().as_str(),
+        output.to_str().unwrap(),
+    ]
+    .join(" ");
     let mut command = Command::new(std::env::current_exe().unwrap());
-    command.args(["stalled_reader", "--exact", "--ignored", "--nocapture"]).env(STALLED_READER, told);
+    command
+        .args(["stalled_reader", "--exact", "--ignored", "--nocapture"])
+        .env(STALLED_READER, told);
     let mut stalled = Process::start_with_input(&mut command);
     stalled.wait_for_log("joined");
 
@@ -110,19 +152,39 @@ async fn a_reader_that_stalls_holds_up_nobody_and_recovers_everything() {
         &expected.frames,
         reader.read_to_end(1).await,
     );
-    assert_eq!(read_frames_to_end(&frames).await, record.len() as u64, "frames of the reader beside a stalled one");
+    assert_eq!(
+        read_frames_to_end(&frames).await,
+        record.len() as u64,
+        "frames of the reader beside a stalled one"
+    );
     replay.wait().expect_code(0);
-    assert!(!stalled.log().contains("awake"), "all of this has happened while the reader was stalled");
+    assert!(
+        !stalled.log().contains("awake"),
+        "all of this has happened while the reader was stalled"
+    );
 
     stalled.write_line();
     let finished = stalled.wait().expect_code(0);
     let count = record.len();
     finished.expect_told(&[&format!("read {count} frames and {count} estimates")]);
-    let recovered: Vec<_> =
-        std::fs::read_to_string(output).unwrap().lines().map(support::Identified::from_line).collect();
-    assert_same_bits("stalled reader", &expected.parameters, &expected.frames, &recovered);
+    let recovered: Vec<_> = std::fs::read_to_string(output)
+        .unwrap()
+        .lines()
+        .map(support::Identified::from_line)
+        .collect();
+    assert_same_bits(
+        "stalled reader",
+        &expected.parameters,
+        &expected.frames,
+        &recovered,
+    );
     for service in [Service::Ingest, Service::Identify, Service::Alert] {
-        let lost = drops.when_done(service, 1).await.drops.get("lost-items").copied();
+        let lost = drops
+            .when_done(service, 1)
+            .await
+            .drops
+            .get("lost-items")
+            .copied();
         assert_eq!(lost, None, "frames lost on the way to {}", service.as_str());
     }
 }
@@ -136,23 +198,46 @@ async fn a_reader_that_comes_after_more_than_is_kept_is_told_of_the_gap() {
     let (bus, keys) = (site.join().await, site.keys());
     site.wait_for_services(&bus).await;
     site.replay(&record, "max").wait().expect_code(0);
-    let stream: Stream<EstimateBlock> =
-        bus.follow(keys.estimates(), keys.estimates_buffer(), StreamSettings::new(Start::Beginning)).await.unwrap();
-    let Delivery::Gap(gap) = within("gap", stream.deliveries().recv_async()).await.unwrap() else {
-        panic!("expected a gap first: {} estimates are more than is kept", record.len());
+    let stream: Stream<EstimateBlock> = bus
+        .follow(
+            keys.estimates(),
+            keys.estimates_buffer(),
+            StreamSettings::new(Start::Beginning),
+        )
+        .await
+        .unwrap();
+    let Delivery::Gap(gap) = within("gap", stream.deliveries().recv_async())
+        .await
+        .unwrap()
+    else {
+        panic!(
+            "expected a gap first: {} estimates are more than is kept",
+            record.len()
+        );
     };
     let kept = record.len() - gap.to as usize;
     // alert has decided on all of them and kept that: the last 1,024 stay, and what was put within 15 s, up to 32,768
     let is_kept = (1_024..32_768 + 4_096).contains(&kept);
-    assert!(gap.from == 0 && is_kept, "expected a gap from 0 that leaves what is kept, found {gap:?}");
+    assert!(
+        gap.from == 0 && is_kept,
+        "expected a gap from 0 that leaves what is kept, found {gap:?}"
+    );
     let mut found = Vec::new();
     while found.len() < kept {
-        match within("kept estimates", stream.deliveries().recv_async()).await.unwrap() {
+        match within("kept estimates", stream.deliveries().recv_async())
+            .await
+            .unwrap()
+        {
             Delivery::Block(block) => found.extend(support::identified(&block)),
             Delivery::Gap(gap) => panic!("expected one gap, found another: {gap:?}"),
         }
     }
-    assert_same_bits("late reader", &expected.parameters, &expected.frames[gap.to as usize..], &found);
+    assert_same_bits(
+        "late reader",
+        &expected.parameters,
+        &expected.frames[gap.to as usize..],
+        &found,
+    );
 }
 
 #[test]
@@ -161,12 +246,25 @@ fn the_demo_loses_no_frame_of_ten_minutes_at_full_speed() {
     let record = site.simulate(600.0);
     let expected = site.estimate(&record).summary;
     let mut demo = spandrel("demo");
-    demo.args(["--speed", "max", "--duration", "600", "--headless", "--json", "--listen", "tcp/127.0.0.1:0"]);
+    demo.args([
+        "--speed",
+        "max",
+        "--duration",
+        "600",
+        "--headless",
+        "--json",
+        "--listen",
+        "tcp/127.0.0.1:0",
+    ]);
     let finished = Process::start(&mut demo).wait().expect_code(0);
-    let found: serde_json::Value = serde_json::from_str(finished.stdout.lines().last().unwrap()).unwrap();
+    let found: serde_json::Value =
+        serde_json::from_str(finished.stdout.lines().last().unwrap()).unwrap();
     assert_eq!(found["frames"], 60_000);
     for part in ["frames", "parameters", "noise"] {
-        assert_eq!(found[part], expected[part], "{part} of demo --json against estimate --json");
+        assert_eq!(
+            found[part], expected[part],
+            "{part} of demo --json against estimate --json"
+        );
     }
 }
 
@@ -175,8 +273,16 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(120.0);
     let expected = site.estimate(&record);
-    let config = BusConfig { listen: vec![free_endpoint()], queue: NonZeroUsize::MIN, ..BusConfig::default() };
-    let (bus, keys, structure) = (Bus::open(&config).await.unwrap(), site.keys(), site.structure());
+    let config = BusConfig {
+        listen: vec![free_endpoint()],
+        queue: NonZeroUsize::MIN,
+        ..BusConfig::default()
+    };
+    let (bus, keys, structure) = (
+        Bus::open(&config).await.unwrap(),
+        site.keys(),
+        site.structure(),
+    );
     let tiny = bus.reading(Start::Beginning);
     assert_eq!((tiny.queue, tiny.deliveries), (1, 1));
     let frames = follow_frames(&bus, &keys, tiny.clone()).await;
@@ -185,36 +291,81 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
 
     let id = |text: &str| Name::new(text).unwrap();
     let waiting = Waiting::Limited(Duration::from_secs(2));
-    let settings = IngestSettings { id: id("ingest"), epoch: 1, waiting, recording: None };
+    let settings = IngestSettings {
+        id: id("ingest"),
+        epoch: 1,
+        waiting,
+        recording: None,
+    };
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
-    let alert = AlertService::start(structure, None, &bus, keys.clone(), id("alert"), None).await.unwrap();
-    let identify = IdentifyService::start(structure, &bus, keys.clone(), id("identify"), pool, None, Precedence::Leads)
+    let alert = AlertService::start(structure, None, &bus, keys.clone(), id("alert"), None)
         .await
         .unwrap();
-    let ingest = IngestService::start(structure, &bus, keys.clone(), settings).await.unwrap();
+    let identify = IdentifyService::start(
+        structure,
+        &bus,
+        keys.clone(),
+        id("identify"),
+        pool,
+        None,
+        Precedence::Leads,
+    )
+    .await
+    .unwrap();
+    let ingest = IngestService::start(structure, &bus, keys.clone(), settings)
+        .await
+        .unwrap();
     let services = [
         tokio::spawn(async { alert.run(std::future::pending()).await.unwrap() }),
         tokio::spawn(async { identify.run(std::future::pending()).await.unwrap() }),
         tokio::spawn(async { ingest.run(std::future::pending()).await.unwrap() }),
     ];
     let wait_for = vec![Service::Ingest, Service::Identify, Service::Alert];
-    let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for, resume: false };
+    let settings = SensorSettings {
+        speed: Speed::Max,
+        epoch: 1,
+        wait_for,
+        resume: false,
+    };
     let plans = NodePlan::of(structure, Clocks::Right).unwrap();
-    let sensors = SensorService::start(plans, structure.sampling_rate_hz(), &bus, keys, settings).await.unwrap();
-    let rows = simulated_rows(structure, structure.simulation().seed(), 0, Some(record.len() as u64));
+    let sensors = SensorService::start(plans, structure.sampling_rate_hz(), &bus, keys, settings)
+        .await
+        .unwrap();
+    let rows = simulated_rows(
+        structure,
+        structure.simulation().seed(),
+        0,
+        Some(record.len() as u64),
+    );
     let sent = tokio::spawn(sensors.run(rows.map(Ok::<_, Infallible>), std::future::pending()));
 
     // One after the other: the second stands still while the first is read.
-    assert_same_bits("tiny queues", &expected.parameters, &expected.frames, reader.read_to_end(1).await);
-    assert_eq!(read_frames_to_end(&frames).await, record.len() as u64, "frames with tiny queues");
+    assert_same_bits(
+        "tiny queues",
+        &expected.parameters,
+        &expected.frames,
+        reader.read_to_end(1).await,
+    );
+    assert_eq!(
+        read_frames_to_end(&frames).await,
+        record.len() as u64,
+        "frames with tiny queues"
+    );
     within("sensors that stop", sent).await.unwrap().unwrap();
     // the queues were too small, and nothing was lost for that
     for service in [Service::Ingest, Service::Identify, Service::Alert] {
         let drops = drops.when_done(service, record.len() as u64).await.drops;
         println!("{}: {drops:?}", service.as_str());
-        assert!(!drops.contains_key("lost-items"), "{}: {drops:?}", service.as_str());
+        assert!(
+            !drops.contains_key("lost-items"),
+            "{}: {drops:?}",
+            service.as_str()
+        );
         if service == Service::Ingest {
-            assert!(drops.contains_key("overflowed-messages"), "the queues were large enough: this tests nothing");
+            assert!(
+                drops.contains_key("overflowed-messages"),
+                "the queues were large enough: this tests nothing"
+            );
         }
     }
     services.iter().for_each(|service| service.abort());

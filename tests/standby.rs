@@ -1,20 +1,25 @@
 //! Two identifications of the same structures: one leads, the other stands by and takes over. Readers get each estimate once, in terms
 //! that only rise, and to the bit those of `spandrel estimate`.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, EstimateBlock, Message, Mode, Service, Standing, Start, Status, Stream,
-    StreamSettings, StreamState, Subscription,
+    Block, Bus, BusConfig, Delivery, EstimateBlock, Message, Mode, Service, Standing, Start,
+    Status, Stream, StreamSettings, StreamState, Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 use std::time::Duration;
 use support::{
-    Drops, Estimated, Identified, Process, Record, Site, assert_same_bits, identified, put_raw, spandrel, two_storeys,
-    within,
+    Drops, Estimated, Identified, Process, Record, Site, assert_same_bits, identified, put_raw,
+    spandrel, two_storeys, within,
 };
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -45,17 +50,30 @@ impl Town {
             two_storeys(rule).replace("name = \"house\"", &format!("name = \"house-{number}\""))
         };
         let first = Site::with(&named(0));
-        let mut sites: Vec<Site> = (1..structures).map(|number| Site::with(&named(number)).at(&first)).collect();
+        let mut sites: Vec<Site> = (1..structures)
+            .map(|number| Site::with(&named(number)).at(&first))
+            .collect();
         sites.insert(0, first);
         let records: Vec<Record> = sites.iter().map(|site| site.simulate(length_s)).collect();
-        let expected = sites.iter().zip(&records).map(|(site, record)| site.estimate(record)).collect();
-        let config =
-            BusConfig { mode: Mode::Router, listen: vec![sites[0].endpoint().to_owned()], ..BusConfig::default() };
+        let expected = sites
+            .iter()
+            .zip(&records)
+            .map(|(site, record)| site.estimate(record))
+            .collect();
+        let config = BusConfig {
+            mode: Mode::Router,
+            listen: vec![sites[0].endpoint().to_owned()],
+            ..BusConfig::default()
+        };
         let router = Bus::open(&config).await.unwrap();
         let bus = sites[0].join().await;
         let mut statuses = Vec::new();
         for site in &sites {
-            statuses.push(bus.subscribe(site.keys().all_statuses(), 1024).await.unwrap());
+            statuses.push(
+                bus.subscribe(site.keys().all_statuses(), 1024)
+                    .await
+                    .unwrap(),
+            );
         }
         let ready = format!("ready structures={structures}");
         let others = ["alert", "ingest"].map(|service| {
@@ -63,7 +81,15 @@ impl Town {
             process.wait_for_log(&ready);
             process
         });
-        Self { sites, records, expected, bus, statuses, _others: others, router }
+        Self {
+            sites,
+            records,
+            expected,
+            bus,
+            statuses,
+            _others: others,
+            router,
+        }
     }
 
     fn identify(&self, arguments: &[&str]) -> Process {
@@ -71,7 +97,11 @@ impl Town {
     }
 
     fn replay(&self) -> Vec<Process> {
-        self.sites.iter().zip(&self.records).map(|(site, record)| site.replay(record, SPEED)).collect()
+        self.sites
+            .iter()
+            .zip(&self.records)
+            .map(|(site, record)| site.replay(record, SPEED))
+            .collect()
     }
 
     async fn read(&self) -> Vec<Reader> {
@@ -96,15 +126,23 @@ impl Town {
                     let Some(state) = status.state else { continue };
                     // each instance tells once a second: one that is gone tells no more
                     told.retain(|_, (_, _, heard)| heard.elapsed() < SILENT);
-                    let times = told.get(status.id.as_str()).map_or(0, |(_, times, _)| *times);
+                    let times = told
+                        .get(status.id.as_str())
+                        .map_or(0, |(_, times, _)| *times);
                     told.insert(status.id.to_string(), (state, times + 1, Instant::now()));
                     let now: Vec<Standing> = told.values().map(|(state, ..)| *state).collect();
-                    let count = |of: &[Standing], standing| of.iter().filter(|state| **state == standing).count();
+                    let count = |of: &[Standing], standing| {
+                        of.iter().filter(|state| **state == standing).count()
+                    };
                     let is_wanted = [Standing::Leading, Standing::StandingBy, Standing::Joining]
                         .into_iter()
                         .all(|standing| count(&now, standing) == count(wanted, standing));
                     if is_wanted && told.values().all(|(_, times, _)| *times >= 2) {
-                        return told.into_iter().find(|(_, (state, ..))| *state == Standing::Leading).unwrap().0;
+                        return told
+                            .into_iter()
+                            .find(|(_, (state, ..))| *state == Standing::Leading)
+                            .unwrap()
+                            .0;
                     }
                 }
             };
@@ -121,7 +159,12 @@ impl Town {
         let mut all = Vec::new();
         for (reader, expected) in readers.into_iter().zip(&self.expected) {
             let reader = within("the last estimate", reader).await.unwrap();
-            assert_same_bits("stream", &expected.parameters, &expected.frames, &reader.frames);
+            assert_same_bits(
+                "stream",
+                &expected.parameters,
+                &expected.frames,
+                &reader.frames,
+            );
             all.push(reader);
         }
         all
@@ -135,14 +178,25 @@ impl Town {
 
 /// What is done to the processes has to come before the records end.
 fn assert_still_running(replays: &mut [Process]) {
-    assert!(replays.iter_mut().all(|replay| !replay.has_ended()), "the records ended too early");
+    assert!(
+        replays.iter_mut().all(|replay| !replay.has_ended()),
+        "the records ended too early"
+    );
 }
 
 /// A service of all structures as a client of the router.
 fn client(service: &str, sites: &[Site]) -> Command {
     let mut command = spandrel(service);
-    command.env("SPANDREL_BUS__MODE", "client").args(sites.iter().map(Site::structure_file));
-    command.args(["-v", "--root", sites[0].keys().root().as_str(), "--connect", sites[0].endpoint()]);
+    command
+        .env("SPANDREL_BUS__MODE", "client")
+        .args(sites.iter().map(Site::structure_file));
+    command.args([
+        "-v",
+        "--root",
+        sites[0].keys().root().as_str(),
+        "--connect",
+        sites[0].endpoint(),
+    ]);
     command
 }
 
@@ -160,21 +214,45 @@ impl Reader {
     async fn join(bus: &Bus, site: &Site) -> Self {
         let keys = site.keys();
         let settings = StreamSettings::new(Start::Beginning);
-        let stream = bus.follow(keys.estimates(), keys.estimates_buffer(), settings).await.unwrap();
+        let stream = bus
+            .follow(keys.estimates(), keys.estimates_buffer(), settings)
+            .await
+            .unwrap();
         let of = site.structure().name().to_owned();
-        Self { stream, of, frames: Vec::new(), terms: Vec::new(), last: Instant::now() }
+        Self {
+            stream,
+            of,
+            frames: Vec::new(),
+            terms: Vec::new(),
+            last: Instant::now(),
+        }
     }
 
     /// Returns whether the stream goes on.
     async fn read_block(&mut self) -> bool {
         let what = format!("estimates of {}, {} so far", self.of, self.frames.len());
-        let delivery = within(&what, self.stream.deliveries().recv_async()).await.unwrap();
-        let Delivery::Block(block) = delivery else { panic!("{}: lost: {delivery:?}", self.of) };
-        assert_eq!(block.header.sequence, self.frames.len() as u64, "{}: each estimate comes once", self.of);
+        let delivery = within(&what, self.stream.deliveries().recv_async())
+            .await
+            .unwrap();
+        let Delivery::Block(block) = delivery else {
+            panic!("{}: lost: {delivery:?}", self.of)
+        };
+        assert_eq!(
+            block.header.sequence,
+            self.frames.len() as u64,
+            "{}: each estimate comes once",
+            self.of
+        );
         let last = self.terms.last().map_or(0, |(term, ..)| *term);
-        assert!(block.term >= last, "{}: term {} after {last}", self.of, block.term);
+        assert!(
+            block.term >= last,
+            "{}: term {} after {last}",
+            self.of,
+            block.term
+        );
         if block.term > last {
-            self.terms.push((block.term, block.header.sequence, self.last.elapsed()));
+            self.terms
+                .push((block.term, block.header.sequence, self.last.elapsed()));
         }
         self.last = Instant::now();
         self.frames.extend(identified(&block));
@@ -205,13 +283,42 @@ impl Reader {
 /// Prints what came between the last estimate of one and the first one of the next, and checks it against the requirement.
 fn check_gaps(what: &str, readers: &[Reader], takeovers: usize) {
     for reader in readers {
-        let gaps: Vec<Duration> = reader.terms.iter().skip(1).map(|(_, _, gap)| *gap).collect();
-        let told: Vec<String> = gaps.iter().map(|gap| format!("{:.3} s", gap.as_secs_f64())).collect();
-        println!("{what}: {}: {} of {} terms, gaps {}", reader.of, takeovers, reader.terms.len(), told.join(", "));
-        assert_eq!(gaps.len(), takeovers, "{}: terms {:?}", reader.of, reader.terms);
+        let gaps: Vec<Duration> = reader
+            .terms
+            .iter()
+            .skip(1)
+            .map(|(_, _, gap)| *gap)
+            .collect();
+        let told: Vec<String> = gaps
+            .iter()
+            .map(|gap| format!("{:.3} s", gap.as_secs_f64()))
+            .collect();
+        println!(
+            "{what}: {}: {} of {} terms, gaps {}",
+            reader.of,
+            takeovers,
+            reader.terms.len(),
+            told.join(", ")
+        );
+        assert_eq!(
+            gaps.len(),
+            takeovers,
+            "{}: terms {:?}",
+            reader.of,
+            reader.terms
+        );
         let terms: BTreeSet<u64> = reader.terms.iter().map(|(term, ..)| *term).collect();
-        assert_eq!(terms.len(), reader.terms.len(), "{}: a term comes twice", reader.of);
-        assert!(gaps.iter().all(|gap| *gap < GAP), "{}: a gap of 3 s or more", reader.of);
+        assert_eq!(
+            terms.len(),
+            reader.terms.len(),
+            "{}: a term comes twice",
+            reader.of
+        );
+        assert!(
+            gaps.iter().all(|gap| *gap < GAP),
+            "{}: a gap of 3 s or more",
+            reader.of
+        );
     }
 }
 
@@ -221,7 +328,8 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
     let first = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading]).await;
     let second = town.identify(&["--standby"]);
-    town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    town.until_standing(&[Standing::Leading, Standing::StandingBy])
+        .await;
     let mut readers = town.read().await;
     let drops = Drops::watch(&town.bus, &town.sites[0].keys()).await;
     let replays = town.replay();
@@ -238,7 +346,12 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
     let alert = drops.when_done(Service::Alert, 10_000).await;
     assert!(!alert.drops.contains_key("lost-items"), "{:?}", alert.drops);
     let mut late = EstimateBlock {
-        header: spandrel_bus::Header { source: "identify".into(), epoch: u64::MAX, sequence: 0, time_ns: 0 },
+        header: spandrel_bus::Header {
+            source: "identify".into(),
+            epoch: u64::MAX,
+            sequence: 0,
+            time_ns: 0,
+        },
         term,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -251,7 +364,13 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
     for _ in 0..3 {
         late.header.sequence += 1;
         let key = town.sites[0].keys().estimates();
-        put_raw(&town.bus, &key, &EstimateBlock::encoding(), late.encode().unwrap()).await;
+        put_raw(
+            &town.bus,
+            &key,
+            &EstimateBlock::encoding(),
+            late.encode().unwrap(),
+        )
+        .await;
     }
     let counted = drops.expect(Service::Alert, "superseded-blocks", 3).await;
     assert!(!counted.contains_key("lost-items"), "{counted:?}");
@@ -265,7 +384,8 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
     let first = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading]).await;
     let second = town.identify(&["--standby"]);
-    town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    town.until_standing(&[Standing::Leading, Standing::StandingBy])
+        .await;
     let mut readers = town.read().await;
     let mut replays = town.replay();
     for reader in &mut readers {
@@ -275,12 +395,20 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
     for reader in &mut readers {
         reader.read_terms(2).await;
     }
-    let frozen = readers.iter().map(|reader| reader.terms[1].2).max().unwrap();
-    println!("frozen: {:.3} s until the next estimate", frozen.as_secs_f64());
+    let frozen = readers
+        .iter()
+        .map(|reader| reader.terms[1].2)
+        .max()
+        .unwrap();
+    println!(
+        "frozen: {:.3} s until the next estimate",
+        frozen.as_secs_f64()
+    );
     first.thaw();
     first.wait_for_log("superseded: another one leads");
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
-    town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    town.until_standing(&[Standing::Leading, Standing::StandingBy])
+        .await;
     assert_still_running(&mut replays);
     second.kill();
     let readers = town.finish(replays, readers).await;
@@ -301,7 +429,8 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
 async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again() {
     let town = Town::start(2, 300.0).await;
     let mut both = [town.identify(&["--standby"]), town.identify(&["--standby"])].map(Some);
-    town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    town.until_standing(&[Standing::Leading, Standing::StandingBy])
+        .await;
     let mut readers = town.read().await;
     let mut replays = town.replay();
     for reader in &mut readers {
@@ -311,13 +440,24 @@ async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again(
     both[0].take().unwrap().kill();
     let again = town.identify(&["--standby"]);
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
-    town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    town.until_standing(&[Standing::Leading, Standing::StandingBy])
+        .await;
     assert_still_running(&mut replays);
     both[1].take().unwrap().kill();
     let readers = town.finish(replays, readers).await;
     for reader in &readers {
-        assert!(reader.terms.len() > 1, "{}: one of the two that were killed led: {:?}", reader.of, reader.terms);
-        let gaps: Vec<f64> = reader.terms.iter().skip(1).map(|(_, _, gap)| gap.as_secs_f64()).collect();
+        assert!(
+            reader.terms.len() > 1,
+            "{}: one of the two that were killed led: {:?}",
+            reader.of,
+            reader.terms
+        );
+        let gaps: Vec<f64> = reader
+            .terms
+            .iter()
+            .skip(1)
+            .map(|(_, _, gap)| gap.as_secs_f64())
+            .collect();
         println!("started again: {}: gaps {gaps:.3?} s", reader.of);
     }
     again.stop().expect_code(0);
@@ -336,7 +476,11 @@ async fn the_one_that_does_not_stand_by_leads_whoever_led_before() {
     let first = town.identify(&[]);
     standby.wait_for_log("superseded: another one leads");
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
-    assert_eq!(town.until_standing(&[Standing::Leading, Standing::StandingBy]).await, "identify");
+    assert_eq!(
+        town.until_standing(&[Standing::Leading, Standing::StandingBy])
+            .await,
+        "identify"
+    );
     assert_still_running(&mut replays);
     first.stop().expect_code(0);
     let readers = town.finish(replays, readers).await;
@@ -347,7 +491,10 @@ async fn the_one_that_does_not_stand_by_leads_whoever_led_before() {
 
 #[test]
 fn nodes_that_identify_for_themselves_have_no_standby() {
-    let example = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
-    let told = Process::start(spandrel("identify").arg(example).arg("--standby")).wait().expect_code(2);
+    let example = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples/demo-distributed.toml");
+    let told = Process::start(spandrel("identify").arg(example).arg("--standby"))
+        .wait()
+        .expect_code(2);
     assert!(told.stderr.contains("have no standby"), "{}", told.stderr);
 }

@@ -1,6 +1,11 @@
 //! The streaming path gives the numbers of `spandrel estimate`, to the bit: real processes, real Zenoh over TCP.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
@@ -8,16 +13,28 @@ use serde_json::Value;
 use spandrel_bus::{NoiseDisplay, Service};
 use std::collections::BTreeSet;
 use support::{
-    Drops, EstimateReader, Identified, Process, Record, Site, assert_same_bits, five_storeys, spandrel, two_storeys,
+    Drops, EstimateReader, Identified, Process, Record, Site, assert_same_bits, five_storeys,
+    spandrel, two_storeys,
 };
 
 /// Replays a record to services that already run, and compares the estimates on the bus with those of the file.
-async fn assert_replay_gives_the_numbers_of_estimate(route: &str, site: &Site, record: &Record, speed: &str) {
+async fn assert_replay_gives_the_numbers_of_estimate(
+    route: &str,
+    site: &Site,
+    record: &Record,
+    speed: &str,
+) {
     assert_runs_give_the_numbers_of_estimate(route, site, record, speed, 1).await;
 }
 
 /// As above for a record with holes that begin new runs of frames.
-async fn assert_runs_give_the_numbers_of_estimate(route: &str, site: &Site, record: &Record, speed: &str, runs: usize) {
+async fn assert_runs_give_the_numbers_of_estimate(
+    route: &str,
+    site: &Site,
+    record: &Record,
+    speed: &str,
+    runs: usize,
+) {
     let expected = site.estimate(record);
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
@@ -28,8 +45,18 @@ async fn assert_runs_give_the_numbers_of_estimate(route: &str, site: &Site, reco
     assert_same_bits(route, &expected.parameters, &expected.frames, found);
     replay.wait().expect_code(0);
     for service in [Service::Ingest, Service::Identify, Service::Alert] {
-        let lost = drops.when_done(service, 1).await.drops.get("lost-items").copied();
-        assert_eq!(lost, None, "{route}: frames lost on the way to {}", service.as_str());
+        let lost = drops
+            .when_done(service, 1)
+            .await
+            .drops
+            .get("lost-items")
+            .copied();
+        assert_eq!(
+            lost,
+            None,
+            "{route}: frames lost on the way to {}",
+            service.as_str()
+        );
     }
     // Dropped, a session would block this thread while it closes, and with it whatever else runs in this task.
     bus.close().await.unwrap();
@@ -40,7 +67,8 @@ async fn a_replay_at_full_speed_gives_the_numbers_of_estimate() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(30.0);
     let _services = site.run();
-    assert_replay_gives_the_numbers_of_estimate("run, replay --speed max", &site, &record, "max").await;
+    assert_replay_gives_the_numbers_of_estimate("run, replay --speed max", &site, &record, "max")
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -48,7 +76,8 @@ async fn a_replay_at_ten_times_real_time_gives_the_numbers_of_estimate() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(20.0);
     let _services = site.run();
-    assert_replay_gives_the_numbers_of_estimate("run, replay --speed 10", &site, &record, "10").await;
+    assert_replay_gives_the_numbers_of_estimate("run, replay --speed 10", &site, &record, "10")
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -59,7 +88,13 @@ async fn services_in_three_processes_give_the_numbers_of_estimate() {
     ingest.wait_for_log("ready structures=1");
     let _identify = Process::start(&mut site.connecting("identify"));
     let _alert = Process::start(&mut site.connecting("alert"));
-    assert_replay_gives_the_numbers_of_estimate("ingest, identify, alert apart", &site, &record, "max").await;
+    assert_replay_gives_the_numbers_of_estimate(
+        "ingest, identify, alert apart",
+        &site,
+        &record,
+        "max",
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -83,7 +118,9 @@ async fn a_record_with_gaps_and_missing_fields_gives_the_numbers_of_estimate() {
         .remove("floor-3", 700..900)
         .remove("ground", 1000..1001)
         .remove("floor-5", 2999..3000);
-    for channel in ["ground", "floor-1", "floor-2", "floor-3", "floor-4", "floor-5"] {
+    for channel in [
+        "ground", "floor-1", "floor-2", "floor-3", "floor-4", "floor-5",
+    ] {
         record.remove(channel, 1200..1250);
     }
     record.cut(2000..2300).cut(500..501).save_as("gaps.csv");
@@ -98,7 +135,13 @@ async fn a_hole_longer_than_the_window_gives_the_numbers_of_estimate() {
     let mut record = site.simulate(20.0);
     record.delay_from(1000, 100.0).save_as("hole.csv");
     let _services = site.run();
-    assert_replay_gives_the_numbers_of_estimate("record with a hole of 100 s", &site, &record, "max").await;
+    assert_replay_gives_the_numbers_of_estimate(
+        "record with a hole of 100 s",
+        &site,
+        &record,
+        "max",
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -107,7 +150,14 @@ async fn a_hole_of_half_an_hour_begins_a_new_run_on_both_routes() {
     let mut record = site.simulate(20.0);
     record.delay_from(1000, 1800.0).save_as("hole.csv");
     let _services = site.run();
-    assert_runs_give_the_numbers_of_estimate("record with a hole of 1800 s", &site, &record, "max", 2).await;
+    assert_runs_give_the_numbers_of_estimate(
+        "record with a hole of 1800 s",
+        &site,
+        &record,
+        "max",
+        2,
+    )
+    .await;
 }
 
 // Blocks used to have as many samples of each node: those of a slow one spanned more than the window.
@@ -118,7 +168,13 @@ async fn a_node_far_slower_than_the_frames_gives_the_numbers_of_estimate() {
     let site = Site::with(&two_storeys(slow));
     let record = site.simulate(120.0);
     let _services = site.run();
-    assert_replay_gives_the_numbers_of_estimate("node of 1 Hz among nodes of 100 Hz", &site, &record, "max").await;
+    assert_replay_gives_the_numbers_of_estimate(
+        "node of 1 Hz among nodes of 100 Hz",
+        &site,
+        &record,
+        "max",
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -136,10 +192,22 @@ async fn a_building_without_parameters_gives_the_numbers_of_estimate() {
         let record = site.simulate(8.0);
         let _services = site.run();
         let bus = site.join().await;
-        let noise = bus.subscribe::<NoiseDisplay>(site.keys().all_noise(), 1024).await.unwrap();
+        let noise = bus
+            .subscribe::<NoiseDisplay>(site.keys().all_noise(), 1024)
+            .await
+            .unwrap();
         assert_replay_gives_the_numbers_of_estimate(name, &site, &record, "max").await;
-        let shown: BTreeSet<String> = noise.messages().drain().map(|(_, level)| level.name.to_string()).collect();
-        let levels: BTreeSet<String> = site.structure().noise_levels().iter().map(|l| l.name().to_owned()).collect();
+        let shown: BTreeSet<String> = noise
+            .messages()
+            .drain()
+            .map(|(_, level)| level.name.to_string())
+            .collect();
+        let levels: BTreeSet<String> = site
+            .structure()
+            .noise_levels()
+            .iter()
+            .map(|l| l.name().to_owned())
+            .collect();
         assert_eq!(shown, levels, "{name}: topics noise/*");
         bus.close().await.unwrap();
     }
@@ -157,7 +225,16 @@ fn coarse_tower() -> String {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);
     }
-    for (from, to) in [(4, 1), (8, 3), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)] {
+    for (from, to) in [
+        (4, 1),
+        (8, 3),
+        (13, 4),
+        (18, 5),
+        (23, 7),
+        (27, 8),
+        (32, 10),
+        (37, 12),
+    ] {
         text = text.replace(&format!("\"node-{from}-"), &format!("\"node-{to}-"));
     }
     text
@@ -202,8 +279,18 @@ async fn two_structures_in_one_process_do_not_mix() {
     let services = Process::start(five.listening("run").arg(two.structure_file()));
     services.wait_for_log("ready structures=2");
     tokio::join!(
-        assert_replay_gives_the_numbers_of_estimate("one of two structures", &five, &records[0], "max"),
-        assert_replay_gives_the_numbers_of_estimate("the other of two structures", &two, &records[1], "max"),
+        assert_replay_gives_the_numbers_of_estimate(
+            "one of two structures",
+            &five,
+            &records[0],
+            "max"
+        ),
+        assert_replay_gives_the_numbers_of_estimate(
+            "the other of two structures",
+            &two,
+            &records[1],
+            "max"
+        ),
     );
 }
 
@@ -219,7 +306,11 @@ async fn estimates_of_a_simulation(site: &Site, seconds: &str) -> Vec<Identified
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let mut reader = EstimateReader::join(&bus, &site.keys()).await;
-    let simulation = Process::start(site.connecting("simulate").args(["--speed", "max", "--duration", seconds]));
+    let simulation =
+        Process::start(
+            site.connecting("simulate")
+                .args(["--speed", "max", "--duration", seconds]),
+        );
     let found = without_times(reader.read_to_end(1).await.to_vec());
     simulation.wait().expect_code(0);
     found
@@ -230,15 +321,24 @@ async fn a_simulation_on_the_bus_gives_the_numbers_of_its_record() {
     let site = Site::of(&five_storeys());
     let expected = site.estimate(&site.simulate(30.0));
     let found = estimates_of_a_simulation(&site, "30").await;
-    assert_same_bits("simulate --speed max", &expected.parameters, &without_times(expected.frames), &found);
+    assert_same_bits(
+        "simulate --speed max",
+        &expected.parameters,
+        &without_times(expected.frames),
+        &found,
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_simulation_with_faulty_sensors_gives_the_same_bits_each_time() {
     let noisy = five_storeys().with_file_name("noisy.toml");
     let (first, second) = (Site::of(&noisy), Site::of(&noisy));
-    let names: Vec<String> =
-        first.structure().parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
+    let names: Vec<String> = first
+        .structure()
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name().to_owned())
+        .collect();
     let expected = estimates_of_a_simulation(&first, "40").await;
     let found = estimates_of_a_simulation(&second, "40").await;
     assert_same_bits("noisy.toml, second time", &names, &expected, &found);
@@ -250,14 +350,33 @@ fn demo_and_estimate_agree_on_the_same_simulation() {
     let record = site.simulate(120.0);
     let mut expected = site.estimate(&record).summary;
     let mut demo = spandrel("demo");
-    demo.args(["--speed", "max", "--duration", "120", "--seed", "1", "--headless", "--json"]);
-    let finished = Process::start(demo.args(["--listen", "tcp/127.0.0.1:0"])).wait().expect_code(0);
+    demo.args([
+        "--speed",
+        "max",
+        "--duration",
+        "120",
+        "--seed",
+        "1",
+        "--headless",
+        "--json",
+    ]);
+    let finished = Process::start(demo.args(["--listen", "tcp/127.0.0.1:0"]))
+        .wait()
+        .expect_code(0);
     let mut found: Value = serde_json::from_str(finished.stdout.lines().last().unwrap()).unwrap();
-    assert!(found["alerts"].as_array().is_some_and(|alerts| !alerts.is_empty()), "the demo raises an alert: {found}");
+    assert!(
+        found["alerts"]
+            .as_array()
+            .is_some_and(|alerts| !alerts.is_empty()),
+        "the demo raises an alert: {found}"
+    );
     for summary in [&mut expected, &mut found] {
         forget_when(summary);
     }
-    assert_eq!(found, expected, "demo --json\n  expected {expected}\n  found    {found}");
+    assert_eq!(
+        found, expected,
+        "demo --json\n  expected {expected}\n  found    {found}"
+    );
 }
 
 /// The demo is of today, the record starts at 0: the sentences name the time accordingly.

@@ -7,14 +7,19 @@
 //! whole structure. Nodes that identify for themselves have a part of the rate there: their messages are as long, and two cores can do
 //! all of them.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 #![cfg(target_os = "linux")]
 
 mod support;
 
 use spandrel_bus::{
-    Bus, BusConfig, Header, Keys, LocalMessage, Message, Mode, Name, NodeDisplay, Pace, SampleBlock, StreamState,
-    ToldMotion, ToldSamples,
+    Bus, BusConfig, Header, Keys, LocalMessage, Message, Mode, Name, NodeDisplay, Pace,
+    SampleBlock, StreamState, ToldMotion, ToldSamples,
 };
 use spandrel_fuse::{Fusion, Input, Output};
 use spandrel_identify::{NodeIdentification, NodeInput, NodeOutput};
@@ -69,7 +74,9 @@ const BRIDGE: Example = Example {
 
 impl Example {
     fn text(&self) -> String {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(self.file);
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../docs/examples")
+            .join(self.file);
         std::fs::read_to_string(path).unwrap()
     }
 
@@ -80,7 +87,10 @@ impl Example {
         let mut kinds = vec![
             (format!("{name}: modes ({modes})"), of_modes),
             (format!("{name}: densities"), "motion = \"none\"".to_owned()),
-            (format!("{name}: densities and responses"), "motion = \"responses\"".to_owned()),
+            (
+                format!("{name}: densities and responses"),
+                "motion = \"responses\"".to_owned(),
+            ),
         ];
         for told in self.told {
             let fusion = format!("motion = \"samples\"\nsamples-per-period = {told}");
@@ -88,9 +98,16 @@ impl Example {
         }
         let text = without_fusion(&self.text());
         let with = |fusion: &str| {
-            text.replacen("[simulation]", &format!("[fusion]\ndetector = \"none\"\n{fusion}\n\n[simulation]"), 1)
+            text.replacen(
+                "[simulation]",
+                &format!("[fusion]\ndetector = \"none\"\n{fusion}\n\n[simulation]"),
+                1,
+            )
         };
-        kinds.into_iter().map(|(row, fusion)| (row, with(&fusion))).collect()
+        kinds
+            .into_iter()
+            .map(|(row, fusion)| (row, with(&fusion)))
+            .collect()
     }
 
     fn raw_row(&self) -> String {
@@ -112,18 +129,37 @@ impl Traffic {
     fn documented(row: &str) -> Self {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/distributed.md");
         let text = std::fs::read_to_string(path).unwrap();
-        let line = text.lines().find(|line| line.starts_with(&format!("| {row} |")));
+        let line = text
+            .lines()
+            .find(|line| line.starts_with(&format!("| {row} |")));
         let line = line.unwrap_or_else(|| panic!("docs/distributed.md has no row {row:?}"));
         // what was not measured on the wire agrees with nothing
         let number = |cell: &str| cell.trim().parse().unwrap_or(f64::NAN);
         let cells: Vec<f64> = line.split('|').skip(2).take(4).map(number).collect();
-        Self { payload_up: cells[0], payload_down: cells[1], wire_up: cells[2], wire_down: cells[3] }
+        Self {
+            payload_up: cells[0],
+            payload_down: cells[1],
+            wire_up: cells[2],
+            wire_down: cells[3],
+        }
     }
 
     fn assert_payload(&self, row: &str) {
         let documented = Self::documented(row);
-        assert_near(row, "payload up", self.payload_up, documented.payload_up, PAYLOAD_WITHIN);
-        assert_near(row, "payload down", self.payload_down, documented.payload_down, PAYLOAD_WITHIN);
+        assert_near(
+            row,
+            "payload up",
+            self.payload_up,
+            documented.payload_up,
+            PAYLOAD_WITHIN,
+        );
+        assert_near(
+            row,
+            "payload down",
+            self.payload_down,
+            documented.payload_down,
+            PAYLOAD_WITHIN,
+        );
     }
 }
 
@@ -144,12 +180,22 @@ fn published_shares_are_those_of_the_numbers_in_a_message() {
         let structure = Structure::parse(&example.text(), Path::new(example.file)).unwrap();
         let (modes, parameters) = (example.modes as f64, structure.parameters().len() as f64);
         let numbers = 4.0 * modes + parameters * (parameters + 3.0) / 2.0;
-        assert!((numbers / (channels * rate_hz) - example.published).abs() < 5e-4, "{}: {numbers}", example.name);
+        assert!(
+            (numbers / (channels * rate_hz) - example.published).abs() < 5e-4,
+            "{}: {numbers}",
+            example.name
+        );
         // the same share of payload in bytes: a message has a header, and so has each block of raw samples
         let row = format!("{}: modes ({})", example.name, example.modes);
-        let (sent, raw) = (Traffic::documented(&row), Traffic::documented(&example.raw_row()));
+        let (sent, raw) = (
+            Traffic::documented(&row),
+            Traffic::documented(&example.raw_row()),
+        );
         let share = sent.payload_up / raw.payload_up;
-        println!("{row}: {share:.3} of the payload of raw samples, published {:.3} of the numbers", example.published);
+        println!(
+            "{row}: {share:.3} of the payload of raw samples, published {:.3} of the numbers",
+            example.published
+        );
         assert!(share < example.published, "{row}: {share}");
     }
 }
@@ -170,9 +216,13 @@ fn payload_is_documented(example: &Example) {
     for (row, text) in example.exchanges() {
         // messages are as long at a part of the rate
         let text = slower(&text, example.part);
-        let structure = Structure::parse(&text, Path::new(example.file)).unwrap_or_else(|error| panic!("{error}"));
+        let structure = Structure::parse(&text, Path::new(example.file))
+            .unwrap_or_else(|error| panic!("{error}"));
         let traffic = exchanged_payload(&structure, example.node);
-        println!("{row}: payload {:.0} up, {:.0} down", traffic.payload_up, traffic.payload_down);
+        println!(
+            "{row}: payload {:.0} up, {:.0} down",
+            traffic.payload_up, traffic.payload_down
+        );
         traffic.assert_payload(&row);
     }
 }
@@ -205,8 +255,14 @@ fn raw_payload(structure: &Structure, node: &str) -> Traffic {
     const FROM: u64 = 20_000;
     let rate_hz = structure.of_node(node).unwrap().sampling_rate_hz();
     let count = (rate_hz * 0.05) as u64;
-    let bytes = samples(structure, node, FROM, count).encode().unwrap().len();
-    Traffic { payload_up: bytes as f64 * rate_hz / count as f64, ..Traffic::default() }
+    let bytes = samples(structure, node, FROM, count)
+        .encode()
+        .unwrap()
+        .len();
+    Traffic {
+        payload_up: bytes as f64 * rate_hz / count as f64,
+        ..Traffic::default()
+    }
 }
 
 /// What is told of the motion as it is while the structure moves: samples of twenty deviations of the noise, whose units are an eighth of one or
@@ -216,8 +272,14 @@ fn moving(told: &ToldMotion, units: &[i16]) -> ToldMotion {
     match told {
         ToldMotion::Numbers(_) => told.clone(),
         ToldMotion::Samples(samples) => {
-            let unit = units.iter().map(|exponent| 2f64.powi(i32::from(*exponent))).cycle();
-            let samples: Vec<f64> = unit.map(|unit| 8.0 * DEVIATIONS * unit).take(samples.samples().len()).collect();
+            let unit = units
+                .iter()
+                .map(|exponent| 2f64.powi(i32::from(*exponent)))
+                .cycle();
+            let samples: Vec<f64> = unit
+                .map(|unit| 8.0 * DEVIATIONS * unit)
+                .take(samples.samples().len())
+                .collect();
             ToldMotion::Samples(ToldSamples::new(&samples, units))
         }
     }
@@ -229,7 +291,8 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
     let epoch = NOW_NS as u64;
     let names: Vec<&str> = structure.nodes().iter().map(|node| node.name()).collect();
     let measured = names.iter().position(|name| *name == node).unwrap();
-    let workers = (0..names.len()).map(|position| NodeIdentification::new(structure, position, epoch).unwrap());
+    let workers = (0..names.len())
+        .map(|position| NodeIdentification::new(structure, position, epoch).unwrap());
     let mut workers: Vec<NodeIdentification> = workers.collect();
     let mut fusion = Fusion::new(structure, "fuse", epoch).unwrap();
     fusion.handle(Input::Present(vec![true; names.len()]), &mut Vec::new());
@@ -237,12 +300,24 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
     for period in 0..PERIODS {
         let mut fused = Vec::new();
         for (position, worker) in workers.iter_mut().enumerate() {
-            let rate = structure.of_node(names[position]).unwrap().sampling_rate_hz() as u64;
+            let rate = structure
+                .of_node(names[position])
+                .unwrap()
+                .sampling_rate_hz() as u64;
             let mut outputs = Vec::new();
-            worker.handle(NodeInput::Samples(samples(structure, names[position], period * rate, rate)), &mut outputs);
-            let [NodeOutput::Local(message)] = &outputs[..] else { panic!("one message a period: {outputs:?}") };
+            worker.handle(
+                NodeInput::Samples(samples(structure, names[position], period * rate, rate)),
+                &mut outputs,
+            );
+            let [NodeOutput::Local(message)] = &outputs[..] else {
+                panic!("one message a period: {outputs:?}")
+            };
             let mut sent = LocalMessage::clone(message);
-            if let Some(told) = sent.density.as_mut().and_then(|density| density.motion.as_mut()) {
+            if let Some(told) = sent
+                .density
+                .as_mut()
+                .and_then(|density| density.motion.as_mut())
+            {
                 *told = moving(told, &structure.told_units(position));
             }
             let bytes = sent.encode().unwrap().len();
@@ -252,17 +327,30 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
             let arrived_ns = NOW_NS + (period as i64 + 1) * SECOND_NS;
             let message = LocalMessage::clone(message);
             fusion.handle(
-                Input::Local { node: position, message: Box::new(message), bytes: bytes as u64, arrived_ns },
+                Input::Local {
+                    node: position,
+                    message: Box::new(message),
+                    bytes: bytes as u64,
+                    arrived_ns,
+                },
                 &mut fused,
             );
         }
         for output in fused {
-            let Output::Feedback(position, feedback) = output else { continue };
-            assert_eq!(usize::from(feedback.nodes), names.len(), "all nodes are heard");
+            let Output::Feedback(position, feedback) = output else {
+                continue;
+            };
+            assert_eq!(
+                usize::from(feedback.nodes),
+                names.len(),
+                "all nodes are heard"
+            );
             if position == measured {
                 let mut sent = feedback.clone();
                 for (node, told) in sent.responses.iter_mut().enumerate() {
-                    *told = told.as_ref().map(|told| moving(told, &structure.told_units(node)));
+                    *told = told
+                        .as_ref()
+                        .map(|told| moving(told, &structure.told_units(node)));
                 }
                 traffic.payload_down = sent.encode().unwrap().len() as f64;
             }
@@ -292,18 +380,35 @@ impl Line {
         let keys = Keys::parse("spandrel", structure.name()).unwrap();
         let site = |arguments: &[&str]| {
             let mut command = spandrel("site");
-            command.arg(arguments[0]).arg(folder.path().join("site")).args(&arguments[1..]);
+            command
+                .arg(arguments[0])
+                .arg(folder.path().join("site"))
+                .args(&arguments[1..]);
             Process::start(&mut command).wait().expect_code(0);
         };
         site(&["create"]);
-        site(&["issue", "server", "station", "--host", &lab.address("station")]);
+        site(&[
+            "issue",
+            "server",
+            "station",
+            "--host",
+            &lab.address("station"),
+        ]);
         site(&["nodes", file.to_str().unwrap()]);
-        Some(Self { lab, folder, structure, keys, processes: Vec::new() })
+        Some(Self {
+            lab,
+            folder,
+            structure,
+            keys,
+            processes: Vec::new(),
+        })
     }
 
     fn command(&self, computer: &str, subcommand: &str) -> Command {
         let mut command = self.lab.spandrel(computer, subcommand);
-        command.arg(self.folder.path().join("structure.toml")).arg("-v");
+        command
+            .arg(self.folder.path().join("structure.toml"))
+            .arg("-v");
         command
     }
 
@@ -315,7 +420,10 @@ impl Line {
     }
 
     fn socket(&self) -> String {
-        format!("unixsock-stream/{}", self.folder.path().join("station.sock").display())
+        format!(
+            "unixsock-stream/{}",
+            self.folder.path().join("station.sock").display()
+        )
     }
 
     fn remote(&self) -> String {
@@ -332,7 +440,11 @@ impl Line {
     }
 
     async fn join(&self) -> Bus {
-        let config = BusConfig { mode: Mode::Client, connect: vec![self.socket()], ..BusConfig::default() };
+        let config = BusConfig {
+            mode: Mode::Client,
+            connect: vec![self.socket()],
+            ..BusConfig::default()
+        };
         Bus::open(&config).await.unwrap()
     }
 
@@ -343,10 +455,22 @@ impl Line {
         let certificate = self.certificate("node-worker", nodes[0]);
         let nodes: Vec<&str> = nodes.iter().flat_map(|node| ["--node", node]).collect();
         let mut worker = self.command(computer, "identify");
-        worker.args(&nodes).args(["--listen", AT_NODE, "--connect", &self.remote(), "--certificate"]).arg(certificate);
+        worker
+            .args(&nodes)
+            .args([
+                "--listen",
+                AT_NODE,
+                "--connect",
+                &self.remote(),
+                "--certificate",
+            ])
+            .arg(certificate);
         self.serve(&mut worker);
         let mut sensors = self.command(computer, "simulate");
-        sensors.args(&nodes).args(["--live", "--connect", AT_NODE]).env("SPANDREL_BUS__MODE", "client");
+        sensors
+            .args(&nodes)
+            .args(["--live", "--connect", AT_NODE])
+            .env("SPANDREL_BUS__MODE", "client");
         self.processes.push(Process::start(&mut sensors));
     }
 
@@ -355,7 +479,10 @@ impl Line {
         let (begun, before) = (Instant::now(), self.lab.bytes("node"));
         sleep(Duration::from_secs_f64(COUNTED_S)).await;
         let (after, seconds) = (self.lab.bytes("node"), begun.elapsed().as_secs_f64());
-        ((after.1 - before.1) as f64 / seconds, (after.0 - before.0) as f64 / seconds)
+        (
+            (after.1 - before.1) as f64 / seconds,
+            (after.0 - before.0) as f64 / seconds,
+        )
     }
 }
 
@@ -364,47 +491,106 @@ async fn raw(text: &str, node: &str) -> Option<Traffic> {
     let text = without_fusion(text).replacen("identification = \"distributed\"\n", "", 1);
     let mut line = Line::new(&text)?;
     let mut ingest = line.command("station", "ingest");
-    ingest.args(["--listen", &line.remote(), "--listen", &line.socket(), "--certificate"]);
+    ingest.args([
+        "--listen",
+        &line.remote(),
+        "--listen",
+        &line.socket(),
+        "--certificate",
+    ]);
     ingest.arg(line.certificate("server", ""));
     line.serve(&mut ingest);
     let mut sensor = line.command("node", "simulate");
-    sensor.args(["--live", "--node", node, "--connect", &line.remote(), "--certificate"]);
-    sensor.arg(line.certificate("sensor", node)).env("SPANDREL_BUS__MODE", "client");
+    sensor.args([
+        "--live",
+        "--node",
+        node,
+        "--connect",
+        &line.remote(),
+        "--certificate",
+    ]);
+    sensor
+        .arg(line.certificate("sensor", node))
+        .env("SPANDREL_BUS__MODE", "client");
     line.processes.push(Process::start(&mut sensor));
     let bus = line.join().await;
-    let samples = bus.subscribe::<SampleBlock>(line.keys.samples(&Name::new(node).unwrap()), 1 << 14).await.unwrap();
+    let samples = bus
+        .subscribe::<SampleBlock>(line.keys.samples(&Name::new(node).unwrap()), 1 << 14)
+        .await
+        .unwrap();
     sleep(Duration::from_secs_f64(WARM_UP_S)).await;
     samples.messages().drain();
     let (wire_up, wire_down) = line.watch_wire().await;
     let blocks: Vec<SampleBlock> = samples.messages().drain().map(|(_, block)| block).collect();
-    let payload: usize = blocks.iter().map(|block| block.encode().unwrap().len()).sum();
+    let payload: usize = blocks
+        .iter()
+        .map(|block| block.encode().unwrap().len())
+        .sum();
     let seconds: f64 = blocks
         .iter()
-        .map(|block| block.samples.len() as f64 / f64::from(block.channels) / block.sampling_rate_hz)
+        .map(|block| {
+            block.samples.len() as f64 / f64::from(block.channels) / block.sampling_rate_hz
+        })
         .sum();
-    Some(Traffic { payload_up: payload as f64 / seconds, payload_down: 0.0, wire_up, wire_down })
+    Some(Traffic {
+        payload_up: payload as f64 / seconds,
+        payload_down: 0.0,
+        wire_up,
+        wire_down,
+    })
 }
 
 /// Local estimates and answers of a node; also in how many of the fusions it and the others took part on average.
 async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
     let mut line = Line::new(text)?;
     let mut station = line.command("station", "fuse");
-    station.args(["--listen", &line.remote(), "--listen", &line.socket(), "--certificate"]);
+    station.args([
+        "--listen",
+        &line.remote(),
+        "--listen",
+        &line.socket(),
+        "--certificate",
+    ]);
     station.arg(line.certificate("server", ""));
     line.serve(&mut station);
-    let names: Vec<String> = line.structure.nodes().iter().map(|node| node.name().to_owned()).collect();
-    let others: Vec<&str> = names.iter().map(String::as_str).filter(|name| *name != node).collect();
+    let names: Vec<String> = line
+        .structure
+        .nodes()
+        .iter()
+        .map(|node| node.name().to_owned())
+        .collect();
+    let others: Vec<&str> = names
+        .iter()
+        .map(String::as_str)
+        .filter(|name| *name != node)
+        .collect();
     line.start_nodes("station", &others);
     line.start_nodes("node", &[node]);
     let bus = line.join().await;
-    let nodes = bus.subscribe::<NodeDisplay>(line.keys.all_nodes(), 1 << 14).await.unwrap();
+    let nodes = bus
+        .subscribe::<NodeDisplay>(line.keys.all_nodes(), 1 << 14)
+        .await
+        .unwrap();
     sleep(Duration::from_secs_f64(WARM_UP_S)).await;
     nodes.messages().drain();
     let (wire_up, wire_down) = line.watch_wire().await;
-    let told: Vec<NodeDisplay> = nodes.messages().drain().map(|(_, display)| display).collect();
-    let used = told.iter().filter(|display| display.state == spandrel_bus::NodeHealth::Used).count();
-    let of_node: Vec<&NodeDisplay> = told.iter().filter(|display| display.node.as_str() == node).collect();
-    let (first, last) = (of_node.first().expect("a fusion"), of_node.last().expect("a fusion"));
+    let told: Vec<NodeDisplay> = nodes
+        .messages()
+        .drain()
+        .map(|(_, display)| display)
+        .collect();
+    let used = told
+        .iter()
+        .filter(|display| display.state == spandrel_bus::NodeHealth::Used)
+        .count();
+    let of_node: Vec<&NodeDisplay> = told
+        .iter()
+        .filter(|display| display.node.as_str() == node)
+        .collect();
+    let (first, last) = (
+        of_node.first().expect("a fusion"),
+        of_node.last().expect("a fusion"),
+    );
     // one message a second
     let messages = (last.messages - first.messages) as f64;
     let traffic = Traffic {
@@ -418,31 +604,51 @@ async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
 
 /// The text with a part of the sampling rate.
 fn slower(text: &str, part: f64) -> String {
-    let line = text.lines().find(|line| line.starts_with("sampling-rate-hz = ")).unwrap();
-    let rate_hz: f64 = line.trim_start_matches("sampling-rate-hz = ").trim().parse().unwrap();
+    let line = text
+        .lines()
+        .find(|line| line.starts_with("sampling-rate-hz = "))
+        .unwrap();
+    let rate_hz: f64 = line
+        .trim_start_matches("sampling-rate-hz = ")
+        .trim()
+        .parse()
+        .unwrap();
     text.replacen(line, &format!("sampling-rate-hz = {}", rate_hz / part), 1)
 }
 
 /// The text of an example without its `[fusion]`.
 fn without_fusion(text: &str) -> String {
-    let (start, end) = (text.find("[fusion]").unwrap(), text.find("[simulation]").unwrap());
+    let (start, end) = (
+        text.find("[fusion]").unwrap(),
+        text.find("[simulation]").unwrap(),
+    );
     format!("{}{}", &text[..start], &text[end..])
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes eight minutes; prints the table of docs/distributed.md and compares"]
 async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
-    println!("| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes in a fusion |");
+    println!(
+        "| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes in a fusion |"
+    );
     println!("|---|---|---|---|---|---|---|---|---|");
     let mut measured = Vec::new();
     for example in [BUILDING, BRIDGE] {
-        let Some(raw) = raw(&example.text(), example.node).await else { return };
+        let Some(raw) = raw(&example.text(), example.node).await else {
+            return;
+        };
         let mut show = |row: String, of: Traffic, nodes: Option<(f64, usize)>| {
-            let Traffic { payload_up, payload_down, wire_up, wire_down } = of;
+            let Traffic {
+                payload_up,
+                payload_down,
+                wire_up,
+                wire_down,
+            } = of;
             let share = payload_up / raw.payload_up;
             let both = (payload_up + payload_down) / raw.payload_up;
             let wire = (wire_up + wire_down) / (raw.wire_up + raw.wire_down);
-            let heard = nodes.map_or_else(String::new, |(heard, all)| format!("{heard:.1} of {all}"));
+            let heard =
+                nodes.map_or_else(String::new, |(heard, all)| format!("{heard:.1} of {all}"));
             println!(
                 "| {row} | {payload_up:.0} | {payload_down:.0} | {wire_up:.0} | {wire_down:.0} | \
                  {share:.3} | {both:.3} | {wire:.3} | {heard} |"
@@ -451,8 +657,15 @@ async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
         };
         show(example.raw_row(), raw, None);
         for (row, text) in example.exchanges() {
-            let Some((traffic, nodes)) = distributed(&slower(&text, example.part), example.node).await else { return };
-            let all = Structure::parse(&text, Path::new(example.file)).unwrap().nodes().len();
+            let Some((traffic, nodes)) =
+                distributed(&slower(&text, example.part), example.node).await
+            else {
+                return;
+            };
+            let all = Structure::parse(&text, Path::new(example.file))
+                .unwrap()
+                .nodes()
+                .len();
             show(row, traffic, Some((nodes, all)));
         }
     }
@@ -465,9 +678,17 @@ async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
         assert_near(row, "wire up", of.wire_up, expected_up, WIRE_WITHIN);
         assert_near(row, "wire down", of.wire_down, expected_down, WIRE_WITHIN);
         if !row.contains("samples") || row.contains("raw") {
-            assert_near(row, "payload up", of.payload_up, documented.payload_up, PAYLOAD_WITHIN);
+            assert_near(
+                row,
+                "payload up",
+                of.payload_up,
+                documented.payload_up,
+                PAYLOAD_WITHIN,
+            );
         }
-        if (of.payload_down - documented.payload_down).abs() > 1.0 + PAYLOAD_WITHIN * documented.payload_down {
+        if (of.payload_down - documented.payload_down).abs()
+            > 1.0 + PAYLOAD_WITHIN * documented.payload_down
+        {
             println!(
                 "{row}: {:.0} bytes/s in answers for {}, {nodes:?} heard",
                 of.payload_down, documented.payload_down

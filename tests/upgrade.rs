@@ -5,15 +5,25 @@
 //!
 //! `cargo test --workspace --test upgrade -- --ignored` adds the folder of this version, with a release.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 mod support;
 
 use serde_json::Value;
-use spandrel_bus::{AlertMessage, AlertState, Bus, HistoryLog, HistorySpan, Name, Service, Start, StreamSettings};
+use spandrel_bus::{
+    AlertMessage, AlertState, Bus, HistoryLog, HistorySpan, Name, Service, Start, StreamSettings,
+};
 use spandrel_checkpoint::{Checkpoints, Identity, Place};
 use std::path::{Path, PathBuf};
-use support::{DEADLINE, EstimateReader, Identified, Process, Record, Sensors, Site, put_raw, two_storeys, within};
+use support::{
+    DEADLINE, EstimateReader, Identified, Process, Record, Sensors, Site, put_raw, two_storeys,
+    within,
+};
 
 /// First chunk of all keys: recording and history name it.
 const ROOT: &str = "kept";
@@ -34,7 +44,9 @@ fn fixtures() -> PathBuf {
 
 /// The folders of earlier versions, and of this one.
 fn versions() -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(fixtures()).unwrap().map(|entry| entry.unwrap().path());
+    let entries = std::fs::read_dir(fixtures())
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
     let mut folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
     folders.sort();
     folders
@@ -73,7 +85,14 @@ impl Kept {
         let text = std::fs::read_to_string(version.join("structure.toml")).unwrap();
         let given = text.replace("loss = 0.05\n", &format!("loss = 0.05\n{DESIGN_AS_EXACT}"));
         assert!(given != text, "{text}");
-        Self::with(version, Site::with(if text.contains("reference") { &text } else { &given }))
+        Self::with(
+            version,
+            Site::with(if text.contains("reference") {
+                &text
+            } else {
+                &given
+            }),
+        )
     }
 
     fn with(version: &Path, site: Site) -> Self {
@@ -81,25 +100,42 @@ impl Kept {
         let state = site.folder().join("state");
         copy(&version.join("state"), &state);
         let record = Record::read(&version.join("record.csv"));
-        let known = serde_json::from_str(&std::fs::read_to_string(version.join("known.json")).unwrap()).unwrap();
+        let known =
+            serde_json::from_str(&std::fs::read_to_string(version.join("known.json")).unwrap())
+                .unwrap();
         let is_filter_read = !version.ends_with("0.1.0");
-        Self { site, state, record, known, is_filter_read }
+        Self {
+            site,
+            state,
+            record,
+            known,
+            is_filter_read,
+        }
     }
 
     fn checkpoints(&self) -> PathBuf {
-        self.state.join("spandrel").join(ROOT).join("house/checkpoints")
+        self.state
+            .join("spandrel")
+            .join(ROOT)
+            .join("house/checkpoints")
     }
 
     /// The epoch of its frames, by the name of a checkpoint.
     fn epoch(&self) -> u64 {
         let entries = std::fs::read_dir(self.checkpoints()).unwrap();
         let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
-        let name = names.filter(|name| name.starts_with("identify-")).last().unwrap();
+        let name = names
+            .filter(|name| name.starts_with("identify-"))
+            .last()
+            .unwrap();
         name.split('-').nth(1).unwrap().parse().unwrap()
     }
 
     fn recording(&self) -> PathBuf {
-        self.state.join("spandrel").join(ROOT).join("house/recording")
+        self.state
+            .join("spandrel")
+            .join(ROOT)
+            .join("house/recording")
     }
 
     fn run(&self) -> Process {
@@ -109,7 +145,11 @@ impl Kept {
 
 fn run(site: &Site, state: &Path) -> Process {
     let mut command = site.listening("run");
-    let services = Process::start(command.args(["--http", "none"]).env("XDG_STATE_HOME", state));
+    let services = Process::start(
+        command
+            .args(["--http", "none"])
+            .env("XDG_STATE_HOME", state),
+    );
     services.wait_for_log("ready structures=1");
     services
 }
@@ -129,11 +169,15 @@ async fn alert_of_storey_2(bus: &Bus, site: &Site) -> AlertMessage {
 
 /// All displayed values of storey 2, once the last of them is at `until_s`.
 async fn history_of_storey_2(bus: &Bus, site: &Site, until_s: f64) -> HistorySpan {
-    let key = format!("{}?points=20000", site.keys().history(&Name::new("storey-2").unwrap()));
+    let key = format!(
+        "{}?points=20000",
+        site.keys().history(&Name::new("storey-2").unwrap())
+    );
     within("the history of storey 2", async {
         loop {
             let answers = bus.ask::<HistorySpan>(&key, DEADLINE).await.unwrap();
-            let is_there = |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last >= until_s);
+            let is_there =
+                |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last >= until_s);
             if let Some((_, span)) = answers.into_iter().find(|(_, span)| is_there(span)) {
                 return span;
             }
@@ -148,7 +192,11 @@ fn difference(expected: &[Identified], found: &[Identified]) -> f64 {
     assert_eq!(expected.len(), found.len(), "frames");
     let of = |(a, b): (&Identified, &Identified)| {
         assert_eq!(a.time_ns, b.time_ns);
-        let pairs = a.mean_and_std.iter().zip(&b.mean_and_std).map(|(a, b)| (a.0 - b.0).abs().max((a.1 - b.1).abs()));
+        let pairs = a
+            .mean_and_std
+            .iter()
+            .zip(&b.mean_and_std)
+            .map(|(a, b)| (a.0 - b.0).abs().max((a.1 - b.1).abs()));
         pairs.fold(0.0, f64::max)
     };
     expected.iter().zip(found).map(of).fold(0.0, f64::max)
@@ -164,8 +212,14 @@ fn assert_as_known(found: &AlertMessage, known: &Value) {
 
 /// The changes that the alert service remembers of storey 2, oldest first.
 async fn log_of_storey_2(bus: &Bus, site: &Site) -> Vec<AlertMessage> {
-    let logs = bus.ask::<HistoryLog>(&site.keys().alert_log(), DEADLINE).await.unwrap();
-    logs.into_iter().flat_map(|(_, log)| log.alerts).filter(|alert| alert.parameter.as_str() == "storey-2").collect()
+    let logs = bus
+        .ask::<HistoryLog>(&site.keys().alert_log(), DEADLINE)
+        .await
+        .unwrap();
+    logs.into_iter()
+        .flat_map(|(_, log)| log.alerts)
+        .filter(|alert| alert.parameter.as_str() == "storey-2")
+        .collect()
 }
 
 fn states(alerts: &[AlertMessage]) -> Vec<AlertState> {
@@ -177,15 +231,23 @@ async fn services_go_on_from_what_each_version_has_left() {
     for version in versions() {
         println!("{}", version.display());
         let kept = Kept::with_reference(&version);
-        let expected = kept.site.estimate(kept.record.clone().save_as_copy(kept.site.folder()));
+        let expected = kept
+            .site
+            .estimate(kept.record.clone().save_as_copy(kept.site.folder()));
         let epoch = kept.epoch();
         let services = kept.run();
         let log = services.log();
         let of_identify: &[&str] = match kept.is_filter_read {
             true => &["spandrel_identify::memory: goes on"],
-            false => &["it has version 1 of its layout", "identifies the recorded frames again refused=1"],
+            false => &[
+                "it has version 1 of its layout",
+                "identifies the recorded frames again refused=1",
+            ],
         };
-        for told in of_identify.iter().chain(&["spandrel_alert::memory: goes on", "goes on where its recording"]) {
+        for told in of_identify.iter().chain(&[
+            "spandrel_alert::memory: goes on",
+            "goes on where its recording",
+        ]) {
             assert!(log.contains(told), "expected {told}, found:\n{log}");
         }
         assert!(log.contains(&format!("frame={SEEN}")), "{log}");
@@ -197,42 +259,81 @@ async fn services_go_on_from_what_each_version_has_left() {
         let changes = log_of_storey_2(&bus, &kept.site).await;
         assert_eq!(
             states(&changes),
-            [AlertState::Pending, AlertState::Raised, AlertState::Acknowledged],
+            [
+                AlertState::Pending,
+                AlertState::Raised,
+                AlertState::Acknowledged
+            ],
             "{changes:?}"
         );
         // the history: what was displayed, and what happened
         let span = history_of_storey_2(&bus, &kept.site, 7.0).await;
-        assert_eq!(serde_json::to_value(&span).unwrap(), kept.known["history"], "history");
-        let log = bus.ask::<HistoryLog>(&keys.history_log(), DEADLINE).await.unwrap();
-        assert!(log[0].1.acknowledgements.iter().any(|seen| seen.who == "Ada"), "{log:?}");
+        assert_eq!(
+            serde_json::to_value(&span).unwrap(),
+            kept.known["history"],
+            "history"
+        );
+        let log = bus
+            .ask::<HistoryLog>(&keys.history_log(), DEADLINE)
+            .await
+            .unwrap();
+        assert!(
+            log[0]
+                .1
+                .acknowledgements
+                .iter()
+                .any(|seen| seen.who == "Ada"),
+            "{log:?}"
+        );
 
         // the identification: the rest of the record on top of what was learnt, or of what the recording teaches
         let first = if kept.is_filter_read { SEEN } else { 0 };
-        let start = Start::At { epoch, sequence: first as u64 };
-        let mut reader = EstimateReader::with_settings(&bus, &keys, StreamSettings::new(start)).await;
-        let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
+        let start = Start::At {
+            epoch,
+            sequence: first as u64,
+        };
+        let mut reader =
+            EstimateReader::with_settings(&bus, &keys, StreamSettings::new(start)).await;
+        let mut decided = bus
+            .watch_progress(keys.progress(Service::Alert))
+            .await
+            .unwrap();
         let mut sensors = Sensors::start(&bus, &keys, kept.site.structure(), &kept.record).await;
         sensors.put(0..SEEN).await;
         sensors.put(SEEN..ROWS).await;
         let found = reader.read_frames(ROWS - first).await;
         let off = difference(&expected.frames[first..], found);
         println!("frames {first} to {ROWS}: difference of {off}");
-        assert!(off < ROUNDED, "frames {first} to {ROWS} are identified with a difference of {off}");
+        assert!(
+            off < ROUNDED,
+            "frames {first} to {ROWS} are identified with a difference of {off}"
+        );
 
         // and the alert stands on top of it
-        within("decision on all frames", decided.wait_for(|progress| progress.done >= ROWS as u64)).await;
+        within(
+            "decision on all frames",
+            decided.wait_for(|progress| progress.done >= ROWS as u64),
+        )
+        .await;
         let alert = alert_of_storey_2(&bus, &kept.site).await;
         assert_eq!(
             (alert.state, alert.acknowledged_by.as_deref()),
             (AlertState::Acknowledged, Some("Ada")),
             "{alert:?}"
         );
-        assert_eq!(serde_json::to_value(alert.since_ns).unwrap(), kept.known["alert"]["since_ns"]);
+        assert_eq!(
+            serde_json::to_value(alert.since_ns).unwrap(),
+            kept.known["alert"]["since_ns"]
+        );
         // frames that are identified again do not change what the history has of them
         let span = serde_json::to_value(history_of_storey_2(&bus, &kept.site, 11.0).await).unwrap();
         for (column, before) in kept.known["history"]["rows"].as_object().unwrap() {
             let before = before.as_array().unwrap();
-            assert_eq!(&span["rows"][column].as_array().unwrap()[..before.len()], before, "{column}");
+            assert_eq!(
+                &span["rows"][column].as_array().unwrap()[..before.len()],
+                before,
+                "{column}"
+            );
         }
         services.stop().expect_code(0);
     }
@@ -247,7 +348,11 @@ async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
     assert_eq!(alert_of_storey_2(&bus, &kept.site).await.state, Learning);
     let changes = log_of_storey_2(&bus, &kept.site).await;
     use AlertState::{Acknowledged, Cleared, Learning, Pending, Raised};
-    assert_eq!(states(&changes), [Pending, Raised, Acknowledged, Cleared, Learning], "{changes:?}");
+    assert_eq!(
+        states(&changes),
+        [Pending, Raised, Acknowledged, Cleared, Learning],
+        "{changes:?}"
+    );
     assert_as_known(&changes[2], &kept.known["alert"]);
     assert_eq!(
         changes[3].why,
@@ -257,10 +362,20 @@ async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
     let keys = kept.site.keys();
     within("the end in the history", async {
         loop {
-            let logs = bus.ask::<HistoryLog>(&keys.history_log(), DEADLINE).await.unwrap();
+            let logs = bus
+                .ask::<HistoryLog>(&keys.history_log(), DEADLINE)
+                .await
+                .unwrap();
             let log = &logs[0].1;
-            assert!(log.acknowledgements.iter().any(|seen| seen.who == "Ada"), "{log:?}");
-            if log.alerts.iter().any(|alert| alert.state == Cleared && alert.parameter.as_str() == "storey-2") {
+            assert!(
+                log.acknowledgements.iter().any(|seen| seen.who == "Ada"),
+                "{log:?}"
+            );
+            if log
+                .alerts
+                .iter()
+                .any(|alert| alert.state == Cleared && alert.parameter.as_str() == "storey-2")
+            {
                 return;
             }
             tokio::time::sleep(std::time::Duration::from_millis(100)).await;
@@ -276,14 +391,24 @@ async fn the_recording_of_each_version_holds_what_was_measured() {
         let kept = Kept::of(&version);
         let copied = kept.site.folder().join("frames.csv");
         let mut convert = support::spandrel("convert");
-        Process::start(convert.arg(kept.recording()).arg(&copied)).wait().expect_code(0);
+        Process::start(convert.arg(kept.recording()).arg(&copied))
+            .wait()
+            .expect_code(0);
         let found = Record::read(&copied);
         assert_eq!(found.len(), SEEN, "frames");
         for channel in kept.record.channels() {
-            let name = found.channels().iter().find(|name| name.starts_with(channel.as_str())).unwrap();
+            let name = found
+                .channels()
+                .iter()
+                .find(|name| name.starts_with(channel.as_str()))
+                .unwrap();
             for row in 0..SEEN {
                 let (expected, found) = (kept.record.value(row, channel), found.value(row, name));
-                assert_eq!(expected.to_bits(), found.to_bits(), "{channel}, frame {row}");
+                assert_eq!(
+                    expected.to_bits(),
+                    found.to_bits(),
+                    "{channel}, frame {row}"
+                );
             }
         }
     }
@@ -293,31 +418,63 @@ async fn the_recording_of_each_version_holds_what_was_measured() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_again() {
     let kept = Kept::of(versions().last().unwrap());
-    let expected = kept.site.estimate(kept.record.clone().save_as_copy(kept.site.folder()));
+    let expected = kept
+        .site
+        .estimate(kept.record.clone().save_as_copy(kept.site.folder()));
     for entry in std::fs::read_dir(kept.checkpoints()).unwrap() {
         std::fs::remove_file(entry.unwrap().path()).unwrap();
     }
     for kind in ["identify", "alert"] {
-        let identity = Identity { kind, version: 1_000, of: "house".to_owned(), basis: String::new() };
-        let place = Place { epoch: 1, sequence: 1 };
-        Checkpoints::open(&kept.checkpoints(), identity).unwrap().save(place, &"later".to_owned()).unwrap();
+        let identity = Identity {
+            kind,
+            version: 1_000,
+            of: "house".to_owned(),
+            basis: String::new(),
+        };
+        let place = Place {
+            epoch: 1,
+            sequence: 1,
+        };
+        Checkpoints::open(&kept.checkpoints(), identity)
+            .unwrap()
+            .save(place, &"later".to_owned())
+            .unwrap();
     }
     let services = kept.run();
     let log = services.log();
     for kind in ["identify", "alert"] {
         let name = format!("{kind}-{:020}-{:020}.checkpoint.refused", 1, 1);
-        let line = log.lines().find(|line| line.contains(&name)).unwrap_or_else(|| panic!("{name} in\n{log}"));
-        assert!(line.contains("it has version 1000 of its layout, this program reads "), "{line}");
+        let line = log
+            .lines()
+            .find(|line| line.contains(&name))
+            .unwrap_or_else(|| panic!("{name} in\n{log}"));
+        assert!(
+            line.contains("it has version 1000 of its layout, this program reads "),
+            "{line}"
+        );
         assert!(kept.checkpoints().join(name).is_file());
     }
     let (bus, keys) = (kept.site.join().await, kept.site.keys());
     let mut reader = EstimateReader::join(&bus, &keys).await;
     let found = reader.read_frames(SEEN).await;
     let off = difference(&expected.frames[..SEEN], found);
-    assert!(off < ROUNDED, "the recording is identified with a difference of {off}");
-    let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
-    within("decision on all frames", decided.wait_for(|progress| progress.done >= SEEN as u64)).await;
-    assert_ne!(alert_of_storey_2(&bus, &kept.site).await.state, AlertState::Normal);
+    assert!(
+        off < ROUNDED,
+        "the recording is identified with a difference of {off}"
+    );
+    let mut decided = bus
+        .watch_progress(keys.progress(Service::Alert))
+        .await
+        .unwrap();
+    within(
+        "decision on all frames",
+        decided.wait_for(|progress| progress.done >= SEEN as u64),
+    )
+    .await;
+    assert_ne!(
+        alert_of_storey_2(&bus, &kept.site).await.state,
+        AlertState::Normal
+    );
     services.stop().expect_code(0);
 }
 
@@ -326,23 +483,43 @@ async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_aga
 #[ignore = "adds a folder to tests/fixtures/kept, once for each release"]
 async fn write_what_this_version_leaves() {
     let folder = fixtures().join(env!("CARGO_PKG_VERSION"));
-    assert!(!folder.exists(), "{} is there already, and must stay as it was written", folder.display());
+    assert!(
+        !folder.exists(),
+        "{} is there already, and must stay as it was written",
+        folder.display()
+    );
     let site = Site::with(&two_storeys(RULES)).rooted(ROOT);
     let record = site.simulate(ROWS as f64 / 100.0).rounded(5);
     let state = site.folder().join("state");
     let services = run(&site, &state);
     let (bus, keys) = (site.join().await, site.keys());
     site.wait_for_services(&bus).await;
-    let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
-    let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), 256).await.unwrap();
+    let mut decided = bus
+        .watch_progress(keys.progress(Service::Alert))
+        .await
+        .unwrap();
+    let alerts = bus
+        .subscribe::<AlertMessage>(keys.all_alerts(), 256)
+        .await
+        .unwrap();
     let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
     for block in 0..SEEN / 100 {
         sensors.put(100 * block..100 * (block + 1)).await;
     }
-    within("decision on all frames", decided.wait_for(|progress| progress.done >= SEEN as u64)).await;
+    within(
+        "decision on all frames",
+        decided.wait_for(|progress| progress.done >= SEEN as u64),
+    )
+    .await;
     let json =
         br#"{"structure": "house", "parameter": "storey-2", "time_ns": 8000000000, "who": "Ada", "note": "seen"}"#;
-    put_raw(&bus, &keys.acknowledge(&Name::new("storey-2").unwrap()), "application/json", json.to_vec()).await;
+    put_raw(
+        &bus,
+        &keys.acknowledge(&Name::new("storey-2").unwrap()),
+        "application/json",
+        json.to_vec(),
+    )
+    .await;
     within("an acknowledged alert", async {
         while alerts.messages().recv_async().await.unwrap().1.state != AlertState::Acknowledged {}
     })
@@ -352,7 +529,11 @@ async fn write_what_this_version_leaves() {
     services.stop().expect_code(0);
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::copy(site.structure_file(), folder.join("structure.toml")).unwrap();
-    std::fs::write(folder.join("known.json"), serde_json::to_string(&known).unwrap()).unwrap();
+    std::fs::write(
+        folder.join("known.json"),
+        serde_json::to_string(&known).unwrap(),
+    )
+    .unwrap();
     copy(&state, &folder.join("state"));
     record.clone().save_as_copy(&folder);
 }

@@ -14,16 +14,26 @@ const FAILED: i32 = 1;
 fn write_certificate(folder: &Path, name: &str, issuer: &Issuer<'_, KeyPair>, years: (i32, i32)) {
     let key = KeyPair::generate().unwrap();
     let mut params = CertificateParams::default();
-    params.distinguished_name.push(DnType::CommonName, "viewer.ada");
-    (params.not_before, params.not_after) = (date_time_ymd(years.0, 1, 1), date_time_ymd(years.1, 1, 1));
-    std::fs::write(folder.join(name).with_extension("pem"), params.signed_by(&key, issuer).unwrap().pem()).unwrap();
+    params
+        .distinguished_name
+        .push(DnType::CommonName, "viewer.ada");
+    (params.not_before, params.not_after) =
+        (date_time_ymd(years.0, 1, 1), date_time_ymd(years.1, 1, 1));
+    std::fs::write(
+        folder.join(name).with_extension("pem"),
+        params.signed_by(&key, issuer).unwrap().pem(),
+    )
+    .unwrap();
     std::fs::write(folder.join(name).with_extension("key"), key.serialize_pem()).unwrap();
 }
 
 /// Without the number of days, which grows.
 fn undated(finished: Finished) -> Finished {
     let stderr = match finished.stderr.split_once(" days ago") {
-        Some((before, after)) => format!("{} DAYS ago{after}", before.trim_end_matches(|c: char| c.is_ascii_digit())),
+        Some((before, after)) => format!(
+            "{} DAYS ago{after}",
+            before.trim_end_matches(|c: char| c.is_ascii_digit())
+        ),
         None => return finished,
     };
     Finished { stderr, ..finished }
@@ -34,13 +44,21 @@ pub fn all(table: &mut Table) {
     let site = Secured::new(&five_storeys(), &["viewer.ada"]);
     let folder = site.folder();
     let read = |file: &str| std::fs::read_to_string(folder.join(file)).unwrap();
-    let issuer =
-        Issuer::from_ca_cert_pem(&read("authority.pem"), KeyPair::from_pem(&read("authority.key")).unwrap()).unwrap();
+    let issuer = Issuer::from_ca_cert_pem(
+        &read("authority.pem"),
+        KeyPair::from_pem(&read("authority.key")).unwrap(),
+    )
+    .unwrap();
     write_certificate(&folder, "expired", &issuer, (2020, 2021));
     write_certificate(&folder, "early", &issuer, (2990, 2999));
     let mut authority = CertificateParams::default();
     authority.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    write_certificate(&folder, "foreign", &Issuer::new(authority, KeyPair::generate().unwrap()), (2020, 2999));
+    write_certificate(
+        &folder,
+        "foreign",
+        &Issuer::new(authority, KeyPair::generate().unwrap()),
+        (2020, 2999),
+    );
     std::fs::write(folder.join("none.pem"), "no certificate").unwrap();
     std::fs::write(folder.join("none.key"), "no key").unwrap();
     std::fs::copy(folder.join("viewer.ada.pem"), folder.join("swapped.pem")).unwrap();
@@ -54,40 +72,100 @@ pub fn all(table: &mut Table) {
     };
     let endpoint = free_endpoint().replace("tcp/", "quic/");
     for (given, file, told) in [
-        ("a certificate that is not there", "nowhere.pem", &["nowhere.pem", "No such file"][..]),
+        (
+            "a certificate that is not there",
+            "nowhere.pem",
+            &["nowhere.pem", "No such file"][..],
+        ),
         ("a file that is no certificate", "none.pem", &["none.pem"]),
-        ("a certificate without its key", "keyless.pem", &["keyless.key", "No such file"]),
+        (
+            "a certificate without its key",
+            "keyless.pem",
+            &["keyless.key", "No such file"],
+        ),
         ("half a key", "halved.pem", &["halved.key"]),
-        ("the key of another certificate", "swapped.pem", &["swapped.key", "is not that of certificate"]),
-        ("a certificate that has expired", "expired.pem", &["expired.pem", "it expired"]),
-        ("a certificate that is not valid yet", "early.pem", &["early.pem"]),
-        ("a certificate of another authority", "foreign.pem", &["foreign.pem", "has not issued it"]),
+        (
+            "the key of another certificate",
+            "swapped.pem",
+            &["swapped.key", "is not that of certificate"],
+        ),
+        (
+            "a certificate that has expired",
+            "expired.pem",
+            &["expired.pem", "it expired"],
+        ),
+        (
+            "a certificate that is not valid yet",
+            "early.pem",
+            &["early.pem"],
+        ),
+        (
+            "a certificate of another authority",
+            "foreign.pem",
+            &["foreign.pem", "has not issued it"],
+        ),
     ] {
         let finished = finish("watch", &["--connect", &endpoint, "--certificate", file]);
         assert!(!finished.stderr.contains("PRIVATE"), "{}", finished.stderr);
         let told: Vec<String> = told.iter().map(|part| (*part).to_owned()).collect();
-        let code = if ["expired.pem", "early.pem"].contains(&file) { FAILED } else { BAD_INPUT };
+        let code = if ["expired.pem", "early.pem"].contains(&file) {
+            FAILED
+        } else {
+            BAD_INPUT
+        };
         table.add_ended(given, (code, &told), &undated(finished));
     }
-    std::fs::write(folder.join("open.json5"), "{ listen: { endpoints: [\"tcp/127.0.0.1:0\"] } }").unwrap();
+    std::fs::write(
+        folder.join("open.json5"),
+        "{ listen: { endpoints: [\"tcp/127.0.0.1:0\"] } }",
+    )
+    .unwrap();
     std::fs::write(folder.join("half.json5"), "{ mode: ").unwrap();
     std::fs::write(folder.join("half.json"), "[{").unwrap();
     let structure = five_storeys();
-    let page = ["run", structure.to_str().unwrap(), "--listen", "tcp/127.0.0.1:0"];
+    let page = [
+        "run",
+        structure.to_str().unwrap(),
+        "--listen",
+        "tcp/127.0.0.1:0",
+    ];
     for (given, (subcommand, arguments), told) in [
-        ("a router file that looks for others", ("router", &["open.json5"][..]), &["multicast"][..]),
-        ("a router file that ends early", ("router", &["half.json5"]), &["half.json5"]),
-        ("a role that is none", ("site", &["issue", ".", "boss", "x"]), &["boss", "operator"]),
+        (
+            "a router file that looks for others",
+            ("router", &["open.json5"][..]),
+            &["multicast"][..],
+        ),
+        (
+            "a router file that ends early",
+            ("router", &["half.json5"]),
+            &["half.json5"],
+        ),
+        (
+            "a role that is none",
+            ("site", &["issue", ".", "boss", "x"]),
+            &["boss", "operator"],
+        ),
         (
             "a second certificate of one name",
             ("site", &["issue", ".", "viewer", "ada"]),
             &["viewer.ada.pem", "--replace"],
         ),
-        ("tokens that are no JSON", (page[0], &page[1..]), &["half.json:1", "spandrel token"]),
+        (
+            "tokens that are no JSON",
+            (page[0], &page[1..]),
+            &["half.json:1", "spandrel token"],
+        ),
     ] {
         let mut command = spandrel(subcommand);
-        command.current_dir(&folder).args(arguments).env("SPANDREL_DASHBOARD__TOKENS", "half.json");
+        command
+            .current_dir(&folder)
+            .args(arguments)
+            .env("SPANDREL_DASHBOARD__TOKENS", "half.json");
         let told: Vec<String> = told.iter().map(|part| (*part).to_owned()).collect();
-        table.add_ended(given, (BAD_INPUT, &told), &Process::start(&mut command).wait());
+        table.add_ended(
+            given,
+            (BAD_INPUT, &told),
+            &Process::start(&mut command).wait(),
+        );
     }
 }

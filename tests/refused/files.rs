@@ -31,17 +31,62 @@ fn building_with(old: &str, new: &str) -> String {
 }
 
 /// A mistake in a structure file: what is replaced by what, and what the error names.
-type Mistake = (&'static str, &'static str, &'static str, &'static [&'static str]);
+type Mistake = (
+    &'static str,
+    &'static str,
+    &'static str,
+    &'static [&'static str],
+);
 
 const MISTAKES: [Mistake; 19] = [
-    ("no value behind a key", "storeys = 2", "storeys = ", &["syntax", "must be TOML"]),
-    ("a text for a number", "storeys = 2", "storeys = \"two\"", &["model.storeys", "\"two\"", "from 1 to 1000"]),
-    ("more storeys than allowed", "storeys = 2", "storeys = 2000000", &["model.storeys", "2000000", "1000"]),
-    ("a mass that is not a number", "mass-kg = 20_000", "mass-kg = nan", &["model.mass-kg", "nan", "finite"]),
-    ("a negative mass", "mass-kg = 20_000", "mass-kg = -20_000", &["model.mass-kg", "-20000", "above 0"]),
-    ("an unknown model", "\"shear-building\"", "\"pyramid\"", &["model.kind", "\"pyramid\"", "\"truss\""]),
-    ("an unknown key", "ratio = 0.02", "ratio = 0.02\nration = 1", &["damping.ration", "not a known key", "ratio"]),
-    ("a key that is there twice", "storeys = 2", "storeys = 2\nstoreys = 3", &["syntax", "duplicate key"]),
+    (
+        "no value behind a key",
+        "storeys = 2",
+        "storeys = ",
+        &["syntax", "must be TOML"],
+    ),
+    (
+        "a text for a number",
+        "storeys = 2",
+        "storeys = \"two\"",
+        &["model.storeys", "\"two\"", "from 1 to 1000"],
+    ),
+    (
+        "more storeys than allowed",
+        "storeys = 2",
+        "storeys = 2000000",
+        &["model.storeys", "2000000", "1000"],
+    ),
+    (
+        "a mass that is not a number",
+        "mass-kg = 20_000",
+        "mass-kg = nan",
+        &["model.mass-kg", "nan", "finite"],
+    ),
+    (
+        "a negative mass",
+        "mass-kg = 20_000",
+        "mass-kg = -20_000",
+        &["model.mass-kg", "-20000", "above 0"],
+    ),
+    (
+        "an unknown model",
+        "\"shear-building\"",
+        "\"pyramid\"",
+        &["model.kind", "\"pyramid\"", "\"truss\""],
+    ),
+    (
+        "an unknown key",
+        "ratio = 0.02",
+        "ratio = 0.02\nration = 1",
+        &["damping.ration", "not a known key", "ratio"],
+    ),
+    (
+        "a key that is there twice",
+        "storeys = 2",
+        "storeys = 2\nstoreys = 3",
+        &["syntax", "duplicate key"],
+    ),
     (
         "a name that no key expression can have",
         "\"house\"",
@@ -54,20 +99,60 @@ const MISTAKES: [Mistake; 19] = [
         "\"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\"",
         &["structure.name", "1 to 64"],
     ),
-    ("two parameters of one name", "name = \"storey-2\"", "name = \"storey-1\" # again", &["parameter.name", "unique"]),
+    (
+        "two parameters of one name",
+        "name = \"storey-2\"",
+        "name = \"storey-1\" # again",
+        &["parameter.name", "unique"],
+    ),
     (
         "a sampling rate of 0",
         "sampling-rate-hz = 100",
         "sampling-rate-hz = 0",
         &["structure.sampling-rate-hz", "20000"],
     ),
-    ("a sensor on a floor that is not there", "dof = \"floor-2\"", "dof = \"floor-9\"", &["dof", "floor-9", "floor-1"]),
-    ("a unit that is not SI", "unit = \"m/s\"\n", "unit = \"g\"\n", &["node.channel.unit", "\"g\"", "\"m/s\""]),
-    ("a sensor without noise", "noise-std = 0.001", "noise-std = 0", &["node.channel.noise-std", "is 0", "1e-30"]),
-    ("an excitation on no channel", "measured-on = \"ground\"", "measured-on = \"attic\"", &["measured-on", "attic"]),
-    ("a parameter of a storey that is not there", "[\"storey-2\"]", "[\"storey-7\"]", &["parameter.of", "storey-7"]),
-    ("damping beyond 1", "ratio = 0.02", "ratio = 2", &["damping.ratio", "2"]),
-    ("a negative lateness", "lateness-s = 3600", "lateness-s = -1", &["ingest.lateness-s", "-1", "from 0"]),
+    (
+        "a sensor on a floor that is not there",
+        "dof = \"floor-2\"",
+        "dof = \"floor-9\"",
+        &["dof", "floor-9", "floor-1"],
+    ),
+    (
+        "a unit that is not SI",
+        "unit = \"m/s\"\n",
+        "unit = \"g\"\n",
+        &["node.channel.unit", "\"g\"", "\"m/s\""],
+    ),
+    (
+        "a sensor without noise",
+        "noise-std = 0.001",
+        "noise-std = 0",
+        &["node.channel.noise-std", "is 0", "1e-30"],
+    ),
+    (
+        "an excitation on no channel",
+        "measured-on = \"ground\"",
+        "measured-on = \"attic\"",
+        &["measured-on", "attic"],
+    ),
+    (
+        "a parameter of a storey that is not there",
+        "[\"storey-2\"]",
+        "[\"storey-7\"]",
+        &["parameter.of", "storey-7"],
+    ),
+    (
+        "damping beyond 1",
+        "ratio = 0.02",
+        "ratio = 2",
+        &["damping.ratio", "2"],
+    ),
+    (
+        "a negative lateness",
+        "lateness-s = 3600",
+        "lateness-s = -1",
+        &["ingest.lateness-s", "-1", "from 0"],
+    ),
 ];
 
 pub fn structure_files(table: &mut Table) {
@@ -83,7 +168,9 @@ pub fn structure_files(table: &mut Table) {
             + new.trim_end().matches('\n').count()
             + usize::from(text[..from].ends_with('\n'));
         std::fs::write(&file, text).unwrap();
-        let told: Vec<String> = std::iter::once(format!("tower.toml:{line}")).chain(parts(told)).collect();
+        let told: Vec<String> = std::iter::once(format!("tower.toml:{line}"))
+            .chain(parts(told))
+            .collect();
         table.add_ended(given, (BAD_INPUT, &told), &check("tower.toml"));
     }
     std::fs::write(&file, "").unwrap();
@@ -93,40 +180,120 @@ pub fn structure_files(table: &mut Table) {
         &check("tower.toml"),
     );
     std::fs::write(&file, b"\xff\xfe[\0s\0").unwrap();
-    table.add_ended("a file that is not UTF-8", (BAD_INPUT, &parts(&["tower.toml", "UTF-8"])), &check("tower.toml"));
+    table.add_ended(
+        "a file that is not UTF-8",
+        (BAD_INPUT, &parts(&["tower.toml", "UTF-8"])),
+        &check("tower.toml"),
+    );
     table.add_ended(
         "a file that is not there",
         (BAD_INPUT, &parts(&["nowhere.toml", "No such file"])),
         &check("nowhere.toml"),
     );
-    table.add_ended("a folder", (BAD_INPUT, &parts(&["cannot be read"])), &check("."));
-    table.add_ended("a device without end", (BAD_INPUT, &parts(&["/dev/zero", "16777216 bytes"])), &check("/dev/zero"));
+    table.add_ended(
+        "a folder",
+        (BAD_INPUT, &parts(&["cannot be read"])),
+        &check("."),
+    );
+    table.add_ended(
+        "a device without end",
+        (BAD_INPUT, &parts(&["/dev/zero", "16777216 bytes"])),
+        &check("/dev/zero"),
+    );
 }
 
 /// A mistake in a configuration file, and what the error names.
 const MISCONFIGURED: [(&str, &str, &[&str]); 18] = [
-    ("an unknown key", "thread = 3\n", &["spandrel.toml", "`thread`", "`threads`"]),
-    ("no value behind a key", "structures = \n", &["spandrel.toml", "line 1"]),
-    ("a number below the least", "threads = 0\n", &["spandrel.toml", "threads", "nonzero"]),
-    ("a number for a list", "[bus]\nlisten = 7\n", &["spandrel.toml", "bus.listen", "sequence"]),
-    ("an unknown mode of the bus", "[bus]\nmode = \"boss\"\n", &["bus.mode", "boss", "peer, client or router"]),
-    ("a root that no key expression can have", "[bus]\nroot = \"a/b\"\n", &["bus.root", "a/b", "a-z, 0-9 and -"]),
-    ("a negative time to connect", "[bus]\nconnect_timeout_s = -1\n", &["bus.connect_timeout_s", "-1", "from 0 s"]),
-    ("no endpoint", "[bus]\nconnect = [\"nonsense\"]\n", &["connect", "nonsense", "<protocol>/<address>"]),
-    ("plain TCP beyond this machine", "[bus]\nlisten = [\"tcp/0.0.0.0:0\"]\n", &["tcp/0.0.0.0:0", "quic/"]),
-    ("TLS over TCP", "[bus]\nlisten = [\"tls/127.0.0.1:0\"]\n", &["tls/127.0.0.1:0", "quic/"]),
-    ("no time between checkpoints", "[state]\ncheckpoint-s = 0\n", &["state.checkpoint-s", "0.01 and 3600 s"]),
-    ("a negative time to force", "[state.recording]\nsync-s = -1\n", &["state.recording.sync-s", "-1"]),
-    ("a negative size", "[state.recording]\nkeep-bytes = -1\n", &["state.recording.keep-bytes", "-1"]),
-    ("an unknown database", "[history]\ndatabase = \"mysql://x\"\n", &["history.database", "mysql://x", "postgres://"]),
+    (
+        "an unknown key",
+        "thread = 3\n",
+        &["spandrel.toml", "`thread`", "`threads`"],
+    ),
+    (
+        "no value behind a key",
+        "structures = \n",
+        &["spandrel.toml", "line 1"],
+    ),
+    (
+        "a number below the least",
+        "threads = 0\n",
+        &["spandrel.toml", "threads", "nonzero"],
+    ),
+    (
+        "a number for a list",
+        "[bus]\nlisten = 7\n",
+        &["spandrel.toml", "bus.listen", "sequence"],
+    ),
+    (
+        "an unknown mode of the bus",
+        "[bus]\nmode = \"boss\"\n",
+        &["bus.mode", "boss", "peer, client or router"],
+    ),
+    (
+        "a root that no key expression can have",
+        "[bus]\nroot = \"a/b\"\n",
+        &["bus.root", "a/b", "a-z, 0-9 and -"],
+    ),
+    (
+        "a negative time to connect",
+        "[bus]\nconnect_timeout_s = -1\n",
+        &["bus.connect_timeout_s", "-1", "from 0 s"],
+    ),
+    (
+        "no endpoint",
+        "[bus]\nconnect = [\"nonsense\"]\n",
+        &["connect", "nonsense", "<protocol>/<address>"],
+    ),
+    (
+        "plain TCP beyond this machine",
+        "[bus]\nlisten = [\"tcp/0.0.0.0:0\"]\n",
+        &["tcp/0.0.0.0:0", "quic/"],
+    ),
+    (
+        "TLS over TCP",
+        "[bus]\nlisten = [\"tls/127.0.0.1:0\"]\n",
+        &["tls/127.0.0.1:0", "quic/"],
+    ),
+    (
+        "no time between checkpoints",
+        "[state]\ncheckpoint-s = 0\n",
+        &["state.checkpoint-s", "0.01 and 3600 s"],
+    ),
+    (
+        "a negative time to force",
+        "[state.recording]\nsync-s = -1\n",
+        &["state.recording.sync-s", "-1"],
+    ),
+    (
+        "a negative size",
+        "[state.recording]\nkeep-bytes = -1\n",
+        &["state.recording.keep-bytes", "-1"],
+    ),
+    (
+        "an unknown database",
+        "[history]\ndatabase = \"mysql://x\"\n",
+        &["history.database", "mysql://x", "postgres://"],
+    ),
     (
         "an address that is none",
         "[[notify.webhook]]\nurl = \"ftp://x\"\n",
         &["notify.webhook[0].url", "ftp://", "https://"],
     ),
-    ("a page beyond this machine", "[dashboard]\nlisten = \"0.0.0.0:0\"\n", &["0.0.0.0:0", "dashboard.tokens"]),
-    ("tokens that are not there", "[dashboard]\ntokens = \"none.json\"\n", &["none.json", "No such file"]),
-    ("tokens of nobody", "[dashboard]\ntokens = \"nobody.json\"\n", &["nobody.json", "no token"]),
+    (
+        "a page beyond this machine",
+        "[dashboard]\nlisten = \"0.0.0.0:0\"\n",
+        &["0.0.0.0:0", "dashboard.tokens"],
+    ),
+    (
+        "tokens that are not there",
+        "[dashboard]\ntokens = \"none.json\"\n",
+        &["none.json", "No such file"],
+    ),
+    (
+        "tokens of nobody",
+        "[dashboard]\ntokens = \"nobody.json\"\n",
+        &["nobody.json", "no token"],
+    ),
 ];
 
 pub fn configurations(table: &mut Table) {
@@ -142,12 +309,20 @@ pub fn configurations(table: &mut Table) {
         table.add_ended(&given, (BAD_INPUT, &parts(told)), &finish(&mut run));
     }
     for (variable, value, told) in [
-        ("SPANDREL_THREADS", "many", &["SPANDREL_", "many", "threads"][..]),
+        (
+            "SPANDREL_THREADS",
+            "many",
+            &["SPANDREL_", "many", "threads"][..],
+        ),
         ("SPANDREL_BUS__ROOTS", "a", &["SPANDREL_", "roots"][..]),
     ] {
         let mut run = command(folder.path(), "run");
         let finished = finish(run.arg("house.toml").env(variable, value));
-        table.add_ended(&format!("`{variable}={value}`"), (BAD_INPUT, &parts(told)), &finished);
+        table.add_ended(
+            &format!("`{variable}={value}`"),
+            (BAD_INPUT, &parts(told)),
+            &finished,
+        );
     }
 }
 
@@ -156,12 +331,41 @@ const MISUSED: [(&[&str], &[&str]); 9] = [
     (&["fly"], &["fly"]),
     (&["run"], &["no structure"]),
     (&["run", "--fly"], &["--fly"]),
-    (&["run", "house.toml", "again.toml"], &["house.toml", "again.toml", "`house`"]),
-    (&["run", "house.toml", "--root", "a/b"], &["bus.root", "a/b"]),
+    (
+        &["run", "house.toml", "again.toml"],
+        &["house.toml", "again.toml", "`house`"],
+    ),
+    (
+        &["run", "house.toml", "--root", "a/b"],
+        &["bus.root", "a/b"],
+    ),
     (&["simulate", "house.toml", "--duration", "-1"], &["-1"]),
-    (&["simulate", "house.toml", "--record", "house.toml"], &["house.toml", "would be written over"]),
-    (&["replay", "rec.csv", "--structure", "house.toml", "--speed", "fast"], &["--speed", "fast"]),
-    (&["token", "Ada Lovelace", "--role", "viewer", "--file", "tokens.json"], &["Ada Lovelace", "a-z"]),
+    (
+        &["simulate", "house.toml", "--record", "house.toml"],
+        &["house.toml", "would be written over"],
+    ),
+    (
+        &[
+            "replay",
+            "rec.csv",
+            "--structure",
+            "house.toml",
+            "--speed",
+            "fast",
+        ],
+        &["--speed", "fast"],
+    ),
+    (
+        &[
+            "token",
+            "Ada Lovelace",
+            "--role",
+            "viewer",
+            "--file",
+            "tokens.json",
+        ],
+        &["Ada Lovelace", "a-z"],
+    ),
 ];
 
 pub fn arguments(table: &mut Table) {
@@ -172,13 +376,23 @@ pub fn arguments(table: &mut Table) {
     }
     for (arguments, told) in MISUSED {
         let finished = finish(command(folder.path(), arguments[0]).args(&arguments[1..]));
-        table.add_ended(&format!("`spandrel {}`", arguments.join(" ")), (BAD_INPUT, &parts(told)), &finished);
+        table.add_ended(
+            &format!("`spandrel {}`", arguments.join(" ")),
+            (BAD_INPUT, &parts(told)),
+            &finished,
+        );
     }
 }
 
 /// A text with one line changed, counted from 1.
 fn with_line(text: &str, number: usize, change: impl Fn(&str) -> String) -> String {
-    let lines = (1..).zip(text.lines()).map(|(at, line)| if at == number { change(line) } else { line.to_owned() });
+    let lines = (1..).zip(text.lines()).map(|(at, line)| {
+        if at == number {
+            change(line)
+        } else {
+            line.to_owned()
+        }
+    });
     lines.map(|line| line + "\n").collect()
 }
 
@@ -186,32 +400,64 @@ pub fn records(table: &mut Table) {
     table.section("Recordings (`spandrel estimate`; formats other than tables: `spandrel info`)");
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("house.toml"), two_storeys("")).unwrap();
-    finish(command(folder.path(), "simulate").args(["house.toml", "--record", "sound.csv", "--duration", "2"]))
-        .expect_code(0);
+    finish(command(folder.path(), "simulate").args([
+        "house.toml",
+        "--record",
+        "sound.csv",
+        "--duration",
+        "2",
+    ]))
+    .expect_code(0);
     let sound = std::fs::read_to_string(folder.path().join("sound.csv")).unwrap();
-    let last_field = |line: &str, with: &str| format!("{},{with}", line.rsplit_once(',').unwrap().0);
+    let last_field =
+        |line: &str, with: &str| format!("{},{with}", line.rsplit_once(',').unwrap().0);
     let reversed = || {
         let rows: Vec<&str> = sound.lines().skip(1).collect();
-        let rows: Vec<&str> = sound.lines().take(1).chain(rows.into_iter().rev()).collect();
+        let rows: Vec<&str> = sound
+            .lines()
+            .take(1)
+            .chain(rows.into_iter().rev())
+            .collect();
         rows.join("\n") + "\n"
     };
-    let every_second = |(at, line): (usize, &str)| (at == 0 || at % 2 == 1).then(|| format!("{line}\n"));
+    let every_second =
+        |(at, line): (usize, &str)| (at == 0 || at % 2 == 1).then(|| format!("{line}\n"));
     let tables: [(&str, String, &[&str]); 10] = [
-        ("a column that is not there", sound.replacen(",roof,", ",tower,", 1), &["rec.csv:1", "`roof`", "`tower`"]),
-        ("a column that is there twice", sound.replacen(",roof,", ",ground,", 1), &["rec.csv:1", "`ground`", "once"]),
+        (
+            "a column that is not there",
+            sound.replacen(",roof,", ",tower,", 1),
+            &["rec.csv:1", "`roof`", "`tower`"],
+        ),
+        (
+            "a column that is there twice",
+            sound.replacen(",roof,", ",ground,", 1),
+            &["rec.csv:1", "`ground`", "once"],
+        ),
         (
             "a row with a field too many",
             with_line(&sound, 42, |line| format!("{line},1")),
             &["rec.csv:42", "6 fields", "5"],
         ),
-        ("a field that is no number", with_line(&sound, 8, |line| last_field(line, "much")), &["rec.csv:8", "`much`"]),
-        ("an infinite value", with_line(&sound, 8, |line| last_field(line, "inf")), &["rec.csv:8", "`inf`", "finite"]),
+        (
+            "a field that is no number",
+            with_line(&sound, 8, |line| last_field(line, "much")),
+            &["rec.csv:8", "`much`"],
+        ),
+        (
+            "an infinite value",
+            with_line(&sound, 8, |line| last_field(line, "inf")),
+            &["rec.csv:8", "`inf`", "finite"],
+        ),
         (
             "a number beyond all doubles",
             with_line(&sound, 8, |line| last_field(line, "1e999")),
             &["rec.csv:8", "1e999"],
         ),
-        ("rows from last to first", reversed(), &["rec.csv:3", "must increase"]),
+        (
+            "rows from last to first",
+            reversed(),
+            &["rec.csv:3", "must increase"],
+        ),
         (
             "another sampling rate",
             sound.lines().enumerate().filter_map(every_second).collect(),
@@ -219,14 +465,23 @@ pub fn records(table: &mut Table) {
         ),
         (
             "a header without rows",
-            sound.lines().take(1).map(|line| format!("{line}\n")).collect(),
+            sound
+                .lines()
+                .take(1)
+                .map(|line| format!("{line}\n"))
+                .collect(),
             &["rec.csv", "0 rows", "2"],
         ),
-        ("an empty file", String::new(), &["rec.csv", "no known format", "miniSEED"]),
+        (
+            "an empty file",
+            String::new(),
+            &["rec.csv", "no known format", "miniSEED"],
+        ),
     ];
     for (given, text, told) in tables {
         std::fs::write(folder.path().join("rec.csv"), text).unwrap();
-        let finished = finish(command(folder.path(), "estimate").args(["house.toml", "--record", "rec.csv"]));
+        let finished =
+            finish(command(folder.path(), "estimate").args(["house.toml", "--record", "rec.csv"]));
         table.add_ended(given, (BAD_INPUT, &parts(told)), &finished);
     }
     for (given, name, bytes, told) in damaged_formats(folder.path()) {
@@ -252,19 +507,46 @@ fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'stati
         bytes.resize(length, with);
         bytes
     };
-    let packed = Command::new("gzip").arg("-c").arg(folder.join("sound.csv")).output().unwrap().stdout;
+    let packed = Command::new("gzip")
+        .arg("-c")
+        .arg(folder.join("sound.csv"))
+        .output()
+        .unwrap()
+        .stdout;
     let mut matlab = filled(b"MATLAB 5.0 MAT-file", b' ', 124);
     matlab.extend([0, 1, b'I', b'M', 14, 0, 0, 0, 0xff, 0xff, 0xff, 0x7f]);
     let at2 = String::from_utf8(seed("motion.at2")).unwrap();
     let mut turned = seed("table.mcap");
     let middle = turned.len() / 3;
     turned[middle] ^= 1;
-    let random = (0..4096_u32).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let random = (0..4096_u32)
+        .map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8)
+        .collect();
     vec![
-        ("gzip, cut off", "cut.csv.gz".into(), cut(packed, 50), &["gzip", "incomplete"]),
-        ("a zip archive, cut off", "cut.zip".into(), cut(seed("table.zip"), 60), &["zip archive", "whole"]),
-        ("MCAP with a bit turned", "turned.mcap".into(), turned, &["MCAP"]),
-        ("MATLAB, an array longer than the file", "long.mat".into(), matlab, &["byte 136", "2147483647"]),
+        (
+            "gzip, cut off",
+            "cut.csv.gz".into(),
+            cut(packed, 50),
+            &["gzip", "incomplete"],
+        ),
+        (
+            "a zip archive, cut off",
+            "cut.zip".into(),
+            cut(seed("table.zip"), 60),
+            &["zip archive", "whole"],
+        ),
+        (
+            "MCAP with a bit turned",
+            "turned.mcap".into(),
+            turned,
+            &["MCAP"],
+        ),
+        (
+            "MATLAB, an array longer than the file",
+            "long.mat".into(),
+            matlab,
+            &["byte 136", "2147483647"],
+        ),
         (
             "miniSEED of no year",
             "none.mseed".into(),
@@ -307,6 +589,11 @@ fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'stati
             b"2 CORRECTED ACCELEROGRAM\n*\nx\n".to_vec(),
             &["line 3", "eleven"],
         ),
-        ("random bytes", "random.bin".into(), random, &["no known format", "miniSEED"]),
+        (
+            "random bytes",
+            "random.bin".into(),
+            random,
+            &["no known format", "miniSEED"],
+        ),
     ]
 }

@@ -10,21 +10,39 @@ const RULES: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-
 
 /// The files in a folder whose names begin so, in the order of their names.
 fn files(folder: &Path, beginning: &str) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let begins = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(beginning);
+    let entries = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let begins = |path: &PathBuf| {
+        path.file_name()
+            .unwrap()
+            .to_str()
+            .unwrap()
+            .starts_with(beginning)
+    };
     let mut files: Vec<PathBuf> = entries.filter(begins).collect();
     files.sort();
     files
 }
 
 fn identity(version: u16, of: &str) -> Identity {
-    Identity { kind: "identify", version, of: of.to_owned(), basis: "another structure file".to_owned() }
+    Identity {
+        kind: "identify",
+        version,
+        of: of.to_owned(),
+        basis: "another structure file".to_owned(),
+    }
 }
 
 /// The line of a log that names this file, from `field` on.
 fn told_of(log: &str, file: &str, field: &str) -> String {
-    let line = log.lines().find(|line| line.contains(file)).unwrap_or("nothing");
-    line.split_once(field).map_or(line, |(_, told)| told).to_owned()
+    let line = log
+        .lines()
+        .find(|line| line.contains(file))
+        .unwrap_or("nothing");
+    line.split_once(field)
+        .map_or(line, |(_, told)| told)
+        .to_owned()
 }
 
 pub async fn all(table: &mut Table) {
@@ -33,14 +51,21 @@ pub async fn all(table: &mut Table) {
     let state = site.folder().join("state");
     let run = || {
         let mut command = site.listening("run");
-        let process = Process::start(command.args(["--http", "none"]).env("XDG_STATE_HOME", &state));
+        let process = Process::start(
+            command
+                .args(["--http", "none"])
+                .env("XDG_STATE_HOME", &state),
+        );
         process.wait_for_log("ready structures=1");
         process
     };
     let services = run();
     site.replay(&record, "max").wait().expect_code(0);
     services.stop().expect_code(0);
-    let of_structure = state.join("spandrel").join(site.keys().root().as_str()).join("house");
+    let of_structure = state
+        .join("spandrel")
+        .join(site.keys().root().as_str())
+        .join("house");
 
     table.section("Checkpoints on disk (`spandrel run`)");
     let checkpoints = of_structure.join("checkpoints");
@@ -49,17 +74,31 @@ pub async fn all(table: &mut Table) {
     turned[sound.len() / 2] ^= 1;
     // identify begins with the oldest that it can read, so that these come before the sound one
     let place = |sequence| Place { epoch: 0, sequence };
-    let path = |sequence: u64| checkpoints.join(format!("identify-{:020}-{sequence:020}.checkpoint", 0));
+    let path =
+        |sequence: u64| checkpoints.join(format!("identify-{:020}-{sequence:020}.checkpoint", 0));
     std::fs::write(path(1), "what somebody else has put here").unwrap();
     std::fs::write(path(2), turned).unwrap();
     std::fs::write(path(3), &sound[..sound.len() / 2]).unwrap();
-    let save =
-        |identity, sequence| Checkpoints::open(&checkpoints, identity).unwrap().save(place(sequence), &7_u64).unwrap();
+    let save = |identity, sequence| {
+        Checkpoints::open(&checkpoints, identity)
+            .unwrap()
+            .save(place(sequence), &7_u64)
+            .unwrap()
+    };
     save(identity(9_999, "house"), 4);
     save(identity(1, "tower"), 5);
-    let alert = Identity { kind: "alert", ..identity(9_999, "house") };
-    let last = Place { epoch: 1 << 62, sequence: 1 };
-    Checkpoints::open(&checkpoints, alert).unwrap().save(last, &7_u64).unwrap();
+    let alert = Identity {
+        kind: "alert",
+        ..identity(9_999, "house")
+    };
+    let last = Place {
+        epoch: 1 << 62,
+        sequence: 1,
+    };
+    Checkpoints::open(&checkpoints, alert)
+        .unwrap()
+        .save(last, &7_u64)
+        .unwrap();
 
     let recording = of_structure.join("recording");
     let newest = files(&recording, "frames-").pop().unwrap();
@@ -71,16 +110,31 @@ pub async fn all(table: &mut Table) {
     let services = run();
     let log = services.log();
     for (sequence, given, told) in [
-        (1, "a file of something else", "it is no checkpoint of Spandrel"),
+        (
+            1,
+            "a file of something else",
+            "it is no checkpoint of Spandrel",
+        ),
         (2, "a bit turned", "it is damaged"),
         (3, "cut off", "it is damaged"),
-        (4, "of a newer version", "it has version 9999 of its layout, this program reads"),
-        (5, "of another structure", "it is of identify of tower, expected identify of house"),
+        (
+            4,
+            "of a newer version",
+            "it has version 9999 of its layout, this program reads",
+        ),
+        (
+            5,
+            "of another structure",
+            "it is of identify of tower, expected identify of house",
+        ),
     ] {
         let file = path(sequence);
         let observed = told_of(&log, file.file_name().unwrap().to_str().unwrap(), "why=");
         let is_aside = !file.exists() && file.with_extension("checkpoint.refused").is_file();
-        let expected = format!("set aside as `….checkpoint.refused`, saying {}; the sound one is taken", code(told));
+        let expected = format!(
+            "set aside as `….checkpoint.refused`, saying {}; the sound one is taken",
+            code(told)
+        );
         table.add(
             given,
             &expected,
@@ -100,12 +154,26 @@ pub async fn all(table: &mut Table) {
     );
 
     table.section("Recordings on disk (`spandrel run`)");
-    let aside = files(&recording, "frames-").into_iter().any(|path| path.to_str().unwrap().ends_with(".unreadable"));
-    let observed =
-        told_of(&log, "it is set aside", "ingest::recorder: ").split(" structure=").next().unwrap().to_owned();
-    table.add("a segment that is none", "set aside as `….unreadable`", &observed, aside && !foreign.exists());
+    let aside = files(&recording, "frames-")
+        .into_iter()
+        .any(|path| path.to_str().unwrap().ends_with(".unreadable"));
+    let observed = told_of(&log, "it is set aside", "ingest::recorder: ")
+        .split(" structure=")
+        .next()
+        .unwrap()
+        .to_owned();
+    table.add(
+        "a segment that is none",
+        "set aside as `….unreadable`",
+        &observed,
+        aside && !foreign.exists(),
+    );
     let torn = "the recording was torn";
-    let observed = told_of(&log, torn, "ingest::recorder: ").split(" structure=").next().unwrap().to_owned();
+    let observed = told_of(&log, torn, "ingest::recorder: ")
+        .split(" structure=")
+        .next()
+        .unwrap()
+        .to_owned();
     table.add(
         "the end of a segment cut off",
         &format!("{}; what is whole is kept", code(torn)),
@@ -118,9 +186,20 @@ pub async fn all(table: &mut Table) {
     let other = two_storeys(RULES).replace("name = \"roof-velocity\"", "name = \"roof-speed\"");
     std::fs::write(site.structure_file(), other).unwrap();
     let mut command = site.listening("run");
-    let finished = Process::start(command.args(["--http", "none"]).env("XDG_STATE_HOME", &state)).wait();
+    let finished = Process::start(
+        command
+            .args(["--http", "none"])
+            .env("XDG_STATE_HOME", &state),
+    )
+    .wait();
     let told = ["recording", "channels", "roof-velocity", "roof-speed"].map(str::to_owned);
-    let stderr =
-        finished.stderr.replace(&*state.to_string_lossy(), "STATE").replace(site.keys().root().as_str(), "ROOT");
-    table.add_ended("a recording of other channels", (2, &told), &crate::support::Finished { stderr, ..finished });
+    let stderr = finished
+        .stderr
+        .replace(&*state.to_string_lossy(), "STATE")
+        .replace(site.keys().root().as_str(), "ROOT");
+    table.add_ended(
+        "a recording of other channels",
+        (2, &told),
+        &crate::support::Finished { stderr, ..finished },
+    );
 }

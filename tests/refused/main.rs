@@ -2,7 +2,12 @@
 //!
 //! The table of docs/reliability.md is what this test has seen; `UPDATE_DOCS=1 cargo test --workspace --test refused` writes it anew.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 #[path = "../support/mod.rs"]
 mod support;

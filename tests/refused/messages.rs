@@ -1,12 +1,13 @@
 //! Messages on the topics of services that run, among sound ones: what is wrong is dropped and counted, and nothing else changes.
 
 use crate::support::{
-    DEADLINE, Drops, EstimateReader, Process, Sensors, Site, assert_same_bits, put_raw, two_storeys, within,
+    DEADLINE, Drops, EstimateReader, Process, Sensors, Site, assert_same_bits, put_raw,
+    two_storeys, within,
 };
 use crate::table::{Table, code};
 use spandrel_bus::{
-    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, SampleBlock, Service, Status,
-    StreamState, Subscription,
+    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, SampleBlock,
+    Service, Status, StreamState, Subscription,
 };
 use std::collections::BTreeMap;
 
@@ -32,7 +33,9 @@ fn name(text: &str) -> Name {
 
 impl Running {
     async fn start() -> Self {
-        let site = Site::with(&two_storeys("[ingest]\nlateness-s = 3600\ntolerance-s = 0.002\n"));
+        let site = Site::with(&two_storeys(
+            "[ingest]\nlateness-s = 3600\ntolerance-s = 0.002\n",
+        ));
         let record = site.simulate(ROWS as f64 / 100.0);
         let services = Process::start(site.listening("run").args(["--http", "127.0.0.1:0"]));
         services.wait_for_log("ready structures=1");
@@ -40,13 +43,23 @@ impl Running {
         site.wait_for_services(&bus).await;
         let statuses = bus.subscribe(keys.all_statuses(), 256).await.unwrap();
         let sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
-        Self { site, keys, services, bus, statuses, counted: BTreeMap::new(), sensors }
+        Self {
+            site,
+            keys,
+            services,
+            bus,
+            statuses,
+            counted: BTreeMap::new(),
+            sensors,
+        }
     }
 
     /// The block that `floor-1` will put next.
     fn next_block(&mut self) -> SampleBlock {
         let record = self.sensors.record().clone();
-        self.sensors.node("floor-1").block(&record, BEFORE..BEFORE + 100)
+        self.sensors
+            .node("floor-1")
+            .block(&record, BEFORE..BEFORE + 100)
     }
 
     /// Waits until a service has counted more under a reason than before; returns how many more, 0 after the deadline.
@@ -62,16 +75,26 @@ impl Running {
                 }
             }
         };
-        let count = tokio::time::timeout(DEADLINE, grown).await.unwrap_or(before);
+        let count = tokio::time::timeout(DEADLINE, grown)
+            .await
+            .unwrap_or(before);
         self.counted.insert(key, count);
         count - before
     }
 
     /// Adds what was put, which a service has to count `expected` times under a reason.
-    async fn add(&mut self, table: &mut Table, given: &str, (service, reason, expected): (&str, &str, u64)) {
+    async fn add(
+        &mut self,
+        table: &mut Table,
+        given: &str,
+        (service, reason, expected): (&str, &str, u64),
+    ) {
         let more = self.more_of(service, reason).await;
         let observed = format!("{service}: {reason} +{more}");
-        let expected_text = format!("dropped; {service} counts {} {expected} times", code(reason));
+        let expected_text = format!(
+            "dropped; {service} counts {} {expected} times",
+            code(reason)
+        );
         table.add(given, &expected_text, &observed, more == expected);
     }
 }
@@ -95,12 +118,24 @@ pub async fn all(table: &mut Table) {
     // what was not lost is identified as if nothing had happened
     running.sensors.put(lost.end..ROWS).await;
     let mut equivalent = running.sensors.record().clone();
-    let expected = running.site.estimate(equivalent.remove("floor-1", lost).save_as("equivalent.csv"));
-    assert_same_bits("bad messages", &expected.parameters, &expected.frames, reader.read_frames(ROWS).await);
+    let expected = running
+        .site
+        .estimate(equivalent.remove("floor-1", lost).save_as("equivalent.csv"));
+    assert_same_bits(
+        "bad messages",
+        &expected.parameters,
+        &expected.frames,
+        reader.read_frames(ROWS).await,
+    );
     estimates(table, &mut running).await;
     let log = running.services.log();
     assert!(!log.contains("panicked"), "{log}");
-    assert!(["spandrel.samples.v1", "spandrel.samples.v2"].iter().all(|version| log.contains(version)), "{log}");
+    assert!(
+        ["spandrel.samples.v1", "spandrel.samples.v2"]
+            .iter()
+            .all(|version| log.contains(version)),
+        "{log}"
+    );
     running.services.stop().expect_code(0);
 }
 
@@ -118,38 +153,96 @@ async fn samples(table: &mut Table, running: &mut Running) {
     let ragged = changed(&|block| {
         block.channels = 3;
     });
-    let foreign = changed(&|block| (block.header.source, block.header.epoch) = ("floor-7".into(), 7));
+    let foreign =
+        changed(&|block| (block.header.source, block.header.epoch) = ("floor-7".into(), 7));
     let key = running.keys.samples(&name("floor-1"));
     for (given, encoding, payload, counted) in [
-        ("another version", "application/postcard;spandrel.samples.v2", whole.clone(), ("refused-encoding", 1)),
-        ("another type of message", "application/postcard;spandrel.frames.v1", whole.clone(), ("refused-encoding", 1)),
+        (
+            "another version",
+            "application/postcard;spandrel.samples.v2",
+            whole.clone(),
+            ("refused-encoding", 1),
+        ),
+        (
+            "another type of message",
+            "application/postcard;spandrel.frames.v1",
+            whole.clone(),
+            ("refused-encoding", 1),
+        ),
         ("no encoding", "", whole.clone(), ("refused-encoding", 1)),
         ("nothing", SAMPLES, Vec::new(), ("refused-undecodable", 1)),
-        ("three bytes too few", SAMPLES, cut, ("refused-undecodable", 1)),
+        (
+            "three bytes too few",
+            SAMPLES,
+            cut,
+            ("refused-undecodable", 1),
+        ),
         ("a byte too many", SAMPLES, long, ("refused-undecodable", 1)),
-        ("text", SAMPLES, b"{\"samples\": [1, 2, 3]}".to_vec(), ("refused-undecodable", 1)),
-        ("1 kB more than 8 MiB", SAMPLES, huge, ("refused-too-large", 1)),
-        ("a sampling rate of 0", SAMPLES, changed(&|block| block.sampling_rate_hz = 0.0), ("refused-malformed", 1)),
+        (
+            "text",
+            SAMPLES,
+            b"{\"samples\": [1, 2, 3]}".to_vec(),
+            ("refused-undecodable", 1),
+        ),
+        (
+            "1 kB more than 8 MiB",
+            SAMPLES,
+            huge,
+            ("refused-too-large", 1),
+        ),
+        (
+            "a sampling rate of 0",
+            SAMPLES,
+            changed(&|block| block.sampling_rate_hz = 0.0),
+            ("refused-malformed", 1),
+        ),
         (
             "a sampling rate that is not a number",
             SAMPLES,
             changed(&|block| block.sampling_rate_hz = f64::NAN),
             ("refused-malformed", 1),
         ),
-        ("no channel", SAMPLES, changed(&|block| block.channels = 0), ("refused-malformed", 1)),
-        ("samples that are no multiple of the channels", SAMPLES, ragged, ("refused-malformed", 1)),
+        (
+            "no channel",
+            SAMPLES,
+            changed(&|block| block.channels = 0),
+            ("refused-malformed", 1),
+        ),
+        (
+            "samples that are no multiple of the channels",
+            SAMPLES,
+            ragged,
+            ("refused-malformed", 1),
+        ),
         (
             "numbers past the last one",
             SAMPLES,
             changed(&|block| block.header.sequence = u64::MAX),
             ("refused-malformed", 1),
         ),
-        ("another node, which started later", SAMPLES, foreign, ("foreign-blocks", 1)),
-        ("an earlier life of the node", SAMPLES, changed(&|block| block.header.epoch = 0), ("stale-blocks", 1)),
-        ("a number far ahead", SAMPLES, changed(&|block| block.header.sequence = 1 << 60), ("impossible-blocks", 1)),
+        (
+            "another node, which started later",
+            SAMPLES,
+            foreign,
+            ("foreign-blocks", 1),
+        ),
+        (
+            "an earlier life of the node",
+            SAMPLES,
+            changed(&|block| block.header.epoch = 0),
+            ("stale-blocks", 1),
+        ),
+        (
+            "a number far ahead",
+            SAMPLES,
+            changed(&|block| block.header.sequence = 1 << 60),
+            ("impossible-blocks", 1),
+        ),
     ] {
         put_raw(&running.bus, &key, encoding, payload).await;
-        running.add(table, given, ("ingest", counted.0, counted.1)).await;
+        running
+            .add(table, given, ("ingest", counted.0, counted.1))
+            .await;
     }
 }
 
@@ -162,51 +255,125 @@ async fn values(table: &mut Table, running: &mut Running) -> std::ops::Range<usi
     // as many rows as this for each; the other nodes are sound
     const EACH: usize = 10;
     let kinds: [(&str, Change<'_>, (&str, u64)); 4] = [
-        ("infinite values", &|block| block.samples.fill(f64::INFINITY), ("not-finite-values", 10)),
-        ("values beyond the range of the channel", &|block| block.samples.fill(1e6), ("out-of-range-values", 10)),
+        (
+            "infinite values",
+            &|block| block.samples.fill(f64::INFINITY),
+            ("not-finite-values", 10),
+        ),
+        (
+            "values beyond the range of the channel",
+            &|block| block.samples.fill(1e6),
+            ("out-of-range-values", 10),
+        ),
         (
             "two channels instead of one",
             &|block| {
                 block.channels = 2;
-                block.samples = block.samples.iter().flat_map(|sample| [*sample; 2]).collect();
+                block.samples = block
+                    .samples
+                    .iter()
+                    .flat_map(|sample| [*sample; 2])
+                    .collect();
             },
             ("wrong-channels", 1),
         ),
-        ("times between two frames", &|block| block.header.time_ns += 4_000_000, ("off-grid-samples", 10)),
+        (
+            "times between two frames",
+            &|block| block.header.time_ns += 4_000_000,
+            ("off-grid-samples", 10),
+        ),
     ];
     for (given, change, (reason, count)) in kinds {
-        running.sensors.put_changed("floor-1", row..row + EACH, change).await;
-        running.sensors.put_all_but(&["floor-1"], row..row + EACH).await;
+        running
+            .sensors
+            .put_changed("floor-1", row..row + EACH, change)
+            .await;
+        running
+            .sensors
+            .put_all_but(&["floor-1"], row..row + EACH)
+            .await;
         row += EACH;
         running.add(table, given, ("ingest", reason, count)).await;
     }
     // a block that comes again after the next one
     let again = {
         let record = running.sensors.record().clone();
-        running.sensors.node("ground").block(&record, row..row + EACH).encode().unwrap()
+        running
+            .sensors
+            .node("ground")
+            .block(&record, row..row + EACH)
+            .encode()
+            .unwrap()
     };
     let key = running.keys.samples(&name("ground"));
-    running.sensors.put_changed("floor-1", row..row + EACH, |block| block.samples.fill(f64::NEG_INFINITY)).await;
-    running.sensors.put_all_but(&["floor-1"], row..row + EACH).await;
+    running
+        .sensors
+        .put_changed("floor-1", row..row + EACH, |block| {
+            block.samples.fill(f64::NEG_INFINITY)
+        })
+        .await;
+    running
+        .sensors
+        .put_all_but(&["floor-1"], row..row + EACH)
+        .await;
     row += EACH;
-    running.add(table, "negative infinities", ("ingest", "not-finite-values", 10)).await;
+    running
+        .add(
+            table,
+            "negative infinities",
+            ("ingest", "not-finite-values", 10),
+        )
+        .await;
     put_raw(&running.bus, &key, SAMPLES, again).await;
-    running.add(table, "a block that comes again", ("ingest", "duplicate-items", 10)).await;
+    running
+        .add(
+            table,
+            "a block that comes again",
+            ("ingest", "duplicate-items", 10),
+        )
+        .await;
     // a clock that was set forward, and back again
-    running.sensors.put_changed("floor-1", row..row + EACH, |block| block.header.time_ns += 86_400_000_000_000).await;
-    running.sensors.put_all_but(&["floor-1"], row..row + EACH).await;
+    running
+        .sensors
+        .put_changed("floor-1", row..row + EACH, |block| {
+            block.header.time_ns += 86_400_000_000_000
+        })
+        .await;
+    running
+        .sensors
+        .put_all_but(&["floor-1"], row..row + EACH)
+        .await;
     row += EACH;
-    running.sensors.put_changed("floor-1", row..row + EACH, |block| block.samples.fill(f64::INFINITY)).await;
-    running.sensors.put_all_but(&["floor-1"], row..row + EACH).await;
+    running
+        .sensors
+        .put_changed("floor-1", row..row + EACH, |block| {
+            block.samples.fill(f64::INFINITY)
+        })
+        .await;
+    running
+        .sensors
+        .put_all_but(&["floor-1"], row..row + EACH)
+        .await;
     row += EACH;
-    running.add(table, "times of tomorrow, until the clock is right again", ("ingest", "retracted-samples", 10)).await;
+    running
+        .add(
+            table,
+            "times of tomorrow, until the clock is right again",
+            ("ingest", "retracted-samples", 10),
+        )
+        .await;
     BEFORE..row
 }
 
 async fn frames(table: &mut Table, running: &mut Running) {
     let key = running.keys.frames();
     let block = FrameBlock {
-        header: Header { source: "ingest".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "ingest".to_owned(),
+            epoch: u64::MAX - 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         channels: 2,
@@ -214,7 +381,11 @@ async fn frames(table: &mut Table, running: &mut Running) {
         state: StreamState::Running,
     };
     let whole = block.encode().unwrap();
-    let endless = postcard::to_stdvec(&FrameBlock { sampling_rate_hz: f64::INFINITY, ..block.clone() }).unwrap();
+    let endless = postcard::to_stdvec(&FrameBlock {
+        sampling_rate_hz: f64::INFINITY,
+        ..block.clone()
+    })
+    .unwrap();
     for (given, encoding, payload, reason) in [
         (
             "frames of another version",
@@ -222,22 +393,54 @@ async fn frames(table: &mut Table, running: &mut Running) {
             whole.clone(),
             "refused-encoding",
         ),
-        ("frames, cut off", FrameBlock::encoding(), whole[..whole.len() - 5].to_vec(), "refused-undecodable"),
-        ("frames of an infinite rate", FrameBlock::encoding(), endless, "refused-malformed"),
-        ("frames of another structure", FrameBlock::encoding(), whole, "frames-of-another-structure"),
+        (
+            "frames, cut off",
+            FrameBlock::encoding(),
+            whole[..whole.len() - 5].to_vec(),
+            "refused-undecodable",
+        ),
+        (
+            "frames of an infinite rate",
+            FrameBlock::encoding(),
+            endless,
+            "refused-malformed",
+        ),
+        (
+            "frames of another structure",
+            FrameBlock::encoding(),
+            whole,
+            "frames-of-another-structure",
+        ),
     ] {
         put_raw(&running.bus, &key, &encoding, payload).await;
         running.add(table, given, ("identify", reason, 1)).await;
     }
-    put_raw(&running.bus, &running.keys.estimates(), SAMPLES, vec![0; 40]).await;
-    running.add(table, "samples where estimates are put", ("alert", "refused-encoding", 1)).await;
+    put_raw(
+        &running.bus,
+        &running.keys.estimates(),
+        SAMPLES,
+        vec![0; 40],
+    )
+    .await;
+    running
+        .add(
+            table,
+            "samples where estimates are put",
+            ("alert", "refused-encoding", 1),
+        )
+        .await;
 }
 
 /// Last of all: the reader of this test would believe an epoch that alert does not.
 async fn estimates(table: &mut Table, running: &mut Running) {
     table.section("Messages on `estimates` of a later life");
     let block = EstimateBlock {
-        header: Header { source: "identify".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "identify".to_owned(),
+            epoch: u64::MAX - 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -247,8 +450,20 @@ async fn estimates(table: &mut Table, running: &mut Running) {
         estimates: Vec::new(),
         state: StreamState::Running,
     };
-    put_raw(&running.bus, &running.keys.estimates(), &EstimateBlock::encoding(), block.encode().unwrap()).await;
-    running.add(table, "estimates of another structure", ("alert", "estimates-of-another-structure", 1)).await;
+    put_raw(
+        &running.bus,
+        &running.keys.estimates(),
+        &EstimateBlock::encoding(),
+        block.encode().unwrap(),
+    )
+    .await;
+    running
+        .add(
+            table,
+            "estimates of another structure",
+            ("alert", "estimates-of-another-structure", 1),
+        )
+        .await;
     // nothing is ended by it
     let drops = Drops::watch(&running.bus, &running.keys).await;
     let status = drops.when_done(Service::Alert, 0).await;
@@ -258,9 +473,15 @@ async fn estimates(table: &mut Table, running: &mut Running) {
 async fn json(table: &mut Table, running: &mut Running) {
     let of = |parameter: &str| {
         let (structure, parameter) = (running.keys.structure().clone(), name(parameter));
-        Acknowledgement { structure, parameter, time_ns: 0, who: "Ada".to_owned(), note: String::new() }
-            .encode()
-            .unwrap()
+        Acknowledgement {
+            structure,
+            parameter,
+            time_ns: 0,
+            who: "Ada".to_owned(),
+            note: String::new(),
+        }
+        .encode()
+        .unwrap()
     };
     let key = running.keys.acknowledge(&name("storey-1"));
     let elsewhere = running.keys.acknowledge(&name("storey-9"));
@@ -270,20 +491,60 @@ async fn json(table: &mut Table, running: &mut Running) {
     long_key.push_str(&"-1".repeat(300));
     let json = "application/json";
     for (given, key, payload, (service, reason)) in [
-        ("a displayed value that is no JSON", &value, b"0.85".to_vec(), ("dashboard", "refused-undecodable")),
-        ("a displayed value with NaN", &value, b"{\"mean\": NaN}".to_vec(), ("dashboard", "refused-undecodable")),
-        ("a status that is no JSON", &status, vec![0xff; 10], ("dashboard", "refused-undecodable")),
-        ("a key of more than 512 bytes", &long_key, b"{}".to_vec(), ("dashboard", "refused-key-too-long")),
-        ("an acknowledgement that ends early", &key, b"{\"who\": ".to_vec(), ("alert", "acknowledgement-undecodable")),
-        ("an acknowledgement by a number", &key, b"{\"who\": 7}".to_vec(), ("alert", "acknowledgement-undecodable")),
-        ("an acknowledgement for another parameter", &key, of("storey-2"), ("alert", "acknowledgement-on-another-key")),
+        (
+            "a displayed value that is no JSON",
+            &value,
+            b"0.85".to_vec(),
+            ("dashboard", "refused-undecodable"),
+        ),
+        (
+            "a displayed value with NaN",
+            &value,
+            b"{\"mean\": NaN}".to_vec(),
+            ("dashboard", "refused-undecodable"),
+        ),
+        (
+            "a status that is no JSON",
+            &status,
+            vec![0xff; 10],
+            ("dashboard", "refused-undecodable"),
+        ),
+        (
+            "a key of more than 512 bytes",
+            &long_key,
+            b"{}".to_vec(),
+            ("dashboard", "refused-key-too-long"),
+        ),
+        (
+            "an acknowledgement that ends early",
+            &key,
+            b"{\"who\": ".to_vec(),
+            ("alert", "acknowledgement-undecodable"),
+        ),
+        (
+            "an acknowledgement by a number",
+            &key,
+            b"{\"who\": 7}".to_vec(),
+            ("alert", "acknowledgement-undecodable"),
+        ),
+        (
+            "an acknowledgement for another parameter",
+            &key,
+            of("storey-2"),
+            ("alert", "acknowledgement-on-another-key"),
+        ),
         (
             "an acknowledgement for no parameter",
             &elsewhere,
             of("storey-9"),
             ("alert", "acknowledgement-on-another-key"),
         ),
-        ("an acknowledgement without alert", &key, of("storey-1"), ("alert", "acknowledgement-without-alert")),
+        (
+            "an acknowledgement without alert",
+            &key,
+            of("storey-1"),
+            ("alert", "acknowledgement-without-alert"),
+        ),
     ] {
         put_raw(&running.bus, key, json, payload).await;
         running.add(table, given, (service, reason, 1)).await;
@@ -294,17 +555,39 @@ async fn json(table: &mut Table, running: &mut Running) {
 async fn queries(table: &mut Table, running: &Running) {
     let of_history = running.keys.history(&name("storey-1"));
     for (given, selector, told) in [
-        ("frames after a number that is none", format!("{}?after=-1", running.keys.recording()), &["after", "-1"][..]),
-        ("frames up to a limit that is none", format!("{}?limit=many", running.keys.recording()), &["limit", "many"]),
+        (
+            "frames after a number that is none",
+            format!("{}?after=-1", running.keys.recording()),
+            &["after", "-1"][..],
+        ),
+        (
+            "frames up to a limit that is none",
+            format!("{}?limit=many", running.keys.recording()),
+            &["limit", "many"],
+        ),
         (
             "estimates after a number that is none",
             format!("{}?after=x", running.keys.estimates_buffer()),
             &["after", "x"],
         ),
-        ("a history of points that are none", format!("{of_history}?points=none"), &["points", "none"]),
-        ("a history of an unknown kind", format!("{of_history}?kind=colour"), &["kind", "parameter, noise"]),
+        (
+            "a history of points that are none",
+            format!("{of_history}?points=none"),
+            &["points", "none"],
+        ),
+        (
+            "a history of an unknown kind",
+            format!("{of_history}?kind=colour"),
+            &["kind", "parameter, noise"],
+        ),
     ] {
-        let replies = running.bus.session().get(&selector).timeout(DEADLINE).await.unwrap();
+        let replies = running
+            .bus
+            .session()
+            .get(&selector)
+            .timeout(DEADLINE)
+            .await
+            .unwrap();
         let refusal = match within("an answer", replies.recv_async()).await {
             Ok(reply) => match reply.result() {
                 Err(refusal) => refusal.payload().try_to_string().unwrap().into_owned(),
@@ -314,6 +597,11 @@ async fn queries(table: &mut Table, running: &Running) {
         };
         let is_right = told.iter().all(|part| refusal.contains(part));
         let named: Vec<String> = told.iter().map(|part| code(part)).collect();
-        table.add(given, &format!("refused, naming {}", named.join(", ")), &refusal, is_right);
+        table.add(
+            given,
+            &format!("refused, naming {}", named.join(", ")),
+            &refusal,
+            is_right,
+        );
     }
 }

@@ -15,10 +15,22 @@ struct Page {
 
 impl Page {
     fn start(process: Process) -> Self {
-        process.wait_for_output("the address of the page", |said| said.contains("page: http"));
+        process.wait_for_output("the address of the page", |said| {
+            said.contains("page: http")
+        });
         let output = process.output();
-        let address = output.split_once("http://").unwrap().1.split('/').next().unwrap().to_owned();
-        Self { _process: process, address }
+        let address = output
+            .split_once("http://")
+            .unwrap()
+            .1
+            .split('/')
+            .next()
+            .unwrap()
+            .to_owned();
+        Self {
+            _process: process,
+            address,
+        }
     }
 
     /// Sends bytes, and returns the status of the answer with what it says; a connection that is closed without a word is `closed`.
@@ -29,13 +41,19 @@ impl Page {
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer); // what came before a reset counts
         let answer = String::from_utf8_lossy(&answer).into_owned();
-        let Some(status) = answer.strip_prefix("HTTP/1.1 ").and_then(|rest| rest.get(..3)) else {
+        let Some(status) = answer
+            .strip_prefix("HTTP/1.1 ")
+            .and_then(|rest| rest.get(..3))
+        else {
             return "closed".to_owned();
         };
         let body = answer.split_once("\r\n\r\n").map_or("", |(_, body)| body);
         match serde_json::from_str::<serde_json::Value>(body) {
             Ok(body) if body["error"].is_string() => {
-                let (error, allowed) = (body["error"].as_str().unwrap(), body["allowed"].as_str().unwrap());
+                let (error, allowed) = (
+                    body["error"].as_str().unwrap(),
+                    body["allowed"].as_str().unwrap(),
+                );
                 format!("{status}: {error}, {allowed}")
             }
             Ok(_) | Err(_) => status.to_owned(),
@@ -43,22 +61,33 @@ impl Page {
     }
 
     fn request(&self, method: &str, path: &str, headers: &str, body: &str) -> String {
-        let host = if headers.contains("Host:") { String::new() } else { format!("Host: {}\r\n", self.address) };
+        let host = if headers.contains("Host:") {
+            String::new()
+        } else {
+            format!("Host: {}\r\n", self.address)
+        };
         let length = body.len();
-        let head = format!("{method} {path} HTTP/1.1\r\n{host}Connection: close\r\nContent-Length: {length}\r\n");
+        let head = format!(
+            "{method} {path} HTTP/1.1\r\n{host}Connection: close\r\nContent-Length: {length}\r\n"
+        );
         self.send(format!("{head}{headers}\r\n{body}").as_bytes())
     }
 
     /// Whether the page still answers.
     fn is_alive(&self) -> bool {
-        self.request("GET", "/health/live", "", "").starts_with("200")
+        self.request("GET", "/health/live", "", "")
+            .starts_with("200")
     }
 
     /// Adds a request whose answer must begin with a status and name `told`; the page has to answer the next one.
     fn add(&self, table: &mut Table, given: &str, (status, told): (&str, &[&str]), observed: &str) {
         let is_told = told.iter().all(|part| observed.contains(part));
         let named: Vec<String> = told.iter().map(|part| code(part)).collect();
-        let naming = if named.is_empty() { String::new() } else { format!(", naming {}", named.join(", ")) };
+        let naming = if named.is_empty() {
+            String::new()
+        } else {
+            format!(", naming {}", named.join(", "))
+        };
         let is_right = observed.starts_with(status) && is_told && self.is_alive();
         table.add(given, &format!("{status}{naming}"), observed, is_right);
     }
@@ -69,7 +98,9 @@ type Asked<'a> = (&'a str, [&'a str; 4], (&'a str, &'a [&'a str]));
 
 pub async fn all(table: &mut Table) {
     let site = Site::with(&two_storeys(""));
-    let page = Page::start(Process::start(site.listening("run").args(["--http", "127.0.0.1:0"])));
+    let page = Page::start(Process::start(
+        site.listening("run").args(["--http", "127.0.0.1:0"]),
+    ));
     requests(table, &page);
     sockets(table, &page).await;
     with_tokens(table, &site);
@@ -85,25 +116,81 @@ fn requests(table: &mut Table, page: &Page) {
     let wide = format!("X-Wide: {}\r\n", "a".repeat(600_000));
     let from_elsewhere = format!("{json}Origin: https://example.org\r\n");
     let cases: [Asked<'_>; 22] = [
-        ("a path that is not there", ["GET", "/api/nothing", "", ""], ("404", &["/api/nothing", "openapi.json"])),
-        ("a path out of the page", ["GET", "/../../etc/passwd", "", ""], ("404", &["etc/passwd"])),
-        ("a structure that is not there", ["GET", "/api/structures/tower", "", ""], ("404", &["`tower`", "house"])),
-        ("a path that is not UTF-8", ["GET", "/api/structures/%ff", "", ""], ("400", &[])),
-        ("a method that is not taken", ["POST", "/api/structures", "", ""], ("405", &["POST"])),
-        ("a method that is none", ["FLY", "/api/structures", "", ""], ("405", &["FLY"])),
-        ("a number of points that is none", ["GET", &format!("{history}?points=none"), "", ""], ("400", &["points"])),
-        ("an unknown query", ["GET", &format!("{history}?until=5"), "", ""], ("400", &["until"])),
+        (
+            "a path that is not there",
+            ["GET", "/api/nothing", "", ""],
+            ("404", &["/api/nothing", "openapi.json"]),
+        ),
+        (
+            "a path out of the page",
+            ["GET", "/../../etc/passwd", "", ""],
+            ("404", &["etc/passwd"]),
+        ),
+        (
+            "a structure that is not there",
+            ["GET", "/api/structures/tower", "", ""],
+            ("404", &["`tower`", "house"]),
+        ),
+        (
+            "a path that is not UTF-8",
+            ["GET", "/api/structures/%ff", "", ""],
+            ("400", &[]),
+        ),
+        (
+            "a method that is not taken",
+            ["POST", "/api/structures", "", ""],
+            ("405", &["POST"]),
+        ),
+        (
+            "a method that is none",
+            ["FLY", "/api/structures", "", ""],
+            ("405", &["FLY"]),
+        ),
+        (
+            "a number of points that is none",
+            ["GET", &format!("{history}?points=none"), "", ""],
+            ("400", &["points"]),
+        ),
+        (
+            "an unknown query",
+            ["GET", &format!("{history}?until=5"), "", ""],
+            ("400", &["until"]),
+        ),
         (
             "a series that is not there",
             ["GET", &format!("{history}?series=parameter/roof"), "", ""],
             ("400", &["parameter/roof"]),
         ),
-        ("a time that is not finite", ["GET", &format!("{history}?from=nan"), "", ""], ("400", &["from"])),
-        ("a state that is none", ["GET", "/api/alerts?state=angry", "", ""], ("400", &["angry"])),
-        ("a body that is no JSON", ["POST", acknowledge, json, "{"], ("400", &["JSON"])),
-        ("a body without what it must have", ["POST", acknowledge, json, "{\"note\":\"x\"}"], ("422", &["who"])),
-        ("a body of 20 kB", ["POST", acknowledge, json, &large], ("413", &[])),
-        ("a name of 101 characters", ["POST", acknowledge, json, &long], ("400", &["who is too long", "100"])),
+        (
+            "a time that is not finite",
+            ["GET", &format!("{history}?from=nan"), "", ""],
+            ("400", &["from"]),
+        ),
+        (
+            "a state that is none",
+            ["GET", "/api/alerts?state=angry", "", ""],
+            ("400", &["angry"]),
+        ),
+        (
+            "a body that is no JSON",
+            ["POST", acknowledge, json, "{"],
+            ("400", &["JSON"]),
+        ),
+        (
+            "a body without what it must have",
+            ["POST", acknowledge, json, "{\"note\":\"x\"}"],
+            ("422", &["who"]),
+        ),
+        (
+            "a body of 20 kB",
+            ["POST", acknowledge, json, &large],
+            ("413", &[]),
+        ),
+        (
+            "a name of 101 characters",
+            ["POST", acknowledge, json, &long],
+            ("400", &["who is too long", "100"]),
+        ),
         (
             "a name with a zero byte",
             ["POST", acknowledge, json, "{\"who\":\"Ada\\u0000\"}"],
@@ -111,11 +198,24 @@ fn requests(table: &mut Table, page: &Page) {
         ),
         (
             "a note with an escape character",
-            ["POST", acknowledge, json, "{\"who\":\"Ada\",\"note\":\"\\u001b[2J\"}"],
+            [
+                "POST",
+                acknowledge,
+                json,
+                "{\"who\":\"Ada\",\"note\":\"\\u001b[2J\"}",
+            ],
             ("400", &["note has control characters"]),
         ),
-        ("a body of another type", ["POST", acknowledge, "", "{\"who\":\"Ada\"}"], ("415", &["application/json"])),
-        ("an acknowledgement without alert", ["POST", acknowledge, json, "{\"who\":\"Ada\"}"], ("409", &["storey-1"])),
+        (
+            "a body of another type",
+            ["POST", acknowledge, "", "{\"who\":\"Ada\"}"],
+            ("415", &["application/json"]),
+        ),
+        (
+            "an acknowledgement without alert",
+            ["POST", acknowledge, json, "{\"who\":\"Ada\"}"],
+            ("409", &["storey-1"]),
+        ),
         (
             "a change from the page of another site",
             ["POST", acknowledge, &from_elsewhere, "{\"who\":\"Ada\"}"],
@@ -126,13 +226,32 @@ fn requests(table: &mut Table, page: &Page) {
             ["GET", "/api/structures", "Host: example.org\r\n", ""],
             ("403", &["foreign name", "127.0.0.1"]),
         ),
-        ("a header of 600 kB", ["GET", "/api/structures", &wide, ""], ("431", &[])),
+        (
+            "a header of 600 kB",
+            ["GET", "/api/structures", &wide, ""],
+            ("431", &[]),
+        ),
     ];
     for (given, [method, path, headers, body], expected) in cases {
-        page.add(table, given, expected, &page.request(method, path, headers, body));
+        page.add(
+            table,
+            given,
+            expected,
+            &page.request(method, path, headers, body),
+        );
     }
-    page.add(table, "bytes that are no HTTP", ("400", &[]), &page.send(b"\x00\x01\x02 spandrel\r\n\r\n"));
-    page.add(table, "TLS where there is none", ("400", &[]), &page.send(b"\x16\x03\x01\x00\x05hello\r\n\r\n"));
+    page.add(
+        table,
+        "bytes that are no HTTP",
+        ("400", &[]),
+        &page.send(b"\x00\x01\x02 spandrel\r\n\r\n"),
+    );
+    page.add(
+        table,
+        "TLS where there is none",
+        ("400", &[]),
+        &page.send(b"\x16\x03\x01\x00\x05hello\r\n\r\n"),
+    );
 }
 
 async fn sockets(table: &mut Table, page: &Page) {
@@ -140,22 +259,47 @@ async fn sockets(table: &mut Table, page: &Page) {
     let socket = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n";
     let foreign = format!("{socket}Origin: https://example.org\r\n");
     let cases: [Asked<'_>; 4] = [
-        ("a request that opens none", ["GET", "/api/live", "", ""], ("400", &["WebSocket"])),
+        (
+            "a request that opens none",
+            ["GET", "/api/live", "", ""],
+            ("400", &["WebSocket"]),
+        ),
         (
             "a structure that is not there",
             ["GET", "/api/live?structure=tower", socket, ""],
             ("404", &["`tower`", "house"]),
         ),
-        ("an unknown query", ["GET", "/api/live?struct=house", socket, ""], ("400", &["struct"])),
-        ("from the page of another site", ["GET", "/api/live", &foreign, ""], ("403", &["another site"])),
+        (
+            "an unknown query",
+            ["GET", "/api/live?struct=house", socket, ""],
+            ("400", &["struct"]),
+        ),
+        (
+            "from the page of another site",
+            ["GET", "/api/live", &foreign, ""],
+            ("403", &["another site"]),
+        ),
     ];
     for (given, [method, path, headers, body], expected) in cases {
-        page.add(table, given, expected, &page.request(method, path, headers, body));
+        page.add(
+            table,
+            given,
+            expected,
+            &page.request(method, path, headers, body),
+        );
     }
     for (given, message, expected) in [
-        ("a text that asks for something", Message::text("{\"subscribe\":\"all\"}"), "goes on"),
+        (
+            "a text that asks for something",
+            Message::text("{\"subscribe\":\"all\"}"),
+            "goes on",
+        ),
         ("bytes", Message::binary(vec![0xff; 100]), "goes on"),
-        ("a message of 5 kB", Message::text("a".repeat(5_000)), "closed"),
+        (
+            "a message of 5 kB",
+            Message::text("a".repeat(5_000)),
+            "closed",
+        ),
     ] {
         let observed = answer_to(page, message).await;
         page.add(table, given, (expected, &[]), &observed);
@@ -166,7 +310,10 @@ async fn sockets(table: &mut Table, page: &Page) {
 async fn answer_to(page: &Page, message: Message) -> String {
     let address = format!("ws://{}/api/live?structure=house", page.address);
     let (mut socket, _) = tokio_tungstenite::connect_async(address).await.unwrap();
-    within("the first message", socket.next()).await.unwrap().unwrap();
+    within("the first message", socket.next())
+        .await
+        .unwrap()
+        .unwrap();
     socket.send(message).await.unwrap();
     // what the server reads in its order: after the answer to a ping it has read what came before
     let pinged = socket.send(Message::Ping("behind it".into())).await;
@@ -180,20 +327,34 @@ async fn answer_to(page: &Page, message: Message) -> String {
         }
     })
     .await;
-    (if pinged.is_ok() && goes_on { "goes on" } else { "closed" }).to_owned()
+    (if pinged.is_ok() && goes_on {
+        "goes on"
+    } else {
+        "closed"
+    })
+    .to_owned()
 }
 
 fn with_tokens(table: &mut Table, site: &Site) {
     table.section("Tokens of the page");
     let token = |name: &str, role: &str| {
         let mut command = spandrel("token");
-        command.current_dir(site.folder()).args([name, "--role", role, "--file", "tokens.json"]);
-        Process::start(&mut command).wait().expect_code(0).stdout.trim().to_owned()
+        command
+            .current_dir(site.folder())
+            .args([name, "--role", role, "--file", "tokens.json"]);
+        Process::start(&mut command)
+            .wait()
+            .expect_code(0)
+            .stdout
+            .trim()
+            .to_owned()
     };
     let viewer = token("ada", "viewer");
     let tokens = site.folder().join("tokens.json");
     let mut command = site.connecting("dashboard");
-    command.args(["--http", "127.0.0.1:0"]).env("SPANDREL_DASHBOARD__TOKENS", tokens);
+    command
+        .args(["--http", "127.0.0.1:0"])
+        .env("SPANDREL_DASHBOARD__TOKENS", tokens);
     let page = Page::start(Process::start(&mut command));
     let acknowledge = "/api/structures/house/alerts/storey-1/acknowledge";
     let json = "Content-Type: application/json\r\n";
@@ -201,11 +362,24 @@ fn with_tokens(table: &mut Table, site: &Site) {
     let of_viewer = bearer(&viewer);
     let wrong = bearer("spandrel-0000");
     let cases: [Asked<'_>; 5] = [
-        ("none", ["GET", "/api/structures", "", ""], ("401", &["Bearer TOKEN"])),
-        ("a wrong one", ["GET", "/api/structures", &wrong, ""], ("401", &["no valid token"])),
+        (
+            "none",
+            ["GET", "/api/structures", "", ""],
+            ("401", &["Bearer TOKEN"]),
+        ),
+        (
+            "a wrong one",
+            ["GET", "/api/structures", &wrong, ""],
+            ("401", &["no valid token"]),
+        ),
         (
             "a cookie that nobody has given",
-            ["GET", "/api/structures", "Cookie: spandrel-session=0\r\n", ""],
+            [
+                "GET",
+                "/api/structures",
+                "Cookie: spandrel-session=0\r\n",
+                "",
+            ],
             ("401", &["no valid token"]),
         ),
         (
@@ -220,10 +394,22 @@ fn with_tokens(table: &mut Table, site: &Site) {
         ),
     ];
     for (given, [method, path, headers, body], expected) in cases {
-        page.add(table, given, expected, &page.request(method, path, headers, body));
+        page.add(
+            table,
+            given,
+            expected,
+            &page.request(method, path, headers, body),
+        );
     }
-    let answers: Vec<String> = (0..10).map(|_| page.request("GET", "/api/structures", &wrong, "")).collect();
+    let answers: Vec<String> = (0..10)
+        .map(|_| page.request("GET", "/api/structures", &wrong, ""))
+        .collect();
     // how long to wait depends on how fast the others were
     let last = answers[9].split(", must wait").next().unwrap();
-    page.add(table, "eleven wrong ones from one address", ("429", &["too many wrong tokens"]), last);
+    page.add(
+        table,
+        "eleven wrong ones from one address",
+        ("429", &["too many wrong tokens"]),
+        last,
+    );
 }

@@ -21,34 +21,62 @@ pub struct Table {
 impl Table {
     /// Begins the inputs of one kind.
     pub fn section(&mut self, heading: &str) {
-        let _ = write!(self.text, "\n### {heading}\n\n| bad input | expected | observed |\n|---|---|---|\n");
+        let _ = write!(
+            self.text,
+            "\n### {heading}\n\n| bad input | expected | observed |\n|---|---|---|\n"
+        );
     }
 
     /// Adds an input; `is_right` says whether what was observed is what was expected.
     pub fn add(&mut self, given: &str, expected: &str, observed: &str, is_right: bool) {
         let observed = one_line(observed);
         self.rows += 1;
-        let _ = writeln!(self.text, "| {given} | {} | {} |", expected.replace('|', "\\|"), code(&observed));
+        let _ = writeln!(
+            self.text,
+            "| {given} | {} | {} |",
+            expected.replace('|', "\\|"),
+            code(&observed)
+        );
         if !is_right {
-            let _ = writeln!(self.wrong, "{given}\n  expected {expected}\n  observed {observed}");
+            let _ = writeln!(
+                self.wrong,
+                "{given}\n  expected {expected}\n  observed {observed}"
+            );
         }
     }
 
     /// Adds an input by which a command ends: with which code, and what its error names.
-    pub fn add_ended(&mut self, given: &str, (expected, told): (i32, &[String]), finished: &Finished) {
+    pub fn add_ended(
+        &mut self,
+        given: &str,
+        (expected, told): (i32, &[String]),
+        finished: &Finished,
+    ) {
         let said = said(&finished.stderr);
         let is_told = told.iter().all(|part| said.contains(part.as_str()));
-        let is_right = finished.code == Some(expected) && is_told && !finished.stderr.contains("panicked");
+        let is_right =
+            finished.code == Some(expected) && is_told && !finished.stderr.contains("panicked");
         let named: Vec<String> = told.iter().map(|part| code(part)).collect();
-        let code = finished.code.map_or("a signal".to_owned(), |code| format!("{code}"));
+        let code = finished
+            .code
+            .map_or("a signal".to_owned(), |code| format!("{code}"));
         let observed = format!("{code}: {said}");
-        self.add(given, &format!("code {expected}, naming {}", named.join(", ")), &observed, is_right);
+        self.add(
+            given,
+            &format!("code {expected}, naming {}", named.join(", ")),
+            &observed,
+            is_right,
+        );
     }
 
     /// Fails if anything was not as expected; then compares with the page, or writes it.
     pub fn compare_with_the_page(&self, least: usize) {
         assert!(self.wrong.is_empty(), "\n{}", self.wrong);
-        assert!(self.rows >= least, "{} bad inputs, at least {least} were meant", self.rows);
+        assert!(
+            self.rows >= least,
+            "{} bad inputs, at least {least} were meant",
+            self.rows
+        );
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reliability.md");
         let page = std::fs::read_to_string(&path).unwrap();
         let (before, rest) = page.split_once(BEGIN).unwrap();
@@ -58,7 +86,10 @@ impl Table {
             std::fs::write(&path, format!("{before}{BEGIN}{table}{END}{after}")).unwrap();
             return;
         }
-        let differs = kept.lines().zip(table.lines()).find(|(kept, seen)| kept != seen);
+        let differs = kept
+            .lines()
+            .zip(table.lines())
+            .find(|(kept, seen)| kept != seen);
         assert!(
             kept == table,
             "docs/reliability.md differs from what was seen ({differs:?}); UPDATE_DOCS=1 writes it anew"
@@ -68,8 +99,12 @@ impl Table {
 
 /// The error of a program and its causes, without what comes behind.
 fn said(stderr: &str) -> String {
-    let from = stderr.find("error: ").map_or(stderr, |at| &stderr[at + "error: ".len()..]);
-    let usage = from.find("\n\nUsage:").or_else(|| from.find("\n\nFor more"));
+    let from = stderr
+        .find("error: ")
+        .map_or(stderr, |at| &stderr[at + "error: ".len()..]);
+    let usage = from
+        .find("\n\nUsage:")
+        .or_else(|| from.find("\n\nFor more"));
     from[..usage.unwrap_or(from.len())].to_owned()
 }
 
@@ -84,5 +119,9 @@ fn one_line(text: &str) -> String {
 /// As code in a cell, also where the text has accents of code itself.
 pub fn code(text: &str) -> String {
     let text = text.replace('|', "\\|");
-    if text.contains('`') { format!("`` {text} ``") } else { format!("`{text}`") }
+    if text.contains('`') {
+        format!("`` {text} ``")
+    } else {
+        format!("`{text}`")
+    }
 }

@@ -4,7 +4,12 @@
 //! A short form runs with the other tests; the long one by `cargo test --workspace --test soak -- --ignored --nocapture`, with
 //! `SOAK_S` for another length (s).
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 #[path = "../support/mod.rs"]
 mod support;
@@ -102,7 +107,10 @@ impl Town {
         let house = |number: usize| {
             let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.3\ncredibility = 0.99\nsustain-s = 10\n";
             let text = two_storeys(rules).replace("\"house\"", &format!("\"house-{number}\""));
-            Site::with(&text.replace("sampling-rate-hz = 100", "sampling-rate-hz = 100\ndisplay-rate-hz = 1"))
+            Site::with(&text.replace(
+                "sampling-rate-hz = 100",
+                "sampling-rate-hz = 100\ndisplay-rate-hz = 1",
+            ))
         };
         let mut sites = vec![house(1)];
         for number in 2..=STRUCTURES {
@@ -110,10 +118,20 @@ impl Town {
             sites.push(site);
         }
         for site in &sites {
-            assert_eq!(site.simulate(60.0).len() % 100, 0, "the record is that of whole blocks");
+            assert_eq!(
+                site.simulate(60.0).len() % 100,
+                0,
+                "the record is that of whole blocks"
+            );
         }
         let listen = vec![sites[0].endpoint().to_owned()];
-        let router = Bus::open(&BusConfig { mode: Mode::Router, listen, ..BusConfig::default() }).await.unwrap();
+        let router = Bus::open(&BusConfig {
+            mode: Mode::Router,
+            listen,
+            ..BusConfig::default()
+        })
+        .await
+        .unwrap();
         let configuration = sites[0].folder().join("spandrel.toml");
         let text = "[bus]\nmode = \"client\"\n[state]\nfolder = \"kept\"\n[history]\ndatabase = \"history.sqlite\"\n\
                     [dashboard]\nlisten = \"127.0.0.1:0\"\n";
@@ -125,15 +143,28 @@ impl Town {
                 "--root",
                 sites[0].keys().root().as_str(),
             ]);
-            command.args(["--connect", sites[0].endpoint()]).arg("--config").arg(&configuration);
+            command
+                .args(["--connect", sites[0].endpoint()])
+                .arg("--config")
+                .arg(&configuration);
             (service, Process::start(&mut command))
         };
         let services: BTreeMap<_, _> = SERVICES.into_iter().map(start).collect();
         let all = format!("ready structures={STRUCTURES}");
         for (name, service) in &services {
-            service.wait_for_log(if *name == "dashboard" { "dashboard ready" } else { &all });
+            service.wait_for_log(if *name == "dashboard" {
+                "dashboard ready"
+            } else {
+                &all
+            });
         }
-        let mut town = Self { sites, clock: Clock::starting(SPEED), services, nodes: BTreeMap::new(), _router: router };
+        let mut town = Self {
+            sites,
+            clock: Clock::starting(SPEED),
+            services,
+            nodes: BTreeMap::new(),
+            _router: router,
+        };
         for structure in 0..STRUCTURES {
             for node in [STEADY].into_iter().chain(OTHERS) {
                 town.send(structure, node, Manner::Honest);
@@ -160,7 +191,8 @@ impl Town {
         };
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["sensor_node", "--exact", "--ignored", "--nocapture"]);
-        let process = Process::start_with_input(command.env(ORDERS, serde_json::to_string(&orders).unwrap()));
+        let process =
+            Process::start_with_input(command.env(ORDERS, serde_json::to_string(&orders).unwrap()));
         self.nodes.insert((structure, node), (manner, process));
     }
 
@@ -169,8 +201,10 @@ impl Town {
         if random.random() {
             return Manner::Honest;
         }
-        let is_ahead =
-            self.nodes.iter().any(|((of, _), (manner, _))| *of == structure && *manner == Manner::ClockAhead);
+        let is_ahead = self
+            .nodes
+            .iter()
+            .any(|((of, _), (manner, _))| *of == structure && *manner == Manner::ClockAhead);
         match Manner::LIES[random.random_range(0..Manner::LIES.len())] {
             Manner::ClockAhead if is_ahead => Manner::Honest,
             lie => lie,
@@ -179,7 +213,10 @@ impl Town {
 
     /// Something happens to a node that is not the steady one; returns what.
     fn disturb(&mut self, random: &mut ChaCha8Rng) -> &'static str {
-        let place = (random.random_range(0..STRUCTURES), OTHERS[random.random_range(0..OTHERS.len())]);
+        let place = (
+            random.random_range(0..STRUCTURES),
+            OTHERS[random.random_range(0..OTHERS.len())],
+        );
         match self.nodes.remove(&place) {
             Some((_, process)) if random.random() => {
                 process.kill();
@@ -212,9 +249,10 @@ impl Town {
         for structure in 0..STRUCTURES {
             for node in OTHERS {
                 match self.nodes.remove(&(structure, node)) {
-                    Some((Manner::Honest, process)) => {
-                        drop(self.nodes.insert((structure, node), (Manner::Honest, process)))
-                    }
+                    Some((Manner::Honest, process)) => drop(
+                        self.nodes
+                            .insert((structure, node), (Manner::Honest, process)),
+                    ),
                     Some((_, liar)) => {
                         liar.kill();
                         self.send(structure, node, Manner::Honest);
@@ -236,11 +274,19 @@ impl Town {
             let (_, steady) = &self.nodes[&(structure, STEADY)];
             steady.wait_for_output("put … samples", |said| said.contains(" samples\n"));
             let said = steady.output();
-            let put = said.split("put ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap().parse().unwrap();
+            let put = said
+                .split("put ")
+                .nth(1)
+                .and_then(|rest| rest.split(' ').next())
+                .unwrap()
+                .parse()
+                .unwrap();
             let keys = self.sites[structure].keys();
             let ended = async {
                 loop {
-                    let at = bus.stream_position(&keys.recording(), support::DEADLINE).await;
+                    let at = bus
+                        .stream_position(&keys.recording(), support::DEADLINE)
+                        .await;
                     match at.filter(|at| at.state == spandrel_bus::StreamState::Ended) {
                         Some(at) => return at.header.sequence,
                         None => tokio::time::sleep(Duration::from_millis(100)).await,
@@ -248,8 +294,15 @@ impl Town {
                 }
             };
             let frames = within("the end of the frames", ended).await;
-            let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
-            within("decision on all frames", decided.wait_for(|progress| progress.done >= frames)).await;
+            let mut decided = bus
+                .watch_progress(keys.progress(Service::Alert))
+                .await
+                .unwrap();
+            within(
+                "decision on all frames",
+                decided.wait_for(|progress| progress.done >= frames),
+            )
+            .await;
             counts.push((put, frames));
         }
         for (_, (_, mut node)) in std::mem::take(&mut self.nodes) {
@@ -292,14 +345,24 @@ async fn soak(plan: Plan) {
         }
     }
     let counts = town.end(&bus).await;
-    let processor_s = town.services.iter().map(|(name, service)| (*name, processor_s(service))).collect();
+    let processor_s = town
+        .services
+        .iter()
+        .map(|(name, service)| (*name, processor_s(service)))
+        .collect();
     listening.iter().for_each(tokio::task::JoinHandle::abort);
     bus.close().await.unwrap();
     for (_, service) in std::mem::take(&mut town.services) {
         let log = service.stop().expect_code(0).stderr;
         assert!(!log.contains("panicked"), "{log}");
     }
-    let report = Report { plan, memory_mb, heard, processor_s, happened };
+    let report = Report {
+        plan,
+        memory_mb,
+        heard,
+        processor_s,
+        happened,
+    };
     report.tell(&counts);
     for (site, (put, frames)) in town.sites.iter().zip(counts) {
         check_recording(&town.sites[0].folder().join("kept"), site, put, frames);
@@ -319,16 +382,22 @@ struct Report {
 impl Report {
     /// The first and the last fifth of the time after the warm-up.
     fn early_and_late(&self) -> [(Duration, Duration); 2] {
-        let Plan { length, warm_up, .. } = self.plan;
+        let Plan {
+            length, warm_up, ..
+        } = self.plan;
         let fifth = (length - warm_up) / 5;
         [(warm_up, warm_up + fifth), (length - fifth, length)]
     }
 
     fn tell(&self, counts: &[(u64, u64)]) {
-        let Plan { length, warm_up, .. } = self.plan;
+        let Plan {
+            length, warm_up, ..
+        } = self.plan;
         let [early, late] = self.early_and_late();
         let heard = self.heard.lock().unwrap();
-        let (put, frames) = counts.iter().fold((0, 0), |(a, b), (put, frames)| (a + put, b + frames));
+        let (put, frames) = counts
+            .iter()
+            .fold((0, 0), |(a, b), (put, frames)| (a + put, b + frames));
         println!(
             "{STRUCTURES} structures at {SPEED} times real time for {} s; frames {frames}, samples put by the steady nodes {put}",
             length.as_secs()
@@ -347,19 +416,34 @@ impl Report {
         }
         println!("memory MB, medians of each tenth of the time");
         for name in self.memory_mb.names() {
-            let tenth = |number: u32| self.memory_mb.median(name, length / 10 * number, length / 10 * (number + 1));
-            println!("{name:10} {}", (0..10).map(|number| format!("{:6.1}", tenth(number))).collect::<String>());
+            let tenth = |number: u32| {
+                self.memory_mb
+                    .median(name, length / 10 * number, length / 10 * (number + 1))
+            };
+            println!(
+                "{name:10} {}",
+                (0..10)
+                    .map(|number| format!("{:6.1}", tenth(number)))
+                    .collect::<String>()
+            );
         }
         println!("service    lag s early   late   most (medians of what the statuses say)");
         for name in heard.lag_s.names() {
             let median = |(from, to)| heard.lag_s.median(name, from, to);
             let most = heard.lag_s.most(name, warm_up, length);
-            println!("{name:10} {:11.2} {:6.2} {most:6.2}", median(early), median(late));
+            println!(
+                "{name:10} {:11.2} {:6.2} {most:6.2}",
+                median(early),
+                median(late)
+            );
         }
         for service in SERVICES {
             println!("{service} counts {:?}", heard.counted(service));
         }
-        println!("states of identify: {:?}; restarts of a filter, most: {}", heard.loads, heard.restarts);
+        println!(
+            "states of identify: {:?}; restarts of a filter, most: {}",
+            heard.loads, heard.restarts
+        );
     }
 
     fn check(&self) {
@@ -368,12 +452,19 @@ impl Report {
         for name in self.memory_mb.names() {
             let median = |(from, to)| self.memory_mb.median(name, from, to);
             let growth = median(late) - median(early);
-            assert!(growth <= self.plan.growth_mb, "{name} grows by {growth:.1} MB, more than {}", self.plan.growth_mb);
+            assert!(
+                growth <= self.plan.growth_mb,
+                "{name} grows by {growth:.1} MB, more than {}",
+                self.plan.growth_mb
+            );
         }
         for name in heard.lag_s.names() {
             let median = |(from, to)| heard.lag_s.median(name, from, to);
             let growth = median(late) - median(early);
-            assert!(growth <= self.plan.lag_growth_s, "the lag of {name} grows by {growth:.2} s");
+            assert!(
+                growth <= self.plan.lag_growth_s,
+                "the lag of {name} grows by {growth:.2} s"
+            );
         }
         for service in ["identify", "alert"] {
             assert_eq!(
@@ -388,23 +479,44 @@ impl Report {
 /// Each sample that the steady node has put is in the recording, and no frame is missing; in the end all nodes are in it again.
 fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
     let structure = site.structure();
-    let channels: Vec<String> = structure.channels().map(|channel| channel.name().to_owned()).collect();
+    let channels: Vec<String> = structure
+        .channels()
+        .map(|channel| channel.name().to_owned())
+        .collect();
     let layout = LogLayout {
         structure: structure.name().to_owned(),
-        nodes: structure.nodes().iter().map(|node| node.name().to_owned()).collect(),
+        nodes: structure
+            .nodes()
+            .iter()
+            .map(|node| node.name().to_owned())
+            .collect(),
         sampling_rate_hz: structure.sampling_rate_hz(),
         channels: channels.clone(),
     };
-    let folder = state.join(site.keys().root().as_str()).join(structure.name()).join("recording");
+    let folder = state
+        .join(site.keys().root().as_str())
+        .join(structure.name())
+        .join("recording");
     let (log, _) = FrameLog::open(&folder, layout, LogSettings::default()).unwrap();
     let reader = log.reader();
     let spans = reader.spans();
     assert_eq!(spans.len(), 1, "{}: {spans:?}", structure.name());
-    assert_eq!((spans[0].from, spans[0].to, spans[0].missing), (0, frames, 0), "{}: {spans:?}", structure.name());
-    let steady = channels.iter().position(|channel| channel == STEADY).unwrap();
+    assert_eq!(
+        (spans[0].from, spans[0].to, spans[0].missing),
+        (0, frames, 0),
+        "{}: {spans:?}",
+        structure.name()
+    );
+    let steady = channels
+        .iter()
+        .position(|channel| channel == STEADY)
+        .unwrap();
     let (mut recorded, mut after, mut last_whole) = (0, 0, 0);
     while after < frames {
-        let block = reader.read(spans[0].epoch, after, 4096, 1 << 20).unwrap().expect("the end is recorded");
+        let block = reader
+            .read(spans[0].epoch, after, 4096, 1 << 20)
+            .unwrap()
+            .expect("the end is recorded");
         for (number, frame) in (after..).zip(block.values.chunks(channels.len())) {
             recorded += u64::from(!frame[steady].is_nan());
             if frame.iter().all(|value| value.is_finite()) {
@@ -413,7 +525,16 @@ fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
         }
         after += block.count();
     }
-    assert_eq!(recorded, put, "{}: samples of {STEADY} in the recording, of those put", structure.name());
+    assert_eq!(
+        recorded,
+        put,
+        "{}: samples of {STEADY} in the recording, of those put",
+        structure.name()
+    );
     let unheard = frames - last_whole;
-    assert!(unheard < 2000, "{}: the last {unheard} frames lack a node that is there", structure.name());
+    assert!(
+        unheard < 2000,
+        "{}: the last {unheard} frames lack a node that is there",
+        structure.name()
+    );
 }

@@ -25,18 +25,25 @@ impl Series {
     /// The median from one time to another.
     pub fn median(&self, of: &str, from: Duration, to: Duration) -> f64 {
         let mut values = self.within(of, from, to);
-        assert!(!values.is_empty(), "nothing was heard of {of} from {from:?} to {to:?}");
+        assert!(
+            !values.is_empty(),
+            "nothing was heard of {of} from {from:?} to {to:?}"
+        );
         values.sort_unstable_by(f64::total_cmp);
         values[values.len() / 2]
     }
 
     pub fn most(&self, of: &str, from: Duration, to: Duration) -> f64 {
-        self.within(of, from, to).into_iter().fold(f64::MIN, f64::max)
+        self.within(of, from, to)
+            .into_iter()
+            .fold(f64::MIN, f64::max)
     }
 
     fn within(&self, of: &str, from: Duration, to: Duration) -> Vec<f64> {
         let all = self.0.get(of).into_iter().flatten();
-        all.filter(|(at, _)| (from..=to).contains(at)).map(|(_, value)| *value).collect()
+        all.filter(|(at, _)| (from..=to).contains(at))
+            .map(|(_, value)| *value)
+            .collect()
     }
 }
 
@@ -65,7 +72,10 @@ impl Heard {
         let heard = Arc::new(Mutex::new(Self::default()));
         let mut listening = Vec::new();
         for keys in keys {
-            let statuses = bus.subscribe::<Status>(keys.all_statuses(), 1024).await.unwrap();
+            let statuses = bus
+                .subscribe::<Status>(keys.all_statuses(), 1024)
+                .await
+                .unwrap();
             let heard = heard.clone();
             listening.push(tokio::spawn(async move {
                 while let Ok((_, status)) = statuses.messages().recv_async().await {
@@ -78,9 +88,13 @@ impl Heard {
 
     fn take(&mut self, status: Status, clock: Clock, at: Duration) {
         let service = status.service.to_string();
-        if let Some(lag_s) = status.lag_s.filter(|_| ["ingest", "identify", "alert"].contains(&service.as_str())) {
+        if let Some(lag_s) = status
+            .lag_s
+            .filter(|_| ["ingest", "identify", "alert"].contains(&service.as_str()))
+        {
             let time_ns = status.time_ns - (lag_s * 1e9) as i64;
-            self.lag_s.push(&service, at, clock.lag_s(status.time_ns, time_ns));
+            self.lag_s
+                .push(&service, at, clock.lag_s(status.time_ns, time_ns));
         }
         self.loads.extend(status.load.map(Load::as_str));
         let key = (status.structure.to_string(), service);
@@ -104,7 +118,10 @@ impl Heard {
 /// Memory that a process takes, MB (10⁶ bytes).
 pub fn resident_mb(process: &Process) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .unwrap();
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() * 1024e-6
 }
 
@@ -112,6 +129,11 @@ pub fn resident_mb(process: &Process) -> f64 {
 pub fn processor_s(process: &Process) -> f64 {
     const TICKS_PER_SECOND: f64 = 100.0; // of /proc, on every Linux
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", process.id())).unwrap();
-    let fields: Vec<&str> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
+    let fields: Vec<&str> = stat
+        .rsplit_once(')')
+        .unwrap()
+        .1
+        .split_whitespace()
+        .collect();
     (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap()) / TICKS_PER_SECOND
 }

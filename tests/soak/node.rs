@@ -38,8 +38,14 @@ pub enum Manner {
 }
 
 impl Manner {
-    pub const LIES: [Self; 6] =
-        [Self::Implausible, Self::ClockAhead, Self::ClockBehind, Self::Channels, Self::OldMessages, Self::Garbage];
+    pub const LIES: [Self; 6] = [
+        Self::Implausible,
+        Self::ClockAhead,
+        Self::ClockBehind,
+        Self::Channels,
+        Self::OldMessages,
+        Self::Garbage,
+    ];
 }
 
 /// What a node is told.
@@ -66,7 +72,10 @@ pub struct Clock {
 impl Clock {
     /// One that begins now.
     pub fn starting(speed: f64) -> Self {
-        Self { start_ns: wall_ns(), speed }
+        Self {
+            start_ns: wall_ns(),
+            speed,
+        }
     }
 
     /// How late something measured at `time_ns` is done now, in seconds on the wall.
@@ -93,14 +102,28 @@ impl Clock {
     }
 }
 
-#[expect(clippy::disallowed_methods, reason = "sensors put samples when they are measured")]
+#[expect(
+    clippy::disallowed_methods,
+    reason = "sensors put samples when they are measured"
+)]
 pub fn wall_ns() -> i64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap()
+        .as_nanos() as i64
 }
 
 /// Puts samples until the first line on standard input, and is there until the second.
 pub async fn be(orders: Orders) {
-    let Orders { endpoint, root, structure_file, record, node, manner, clock } = orders;
+    let Orders {
+        endpoint,
+        root,
+        structure_file,
+        record,
+        node,
+        manner,
+        clock,
+    } = orders;
     let config = BusConfig {
         root: root.clone(),
         mode: Mode::Client,
@@ -111,10 +134,25 @@ pub async fn be(orders: Orders) {
     let bus = Bus::open(&config).await.unwrap();
     let structure = Structure::read(&structure_file).unwrap();
     let keys = Keys::parse(&root, structure.name()).unwrap();
-    let layout = structure.nodes().iter().find(|layout| layout.name() == node).unwrap();
-    let channels = layout.channels().iter().map(|channel| channel.name().to_owned()).collect();
+    let layout = structure
+        .nodes()
+        .iter()
+        .find(|layout| layout.name() == node)
+        .unwrap();
+    let channels = layout
+        .channels()
+        .iter()
+        .map(|channel| channel.name().to_owned())
+        .collect();
     let record = Record::read(&record);
-    let mut node = Node::start(&bus, &keys, Name::new(&node).unwrap(), channels, wall_ns() as u64).await;
+    let mut node = Node::start(
+        &bus,
+        &keys,
+        Name::new(&node).unwrap(),
+        channels,
+        wall_ns() as u64,
+    )
+    .await;
     let lines = lines();
     let mut random = ChaCha8Rng::seed_from_u64(clock.next_block());
     let first = clock.next_block();
@@ -156,12 +194,21 @@ fn lines() -> flume::Receiver<()> {
     lines
 }
 
-async fn lie(manner: Manner, block: &mut SampleBlock, bus: &Bus, key: &str, random: &mut ChaCha8Rng) {
+async fn lie(
+    manner: Manner,
+    block: &mut SampleBlock,
+    bus: &Bus,
+    key: &str,
+    random: &mut ChaCha8Rng,
+) {
     match manner {
         Manner::Honest => {}
         Manner::Implausible => {
             let absurd = [1e12, -1e300, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
-            block.samples.iter_mut().for_each(|value| *value = absurd[random.random_range(0..absurd.len())]);
+            block
+                .samples
+                .iter_mut()
+                .for_each(|value| *value = absurd[random.random_range(0..absurd.len())]);
         }
         Manner::ClockAhead => block.header.time_ns += OFF_NS,
         Manner::ClockBehind => block.header.time_ns -= OFF_NS,
@@ -177,9 +224,14 @@ async fn lie(manner: Manner, block: &mut SampleBlock, bus: &Bus, key: &str, rand
             }
         }
         Manner::Garbage => {
-            let garbage: Vec<u8> = (0..random.random_range(0..2000)).map(|_| random.random()).collect();
-            for encoding in [SampleBlock::encoding().as_str(), "application/postcard;spandrel.samples.v9", "text/plain"]
-            {
+            let garbage: Vec<u8> = (0..random.random_range(0..2000))
+                .map(|_| random.random())
+                .collect();
+            for encoding in [
+                SampleBlock::encoding().as_str(),
+                "application/postcard;spandrel.samples.v9",
+                "text/plain",
+            ] {
                 put_raw(bus, key, encoding, garbage.clone()).await;
             }
         }

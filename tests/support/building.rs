@@ -11,7 +11,11 @@ pub fn five_storeys() -> PathBuf {
 ///
 /// Live nodes may be late without limit for all practical purposes, so that a slow machine changes no number.
 pub fn two_storeys(more: &str) -> String {
-    let lateness = if more.contains("[ingest]") { "" } else { "[ingest]\nlateness-s = 3600\n" };
+    let lateness = if more.contains("[ingest]") {
+        ""
+    } else {
+        "[ingest]\nlateness-s = 3600\n"
+    };
     let roof_velocity = "[[node.channel]]\nname = \"roof-velocity\"\nquantity = \"velocity\"\ndof = \"floor-2\"\n\
                          unit = \"m/s\"\nnoise-std = 0.001\n";
     let roof = accelerometer("roof", "floor-2") + roof_velocity;
@@ -20,7 +24,9 @@ pub fn two_storeys(more: &str) -> String {
 
 /// A building of so many storeys, 100 Hz, with an accelerometer per floor, followed by `more`.
 pub fn storeys(count: u32, more: &str) -> String {
-    let floors = (1..=count).map(|number| format!("floor-{number}")).map(|floor| accelerometer(&floor, &floor));
+    let floors = (1..=count)
+        .map(|number| format!("floor-{number}"))
+        .map(|floor| accelerometer(&floor, &floor));
     shaken_storeys(count) + &floors.collect::<String>() + more
 }
 
@@ -42,7 +48,9 @@ pub fn distributed_storeys(fusions_hz: f64) -> String {
         );
     }
     let fusion = format!("[fusion]\nrate-hz = {fusions_hz}\n");
-    text + "[filter]\nhalf-life-s = 60\nannealing-amount = 0\n" + &fusion + "[simulation]\nseed = 1\n"
+    text + "[filter]\nhalf-life-s = 60\nannealing-amount = 0\n"
+        + &fusion
+        + "[simulation]\nseed = 1\n"
 }
 
 /// Equal storeys of uncertain stiffness, and the node `ground`.

@@ -56,9 +56,21 @@ impl Computers {
         let all = blocks(&std::fs::read_to_string(root().join("deploy/README.md")).unwrap());
         let of_deployment = |block: &&Block| block.place.split('/').next() == Some(deployment);
         let blocks: Vec<Block> = all.iter().filter(of_deployment).cloned().collect();
-        let program: Vec<&Block> = all.iter().filter(|block| block.place == "program").collect();
-        assert!(!blocks.is_empty() && !program.is_empty(), "deploy/README.md has no commands of {deployment}");
-        let mut made = Self { running: BTreeMap::new(), lab, folder, deployment, blocks: blocks.into_iter() };
+        let program: Vec<&Block> = all
+            .iter()
+            .filter(|block| block.place == "program")
+            .collect();
+        assert!(
+            !blocks.is_empty() && !program.is_empty(),
+            "deploy/README.md has no commands of {deployment}"
+        );
+        let mut made = Self {
+            running: BTreeMap::new(),
+            lab,
+            folder,
+            deployment,
+            blocks: blocks.into_iter(),
+        };
         for (name, _) in computers {
             made.furnish(name);
             for block in &program {
@@ -74,13 +86,21 @@ impl Computers {
         for place in PLACES {
             std::fs::create_dir_all(home.join(place)).unwrap();
         }
-        checked(Command::new("cp").args(["-a", "/etc/."]).arg(home.join("etc")));
+        checked(
+            Command::new("cp")
+                .args(["-a", "/etc/."])
+                .arg(home.join("etc")),
+        );
         let source = home.join("source");
         std::fs::create_dir_all(source.join("target/release")).unwrap();
         for folder in ["deploy", "docs"] {
             symlink(root().join(folder), source.join(folder)).unwrap();
         }
-        symlink(spandrel("").get_program(), source.join("target/release/spandrel")).unwrap();
+        symlink(
+            spandrel("").get_program(),
+            source.join("target/release/spandrel"),
+        )
+        .unwrap();
         let sudo = home.join("usr/local/bin/sudo");
         std::fs::write(&sudo, SUDO).unwrap();
         std::fs::set_permissions(&sudo, Permissions::from_mode(0o755)).unwrap();
@@ -99,24 +119,50 @@ impl Computers {
     pub fn inside(&self, computer: &str, program: &str) -> Command {
         let home = self.home(computer);
         let mut command = self.lab.inside(computer);
-        command.args(["unshare", "--mount", "sh", "-c", ENTER, "sh"]).arg(&home).arg(program);
-        command.env_clear().env("PATH", PATH).env("HOME", &home).env("LC_ALL", "C.UTF-8");
+        command
+            .args(["unshare", "--mount", "sh", "-c", ENTER, "sh"])
+            .arg(&home)
+            .arg(program);
+        command
+            .env_clear()
+            .env("PATH", PATH)
+            .env("HOME", &home)
+            .env("LC_ALL", "C.UTF-8");
         command
     }
 
     /// What a line of a shell says on a computer; it must succeed.
     pub fn said(&self, computer: &str, script: &str) -> String {
-        let output = self.inside(computer, "bash").args(["-e", "-o", "pipefail", "-c", script]).output().unwrap();
-        let (said, told) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        assert!(output.status.success(), "on {computer}: {script}\n{}\n{said}{told}", output.status);
+        let output = self
+            .inside(computer, "bash")
+            .args(["-e", "-o", "pipefail", "-c", script])
+            .output()
+            .unwrap();
+        let (said, told) = (
+            String::from_utf8_lossy(&output.stdout),
+            String::from_utf8_lossy(&output.stderr),
+        );
+        assert!(
+            output.status.success(),
+            "on {computer}: {script}\n{}\n{said}{told}",
+            output.status
+        );
         said.into_owned()
     }
 
     /// Runs the next block, which must be one of this computer; returns what it says.
     #[track_caller]
     pub fn follow(&mut self, computer: &str) -> String {
-        let block = self.blocks.next().unwrap_or_else(|| panic!("the page has no block more for {computer}"));
-        assert_eq!(block.place, format!("{}/{computer}", self.deployment), "deploy/README.md:{}", block.line);
+        let block = self
+            .blocks
+            .next()
+            .unwrap_or_else(|| panic!("the page has no block more for {computer}"));
+        assert_eq!(
+            block.place,
+            format!("{}/{computer}", self.deployment),
+            "deploy/README.md:{}",
+            block.line
+        );
         self.execute(computer, &block)
     }
 
@@ -142,19 +188,28 @@ impl Computers {
     /// Starts a program that goes on.
     pub fn start(&mut self, computer: &str, name: &str, command: &mut Command) -> &Process {
         let process = Process::start(command);
-        self.running.entry((computer.to_owned(), name.to_owned())).insert_entry(process).into_mut()
+        self.running
+            .entry((computer.to_owned(), name.to_owned()))
+            .insert_entry(process)
+            .into_mut()
     }
 
     fn execute(&mut self, computer: &str, block: &Block) -> String {
-        println!("deploy/README.md:{} on {computer}:\n{}", block.line, block.script);
+        println!(
+            "deploy/README.md:{} on {computer}:\n{}",
+            block.line, block.script
+        );
         let mut said = String::new();
         for part in parts(&block.script) {
             let words: Vec<&str> = part.split_whitespace().collect();
             match words.as_slice() {
                 _ if PROVIDED.iter().any(|provided| part.starts_with(provided)) => {}
                 ["sudo", "systemctl", "daemon-reload"] => {}
-                ["sudo", "systemctl", "enable", "--now", units @ ..] | ["sudo", "systemctl", "restart", units @ ..] => {
-                    units.iter().for_each(|unit| self.start_unit(computer, unit));
+                ["sudo", "systemctl", "enable", "--now", units @ ..]
+                | ["sudo", "systemctl", "restart", units @ ..] => {
+                    units
+                        .iter()
+                        .for_each(|unit| self.start_unit(computer, unit));
                 }
                 ["scp", files @ .., target] => self.copy(computer, files, target),
                 [_, rest @ ..] if block.goes_on => {
@@ -174,7 +229,10 @@ impl Computers {
         assert_eq!(folder, "spandrel/", "{target}: the repository is there");
         let name = self.lab.name_at(address);
         let target = self.home(name).join("source");
-        self.said(computer, &format!("cp {} {}/", files.join(" "), target.display()));
+        self.said(
+            computer,
+            &format!("cp {} {}/", files.join(" "), target.display()),
+        );
     }
 
     /// Starts a unit, again if it runs, and waits until it says that it is ready.
@@ -195,15 +253,24 @@ impl Computers {
         for credential in unit.all("LoadCredential") {
             let (id, source) = credential.split_once(':').unwrap();
             std::fs::create_dir_all(self.file(computer, &given)).unwrap();
-            let copied = std::fs::copy(self.file(computer, source), self.file(computer, &given).join(id));
-            copied.unwrap_or_else(|error| panic!("{name} on {computer}: credential {credential}: {error}"));
+            let copied = std::fs::copy(
+                self.file(computer, source),
+                self.file(computer, &given).join(id),
+            );
+            copied.unwrap_or_else(|error| {
+                panic!("{name} on {computer}: credential {credential}: {error}")
+            });
         }
         for folder in unit.all("StateDirectory") {
             let folder = format!("/var/lib/{folder}");
             std::fs::create_dir_all(self.file(computer, &folder)).unwrap();
             variables.push(("STATE_DIRECTORY".to_owned(), folder));
         }
-        for pair in unit.all("Environment").iter().flat_map(|line| line.split_whitespace()) {
+        for pair in unit
+            .all("Environment")
+            .iter()
+            .flat_map(|line| line.split_whitespace())
+        {
             let (variable, value) = pair.split_once('=').unwrap();
             variables.push((variable.to_owned(), value.to_owned()));
         }
@@ -215,7 +282,9 @@ impl Computers {
         if is_told {
             variables.push(("NOTIFY_SOCKET".to_owned(), socket));
         }
-        let [line] = &unit.all("ExecStart")[..] else { panic!("{name}: one ExecStart") };
+        let [line] = &unit.all("ExecStart")[..] else {
+            panic!("{name}: one ExecStart")
+        };
         let mut words = line.split_whitespace();
         let mut command = self.inside(computer, words.next().unwrap());
         command.args(words).envs(variables);
@@ -231,18 +300,35 @@ impl Computers {
         let _ = std::fs::remove_dir_all(self.file(computer, "etc/postgresql")); // that of this machine, if it has one
         let folders = "install -d -o postgres -g postgres /run/postgresql /var/lib/postgresql /var/log/postgresql";
         self.said(computer, folders);
-        self.said(computer, &format!("pg_createcluster {version} main -- --no-sync"));
+        self.said(
+            computer,
+            &format!("pg_createcluster {version} main -- --no-sync"),
+        );
         self.start_postgresql(computer);
     }
 
     fn start_postgresql(&mut self, computer: &str) {
-        let configuration = self.said(computer, "echo /etc/postgresql/*/main").trim().to_owned();
+        let configuration = self
+            .said(computer, "echo /etc/postgresql/*/main")
+            .trim()
+            .to_owned();
         let version = configuration.split('/').nth(3).unwrap();
         let mut command = self.inside(computer, "setpriv");
-        command.args(["--reuid", "postgres", "--regid", "postgres", "--init-groups", "--"]);
+        command.args([
+            "--reuid",
+            "postgres",
+            "--regid",
+            "postgres",
+            "--init-groups",
+            "--",
+        ]);
         command.arg(format!("/usr/lib/postgresql/{version}/bin/postgres"));
-        command.arg("-D").arg(format!("/var/lib/postgresql/{version}/main"));
-        command.arg("-c").arg(format!("config_file={configuration}/postgresql.conf"));
+        command
+            .arg("-D")
+            .arg(format!("/var/lib/postgresql/{version}/main"));
+        command
+            .arg("-c")
+            .arg(format!("config_file={configuration}/postgresql.conf"));
         let process = self.start(computer, "postgresql", &mut command);
         process.wait_for_log("ready to accept connections");
     }
@@ -252,9 +338,13 @@ impl Computers {
 pub fn packaged_postgresql() -> Option<String> {
     let versions = std::fs::read_dir("/usr/lib/postgresql").ok()?.flatten();
     let usable = versions.filter(|version| version.path().join("bin/postgres").is_file());
-    let mut names: Vec<String> = usable.filter_map(|version| version.file_name().into_string().ok()).collect();
+    let mut names: Vec<String> = usable
+        .filter_map(|version| version.file_name().into_string().ok())
+        .collect();
     names.sort();
-    names.pop().filter(|_| Path::new("/usr/bin/pg_createcluster").is_file())
+    names
+        .pop()
+        .filter(|_| Path::new("/usr/bin/pg_createcluster").is_file())
 }
 
 fn wait_for_ready(socket: &UnixDatagram, process: &Process) {
@@ -262,8 +352,12 @@ fn wait_for_ready(socket: &UnixDatagram, process: &Process) {
     let mut buffer = [0; 4096];
     loop {
         let received = socket.recv(&mut buffer);
-        let length = received.unwrap_or_else(|error| panic!("not ready: {error}\n{}", process.log()));
-        if buffer[..length].split(|byte| *byte == b'\n').any(|line| line == b"READY=1") {
+        let length =
+            received.unwrap_or_else(|error| panic!("not ready: {error}\n{}", process.log()));
+        if buffer[..length]
+            .split(|byte| *byte == b'\n')
+            .any(|line| line == b"READY=1")
+        {
             return;
         }
     }
@@ -276,23 +370,42 @@ impl Unit {
     fn read(folder: &Path, name: &str) -> Self {
         let (template, instance) = name
             .split_once('@')
-            .map_or((name.to_owned(), ""), |(template, instance)| (format!("{template}@"), instance));
+            .map_or((name.to_owned(), ""), |(template, instance)| {
+                (format!("{template}@"), instance)
+            });
         let mut files = vec![folder.join(format!("{template}.service"))];
         for of in [&template, name] {
-            let laid_over = std::fs::read_dir(folder.join(format!("{of}.service.d"))).into_iter().flatten();
-            let mut laid_over: Vec<PathBuf> = laid_over.map(|entry| entry.unwrap().path()).collect();
+            let laid_over = std::fs::read_dir(folder.join(format!("{of}.service.d")))
+                .into_iter()
+                .flatten();
+            let mut laid_over: Vec<PathBuf> =
+                laid_over.map(|entry| entry.unwrap().path()).collect();
             laid_over.sort();
-            files.extend(laid_over.into_iter().filter(|path| !files.contains(path)).collect::<Vec<_>>());
+            files.extend(
+                laid_over
+                    .into_iter()
+                    .filter(|path| !files.contains(path))
+                    .collect::<Vec<_>>(),
+            );
         }
         let mut settings = Vec::new();
         for file in files {
-            let text = std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+            let text = std::fs::read_to_string(&file)
+                .unwrap_or_else(|error| panic!("{}: {error}", file.display()));
             let lines = text.lines().filter(|line| !line.starts_with('#'));
-            let service =
-                lines.skip_while(|line| *line != "[Service]").skip(1).take_while(|line| !line.starts_with('['));
+            let service = lines
+                .skip_while(|line| *line != "[Service]")
+                .skip(1)
+                .take_while(|line| !line.starts_with('['));
             for (key, value) in service.filter_map(|line| line.split_once('=')) {
-                let value = value.replace("%d", &format!("/run/credentials/{name}.service")).replace("%i", instance);
-                assert!(!value.contains('%') || value.contains("%%"), "{}: {value}", file.display());
+                let value = value
+                    .replace("%d", &format!("/run/credentials/{name}.service"))
+                    .replace("%i", instance);
+                assert!(
+                    !value.contains('%') || value.contains("%%"),
+                    "{}: {value}",
+                    file.display()
+                );
                 settings.push((key.to_owned(), value));
             }
         }
@@ -300,7 +413,11 @@ impl Unit {
     }
 
     fn all(&self, key: &str) -> Vec<&str> {
-        self.0.iter().filter(|(found, _)| found == key).map(|(_, value)| value.as_str()).collect()
+        self.0
+            .iter()
+            .filter(|(found, _)| found == key)
+            .map(|(_, value)| value.as_str())
+            .collect()
     }
 }
 
@@ -309,18 +426,36 @@ fn blocks(page: &str) -> Vec<Block> {
     let mut blocks = Vec::new();
     let mut lines = page.lines().enumerate();
     while let Some((number, line)) = lines.next() {
-        let Some(mut words) = line.strip_prefix("```sh ").map(str::split_whitespace) else { continue };
-        let (place, goes_on) = (words.next().unwrap_or_default().to_owned(), words.next() == Some("runs"));
-        let script: Vec<&str> = lines.by_ref().map(|(_, line)| line).take_while(|line| *line != "```").collect();
-        blocks.push(Block { line: number + 1, place, goes_on, script: script.join("\n") });
+        let Some(mut words) = line.strip_prefix("```sh ").map(str::split_whitespace) else {
+            continue;
+        };
+        let (place, goes_on) = (
+            words.next().unwrap_or_default().to_owned(),
+            words.next() == Some("runs"),
+        );
+        let script: Vec<&str> = lines
+            .by_ref()
+            .map(|(_, line)| line)
+            .take_while(|line| *line != "```")
+            .collect();
+        blocks.push(Block {
+            line: number + 1,
+            place,
+            goes_on,
+            script: script.join("\n"),
+        });
     }
     blocks
 }
 
 /// The parts of a block: a line that is done in place of the machine, or lines for a shell.
 fn parts(script: &str) -> Vec<String> {
-    let is_ours =
-        |line: &str| ["sudo systemctl ", "scp "].iter().chain(&PROVIDED).any(|beginning| line.starts_with(beginning));
+    let is_ours = |line: &str| {
+        ["sudo systemctl ", "scp "]
+            .iter()
+            .chain(&PROVIDED)
+            .any(|beginning| line.starts_with(beginning))
+    };
     let mut parts: Vec<String> = Vec::new();
     let mut is_joined = false;
     for line in script.lines() {
@@ -334,10 +469,17 @@ fn parts(script: &str) -> Vec<String> {
 }
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
 }
 
 fn checked(command: &mut Command) {
     let output = command.output().unwrap();
-    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{command:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }

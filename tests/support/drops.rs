@@ -11,11 +11,18 @@ pub struct Drops {
 
 impl Drops {
     pub async fn watch(bus: &Bus, keys: &Keys) -> Self {
-        Self { statuses: bus.subscribe(keys.all_statuses(), 256).await.unwrap() }
+        Self {
+            statuses: bus.subscribe(keys.all_statuses(), 256).await.unwrap(),
+        }
     }
 
     /// Waits until a service has counted at least `least` under `reason`, and returns all it has counted.
-    pub async fn expect(&self, service: Service, reason: &str, least: u64) -> BTreeMap<String, u64> {
+    pub async fn expect(
+        &self,
+        service: Service,
+        reason: &str,
+        least: u64,
+    ) -> BTreeMap<String, u64> {
         let mut last = BTreeMap::new();
         let counted = async {
             loop {
@@ -29,7 +36,10 @@ impl Drops {
             }
         };
         if tokio::time::timeout(DEADLINE, counted).await.is_err() {
-            panic!("status of {}\n  expected {reason} from {least} on\n  found    {last:?}", service.as_str());
+            panic!(
+                "status of {}\n  expected {reason} from {least} on\n  found    {last:?}",
+                service.as_str()
+            );
         }
         last
     }

@@ -1,7 +1,9 @@
 //! Estimates of the two routes: the file of `spandrel estimate`, and the stream on the bus.
 
 use super::within;
-use spandrel_bus::{Block, Bus, Delivery, EstimateBlock, Keys, Start, Stream, StreamSettings, StreamState};
+use spandrel_bus::{
+    Block, Bus, Delivery, EstimateBlock, Keys, Start, Stream, StreamSettings, StreamState,
+};
 use std::path::Path;
 
 /// Mean and standard deviation of each parameter, then of each identified noise level, at one frame.
@@ -14,17 +16,25 @@ pub struct Identified {
 impl Identified {
     /// A line of text with all bits, from one process to another.
     pub fn to_line(&self) -> String {
-        let bits = self.mean_and_std.iter().map(|(mean, std)| format!(" {:x} {:x}", mean.to_bits(), std.to_bits()));
+        let bits = self
+            .mean_and_std
+            .iter()
+            .map(|(mean, std)| format!(" {:x} {:x}", mean.to_bits(), std.to_bits()));
         format!("{}{}\n", self.time_ns, bits.collect::<String>())
     }
 
     /// The inverse of [`Identified::to_line`].
     pub fn from_line(line: &str) -> Self {
         let (time_ns, bits) = line.split_once(' ').unwrap();
-        let values: Vec<f64> =
-            bits.split(' ').map(|hex| f64::from_bits(u64::from_str_radix(hex, 16).unwrap())).collect();
+        let values: Vec<f64> = bits
+            .split(' ')
+            .map(|hex| f64::from_bits(u64::from_str_radix(hex, 16).unwrap()))
+            .collect();
         let pairs = values.chunks_exact(2).map(|pair| (pair[0], pair[1]));
-        Self { time_ns: time_ns.parse().unwrap(), mean_and_std: pairs.collect() }
+        Self {
+            time_ns: time_ns.parse().unwrap(),
+            mean_and_std: pairs.collect(),
+        }
     }
 }
 
@@ -39,17 +49,31 @@ impl Estimated {
     /// Reads the file but for its `responses`, which are not on the bus.
     pub fn read(path: &Path, responses: &[&str], summary: serde_json::Value) -> Self {
         let table = super::Record::read(path);
-        let named =
-            |column: &String| column.strip_suffix(".mean").filter(|name| !responses.contains(name)).map(str::to_owned);
+        let named = |column: &String| {
+            column
+                .strip_suffix(".mean")
+                .filter(|name| !responses.contains(name))
+                .map(str::to_owned)
+        };
         let parameters: Vec<String> = table.channels().iter().filter_map(named).collect();
         let of_parameter = |row: usize, name: &String| {
-            (table.value(row, &format!("{name}.mean")), table.value(row, &format!("{name}.std")))
+            (
+                table.value(row, &format!("{name}.mean")),
+                table.value(row, &format!("{name}.std")),
+            )
         };
         let frame = |row: usize| Identified {
             time_ns: table.time_ns(row),
-            mean_and_std: parameters.iter().map(|name| of_parameter(row, name)).collect(),
+            mean_and_std: parameters
+                .iter()
+                .map(|name| of_parameter(row, name))
+                .collect(),
         };
-        Self { frames: (0..table.len()).map(frame).collect(), parameters, summary }
+        Self {
+            frames: (0..table.len()).map(frame).collect(),
+            parameters,
+            summary,
+        }
     }
 }
 
@@ -67,8 +91,16 @@ impl EstimateReader {
     }
 
     pub async fn with_settings(bus: &Bus, keys: &Keys, settings: StreamSettings) -> Self {
-        let stream = bus.follow(keys.estimates(), keys.estimates_buffer(), settings).await.unwrap();
-        Self { stream, frames: Vec::new(), ends: 0, read_by: keys.estimates() }
+        let stream = bus
+            .follow(keys.estimates(), keys.estimates_buffer(), settings)
+            .await
+            .unwrap();
+        Self {
+            stream,
+            frames: Vec::new(),
+            ends: 0,
+            read_by: keys.estimates(),
+        }
     }
 
     /// Reads until `count` frames have come since the start.
@@ -93,8 +125,15 @@ impl EstimateReader {
     }
 
     async fn read_block(&mut self, until: &str) {
-        let what = format!("{} of {until}, {} frames so far", self.read_by, self.frames.len());
-        match within(&what, self.stream.deliveries().recv_async()).await.unwrap() {
+        let what = format!(
+            "{} of {until}, {} frames so far",
+            self.read_by,
+            self.frames.len()
+        );
+        match within(&what, self.stream.deliveries().recv_async())
+            .await
+            .unwrap()
+        {
             Delivery::Gap(gap) => panic!("{}: frames lost: {gap:?}", self.read_by),
             Delivery::Block(block) => {
                 self.ends += usize::from(block.state() == StreamState::Ended);
@@ -109,29 +148,59 @@ pub fn identified(block: &EstimateBlock) -> Vec<Identified> {
     let grid = block.grid().unwrap();
     let frames = block.iter().map(|(number, estimate)| {
         let std = |index| estimate.variance(index).unwrap().max(0.0).sqrt();
-        let parameters = estimate.mean.iter().enumerate().map(|(index, mean)| (*mean, std(index)));
+        let parameters = estimate
+            .mean
+            .iter()
+            .enumerate()
+            .map(|(index, mean)| (*mean, std(index)));
         let noise = estimate.noise_mean.iter().zip(&estimate.noise_covariance);
-        let pairs = parameters.chain(noise.map(|(mean, variance)| (*mean, variance.max(0.0).sqrt())));
-        Identified { time_ns: grid.time_ns(number), mean_and_std: pairs.collect() }
+        let pairs =
+            parameters.chain(noise.map(|(mean, variance)| (*mean, variance.max(0.0).sqrt())));
+        Identified {
+            time_ns: grid.time_ns(number),
+            mean_and_std: pairs.collect(),
+        }
     });
     frames.collect()
 }
 
 /// Compares frame by frame, time, mean and standard deviation, to the bit.
 #[track_caller]
-pub fn assert_same_bits(route: &str, parameters: &[String], expected: &[Identified], found: &[Identified]) {
+pub fn assert_same_bits(
+    route: &str,
+    parameters: &[String],
+    expected: &[Identified],
+    found: &[Identified],
+) {
     let count = (expected.len(), found.len());
-    assert!(count.0 == count.1, "{route}\n  expected {} frames (spandrel estimate)\n  found    {}", count.0, count.1);
+    assert!(
+        count.0 == count.1,
+        "{route}\n  expected {} frames (spandrel estimate)\n  found    {}",
+        count.0,
+        count.1
+    );
     let bits = |frame: &Identified| -> Vec<(u64, u64)> {
-        frame.mean_and_std.iter().map(|(mean, std)| (mean.to_bits(), std.to_bits())).collect()
+        frame
+            .mean_and_std
+            .iter()
+            .map(|(mean, std)| (mean.to_bits(), std.to_bits()))
+            .collect()
     };
-    let differs = |(a, b): &(&Identified, &Identified)| a.time_ns != b.time_ns || bits(a) != bits(b);
+    let differs =
+        |(a, b): &(&Identified, &Identified)| a.time_ns != b.time_ns || bits(a) != bits(b);
     let different = expected.iter().zip(found).filter(differs).count();
-    let Some((number, (a, b))) = expected.iter().zip(found).enumerate().find(|(_, pair)| differs(pair)) else {
+    let Some((number, (a, b))) = expected
+        .iter()
+        .zip(found)
+        .enumerate()
+        .find(|(_, pair)| differs(pair))
+    else {
         return;
     };
     let pairs = a.mean_and_std.iter().zip(&b.mean_and_std);
-    let index = pairs.into_iter().position(|(a, b)| (a.0.to_bits(), a.1.to_bits()) != (b.0.to_bits(), b.1.to_bits()));
+    let index = pairs
+        .into_iter()
+        .position(|(a, b)| (a.0.to_bits(), a.1.to_bits()) != (b.0.to_bits(), b.1.to_bits()));
     let of = |frame: &Identified| {
         let time_s = frame.time_ns as f64 * 1e-9;
         match index {
@@ -142,7 +211,11 @@ pub fn assert_same_bits(route: &str, parameters: &[String], expected: &[Identifi
             None => format!("frame at t = {time_s:.9} s"),
         }
     };
-    let parameter = index.map_or("time", |index| parameters.get(index).map_or("a noise level", String::as_str));
+    let parameter = index.map_or("time", |index| {
+        parameters
+            .get(index)
+            .map_or("a noise level", String::as_str)
+    });
     panic!(
         "{route}: first difference in frame {number}, {parameter}\n  expected {} (spandrel estimate)\n  found    {}\n  \
          {different} of {} frames differ",

@@ -35,8 +35,13 @@ impl Lab {
     /// A lab of computers of these names; none, and a line that says so, where the machine lacks the means or the right.
     pub fn or_skip(names: &[&str], seed: u64) -> Option<Self> {
         let numbered = names.iter().enumerate();
-        let numbered: Vec<_> = numbered.map(|(index, name)| (*name, format!("10.98.0.{}", index + 1))).collect();
-        let numbered: Vec<(&str, &str)> = numbered.iter().map(|(name, address)| (*name, address.as_str())).collect();
+        let numbered: Vec<_> = numbered
+            .map(|(index, name)| (*name, format!("10.98.0.{}", index + 1)))
+            .collect();
+        let numbered: Vec<(&str, &str)> = numbered
+            .iter()
+            .map(|(name, address)| (*name, address.as_str()))
+            .collect();
         Self::at_or_skip(&numbered, seed)
     }
 
@@ -46,7 +51,10 @@ impl Lab {
         match Self::new(computers, seed) {
             Ok(lab) => Some(lab),
             Err(lacking) => {
-                assert!(std::env::var_os(REQUIRE_ALL).is_none(), "{REQUIRE_ALL} is set, and {lacking}");
+                assert!(
+                    std::env::var_os(REQUIRE_ALL).is_none(),
+                    "{REQUIRE_ALL} is set, and {lacking}"
+                );
                 println!("SKIPPED: {lacking}");
                 None
             }
@@ -56,11 +64,17 @@ impl Lab {
     fn new(computers: &[(&str, &str)], seed: u64) -> Result<Self, String> {
         let number = LABS.fetch_add(1, Ordering::Relaxed);
         let owned = |(name, address): &(&str, &str)| ((*name).to_owned(), (*address).to_owned());
-        let mut lab = Self { number, computers: computers.iter().map(owned).collect(), switch: None };
+        let mut lab = Self {
+            number,
+            computers: computers.iter().map(owned).collect(),
+            switch: None,
+        };
         for (name, _) in &lab.computers {
             ip(&["netns", "add", &lab.namespace(name)])?;
         }
-        let devices: Vec<String> = (0..lab.computers.len()).map(|index| lab.device(index)).collect();
+        let devices: Vec<String> = (0..lab.computers.len())
+            .map(|index| lab.device(index))
+            .collect();
         lab.switch = Some(start_switch(seed, &devices)?);
         for (index, (name, address)) in lab.computers.iter().enumerate() {
             let (namespace, device) = (lab.namespace(name), &devices[index]);
@@ -102,13 +116,22 @@ impl Lab {
     /// The computer that has an address.
     pub fn name_at(&self, address: &str) -> &str {
         let found = self.computers.iter().find(|(_, known)| known == address);
-        found.map(|(name, _)| name.as_str()).unwrap_or_else(|| panic!("no computer at {address}"))
+        found
+            .map(|(name, _)| name.as_str())
+            .unwrap_or_else(|| panic!("no computer at {address}"))
     }
 
     /// Makes the link of a computer this good.
     pub fn set(&mut self, name: &str, link: Link) {
-        let Link { loss, delay_s, jitter_s } = link;
-        self.tell(&format!("set {} {loss} {delay_s} {jitter_s}", self.index(name)));
+        let Link {
+            loss,
+            delay_s,
+            jitter_s,
+        } = link;
+        self.tell(&format!(
+            "set {} {loss} {delay_s} {jitter_s}",
+            self.index(name)
+        ));
     }
 
     /// Cuts the link of a computer.
@@ -125,9 +148,15 @@ impl Lab {
     pub fn bytes(&self, name: &str) -> (u64, u64) {
         let counter = |which: &str| -> u64 {
             let path = format!("/sys/class/net/eth0/statistics/{which}_bytes");
-            let read =
-                Command::new("ip").args(["netns", "exec", &self.namespace(name), "cat", &path]).output().unwrap();
-            String::from_utf8(read.stdout).unwrap().trim().parse().unwrap()
+            let read = Command::new("ip")
+                .args(["netns", "exec", &self.namespace(name), "cat", &path])
+                .output()
+                .unwrap();
+            String::from_utf8(read.stdout)
+                .unwrap()
+                .trim()
+                .parse()
+                .unwrap()
         };
         (counter("rx"), counter("tx"))
     }
@@ -138,7 +167,10 @@ impl Lab {
     }
 
     fn index(&self, name: &str) -> usize {
-        self.computers.iter().position(|(known, _)| known == name).unwrap_or_else(|| panic!("no computer {name}"))
+        self.computers
+            .iter()
+            .position(|(known, _)| known == name)
+            .unwrap_or_else(|| panic!("no computer {name}"))
     }
 
     fn namespace(&self, name: &str) -> String {
@@ -165,9 +197,16 @@ impl Drop for Lab {
 
 /// Deletes the namespaces of tests that were killed.
 fn remove_leftovers() {
-    let Ok(listed) = Command::new("ip").args(["netns", "list"]).output() else { return };
-    for namespace in String::from_utf8_lossy(&listed.stdout).lines().filter_map(|line| line.split(' ').next()) {
-        let process = namespace.strip_prefix("spandrel-").and_then(|rest| rest.split('-').next());
+    let Ok(listed) = Command::new("ip").args(["netns", "list"]).output() else {
+        return;
+    };
+    for namespace in String::from_utf8_lossy(&listed.stdout)
+        .lines()
+        .filter_map(|line| line.split(' ').next())
+    {
+        let process = namespace
+            .strip_prefix("spandrel-")
+            .and_then(|rest| rest.split('-').next());
         if process.is_some_and(|process| !Path::new("/proc").join(process).exists()) {
             let _ = ip(&["netns", "delete", namespace]); // another test may have done it
         }
@@ -176,18 +215,32 @@ fn remove_leftovers() {
 
 fn ip(arguments: &[&str]) -> Result<(), String> {
     let told = format!("`ip {}`", arguments.join(" "));
-    let done = Command::new("ip").args(arguments).output().map_err(|error| format!("{told} cannot be run: {error}"))?;
+    let done = Command::new("ip")
+        .args(arguments)
+        .output()
+        .map_err(|error| format!("{told} cannot be run: {error}"))?;
     match done.status.success() {
         true => Ok(()),
-        false => Err(format!("{told} fails: {}", String::from_utf8_lossy(&done.stderr).trim())),
+        false => Err(format!(
+            "{told} fails: {}",
+            String::from_utf8_lossy(&done.stderr).trim()
+        )),
     }
 }
 
 fn start_switch(seed: u64, devices: &[String]) -> Result<(Child, ChildStdin), String> {
-    let script: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/support/links.py");
+    let script: PathBuf =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/support/links.py");
     let mut command = Command::new("python3");
-    command.arg(script).arg(seed.to_string()).args(devices).stdin(Stdio::piped()).stdout(Stdio::piped());
-    let mut switch = command.spawn().map_err(|error| format!("python3 cannot be run: {error}"))?;
+    command
+        .arg(script)
+        .arg(seed.to_string())
+        .args(devices)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped());
+    let mut switch = command
+        .spawn()
+        .map_err(|error| format!("python3 cannot be run: {error}"))?;
     let (input, output) = (switch.stdin.take().unwrap(), switch.stdout.take().unwrap());
     let mut said = String::new();
     BufReader::new(output).read_line(&mut said).unwrap();

@@ -1,7 +1,11 @@
 //! What the end-to-end tests share: processes that end with their test, a site with a root and folder of its own, records,
 //! and estimates that are compared to the bit.
 
-#![allow(dead_code, unused_imports, reason = "each test file uses its part of it")]
+#![allow(
+    dead_code,
+    unused_imports,
+    reason = "each test file uses its part of it"
+)]
 
 mod building;
 mod computers;

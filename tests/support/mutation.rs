@@ -20,7 +20,11 @@ fn damage(bytes: &mut Vec<u8>, random: &mut ChaCha8Rng) {
         return;
     }
     let at = random.random_range(0..bytes.len());
-    let longest = if random.random_range(0..4) == 0 { bytes.len() } else { 64 };
+    let longest = if random.random_range(0..4) == 0 {
+        bytes.len()
+    } else {
+        64
+    };
     let end = (at + random.random_range(1..=longest)).min(bytes.len());
     match random.random_range(0..8) {
         0 | 1 => bytes[at] ^= 1 << random.random_range(0..8),
@@ -34,10 +38,18 @@ fn damage(bytes: &mut Vec<u8>, random: &mut ChaCha8Rng) {
         }
         // a length of eight bytes that claims far more than there is
         6 => {
-            let claim: u64 = [u64::MAX, 1 << 40, 1 << 31, bytes.len() as u64][random.random_range(0..4)];
-            bytes.iter_mut().skip(at).zip(claim.to_le_bytes()).for_each(|(byte, of_claim)| *byte = of_claim);
+            let claim: u64 =
+                [u64::MAX, 1 << 40, 1 << 31, bytes.len() as u64][random.random_range(0..4)];
+            bytes
+                .iter_mut()
+                .skip(at)
+                .zip(claim.to_le_bytes())
+                .for_each(|(byte, of_claim)| *byte = of_claim);
         }
         // and one in as few bytes as it takes
-        _ => drop(bytes.splice(at..=at, [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01])),
+        _ => drop(bytes.splice(
+            at..=at,
+            [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01],
+        )),
     }
 }

@@ -35,7 +35,11 @@ impl Page {
         let path = root().join("docs").join(name);
         let steps = steps(&std::fs::read_to_string(&path).unwrap());
         assert!(!steps.is_empty(), "{} has no commands", path.display());
-        Self { path, steps, folder: tempfile::tempdir().unwrap() }
+        Self {
+            path,
+            steps,
+            folder: tempfile::tempdir().unwrap(),
+        }
     }
 
     /// Puts a file into the folder: what the page tells its reader to have there.
@@ -45,8 +49,17 @@ impl Page {
 
     /// Puts the content of a gzip file into the folder.
     pub fn have_unpacked(&self, packed: &Path, name: &str) {
-        let unpacked = Command::new("gzip").args(["-dc"]).arg(packed).output().unwrap();
-        assert!(unpacked.status.success(), "{}: {}", packed.display(), String::from_utf8_lossy(&unpacked.stderr));
+        let unpacked = Command::new("gzip")
+            .args(["-dc"])
+            .arg(packed)
+            .output()
+            .unwrap();
+        assert!(
+            unpacked.status.success(),
+            "{}: {}",
+            packed.display(),
+            String::from_utf8_lossy(&unpacked.stderr)
+        );
         let file = self.folder.path().join(name);
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         std::fs::write(file, unpacked.stdout).unwrap();
@@ -70,16 +83,25 @@ impl Page {
                 let service = Process::start(command.process_group(0));
                 if let Some(shown) = &step.shown {
                     let shown = [shown.as_slice(), &[LEFT_OUT.to_owned()]].concat(); // it goes on
-                    service.wait_for_output(&format!("what the page shows below\n{told}"), |said| {
-                        differences(&shown, said).is_none()
-                    });
+                    service
+                        .wait_for_output(&format!("what the page shows below\n{told}"), |said| {
+                            differences(&shown, said).is_none()
+                        });
                 }
                 services.0.push(service);
             } else {
                 let output = command.stdin(Stdio::null()).output().unwrap();
                 let said = String::from_utf8_lossy(&output.stdout);
-                assert!(output.status.success(), "{told}\n  ends with {}, and says:\n{said}", output.status);
-                if let Some(difference) = step.shown.as_ref().and_then(|shown| differences(shown, &said)) {
+                assert!(
+                    output.status.success(),
+                    "{told}\n  ends with {}, and says:\n{said}",
+                    output.status
+                );
+                if let Some(difference) = step
+                    .shown
+                    .as_ref()
+                    .and_then(|shown| differences(shown, &said))
+                {
                     panic!("{told}\n  {difference}\n  it says:\n{said}");
                 }
             }
@@ -89,16 +111,30 @@ impl Page {
     }
 
     fn prepare(&self, command: &mut Command, script: &str) {
-        let program = Path::new(env!("CARGO_BIN_EXE_spandrel")).parent().unwrap().display().to_string();
+        let program = Path::new(env!("CARGO_BIN_EXE_spandrel"))
+            .parent()
+            .unwrap()
+            .display()
+            .to_string();
         let path = std::env::var("PATH").unwrap();
         let ours = |name: &str| name.starts_with("SPANDREL_") || name == "RUST_LOG";
         for (name, _) in std::env::vars().filter(|(name, _)| ours(name)) {
             command.env_remove(name);
         }
-        command.args(["bash", "-euo", "pipefail", "-c", &format!("exec 2>&1\n{script}")]);
-        command.current_dir(self.folder.path()).env("PATH", format!("{program}:{path}"));
+        command.args([
+            "bash",
+            "-euo",
+            "pipefail",
+            "-c",
+            &format!("exec 2>&1\n{script}"),
+        ]);
+        command
+            .current_dir(self.folder.path())
+            .env("PATH", format!("{program}:{path}"));
         // what a service remembers is not for the user of this machine
-        command.env("XDG_STATE_HOME", self.folder.path().join(".state")).env_remove("STATE_DIRECTORY");
+        command
+            .env("XDG_STATE_HOME", self.folder.path().join(".state"))
+            .env_remove("STATE_DIRECTORY");
     }
 }
 
@@ -108,7 +144,10 @@ pub fn here() -> Command {
 }
 
 pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
 }
 
 /// Terminals that are closed at the end, with all that runs in them.
@@ -117,7 +156,9 @@ struct Services(Vec<Process>);
 impl Drop for Services {
     fn drop(&mut self) {
         for service in &self.0 {
-            let _ = Command::new("kill").args(["-TERM", "--", &format!("-{}", service.id())]).status(); // it may have ended
+            let _ = Command::new("kill")
+                .args(["-TERM", "--", &format!("-{}", service.id())])
+                .status(); // it may have ended
         }
     }
 }
@@ -139,7 +180,12 @@ fn steps(page: &str) -> Vec<Step> {
         match kind {
             "sh" | "sh service" => {
                 let is_service = kind == "sh service";
-                steps.push(Step { line: first, script: lines.join("\n"), is_service, shown: None });
+                steps.push(Step {
+                    line: first,
+                    script: lines.join("\n"),
+                    is_service,
+                    shown: None,
+                });
             }
             "text" => {
                 if let Some(last) = steps.last_mut().filter(|last| last.shown.is_none()) {
@@ -154,10 +200,17 @@ fn steps(page: &str) -> Vec<Step> {
 
 /// The first line of a page that is not in the output where it has to be.
 fn differences(shown: &[String], said: &str) -> Option<String> {
-    let said: Vec<&str> = said.lines().filter(|line| !line.trim().is_empty()).collect();
+    let said: Vec<&str> = said
+        .lines()
+        .filter(|line| !line.trim().is_empty())
+        .collect();
     let mut next = 0;
     let mut may_skip = false;
-    for line in shown.iter().map(String::as_str).filter(|line| !line.trim().is_empty()) {
+    for line in shown
+        .iter()
+        .map(String::as_str)
+        .filter(|line| !line.trim().is_empty())
+    {
         if line.trim() == LEFT_OUT {
             may_skip = true;
             continue;
@@ -177,16 +230,23 @@ fn differences(shown: &[String], said: &str) -> Option<String> {
 }
 
 fn line_matches(shown: &str, said: &str) -> bool {
-    let (shown, said): (Vec<&str>, Vec<&str>) = (shown.split_whitespace().collect(), said.split_whitespace().collect());
+    let (shown, said): (Vec<&str>, Vec<&str>) = (
+        shown.split_whitespace().collect(),
+        said.split_whitespace().collect(),
+    );
     words_match(&shown, &said)
 }
 
 fn words_match(shown: &[&str], said: &[&str]) -> bool {
-    let Some((word, more)) = shown.split_first() else { return said.is_empty() };
-    let Some(end) = word.strip_prefix(LEFT_OUT) else {
-        return said.first().is_some_and(|found| word_matches(word, found)) && words_match(more, &said[1..]);
+    let Some((word, more)) = shown.split_first() else {
+        return said.is_empty();
     };
-    (1..=said.len()).any(|taken| said[taken - 1].ends_with(end) && words_match(more, &said[taken..]))
+    let Some(end) = word.strip_prefix(LEFT_OUT) else {
+        return said.first().is_some_and(|found| word_matches(word, found))
+            && words_match(more, &said[1..]);
+    };
+    (1..=said.len())
+        .any(|taken| said[taken - 1].ends_with(end) && words_match(more, &said[taken..]))
 }
 
 /// Whether words are equal, decimal numbers to within one of the last digit shown: a value between two roundings falls either way on
@@ -199,7 +259,9 @@ fn word_matches(shown: &str, said: &str) -> bool {
     let (a, b) = (shown.trim_matches(outer), said.trim_matches(outer));
     let dressed_alike = shown.replacen(a, "", 1) == said.replacen(b, "", 1);
     match (decimal(a), decimal(b)) {
-        (Some((a, unit)), Some((b, other_unit))) => dressed_alike && unit == other_unit && (a - b).abs() < 1.5 * unit,
+        (Some((a, unit)), Some((b, other_unit))) => {
+            dressed_alike && unit == other_unit && (a - b).abs() < 1.5 * unit
+        }
         _ => false,
     }
 }
@@ -207,12 +269,17 @@ fn word_matches(shown: &str, said: &str) -> bool {
 /// A number with decimals or an exponent, and the unit of its last digit.
 fn decimal(text: &str) -> Option<(f64, f64)> {
     let (mantissa, exponent) = text.split_once('e').unwrap_or((text, "0"));
-    let decimals = mantissa.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    let decimals = mantissa
+        .split_once('.')
+        .map_or(0, |(_, decimals)| decimals.len());
     if decimals == 0 && exponent == "0" {
         return None;
     }
     let exponent: i32 = exponent.parse().ok()?;
-    Some((text.parse().ok()?, 10_f64.powi(exponent - i32::try_from(decimals).ok()?)))
+    Some((
+        text.parse().ok()?,
+        10_f64.powi(exponent - i32::try_from(decimals).ok()?),
+    ))
 }
 
 #[cfg(test)]
@@ -225,7 +292,8 @@ mod tests {
 
     #[test]
     fn output_that_agrees_is_told_from_output_that_does_not() {
-        let said = "12000 frames\n\n  lower  1.0003 ± 0.0014\nalert since 2026-11-21 19:30:59 UTC; over\n";
+        let said =
+            "12000 frames\n\n  lower  1.0003 ± 0.0014\nalert since 2026-11-21 19:30:59 UTC; over\n";
         for right in [
             "12000 frames\n  lower  1.0003 ± 0.0014\nalert since …; over",
             "…\n  lower  1.0004 ± 0.0014\n…",
@@ -247,12 +315,21 @@ mod tests {
 
     #[test]
     fn blocks_are_found_with_what_is_shown_of_them() {
-        let page =
-            "```text\nnot of a command\n```\n```sh\na\nb\n```\nprose\n```text\nsaid\n```\n```sh service\nc\n```\n";
+        let page = "```text\nnot of a command\n```\n```sh\na\nb\n```\nprose\n```text\nsaid\n```\n```sh service\nc\n```\n";
         let found = steps(page);
         assert_eq!(found.len(), 2);
-        assert_eq!((found[0].line, found[0].script.as_str(), found[0].is_service), (5, "a\nb", false));
+        assert_eq!(
+            (found[0].line, found[0].script.as_str(), found[0].is_service),
+            (5, "a\nb", false)
+        );
         assert_eq!(found[0].shown, Some(vec!["said".to_owned()]));
-        assert_eq!((found[1].script.as_str(), found[1].is_service, &found[1].shown), ("c", true, &None));
+        assert_eq!(
+            (
+                found[1].script.as_str(),
+                found[1].is_service,
+                &found[1].shown
+            ),
+            ("c", true, &None)
+        );
     }
 }

@@ -16,9 +16,16 @@ pub fn spandrel(subcommand: &str) -> Command {
     // what a process remembers is not for the next test, and not for the user of this machine
     static PROCESSES: AtomicU32 = AtomicU32::new(0);
     let number = PROCESSES.fetch_add(1, Ordering::Relaxed);
-    let state = format!("{}/state-{}-{number}", env!("CARGO_TARGET_TMPDIR"), std::process::id());
+    let state = format!(
+        "{}/state-{}-{number}",
+        env!("CARGO_TARGET_TMPDIR"),
+        std::process::id()
+    );
     let _ = std::fs::remove_dir_all(&state); // left by a process that had this number before
-    command.env("XDG_STATE_HOME", state).env_remove("STATE_DIRECTORY").arg(subcommand);
+    command
+        .env("XDG_STATE_HOME", state)
+        .env_remove("STATE_DIRECTORY")
+        .arg(subcommand);
     command
 }
 
@@ -61,23 +68,44 @@ impl Process {
     }
 
     fn spawn_with_log(command: &mut Command, log: Stdio) -> Self {
-        let name = command.get_args().map(|arg| arg.to_string_lossy()).collect::<Vec<_>>().join(" ");
+        let name = command
+            .get_args()
+            .map(|arg| arg.to_string_lossy())
+            .collect::<Vec<_>>()
+            .join(" ");
         let child = command.stdout(Stdio::piped()).stderr(log).spawn();
-        let mut child = child.unwrap_or_else(|error| panic!("cannot start spandrel {name}: {error}"));
-        let (stdout, stderr) = (Capture::of(child.stdout.take()), Capture::of(child.stderr.take()));
-        Self { name, child, stdout, stderr }
+        let mut child =
+            child.unwrap_or_else(|error| panic!("cannot start spandrel {name}: {error}"));
+        let (stdout, stderr) = (
+            Capture::of(child.stdout.take()),
+            Capture::of(child.stderr.take()),
+        );
+        Self {
+            name,
+            child,
+            stdout,
+            stderr,
+        }
     }
 
     /// Waits until standard error has `text`.
     pub fn wait_for_log(&self, text: &str) {
         let said = self.stderr.wait_until(|said| said.contains(text));
-        assert!(said.contains(text), "spandrel {}\n  expected in its log: {text}\n  found:\n{said}", self.name);
+        assert!(
+            said.contains(text),
+            "spandrel {}\n  expected in its log: {text}\n  found:\n{said}",
+            self.name
+        );
     }
 
     /// Waits until `is_there` is true of its standard output.
     pub fn wait_for_output(&self, what: &str, is_there: impl Fn(&str) -> bool) {
         let said = self.stdout.wait_until(&is_there);
-        assert!(is_there(&said), "spandrel {}\n  expected in its output: {what}\n  found:\n{said}", self.name);
+        assert!(
+            is_there(&said),
+            "spandrel {}\n  expected in its output: {what}\n  found:\n{said}",
+            self.name
+        );
     }
 
     /// What it has said on standard output so far.
@@ -126,8 +154,14 @@ impl Process {
     }
 
     fn signal(&self, signal: &str) {
-        let sent = Command::new("kill").args([signal, &self.child.id().to_string()]).status();
-        assert!(sent.is_ok_and(|status| status.success()), "cannot signal spandrel {}", self.name);
+        let sent = Command::new("kill")
+            .args([signal, &self.child.id().to_string()])
+            .status();
+        assert!(
+            sent.is_ok_and(|status| status.success()),
+            "cannot signal spandrel {}",
+            self.name
+        );
     }
 
     /// Ends it without a word, as a power cut does.
@@ -141,10 +175,19 @@ impl Process {
         let stderr = self.stderr.wait_for_end();
         let stdout = self.stdout.wait_for_end();
         let (Some(stdout), Some(stderr)) = (stdout, stderr) else {
-            panic!("spandrel {} has not ended after {} s", self.name, DEADLINE.as_secs());
+            panic!(
+                "spandrel {} has not ended after {} s",
+                self.name,
+                DEADLINE.as_secs()
+            );
         };
         let code = self.child.wait().unwrap().code();
-        Finished { command: self.name.clone(), code, stdout, stderr }
+        Finished {
+            command: self.name.clone(),
+            code,
+            stdout,
+            stderr,
+        }
     }
 
     /// Asks it to stop, and waits until it has.
@@ -159,7 +202,11 @@ impl Drop for Process {
         let _ = self.child.kill(); // it may have ended
         let _ = self.child.wait();
         if std::thread::panicking() {
-            eprintln!("--- spandrel {} said:\n{}---", self.name, self.stderr.so_far());
+            eprintln!(
+                "--- spandrel {} said:\n{}---",
+                self.name,
+                self.stderr.so_far()
+            );
         }
     }
 }
@@ -168,32 +215,50 @@ impl Finished {
     /// Checks the exit code; the message shows what was said.
     #[track_caller]
     pub fn expect_code(self, expected: i32) -> Self {
-        let Self { command, code, stdout, stderr } = &self;
+        let Self {
+            command,
+            code,
+            stdout,
+            stderr,
+        } = &self;
         let told = format!("spandrel {command}\n  expected exit code {expected}, found {code:?}");
-        assert!(*code == Some(expected), "{told}\n  standard output:\n{stdout}\n  standard error:\n{stderr}");
+        assert!(
+            *code == Some(expected),
+            "{told}\n  standard output:\n{stdout}\n  standard error:\n{stderr}"
+        );
         self
     }
 
     /// Checks that standard error has all of `parts`.
     #[track_caller]
     pub fn expect_told(self, parts: &[&str]) -> Self {
-        let Self { command, stderr, .. } = &self;
+        let Self {
+            command, stderr, ..
+        } = &self;
         for part in parts {
             assert!(
                 stderr.contains(part),
                 "spandrel {command}\n  expected on standard error: {part}\n  found:\n{stderr}"
             );
         }
-        assert!(!stderr.contains("panicked"), "spandrel {command} panicked:\n{stderr}");
+        assert!(
+            !stderr.contains("panicked"),
+            "spandrel {command} panicked:\n{stderr}"
+        );
         self
     }
 
     /// Checks that standard error has none of `parts`.
     #[track_caller]
     pub fn expect_untold(self, parts: &[&str]) -> Self {
-        let Self { command, stderr, .. } = &self;
+        let Self {
+            command, stderr, ..
+        } = &self;
         for part in parts {
-            assert!(!stderr.contains(part), "spandrel {command}\n  not expected: {part}\n  found:\n{stderr}");
+            assert!(
+                !stderr.contains(part),
+                "spandrel {command}\n  not expected: {part}\n  found:\n{stderr}"
+            );
         }
         self
     }
@@ -212,7 +277,10 @@ struct Said {
 impl Capture {
     /// Reads until the end; without a pipe that is at once.
     fn of(pipe: Option<impl Read + Send + 'static>) -> Self {
-        let said = Said { text: String::new(), has_ended: pipe.is_none() };
+        let said = Said {
+            text: String::new(),
+            has_ended: pipe.is_none(),
+        };
         let said = Arc::new((Mutex::new(said), Condvar::new()));
         let Some(mut pipe) = pipe else {
             return Self { said };
@@ -223,7 +291,8 @@ impl Capture {
             loop {
                 let count = pipe.read(&mut buffer).unwrap_or(0);
                 let mut said = shared.0.lock().unwrap();
-                said.text.push_str(&String::from_utf8_lossy(&buffer[..count]));
+                said.text
+                    .push_str(&String::from_utf8_lossy(&buffer[..count]));
                 said.has_ended = count == 0;
                 shared.1.notify_all();
                 if count == 0 {
@@ -242,13 +311,20 @@ impl Capture {
     fn wait_until(&self, reached: impl Fn(&str) -> bool) -> String {
         let (said, changed) = &*self.said;
         let waits = |said: &mut Said| !said.has_ended && !reached(&said.text);
-        changed.wait_timeout_while(said.lock().unwrap(), DEADLINE, waits).unwrap().0.text.clone()
+        changed
+            .wait_timeout_while(said.lock().unwrap(), DEADLINE, waits)
+            .unwrap()
+            .0
+            .text
+            .clone()
     }
 
     /// Returns all that was said; `None` if the deadline was over first.
     fn wait_for_end(&self) -> Option<String> {
         let (said, changed) = &*self.said;
-        let (said, _) = changed.wait_timeout_while(said.lock().unwrap(), DEADLINE, |said| !said.has_ended).unwrap();
+        let (said, _) = changed
+            .wait_timeout_while(said.lock().unwrap(), DEADLINE, |said| !said.has_ended)
+            .unwrap();
         said.has_ended.then(|| said.text.clone())
     }
 }

@@ -13,10 +13,17 @@ pub struct Record {
 
 impl Record {
     pub fn read(path: &Path) -> Self {
-        let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let text = std::fs::read_to_string(path)
+            .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let mut lines = text
+            .lines()
+            .map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
         let header = lines.next().unwrap();
-        Self { path: path.to_owned(), header, rows: lines.collect() }
+        Self {
+            path: path.to_owned(),
+            header,
+            rows: lines.collect(),
+        }
     }
 
     pub fn path(&self) -> &Path {
@@ -41,7 +48,11 @@ impl Record {
     /// Value of a channel by its name; NaN where the field is empty.
     pub fn value(&self, row: usize, channel: &str) -> f64 {
         let text = &self.rows[row][self.column(channel)];
-        if text.is_empty() { f64::NAN } else { text.parse().unwrap() }
+        if text.is_empty() {
+            f64::NAN
+        } else {
+            text.parse().unwrap()
+        }
     }
 
     /// Empties the fields of a channel.
@@ -54,7 +65,12 @@ impl Record {
     }
 
     /// Changes the values of a channel; the row number is from the start of the record.
-    pub fn change(&mut self, channel: &str, rows: Range<usize>, change: impl Fn(usize, f64) -> f64) -> &mut Self {
+    pub fn change(
+        &mut self,
+        channel: &str,
+        rows: Range<usize>,
+        change: impl Fn(usize, f64) -> f64,
+    ) -> &mut Self {
         let column = self.column(channel);
         for row in rows {
             let value: f64 = self.rows[row][column].parse().unwrap();
@@ -69,7 +85,10 @@ impl Record {
         let before: Vec<String> = self.rows.iter().map(|row| row[column].clone()).collect();
         for row in first..self.rows.len() {
             let from = row.checked_add_signed(-rows).filter(|from| *from >= first);
-            self.rows[row][column] = from.and_then(|from| before.get(from)).cloned().unwrap_or_default();
+            self.rows[row][column] = from
+                .and_then(|from| before.get(from))
+                .cloned()
+                .unwrap_or_default();
         }
         self
     }
@@ -92,7 +111,9 @@ impl Record {
     /// Writes the table beside the file it came from.
     pub fn save_as(&mut self, name: &str) -> &Self {
         self.path = self.path.with_file_name(name);
-        let lines = std::iter::once(&self.header).chain(&self.rows).map(|fields| fields.join(",") + "\n");
+        let lines = std::iter::once(&self.header)
+            .chain(&self.rows)
+            .map(|fields| fields.join(",") + "\n");
         std::fs::write(&self.path, lines.collect::<String>()).unwrap();
         self
     }

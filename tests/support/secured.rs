@@ -20,16 +20,33 @@ impl Secured {
         let folder = tempfile::tempdir().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let endpoint = format!("quic/{}", listener.local_addr().unwrap());
-        let site = Self { folder, endpoint, structure_file: structure_file.to_owned() };
+        let site = Self {
+            folder,
+            endpoint,
+            structure_file: structure_file.to_owned(),
+        };
         site.tool(&["create"], &[]);
-        site.tool(&["issue"], &["router", "main", "--host", "127.0.0.1", "--host", "localhost"]);
+        site.tool(
+            &["issue"],
+            &[
+                "router",
+                "main",
+                "--host",
+                "127.0.0.1",
+                "--host",
+                "localhost",
+            ],
+        );
         for party in parties {
             let (role, name) = party.split_once('.').unwrap();
             site.tool(&["issue"], &[role, name]);
         }
         site.tool(&["nodes"], &[structure_file.to_str().unwrap()]);
         let listen = site.endpoint.clone();
-        site.tool(&["router"], &[structure_file.to_str().unwrap(), "--listen", &listen]);
+        site.tool(
+            &["router"],
+            &[structure_file.to_str().unwrap(), "--listen", &listen],
+        );
         site
     }
 
@@ -78,13 +95,17 @@ impl Secured {
 
     /// A session of a party.
     pub async fn join(&self, party: &str) -> Bus {
-        Bus::open(&self.config(party)).await.unwrap_or_else(|error| panic!("{party}: {error}"))
+        Bus::open(&self.config(party))
+            .await
+            .unwrap_or_else(|error| panic!("{party}: {error}"))
     }
 
     /// A command of a party that connects to the router.
     pub fn connecting(&self, party: &str, subcommand: &str) -> Command {
         let mut command = spandrel(subcommand);
-        command.arg(&self.structure_file).args(["-v", "--connect", &self.endpoint]);
+        command
+            .arg(&self.structure_file)
+            .args(["-v", "--connect", &self.endpoint]);
         command.arg("--certificate").arg(self.certificate(party));
         command
     }

@@ -2,8 +2,8 @@
 
 use super::Record;
 use spandrel_bus::{
-    Block, Bus, Header, Keep, Keys, LiveToken, Name, NumberedPublisher, NumberedStream, Pace, SampleBlock, Service,
-    StreamState,
+    Block, Bus, Header, Keep, Keys, LiveToken, Name, NumberedPublisher, NumberedStream, Pace,
+    SampleBlock, Service, StreamState,
 };
 use spandrel_structure::Structure;
 use std::ops::Range;
@@ -30,14 +30,24 @@ impl Sensors {
     pub async fn start(bus: &Bus, keys: &Keys, structure: &Structure, record: &Record) -> Self {
         let mut nodes = Vec::new();
         for node in structure.nodes() {
-            let channels = node.channels().iter().map(|channel| channel.name().to_owned()).collect();
+            let channels = node
+                .channels()
+                .iter()
+                .map(|channel| channel.name().to_owned())
+                .collect();
             nodes.push(Node::start(bus, keys, Name::new(node.name()).unwrap(), channels, 1).await);
         }
-        Self { nodes, record: record.clone() }
+        Self {
+            nodes,
+            record: record.clone(),
+        }
     }
 
     pub fn node(&mut self, name: &str) -> &mut Node {
-        self.nodes.iter_mut().find(|node| node.name.as_str() == name).unwrap()
+        self.nodes
+            .iter_mut()
+            .find(|node| node.name.as_str() == name)
+            .unwrap()
     }
 
     /// The record that the nodes send.
@@ -52,14 +62,23 @@ impl Sensors {
 
     /// Puts rows of the record, without some nodes.
     pub async fn put_all_but(&mut self, without: &[&str], rows: Range<usize>) {
-        for node in self.nodes.iter_mut().filter(|node| !without.contains(&node.name.as_str())) {
+        for node in self
+            .nodes
+            .iter_mut()
+            .filter(|node| !without.contains(&node.name.as_str()))
+        {
             let block = node.block(&self.record, rows.clone());
             node.put(block).await;
         }
     }
 
     /// Puts rows of the record of one node, changed by `change`.
-    pub async fn put_changed(&mut self, name: &str, rows: Range<usize>, change: impl FnOnce(&mut SampleBlock)) {
+    pub async fn put_changed(
+        &mut self,
+        name: &str,
+        rows: Range<usize>,
+        change: impl FnOnce(&mut SampleBlock),
+    ) {
         let record = self.record.clone();
         let node = self.node(name);
         let mut block = node.block(&record, rows);
@@ -69,7 +88,11 @@ impl Sensors {
 
     /// Takes a node away without a word: its token goes with its session.
     pub fn remove(&mut self, name: &str) -> Node {
-        let index = self.nodes.iter().position(|node| node.name.as_str() == name).unwrap();
+        let index = self
+            .nodes
+            .iter()
+            .position(|node| node.name.as_str() == name)
+            .unwrap();
         self.nodes.remove(index)
     }
 
@@ -79,7 +102,13 @@ impl Sensors {
 }
 
 impl Node {
-    pub async fn start(bus: &Bus, keys: &Keys, name: Name, channels: Vec<String>, epoch: u64) -> Self {
+    pub async fn start(
+        bus: &Bus,
+        keys: &Keys,
+        name: Name,
+        channels: Vec<String>,
+        epoch: u64,
+    ) -> Self {
         let stream = NumberedStream {
             key: keys.samples(&name),
             buffer_key: keys.buffer(&name),
@@ -90,13 +119,28 @@ impl Node {
             keep: Keep::last(1 << 16),
         };
         let publisher = bus.publish_numbered(stream).await.unwrap();
-        let token = bus.announce(keys.live(Service::Sensor, &name)).await.unwrap();
-        Self { key: keys.samples(&name), name, epoch, next: 0, channels, publisher, _token: token }
+        let token = bus
+            .announce(keys.live(Service::Sensor, &name))
+            .await
+            .unwrap();
+        Self {
+            key: keys.samples(&name),
+            name,
+            epoch,
+            next: 0,
+            channels,
+            publisher,
+            _token: token,
+        }
     }
 
     /// The next block of this node, with rows of a record.
     pub fn block(&self, record: &Record, rows: Range<usize>) -> SampleBlock {
-        let samples = rows.clone().flat_map(|row| self.channels.iter().map(move |name| record.value(row, name)));
+        let samples = rows.clone().flat_map(|row| {
+            self.channels
+                .iter()
+                .map(move |name| record.value(row, name))
+        });
         SampleBlock {
             header: Header {
                 source: self.name.to_string(),
@@ -125,7 +169,10 @@ impl Node {
 
 /// Puts any bytes under any encoding, and waits for the network to take them.
 pub async fn put_raw(bus: &Bus, key: &str, encoding: &str, payload: Vec<u8>) {
-    let put =
-        bus.session().put(key, payload).encoding(encoding).congestion_control(zenoh::qos::CongestionControl::Block);
+    let put = bus
+        .session()
+        .put(key, payload)
+        .encoding(encoding)
+        .congestion_control(zenoh::qos::CongestionControl::Block);
     put.await.unwrap();
 }

@@ -28,7 +28,13 @@ impl Site {
         let number = SITES.fetch_add(1, Ordering::Relaxed);
         let root = format!("test-{}-{number}", std::process::id());
         let structure = Structure::read(structure_file).unwrap_or_else(|error| panic!("{error}"));
-        Self { folder, root, endpoint: free_endpoint(), structure_file: structure_file.to_owned(), structure }
+        Self {
+            folder,
+            root,
+            endpoint: free_endpoint(),
+            structure_file: structure_file.to_owned(),
+            structure,
+        }
     }
 
     /// A site with a structure file of this text.
@@ -36,17 +42,27 @@ impl Site {
         let folder = tempfile::tempdir().unwrap();
         let structure_file = folder.path().join("structure.toml");
         std::fs::write(&structure_file, structure).unwrap();
-        Self { folder, ..Self::of(&structure_file) }
+        Self {
+            folder,
+            ..Self::of(&structure_file)
+        }
     }
 
     /// This structure with the root and endpoint of another site.
     pub fn at(self, other: &Self) -> Self {
-        Self { root: other.root.clone(), endpoint: other.endpoint.clone(), ..self }
+        Self {
+            root: other.root.clone(),
+            endpoint: other.endpoint.clone(),
+            ..self
+        }
     }
 
     /// This structure under a root that is known: what is kept on disk names it.
     pub fn rooted(self, root: &str) -> Self {
-        Self { root: root.to_owned(), ..self }
+        Self {
+            root: root.to_owned(),
+            ..self
+        }
     }
 
     pub fn folder(&self) -> &Path {
@@ -74,7 +90,9 @@ impl Site {
         let path = self.folder().join("record.csv");
         let mut command = spandrel("simulate");
         command.arg(&self.structure_file).arg("--record").arg(&path);
-        Process::start(command.args(["--duration", &seconds.to_string()])).wait().expect_code(0);
+        Process::start(command.args(["--duration", &seconds.to_string()]))
+            .wait()
+            .expect_code(0);
         Record::read(&path)
     }
 
@@ -82,24 +100,49 @@ impl Site {
     pub fn estimate(&self, record: &Record) -> Estimated {
         let output = record.path().with_extension("estimates.csv");
         let mut command = spandrel("estimate");
-        command.arg(&self.structure_file).arg("--record").arg(record.path()).arg("--output").arg(&output);
+        command
+            .arg(&self.structure_file)
+            .arg("--record")
+            .arg(record.path())
+            .arg("--output")
+            .arg(&output);
         let finished = Process::start(command.arg("--json")).wait().expect_code(0);
-        let responses: Vec<&str> =
-            self.structure.estimated_responses().iter().map(|response| response.name()).collect();
-        Estimated::read(&output, &responses, serde_json::from_str(&finished.stdout).unwrap())
+        let responses: Vec<&str> = self
+            .structure
+            .estimated_responses()
+            .iter()
+            .map(|response| response.name())
+            .collect();
+        Estimated::read(
+            &output,
+            &responses,
+            serde_json::from_str(&finished.stdout).unwrap(),
+        )
     }
 
     /// A service command of this site that others can connect to.
     pub fn listening(&self, subcommand: &str) -> Command {
         let mut command = spandrel(subcommand);
-        command.arg(&self.structure_file).args(["-v", "--root", &self.root, "--listen", &self.endpoint]);
+        command.arg(&self.structure_file).args([
+            "-v",
+            "--root",
+            &self.root,
+            "--listen",
+            &self.endpoint,
+        ]);
         command
     }
 
     /// A service command of this site that connects to the one that listens.
     pub fn connecting(&self, subcommand: &str) -> Command {
         let mut command = spandrel(subcommand);
-        command.arg(&self.structure_file).args(["-v", "--root", &self.root, "--connect", &self.endpoint]);
+        command.arg(&self.structure_file).args([
+            "-v",
+            "--root",
+            &self.root,
+            "--connect",
+            &self.endpoint,
+        ]);
         command
     }
 
@@ -113,7 +156,11 @@ impl Site {
     /// Starts a replay in a process of its own.
     pub fn replay(&self, record: &Record, speed: &str) -> Process {
         let mut command = spandrel("replay");
-        command.arg(record.path()).arg("--structure").arg(&self.structure_file).args(["--speed", speed, "-v"]);
+        command
+            .arg(record.path())
+            .arg("--structure")
+            .arg(&self.structure_file)
+            .args(["--speed", speed, "-v"]);
         Process::start(command.args(["--root", &self.root, "--connect", &self.endpoint]))
     }
 
@@ -136,7 +183,11 @@ impl Site {
 
     /// A session of the test itself, which processes connect to.
     pub async fn host(&self) -> Bus {
-        let config = BusConfig { root: self.root.clone(), listen: vec![self.endpoint.clone()], ..BusConfig::default() };
+        let config = BusConfig {
+            root: self.root.clone(),
+            listen: vec![self.endpoint.clone()],
+            ..BusConfig::default()
+        };
         Bus::open(&config).await.unwrap()
     }
 

@@ -14,12 +14,23 @@ impl Party {
     /// The file cannot be read, or is no certificate.
     pub fn of_certificate(path: &Path) -> Result<Option<Self>, AccessError> {
         let text = std::fs::read(path);
-        let text = text.map_err(|source| AccessError::File { what: "read", path: path.to_owned(), source })?;
-        let damaged = || AccessError::Tls(TlsError::Damaged { what: "certificate", path: path.to_owned() });
+        let text = text.map_err(|source| AccessError::File {
+            what: "read",
+            path: path.to_owned(),
+            source,
+        })?;
+        let damaged = || {
+            AccessError::Tls(TlsError::Damaged {
+                what: "certificate",
+                path: path.to_owned(),
+            })
+        };
         let (_, pem) = x509_parser::pem::parse_x509_pem(&text).map_err(|_| damaged())?;
         let certificate = pem.parse_x509().map_err(|_| damaged())?;
         let common_name = certificate.subject().iter_common_name().next();
-        Ok(common_name.and_then(|name| name.as_str().ok()).and_then(|name| name.parse().ok()))
+        Ok(common_name
+            .and_then(|name| name.as_str().ok())
+            .and_then(|name| name.parse().ok()))
     }
 }
 
@@ -36,9 +47,14 @@ mod tests {
         site.issue(&roof, &[], 30, Existing::Keep).unwrap();
         let path = folder.path().join("sensor.tower.roof.pem");
         assert_eq!(Party::of_certificate(&path).unwrap(), Some(roof));
-        assert_eq!(Party::of_certificate(&folder.path().join("authority.pem")).unwrap(), None);
+        assert_eq!(
+            Party::of_certificate(&folder.path().join("authority.pem")).unwrap(),
+            None
+        );
         let no_certificate = folder.path().join("sensor.tower.roof.key");
-        let error = Party::of_certificate(&no_certificate).unwrap_err().to_string();
+        let error = Party::of_certificate(&no_certificate)
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("sensor.tower.roof.key"), "{error}");
     }
 }

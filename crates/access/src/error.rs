@@ -61,7 +61,9 @@ pub enum AccessError {
         source: rcgen::Error,
     },
     /// A certificate that others connect to must say under which names.
-    #[error("a {role} is connected to: say under which names and addresses, such as --host 10.0.0.5")]
+    #[error(
+        "a {role} is connected to: say under which names and addresses, such as --host 10.0.0.5"
+    )]
     NoHost {
         /// The role.
         role: Role,

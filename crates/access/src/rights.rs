@@ -24,7 +24,14 @@ pub enum Right {
 
 impl Right {
     /// All rights.
-    pub const ALL: [Self; 6] = [Self::Put, Self::Subscribe, Self::Query, Self::Answer, Self::Announce, Self::Watch];
+    pub const ALL: [Self; 6] = [
+        Self::Put,
+        Self::Subscribe,
+        Self::Query,
+        Self::Answer,
+        Self::Announce,
+        Self::Watch,
+    ];
 
     /// The right as a word.
     #[must_use]
@@ -41,8 +48,17 @@ impl Right {
 }
 
 /// What people see, and what is kept for them.
-const DISPLAYED: [KeyFamily; 9] =
-    [K::Parameter, K::Noise, K::Outlier, K::ModelClass, K::Fit, K::Node, K::Alert, K::Acknowledge, K::Event];
+const DISPLAYED: [KeyFamily; 9] = [
+    K::Parameter,
+    K::Noise,
+    K::Outlier,
+    K::ModelClass,
+    K::Fit,
+    K::Node,
+    K::Alert,
+    K::Acknowledge,
+    K::Event,
+];
 
 /// What the services of a worker put.
 const IDENTIFIED: [KeyFamily; 11] = [
@@ -62,27 +78,63 @@ const IDENTIFIED: [KeyFamily; 11] = [
 /// What a role may do. On a key of which parts are names, a party of one structure or node has that right for its own names only.
 #[must_use]
 pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
-    let each =
-        |right: Right, families: &[KeyFamily]| families.iter().map(|family| (right, *family)).collect::<Vec<_>>();
-    let of_service = |service: Service| vec![(Right::Put, K::Status(service)), (Right::Announce, K::Live(service))];
-    let watch_all = || Service::ALL.map(|service| (Right::Watch, K::Live(service))).to_vec();
-    let progress = |right: Right| Service::ALL.map(|service| (right, K::Progress(service))).to_vec();
+    let each = |right: Right, families: &[KeyFamily]| {
+        families
+            .iter()
+            .map(|family| (right, *family))
+            .collect::<Vec<_>>()
+    };
+    let of_service = |service: Service| {
+        vec![
+            (Right::Put, K::Status(service)),
+            (Right::Announce, K::Live(service)),
+        ]
+    };
+    let watch_all = || {
+        Service::ALL
+            .map(|service| (Right::Watch, K::Live(service)))
+            .to_vec()
+    };
+    let progress = |right: Right| {
+        Service::ALL
+            .map(|service| (right, K::Progress(service)))
+            .to_vec()
+    };
     let mut all = match role {
         Role::Router | Role::Database => Vec::new(),
-        Role::Server => [Role::Worker, Role::Alert, Role::History, Role::Notify, Role::Operator].map(rights).concat(),
+        Role::Server => [
+            Role::Worker,
+            Role::Alert,
+            Role::History,
+            Role::Notify,
+            Role::Operator,
+        ]
+        .map(rights)
+        .concat(),
         Role::Worker => [
-            each(Right::Subscribe, &[K::Samples, K::Frames, K::Local, K::Feedback]),
+            each(
+                Right::Subscribe,
+                &[K::Samples, K::Frames, K::Local, K::Feedback],
+            ),
             each(Right::Put, &IDENTIFIED),
             each(Right::Query, &[K::Buffer, K::Recording, K::State]),
-            each(Right::Answer, &[K::Recording, K::EstimatesBuffer, K::Description, K::State]),
+            each(
+                Right::Answer,
+                &[K::Recording, K::EstimatesBuffer, K::Description, K::State],
+            ),
             // workers agree among themselves which one leads
             vec![(Right::Announce, K::Leader), (Right::Watch, K::Leader)],
-            each(Right::Put, &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress)),
+            each(
+                Right::Put,
+                &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress),
+            ),
             progress(Right::Subscribe),
             // whether the samples wait for identification, which decides from when on it is overloaded
             each(Right::Subscribe, &[K::Status(Service::Ingest)]),
             watch_all(),
-            [Service::Ingest, Service::Identify, Service::Fuse].map(of_service).concat(),
+            [Service::Ingest, Service::Identify, Service::Fuse]
+                .map(of_service)
+                .concat(),
         ]
         .concat(),
         Role::Alert => [
@@ -111,9 +163,15 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         Role::Viewer => [
             each(Right::Subscribe, &DISPLAYED),
             // what is read again after a restart is told from what arrives by the progress of ingest
-            each(Right::Subscribe, &[K::Estimates, K::Description, K::Progress(Service::Ingest)]),
+            each(
+                Right::Subscribe,
+                &[K::Estimates, K::Description, K::Progress(Service::Ingest)],
+            ),
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
-            each(Right::Query, &[K::Alert, K::Description, K::History, K::HistoryLog]),
+            each(
+                Right::Query,
+                &[K::Alert, K::Description, K::History, K::HistoryLog],
+            ),
             watch_all(),
         ]
         .concat(),
@@ -182,7 +240,10 @@ mod tests {
 
     #[test]
     fn nobody_but_sensors_puts_samples() {
-        let putters: Vec<Role> = Role::ALL.into_iter().filter(|role| may(*role, Right::Put, K::Samples)).collect();
+        let putters: Vec<Role> = Role::ALL
+            .into_iter()
+            .filter(|role| may(*role, Right::Put, K::Samples))
+            .collect();
         assert_eq!(putters, [Role::Gateway, Role::Sensor]);
     }
 
@@ -197,12 +258,18 @@ mod tests {
         };
         assert_eq!(put(Role::Viewer), []);
         assert_eq!(put(Role::Dashboard), [K::Status(Service::Dashboard)]);
-        assert_eq!(put(Role::Operator), [K::Acknowledge, K::Status(Service::Dashboard)]);
+        assert_eq!(
+            put(Role::Operator),
+            [K::Acknowledge, K::Status(Service::Dashboard)]
+        );
     }
 
     #[test]
     fn only_alert_and_the_server_decide_alerts() {
-        let deciders: Vec<Role> = Role::ALL.into_iter().filter(|role| may(*role, Right::Put, K::Alert)).collect();
+        let deciders: Vec<Role> = Role::ALL
+            .into_iter()
+            .filter(|role| may(*role, Right::Put, K::Alert))
+            .collect();
         assert_eq!(deciders, [Role::Server, Role::Alert]);
     }
 

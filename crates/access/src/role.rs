@@ -156,7 +156,9 @@ impl FromStr for Role {
 
     fn from_str(text: &str) -> Result<Self, PartyError> {
         let role = Self::ALL.into_iter().find(|role| role.as_str() == text);
-        role.ok_or_else(|| PartyError::Role { found: text.to_owned() })
+        role.ok_or_else(|| PartyError::Role {
+            found: text.to_owned(),
+        })
     }
 }
 
@@ -166,11 +168,17 @@ impl Party {
     /// # Errors
     /// [`PartyError`] says what the name must be.
     pub fn new(role: Role, name: &str) -> Result<Self, PartyError> {
-        let parts = name.split('.').map(Name::new).collect::<Result<Vec<_>, _>>()?;
+        let parts = name
+            .split('.')
+            .map(Name::new)
+            .collect::<Result<Vec<_>, _>>()?;
         let wanted = if role.scope() == Scope::Node { 2 } else { 1 };
         match parts.len() == wanted {
             true => Ok(Self { role, name: parts }),
-            false => Err(PartyError::Parts { role, found: name.to_owned() }),
+            false => Err(PartyError::Parts {
+                role,
+                found: name.to_owned(),
+            }),
         }
     }
 
@@ -183,7 +191,9 @@ impl Party {
     /// The structure that the role is limited to.
     #[must_use]
     pub fn structure(&self) -> Option<&Name> {
-        self.name.first().filter(|_| self.role.scope() != Scope::Site)
+        self.name
+            .first()
+            .filter(|_| self.role.scope() != Scope::Site)
     }
 
     /// The node that the role is limited to.
@@ -216,26 +226,48 @@ mod tests {
 
     #[test]
     fn a_common_name_is_read_back() {
-        for text in ["sensor.tower.roof", "gateway.tower", "worker.main", "node-worker.bridge.deck-3"] {
+        for text in [
+            "sensor.tower.roof",
+            "gateway.tower",
+            "worker.main",
+            "node-worker.bridge.deck-3",
+        ] {
             assert_eq!(text.parse::<Party>().unwrap().common_name(), text);
         }
     }
 
     #[test]
     fn a_name_must_fit_its_role() {
-        for text in ["sensor.tower", "gateway.tower.roof", "worker.a.b", "worker.", "worker", "nobody.x", "viewer.A"] {
+        for text in [
+            "sensor.tower",
+            "gateway.tower.roof",
+            "worker.a.b",
+            "worker.",
+            "worker",
+            "nobody.x",
+            "viewer.A",
+        ] {
             assert!(text.parse::<Party>().is_err(), "{text}");
         }
         let error = Party::new(Role::Sensor, "roof").unwrap_err().to_string();
         assert!(error.contains("STRUCTURE.NODE"), "{error}");
         let error = "boss.x".parse::<Party>().unwrap_err().to_string();
-        assert!(error.contains("boss") && error.contains("operator"), "{error}");
+        assert!(
+            error.contains("boss") && error.contains("operator"),
+            "{error}"
+        );
     }
 
     #[test]
     fn the_scope_of_a_role_is_in_the_name() {
         let roof = Party::new(Role::Sensor, "tower.roof").unwrap();
-        assert_eq!((roof.structure().unwrap().as_str(), roof.node().unwrap().as_str()), ("tower", "roof"));
+        assert_eq!(
+            (
+                roof.structure().unwrap().as_str(),
+                roof.node().unwrap().as_str()
+            ),
+            ("tower", "roof")
+        );
         let worker = Party::new(Role::Worker, "tower").unwrap();
         assert_eq!((worker.structure(), worker.node()), (None, None));
     }

@@ -45,11 +45,27 @@ pub struct RouterPlan<'p> {
 /// # Errors
 /// An endpoint that is not `quic/…`, or a path that is not UTF-8.
 pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
-    if let Some(endpoint) = plan.listen.iter().chain(plan.connect).find(|endpoint| !endpoint.starts_with("quic/")) {
-        return Err(AccessError::PlainEndpoint { endpoint: endpoint.clone() });
+    if let Some(endpoint) = plan
+        .listen
+        .iter()
+        .chain(plan.connect)
+        .find(|endpoint| !endpoint.starts_with("quic/"))
+    {
+        return Err(AccessError::PlainEndpoint {
+            endpoint: endpoint.clone(),
+        });
     }
-    let (certificate, key, authority) = (text(plan.certificate)?, text(plan.key)?, text(plan.authority)?);
-    let in_order = |endpoints: &[String]| endpoints.iter().map(|endpoint| in_order(endpoint)).collect::<Vec<_>>();
+    let (certificate, key, authority) = (
+        text(plan.certificate)?,
+        text(plan.key)?,
+        text(plan.authority)?,
+    );
+    let in_order = |endpoints: &[String]| {
+        endpoints
+            .iter()
+            .map(|endpoint| in_order(endpoint))
+            .collect::<Vec<_>>()
+    };
     let largest = MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD;
     let mut config = json!({
         "mode": "router",
@@ -95,7 +111,9 @@ pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
 }
 
 fn text(path: &Path) -> Result<&str, AccessError> {
-    path.to_str().ok_or_else(|| AccessError::PathNotText { path: path.to_owned() })
+    path.to_str().ok_or_else(|| AccessError::PathNotText {
+        path: path.to_owned(),
+    })
 }
 
 /// A rule of Zenoh, and the subject that it is for.
@@ -122,7 +140,11 @@ fn access_control(root: &Name, router: &Party, parties: &[Party]) -> Value {
     let mut rules = vec![known_to_all(root)];
     let (mut subjects, mut policies) = (Vec::new(), Vec::new());
     let others = |party: &&Party| party.role() == Role::Router && *party != router;
-    let routers: Vec<String> = parties.iter().filter(others).map(Party::common_name).collect();
+    let routers: Vec<String> = parties
+        .iter()
+        .filter(others)
+        .map(Party::common_name)
+        .collect();
     if !routers.is_empty() {
         rules.push(between_routers(root));
         policies.push(json!({ "id": BETWEEN_ROUTERS, "rules": [BETWEEN_ROUTERS], "subjects": [BETWEEN_ROUTERS] }));
@@ -132,8 +154,9 @@ fn access_control(root: &Name, router: &Party, parties: &[Party]) -> Value {
     for party in parties.iter().filter(on_the_bus).collect::<BTreeSet<_>>() {
         let of_party = rules_of(root, party);
         let name = party.common_name();
-        let ids: Vec<&str> =
-            std::iter::once(KNOWN_TO_ALL).chain(of_party.iter().map(|rule| rule.id.as_str())).collect();
+        let ids: Vec<&str> = std::iter::once(KNOWN_TO_ALL)
+            .chain(of_party.iter().map(|rule| rule.id.as_str()))
+            .collect();
         policies.push(json!({ "id": name, "rules": ids, "subjects": [name] }));
         subjects.push(json!({ "id": name, "cert_common_names": [name] }));
         rules.extend(of_party);
@@ -177,12 +200,19 @@ fn between_routers(root: &Name) -> Rule {
             }
         }
     }
-    Rule { id: BETWEEN_ROUTERS.to_owned(), messages, flows: vec!["ingress", "egress"], keys: all_keys(root) }
+    Rule {
+        id: BETWEEN_ROUTERS.to_owned(),
+        messages,
+        flows: vec!["ingress", "egress"],
+        keys: all_keys(root),
+    }
 }
 
 /// All that is below the root: `**` does not match a chunk that begins with @, so that those are named.
 fn all_keys(root: &Name) -> Vec<String> {
-    let families = KeyFamily::all().into_iter().map(|family| family.expression(root, None, None));
+    let families = KeyFamily::all()
+        .into_iter()
+        .map(|family| family.expression(root, None, None));
     let mut keys = vec![format!("{root}/**")];
     keys.extend(families.filter(|key| key.contains("/@")));
     keys
@@ -196,7 +226,10 @@ fn messages(right: Right) -> (Vec<&'static str>, Vec<&'static str>) {
         Right::Query => (vec!["query"], vec!["reply"]),
         Right::Answer => (vec!["declare_queryable", "reply"], vec!["query"]),
         Right::Announce => (vec!["liveliness_token"], vec![]),
-        Right::Watch => (vec!["declare_liveliness_subscriber", "liveliness_query"], vec!["liveliness_token"]),
+        Right::Watch => (
+            vec!["declare_liveliness_subscriber", "liveliness_query"],
+            vec!["liveliness_token"],
+        ),
     }
 }
 
@@ -211,7 +244,12 @@ fn rules_of(root: &Name, party: &Party) -> Vec<Rule> {
         for (flow, messages) in [("ingress", arriving), ("egress", leaving)] {
             if !messages.is_empty() {
                 let id = format!("{} {} {flow}", party.common_name(), right.as_str());
-                rules.push(Rule { id, messages, flows: vec![flow], keys: keys.clone() });
+                rules.push(Rule {
+                    id,
+                    messages,
+                    flows: vec![flow],
+                    keys: keys.clone(),
+                });
             }
         }
     }
@@ -221,17 +259,23 @@ fn rules_of(root: &Name, party: &Party) -> Vec<Rule> {
 /// The key expressions on which a party has a right.
 #[must_use]
 pub fn keys_of(root: &Name, party: &Party, right: Right) -> Vec<String> {
-    let families: Vec<KeyFamily> =
-        rights(party.role()).into_iter().filter(|(of, _)| *of == right).map(|(_, family)| family).collect();
+    let families: Vec<KeyFamily> = rights(party.role())
+        .into_iter()
+        .filter(|(of, _)| *of == right)
+        .map(|(_, family)| family)
+        .collect();
     let structure = party.structure();
     let mut keys = BTreeSet::new();
     for family in &families {
         let node = party.node().filter(|_| is_of_node(right, *family));
         keys.insert(family.expression(root, structure, node));
         // whoever looks at all services does so with one key expression, which none of theirs contains
-        let of_each: [fn(Service) -> KeyFamily; 3] = [KeyFamily::Progress, KeyFamily::Status, KeyFamily::Live];
+        let of_each: [fn(Service) -> KeyFamily; 3] =
+            [KeyFamily::Progress, KeyFamily::Status, KeyFamily::Live];
         let has_all = |of: fn(Service) -> KeyFamily| {
-            Service::ALL.iter().all(|service| families.contains(&of(*service)))
+            Service::ALL
+                .iter()
+                .all(|service| families.contains(&of(*service)))
                 && Service::ALL.iter().any(|service| of(*service) == *family)
         };
         if node.is_none() && of_each.into_iter().any(has_all) {
@@ -255,30 +299,57 @@ mod tests {
 
     #[test]
     fn a_sensor_has_its_own_keys_only() {
-        assert_eq!(keys("sensor.tower.roof", Right::Put), ["spandrel/tower/sensor/roof/samples"]);
-        assert_eq!(keys("sensor.tower.roof", Right::Answer), ["spandrel/tower/sensor/roof/@buffer"]);
-        assert_eq!(keys("sensor.tower.roof", Right::Announce), ["spandrel/tower/live/sensor/roof"]);
-        assert_eq!(keys("gateway.tower", Right::Put), ["spandrel/tower/sensor/*/samples"]);
+        assert_eq!(
+            keys("sensor.tower.roof", Right::Put),
+            ["spandrel/tower/sensor/roof/samples"]
+        );
+        assert_eq!(
+            keys("sensor.tower.roof", Right::Answer),
+            ["spandrel/tower/sensor/roof/@buffer"]
+        );
+        assert_eq!(
+            keys("sensor.tower.roof", Right::Announce),
+            ["spandrel/tower/live/sensor/roof"]
+        );
+        assert_eq!(
+            keys("gateway.tower", Right::Put),
+            ["spandrel/tower/sensor/*/samples"]
+        );
     }
 
     #[test]
     fn who_watches_all_services_may_ask_for_all_at_once() {
         assert!(keys("viewer.ada", Right::Watch).contains(&"spandrel/*/live/*/*".to_owned()));
         assert!(keys("viewer.ada", Right::Subscribe).contains(&"spandrel/*/status/*/*".to_owned()));
-        assert_eq!(keys("notify.main", Right::Watch), ["spandrel/*/live/alert/*"]);
+        assert_eq!(
+            keys("notify.main", Right::Watch),
+            ["spandrel/*/live/alert/*"]
+        );
     }
 
     #[test]
     fn a_router_listens_with_certificates_only() {
         let listen = ["tcp/0.0.0.0:7447".to_owned()];
         let error = written(&listen, &[], &[]).unwrap_err().to_string();
-        assert!(error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"), "{error}");
-        let error = written(&["quic/0.0.0.0:7447".to_owned()], &listen, &[]).unwrap_err().to_string();
-        assert!(error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"), "{error}");
+        assert!(
+            error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"),
+            "{error}"
+        );
+        let error = written(&["quic/0.0.0.0:7447".to_owned()], &listen, &[])
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"),
+            "{error}"
+        );
     }
 
     /// The file of router `north`, with its parties.
-    fn written(listen: &[String], connect: &[String], parties: &[&str]) -> Result<String, AccessError> {
+    fn written(
+        listen: &[String],
+        connect: &[String],
+        parties: &[&str],
+    ) -> Result<String, AccessError> {
         let (path, root, router) = (Path::new("a.pem"), root(), "router.north".parse().unwrap());
         let parties: Vec<Party> = parties.iter().map(|party| party.parse().unwrap()).collect();
         let plan = RouterPlan {
@@ -295,24 +366,57 @@ mod tests {
     }
 
     fn config(text: &str) -> Value {
-        let json: String = text.lines().filter(|line| !line.starts_with("//")).collect();
+        let json: String = text
+            .lines()
+            .filter(|line| !line.starts_with("//"))
+            .collect();
         serde_json::from_str(&json).unwrap()
     }
 
     #[test]
     fn routers_of_a_site_pass_on_to_each_other_and_a_router_alone_admits_none() {
-        let (listen, other) = (["quic/10.0.0.5:7447".to_owned()], ["quic/10.0.0.6:7447".to_owned()]);
-        let parties = ["router.north", "router.south", "viewer.ada", "database.main"];
+        let (listen, other) = (
+            ["quic/10.0.0.5:7447".to_owned()],
+            ["quic/10.0.0.6:7447".to_owned()],
+        );
+        let parties = [
+            "router.north",
+            "router.south",
+            "viewer.ada",
+            "database.main",
+        ];
         let joined = config(&written(&listen, &other, &parties).unwrap());
-        assert_eq!(joined["connect"]["endpoints"], json!(["quic/10.0.0.6:7447?multistream=0"]));
+        assert_eq!(
+            joined["connect"]["endpoints"],
+            json!(["quic/10.0.0.6:7447?multistream=0"])
+        );
         let names = |config: &Value| -> Vec<Value> {
-            let subjects = config["access_control"]["subjects"].as_array().unwrap().clone();
-            subjects.into_iter().map(|subject| subject["cert_common_names"].clone()).collect()
+            let subjects = config["access_control"]["subjects"]
+                .as_array()
+                .unwrap()
+                .clone();
+            subjects
+                .into_iter()
+                .map(|subject| subject["cert_common_names"].clone())
+                .collect()
         };
-        assert_eq!(names(&joined), [json!(["router.south"]), json!(["viewer.ada"])], "and no database");
+        assert_eq!(
+            names(&joined),
+            [json!(["router.south"]), json!(["viewer.ada"])],
+            "and no database"
+        );
         let rule = &joined["access_control"]["rules"][1];
-        assert_eq!((&rule["id"], &rule["flows"]), (&json!("between routers"), &json!(["ingress", "egress"])));
-        assert!(!rule["messages"].as_array().unwrap().contains(&json!("delete")), "nobody may delete");
+        assert_eq!(
+            (&rule["id"], &rule["flows"]),
+            (&json!("between routers"), &json!(["ingress", "egress"]))
+        );
+        assert!(
+            !rule["messages"]
+                .as_array()
+                .unwrap()
+                .contains(&json!("delete")),
+            "nobody may delete"
+        );
         let alone = config(&written(&listen, &[], &["router.north", "viewer.ada"]).unwrap());
         assert_eq!(names(&alone), [json!(["viewer.ada"])]);
         assert!(alone.get("connect").is_none());

@@ -10,8 +10,8 @@ use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use jiff::{Timestamp, ToSpan};
 use rcgen::{
-    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
-    KeyUsagePurpose, SanType, date_time_ymd,
+    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
+    Issuer, KeyPair, KeyUsagePurpose, SanType, date_time_ymd,
 };
 use spandrel_bus::{AUTHORITY_FILE, TlsConfig};
 
@@ -59,10 +59,24 @@ impl SiteFolder {
     ///
     /// # Errors
     /// An authority that is there already, unless it is to be replaced; a folder that cannot be written.
-    pub fn create(folder: &Path, name: &str, days: u32, existing: Existing) -> Result<(Self, Issued), AccessError> {
-        let site = Self { folder: folder.to_owned() };
-        let made = DirBuilder::new().recursive(true).mode(FOLDER_MODE).create(folder);
-        made.map_err(|source| AccessError::File { what: "made", path: folder.to_owned(), source })?;
+    pub fn create(
+        folder: &Path,
+        name: &str,
+        days: u32,
+        existing: Existing,
+    ) -> Result<(Self, Issued), AccessError> {
+        let site = Self {
+            folder: folder.to_owned(),
+        };
+        let made = DirBuilder::new()
+            .recursive(true)
+            .mode(FOLDER_MODE)
+            .create(folder);
+        made.map_err(|source| AccessError::File {
+            what: "made",
+            path: folder.to_owned(),
+            source,
+        })?;
         let (not_before, expires) = life(days)?;
         let key = new_key()?;
         let mut params = CertificateParams::default();
@@ -74,11 +88,21 @@ impl SiteFolder {
             not_before.month().unsigned_abs(),
             not_before.day().unsigned_abs(),
         );
-        params.not_after =
-            date_time_ymd(i32::from(expires.year()), expires.month().unsigned_abs(), expires.day().unsigned_abs());
+        params.not_after = date_time_ymd(
+            i32::from(expires.year()),
+            expires.month().unsigned_abs(),
+            expires.day().unsigned_abs(),
+        );
         let made = params.self_signed(&key);
-        let certificate = made.map_err(|source| AccessError::Make { what: "authority", source })?;
-        let issued = Issued { certificate: site.authority(), key: folder.join(AUTHORITY_KEY_FILE), expires };
+        let certificate = made.map_err(|source| AccessError::Make {
+            what: "authority",
+            source,
+        })?;
+        let issued = Issued {
+            certificate: site.authority(),
+            key: folder.join(AUTHORITY_KEY_FILE),
+            expires,
+        };
         issued.write(&certificate.pem(), &key.serialize_pem(), existing)?;
         Ok((site, issued))
     }
@@ -90,10 +114,15 @@ impl SiteFolder {
     pub fn open(folder: &Path) -> Result<Self, AccessError> {
         for file in [AUTHORITY_FILE, AUTHORITY_KEY_FILE] {
             if !folder.join(file).is_file() {
-                return Err(AccessError::NoSite { folder: folder.to_owned(), file });
+                return Err(AccessError::NoSite {
+                    folder: folder.to_owned(),
+                    file,
+                });
             }
         }
-        Ok(Self { folder: folder.to_owned() })
+        Ok(Self {
+            folder: folder.to_owned(),
+        })
     }
 
     /// The certificate of the authority.
@@ -120,7 +149,13 @@ impl SiteFolder {
     /// # Errors
     /// A certificate that is there already, unless it is to be replaced; an authority that cannot be used or is over; a
     /// router or database without hosts; a file that cannot be written.
-    pub fn issue(&self, party: &Party, hosts: &[String], days: u32, existing: Existing) -> Result<Issued, AccessError> {
+    pub fn issue(
+        &self,
+        party: &Party,
+        hosts: &[String],
+        days: u32,
+        existing: Existing,
+    ) -> Result<Issued, AccessError> {
         if matches!(party.role(), Role::Router | Role::Database) && hosts.is_empty() {
             return Err(AccessError::NoHost { role: party.role() });
         }
@@ -133,20 +168,35 @@ impl SiteFolder {
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
         if !hosts.is_empty() {
-            params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
+            params
+                .extended_key_usages
+                .push(ExtendedKeyUsagePurpose::ServerAuth);
         }
-        params.subject_alt_names = hosts.iter().map(|host| alternative_name(host)).collect::<Result<_, _>>()?;
+        params.subject_alt_names = hosts
+            .iter()
+            .map(|host| alternative_name(host))
+            .collect::<Result<_, _>>()?;
         params.use_authority_key_identifier_extension = true;
         params.not_before = date_time_ymd(
             i32::from(not_before.year()),
             not_before.month().unsigned_abs(),
             not_before.day().unsigned_abs(),
         );
-        params.not_after =
-            date_time_ymd(i32::from(expires.year()), expires.month().unsigned_abs(), expires.day().unsigned_abs());
+        params.not_after = date_time_ymd(
+            i32::from(expires.year()),
+            expires.month().unsigned_abs(),
+            expires.day().unsigned_abs(),
+        );
         let made = params.signed_by(&key, &issuer);
-        let certificate = made.map_err(|source| AccessError::Make { what: "certificate", source })?;
-        let issued = Issued { certificate: self.certificate(party), key: self.key(party), expires };
+        let certificate = made.map_err(|source| AccessError::Make {
+            what: "certificate",
+            source,
+        })?;
+        let issued = Issued {
+            certificate: self.certificate(party),
+            key: self.key(party),
+            expires,
+        };
         issued.write(&certificate.pem(), &key.serialize_pem(), existing)?;
         // an authority whose key is another one's would issue what nobody accepts
         TlsConfig::beside(issued.certificate.clone()).check()?;
@@ -158,7 +208,11 @@ impl SiteFolder {
     /// # Errors
     /// The folder cannot be read.
     pub fn parties(&self) -> Result<Vec<Party>, AccessError> {
-        let unread = |source| AccessError::File { what: "read", path: self.folder.clone(), source };
+        let unread = |source| AccessError::File {
+            what: "read",
+            path: self.folder.clone(),
+            source,
+        };
         let mut parties = Vec::new();
         for entry in std::fs::read_dir(&self.folder).map_err(unread)? {
             let name = entry.map_err(unread)?.file_name();
@@ -174,16 +228,28 @@ impl SiteFolder {
     /// # Errors
     /// None, or several and no name.
     pub fn router(&self, name: Option<&str>) -> Result<Party, AccessError> {
-        let routers = self.parties()?.into_iter().filter(|party| party.role() == Role::Router);
-        let wanted = name.map(|name| Party::new(Role::Router, name)).transpose()?;
-        let mut found: Vec<Party> = routers.filter(|party| wanted.as_ref().is_none_or(|name| name == party)).collect();
+        let routers = self
+            .parties()?
+            .into_iter()
+            .filter(|party| party.role() == Role::Router);
+        let wanted = name
+            .map(|name| Party::new(Role::Router, name))
+            .transpose()?;
+        let mut found: Vec<Party> = routers
+            .filter(|party| wanted.as_ref().is_none_or(|name| name == party))
+            .collect();
         match (found.pop(), found.is_empty()) {
             (Some(router), true) => Ok(router),
             (Some(last), false) => {
                 found.push(last);
-                Err(AccessError::SeveralRouters { folder: self.folder.clone(), found })
+                Err(AccessError::SeveralRouters {
+                    folder: self.folder.clone(),
+                    found,
+                })
             }
-            (None, _) => Err(AccessError::NoRouter { folder: self.folder.clone() }),
+            (None, _) => Err(AccessError::NoRouter {
+                folder: self.folder.clone(),
+            }),
         }
     }
 
@@ -192,18 +258,27 @@ impl SiteFolder {
         let (path, key_path) = (self.authority(), self.folder.join(AUTHORITY_KEY_FILE));
         let read = |path: &Path| {
             let read = std::fs::read_to_string(path);
-            read.map_err(|source| AccessError::File { what: "read", path: path.to_owned(), source })
+            read.map_err(|source| AccessError::File {
+                what: "read",
+                path: path.to_owned(),
+                source,
+            })
         };
         let no_authority = || AccessError::NoAuthority { path: path.clone() };
         let (certificate, key) = (read(&path)?, read(&key_path)?);
         // the error could speak of the key
         let key = KeyPair::from_pem(&key).map_err(|_| AccessError::Tls(damaged(&key_path)))?;
-        let (_, pem) = x509_parser::pem::parse_x509_pem(certificate.as_bytes()).map_err(|_| no_authority())?;
+        let (_, pem) =
+            x509_parser::pem::parse_x509_pem(certificate.as_bytes()).map_err(|_| no_authority())?;
         let parsed = pem.parse_x509().map_err(|_| no_authority())?;
-        let ends = Timestamp::from_second(parsed.validity().not_after.timestamp()).map_err(|_| no_authority())?;
+        let ends = Timestamp::from_second(parsed.validity().not_after.timestamp())
+            .map_err(|_| no_authority())?;
         let expires = ends.to_zoned(TimeZone::UTC).date();
         if expires <= today() {
-            return Err(AccessError::AuthorityExpired { path, expired: expires.to_string() });
+            return Err(AccessError::AuthorityExpired {
+                path,
+                expired: expires.to_string(),
+            });
         }
         let issuer = Issuer::from_ca_cert_pem(&certificate, key).map_err(|_| no_authority())?;
         Ok((issuer, expires))
@@ -211,7 +286,10 @@ impl SiteFolder {
 }
 
 fn damaged(path: &Path) -> spandrel_bus::TlsError {
-    spandrel_bus::TlsError::Damaged { what: "key", path: path.to_owned() }
+    spandrel_bus::TlsError::Damaged {
+        what: "key",
+        path: path.to_owned(),
+    }
 }
 
 fn today() -> Date {
@@ -225,14 +303,20 @@ fn life(days: u32) -> Result<(Date, Date), AccessError> {
         return Err(refused);
     }
     let today = today();
-    match (today.checked_sub(VALID_BEFORE_DAYS.days()), today.checked_add(i64::from(days).days())) {
+    match (
+        today.checked_sub(VALID_BEFORE_DAYS.days()),
+        today.checked_add(i64::from(days).days()),
+    ) {
         (Ok(from), Ok(until)) => Ok((from, until)),
         (Err(_), _) | (_, Err(_)) => Err(refused),
     }
 }
 
 fn new_key() -> Result<KeyPair, AccessError> {
-    KeyPair::generate().map_err(|source| AccessError::Make { what: "key", source })
+    KeyPair::generate().map_err(|source| AccessError::Make {
+        what: "key",
+        source,
+    })
 }
 
 fn common_name(name: &str) -> DistinguishedName {
@@ -246,7 +330,9 @@ fn alternative_name(host: &str) -> Result<SanType, AccessError> {
         return Ok(SanType::IpAddress(address));
     }
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.');
-    let refused = || AccessError::Host { host: host.to_owned() };
+    let refused = || AccessError::Host {
+        host: host.to_owned(),
+    };
     if host.is_empty() || !host.chars().all(allowed) {
         return Err(refused());
     }
@@ -281,8 +367,14 @@ fn write_private(path: &Path, text: &str, existing: Existing) -> Result<(), Acce
         file.write_all(text.as_bytes())
     });
     written.map_err(|source| match source.kind() {
-        ErrorKind::AlreadyExists => AccessError::Exists { path: path.to_owned() },
-        _ => AccessError::File { what: "written", path: path.to_owned(), source },
+        ErrorKind::AlreadyExists => AccessError::Exists {
+            path: path.to_owned(),
+        },
+        _ => AccessError::File {
+            what: "written",
+            path: path.to_owned(),
+            source,
+        },
     })
 }
 

@@ -57,13 +57,23 @@ pub struct Acknowledged {
 impl Alert {
     /// Returns `true` if this is the alert `other` in the same state, perhaps with another loss.
     pub(crate) fn says_the_same(&self, other: &Self) -> bool {
-        let said = |alert: &Self| (alert.rule, alert.parameter, alert.state, alert.since_ns, alert.undecided_because);
+        let said = |alert: &Self| {
+            (
+                alert.rule,
+                alert.parameter,
+                alert.state,
+                alert.since_ns,
+                alert.undecided_because,
+            )
+        };
         said(self) == said(other) && self.acknowledgement == other.acknowledgement
     }
 
     /// Returns the loss with its interval within this record; `None` while the reference is learnt.
     pub(crate) fn loss_within_record(&self) -> Option<LossEstimate> {
-        self.reference.as_ref().map(|reference| loss_within_record(&self.estimate, reference))
+        self.reference
+            .as_ref()
+            .map(|reference| loss_within_record(&self.estimate, reference))
     }
 
     /// The message that says so to others; the only place that knows both forms.
@@ -84,7 +94,10 @@ impl Alert {
             std: self.estimate.std,
             reference: self.reference.map(|reference| reference.mean()),
             reference_std: self.reference.map(|reference| reference.std()),
-            acknowledged_by: self.acknowledgement.as_ref().map(|acknowledged| acknowledged.who.clone()),
+            acknowledged_by: self
+                .acknowledgement
+                .as_ref()
+                .map(|acknowledged| acknowledged.who.clone()),
             why: self.why.clone(),
             fit: self.fit,
             fit_reasons: self.fit_reasons,

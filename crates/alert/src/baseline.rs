@@ -97,7 +97,10 @@ impl RecordSummary {
                 return None;
             }
         }
-        let parameters = learnings.iter().map(Learning::summary).collect::<Option<_>>()?;
+        let parameters = learnings
+            .iter()
+            .map(Learning::summary)
+            .collect::<Option<_>>()?;
         Some(Self { parameters })
     }
 }
@@ -117,15 +120,29 @@ impl Baseline {
         if records.is_empty() {
             return Err(AlertError::NoRecords);
         }
-        if let Some(other) = records.iter().find(|record| record.parameters.len() != parameters.len()) {
-            return Err(AlertError::ParameterCount { found: other.parameters.len(), expected: parameters.len() });
+        if let Some(other) = records
+            .iter()
+            .find(|record| record.parameters.len() != parameters.len())
+        {
+            return Err(AlertError::ParameterCount {
+                found: other.parameters.len(),
+                expected: parameters.len(),
+            });
         }
         let joined = parameters.iter().enumerate().map(|(index, name)| {
-            let spans: Vec<SpanSummary> = records.iter().map(|record| record.parameters[index]).collect();
+            let spans: Vec<SpanSummary> = records
+                .iter()
+                .map(|record| record.parameters[index])
+                .collect();
             join_spans(name, &spans, between).map_err(|error| of_parameter(name, error))
         });
         let parameters = joined.collect::<Result<_, _>>()?;
-        let baseline = Self { structure: structure.to_owned(), records: records.len(), parameters, is_old_file: false };
+        let baseline = Self {
+            structure: structure.to_owned(),
+            records: records.len(),
+            parameters,
+            is_old_file: false,
+        };
         baseline.check()?;
         Ok(baseline)
     }
@@ -164,21 +181,37 @@ impl Baseline {
 
     /// Interval of a parameter for this structure: what other records of the same structure would show, from an estimate
     /// within one record and the scatter between records. `None` if the baseline does not know the parameter, or knows no scatter.
-    pub fn for_structure(&self, parameter: &str, estimate: &ParameterEstimate) -> Option<CredibleInterval> {
+    pub fn for_structure(
+        &self,
+        parameter: &str,
+        estimate: &ParameterEstimate,
+    ) -> Option<CredibleInterval> {
         let found = self.parameter(parameter)?;
-        let (normal_std, student_scale, degrees_of_freedom) = match (found.between_std?, found.degrees_of_freedom) {
-            (between, Some(degrees_of_freedom)) => (estimate.std, between, degrees_of_freedom),
-            (between, None) => (estimate.std.hypot(between), 0.0, 1.0),
-        };
+        let (normal_std, student_scale, degrees_of_freedom) =
+            match (found.between_std?, found.degrees_of_freedom) {
+                (between, Some(degrees_of_freedom)) => (estimate.std, between, degrees_of_freedom),
+                (between, None) => (estimate.std.hypot(between), 0.0, 1.0),
+            };
         let largest_usual = largest_usual_scatter(found.mean);
-        let sum = NormalPlusStudent { normal_std, student_scale, degrees_of_freedom, largest_usual };
+        let sum = NormalPlusStudent {
+            normal_std,
+            student_scale,
+            degrees_of_freedom,
+            largest_usual,
+        };
         let half = sum.quantile(0.5 + LEVEL / 2.0);
-        Some(CredibleInterval { level: LEVEL, low: estimate.mean - half, high: estimate.mean + half })
+        Some(CredibleInterval {
+            level: LEVEL,
+            low: estimate.mean - half,
+            high: estimate.mean + half,
+        })
     }
 
     /// What the baseline holds of a parameter; `None` if it does not know it.
     pub fn parameter(&self, parameter: &str) -> Option<&ParameterBaseline> {
-        self.parameters.iter().find(|entry| entry.parameter == parameter)
+        self.parameters
+            .iter()
+            .find(|entry| entry.parameter == parameter)
     }
 
     /// Names of the parameters that the baseline knows.
@@ -189,7 +222,8 @@ impl Baseline {
     /// Checks that each parameter is known well enough within its records. Too few records are no mistake.
     fn check(&self) -> Result<(), AlertError> {
         for entry in &self.parameters {
-            Reference::new(entry.mean, entry.within_std).map_err(|error| of_parameter(&entry.parameter, error))?;
+            Reference::new(entry.mean, entry.within_std)
+                .map_err(|error| of_parameter(&entry.parameter, error))?;
         }
         Ok(())
     }
@@ -202,9 +236,15 @@ impl ParameterBaseline {
         let further = (1.0 + 1.0 / n).sqrt();
         match (self.between_std, self.degrees_of_freedom) {
             (None, _) => Err(AlertError::OneRecord),
-            (Some(between), None) => Reference::new(self.mean, (between * further).hypot(self.within_std / n.sqrt())),
+            (Some(between), None) => Reference::new(
+                self.mean,
+                (between * further).hypot(self.within_std / n.sqrt()),
+            ),
             (Some(between), Some(degrees_of_freedom)) => {
-                let scatter = Scatter { std: between * further, degrees_of_freedom };
+                let scatter = Scatter {
+                    std: between * further,
+                    degrees_of_freedom,
+                };
                 Reference::new(self.mean, 0.0)?.with_scatter(scatter)
             }
         }
@@ -234,12 +274,23 @@ fn join_spans(
         (BetweenRecords::Estimated, None) => (None, None),
     };
     let parameter = parameter.to_owned();
-    Ok(ParameterBaseline { parameter, mean, within_std: within.sqrt(), between_std, degrees_of_freedom })
+    Ok(ParameterBaseline {
+        parameter,
+        mean,
+        within_std: within.sqrt(),
+        between_std,
+        degrees_of_freedom,
+    })
 }
 
 /// Checks that the records do not contradict a stated scatter: (n − 1)·b²/(σ_b² + v̄) has the distribution χ² with n − 1
 /// degrees of freedom.
-fn check_stated(stated: f64, within: f64, found: Option<f64>, degrees_of_freedom: f64) -> Result<(), AlertError> {
+fn check_stated(
+    stated: f64,
+    within: f64,
+    found: Option<f64>,
+    degrees_of_freedom: f64,
+) -> Result<(), AlertError> {
     if !(stated.is_finite() && stated >= 0.0) {
         return Err(AlertError::Setting {
             setting: "scatter between records",
@@ -253,18 +304,26 @@ fn check_stated(stated: f64, within: f64, found: Option<f64>, degrees_of_freedom
     if found <= allowed {
         return Ok(());
     }
-    Err(AlertError::StatedScatter { found: found.sqrt(), stated, allowed: allowed.sqrt() })
+    Err(AlertError::StatedScatter {
+        found: found.sqrt(),
+        stated,
+        allowed: allowed.sqrt(),
+    })
 }
 
 /// The point of χ²/ν that is exceeded with probability 0.001; infinite without degrees of freedom.
 fn largest_mean_square(degrees_of_freedom: f64) -> f64 {
     const NOT_EXCEEDED: f64 = 0.999;
-    ChiSquared::new(degrees_of_freedom)
-        .map_or(f64::INFINITY, |distribution| distribution.inverse_cdf(NOT_EXCEEDED) / degrees_of_freedom)
+    ChiSquared::new(degrees_of_freedom).map_or(f64::INFINITY, |distribution| {
+        distribution.inverse_cdf(NOT_EXCEEDED) / degrees_of_freedom
+    })
 }
 
 fn of_parameter(parameter: &str, source: AlertError) -> AlertError {
-    AlertError::Parameter { parameter: parameter.to_owned(), source: Box::new(source) }
+    AlertError::Parameter {
+        parameter: parameter.to_owned(),
+        source: Box::new(source),
+    }
 }
 
 #[cfg(test)]

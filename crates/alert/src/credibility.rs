@@ -29,7 +29,11 @@ impl ParameterEstimate {
     /// The interval of 95 % within the record that it rests on.
     pub fn interval(&self) -> CredibleInterval {
         let half = QUANTILE_95 * self.std;
-        CredibleInterval { level: 0.95, low: self.mean - half, high: self.mean + half }
+        CredibleInterval {
+            level: 0.95,
+            low: self.mean - half,
+            high: self.mean + half,
+        }
     }
 }
 
@@ -47,7 +51,11 @@ pub struct LossEstimate {
 impl LossEstimate {
     /// Returns the interval for a message.
     pub(crate) fn interval(&self) -> CredibleInterval {
-        CredibleInterval { level: 0.95, low: self.low, high: self.high }
+        CredibleInterval {
+            level: 0.95,
+            low: self.low,
+            high: self.high,
+        }
     }
 }
 
@@ -61,7 +69,10 @@ const QUANTILE_95: f64 = 1.959_963_984_540_054;
 pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, loss: f64) -> f64 {
     let kept = 1.0 - loss;
     let margin = kept * reference.mean() - estimate.mean;
-    if let Some(sum) = reference.deviation(estimate.std, kept).filter(NormalPlusStudent::is_wide) {
+    if let Some(sum) = reference
+        .deviation(estimate.std, kept)
+        .filter(NormalPlusStudent::is_wide)
+    {
         return sum.cdf(margin);
     }
     let std = estimate.std.hypot(kept * reference.std());
@@ -88,20 +99,32 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
     // half_b² − a·c, with the terms that cancel left out
     let discriminant = (zs * r).powi(2) + (zs_r * m).powi(2) - (zs * zs_r).powi(2);
     let root = discriminant.max(0.0).sqrt();
-    LossEstimate { loss: 1.0 - m / r, low: 1.0 - (half_b + root) / a, high: 1.0 - (half_b - root) / a }
+    LossEstimate {
+        loss: 1.0 - m / r,
+        low: 1.0 - (half_b + root) / a,
+        high: 1.0 - (half_b - root) / a,
+    }
 }
 
 /// The loss against the mean of the reference with the 95 % interval within the record: what the estimate alone leaves open.
-pub(crate) fn loss_within_record(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+pub(crate) fn loss_within_record(
+    estimate: &ParameterEstimate,
+    reference: &Reference,
+) -> LossEstimate {
     let CredibleInterval { low, high, .. } = estimate.interval();
     let loss = |value: f64| 1.0 - value / reference.mean();
-    LossEstimate { loss: loss(estimate.mean), low: loss(high), high: loss(low) }
+    LossEstimate {
+        loss: loss(estimate.mean),
+        low: loss(high),
+        high: loss(low),
+    }
 }
 
 /// As [`loss_estimate`], for any distribution: the probability of a loss falls as the loss asked about grows.
 fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     let loss = 1.0 - estimate.mean / reference.mean();
-    let is_below = |level: f64| move |loss: f64| probability_of_loss(estimate, reference, loss) < level;
+    let is_below =
+        |level: f64| move |loss: f64| probability_of_loss(estimate, reference, loss) < level;
     // a loss is a share of the reference: steps of it find a bracket
     let end = |level: f64| {
         let (mut low, mut high, mut step) = (loss, loss, FIRST_STEP);
@@ -116,7 +139,11 @@ fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> Los
         }
         bisect(low, high, is_below(level))
     };
-    LossEstimate { loss, low: end(0.975), high: end(0.025) }
+    LossEstimate {
+        loss,
+        low: end(0.975),
+        high: end(0.025),
+    }
 }
 
 /// First and last step in looking for the end of an interval, shares of the reference.
@@ -128,7 +155,11 @@ mod tests {
     use super::*;
 
     fn estimate(mean: f64, std: f64) -> ParameterEstimate {
-        ParameterEstimate { time_ns: 0, mean, std }
+        ParameterEstimate {
+            time_ns: 0,
+            mean,
+            std,
+        }
     }
 
     #[test]
@@ -143,7 +174,10 @@ mod tests {
     #[test]
     fn loss_of_the_mean_itself_has_probability_one_half() {
         let reference = Reference::new(0.9, 0.02).unwrap();
-        assert_eq!(probability_of_loss(&estimate(0.9 * 0.75, 0.03), &reference, 0.25), 0.5);
+        assert_eq!(
+            probability_of_loss(&estimate(0.9 * 0.75, 0.03), &reference, 0.25),
+            0.5
+        );
     }
 
     #[test]
@@ -159,18 +193,31 @@ mod tests {
 
     #[test]
     fn certain_estimate_gives_certainty() {
-        assert_eq!(probability_of_loss(&estimate(0.9, 0.0), &Reference::DESIGN, 0.05), 1.0);
-        assert_eq!(probability_of_loss(&estimate(0.96, 0.0), &Reference::DESIGN, 0.05), 0.0);
+        assert_eq!(
+            probability_of_loss(&estimate(0.9, 0.0), &Reference::DESIGN, 0.05),
+            1.0
+        );
+        assert_eq!(
+            probability_of_loss(&estimate(0.96, 0.0), &Reference::DESIGN, 0.05),
+            0.0
+        );
     }
 
     #[test]
     fn ends_of_the_interval_are_where_the_probability_is_0_975_and_0_025() {
-        for (mean, std, r, s_r) in [(0.85, 0.01, 1.0, 0.0), (0.7, 0.05, 0.95, 0.1), (1.2, 0.3, 1.0, 0.3)] {
+        for (mean, std, r, s_r) in [
+            (0.85, 0.01, 1.0, 0.0),
+            (0.7, 0.05, 0.95, 0.1),
+            (1.2, 0.3, 1.0, 0.3),
+        ] {
             let reference = Reference::new(r, s_r).unwrap();
             let interval = loss_estimate(&estimate(mean, std), &reference);
             let at_low = probability_of_loss(&estimate(mean, std), &reference, interval.low);
             let at_high = probability_of_loss(&estimate(mean, std), &reference, interval.high);
-            assert!((at_low - 0.975).abs() < 1e-12 && (at_high - 0.025).abs() < 1e-12, "{at_low} {at_high}");
+            assert!(
+                (at_low - 0.975).abs() < 1e-12 && (at_high - 0.025).abs() < 1e-12,
+                "{at_low} {at_high}"
+            );
             assert!(interval.low < interval.loss && interval.loss < interval.high);
         }
     }

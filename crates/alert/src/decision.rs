@@ -73,8 +73,15 @@ pub struct Decision {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Stage {
-    Learning { started_ns: Option<i64>, span_ns: i64, learning: Learning },
-    Watching { reference: Reference, watch: Watching },
+    Learning {
+        started_ns: Option<i64>,
+        span_ns: i64,
+        learning: Learning,
+    },
+    Watching {
+        reference: Reference,
+        watch: Watching,
+    },
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -112,10 +119,15 @@ impl Decision {
     /// Watches `subject` by rule number `rule_number` of the structure file, from 0.
     pub fn new(rule_number: usize, rule: Rule, subject: Subject) -> Self {
         let stage = match rule.reference() {
-            ReferenceRule::Given(reference) => Stage::Watching { reference, watch: Watching::Normal },
-            ReferenceRule::Learnt { span_ns } => {
-                Stage::Learning { started_ns: None, span_ns, learning: Learning::new() }
-            }
+            ReferenceRule::Given(reference) => Stage::Watching {
+                reference,
+                watch: Watching::Normal,
+            },
+            ReferenceRule::Learnt { span_ns } => Stage::Learning {
+                started_ns: None,
+                span_ns,
+                learning: Learning::new(),
+            },
         };
         Self {
             rule_number,
@@ -158,7 +170,8 @@ impl Decision {
     /// Where the parameter stands at the last estimate, for a decision that has had nothing to announce; `None` before the
     /// first estimate that was decided on.
     pub fn unannounced(&self) -> Option<Alert> {
-        self.alert(self.state()).filter(|_| self.last_alert.is_none() && self.support.decides())
+        self.alert(self.state())
+            .filter(|_| self.last_alert.is_none() && self.support.decides())
     }
 
     /// The parameter watched.
@@ -181,7 +194,12 @@ impl Decision {
         &self.decided
     }
 
-    fn handle_estimate(&mut self, estimate: ParameterEstimate, flags: EstimateFlags, alerts: &mut Vec<Alert>) {
+    fn handle_estimate(
+        &mut self,
+        estimate: ParameterEstimate,
+        flags: EstimateFlags,
+        alerts: &mut Vec<Alert>,
+    ) {
         let before_ns = self.last.map_or(estimate.time_ns, |(last, _)| last.time_ns);
         self.last = Some((estimate, flags));
         if self.is_measured(&estimate) {
@@ -220,7 +238,11 @@ impl Decision {
     }
 
     /// What keeps a frame from being decided on, the most fundamental first.
-    fn hindrance(&self, estimate: &ParameterEstimate, flags: &EstimateFlags) -> Option<UndecidedBecause> {
+    fn hindrance(
+        &self,
+        estimate: &ParameterEstimate,
+        flags: &EstimateFlags,
+    ) -> Option<UndecidedBecause> {
         match flags.phase {
             Phase::Training => return Some(UndecidedBecause::NoiseTraining),
             Phase::ExcitationSilent => return Some(UndecidedBecause::ExcitationSilent),
@@ -236,8 +258,12 @@ impl Decision {
             return None; // whether a loss would show depends on the reference
         };
         let answers = || {
-            let is_credible = probability_of_loss(estimate, reference, self.rule.loss()) >= self.rule.credibility();
-            is_credible || self.support.excludes_losses(estimate, reference, &self.rule)
+            let is_credible = probability_of_loss(estimate, reference, self.rule.loss())
+                >= self.rule.credibility();
+            is_credible
+                || self
+                    .support
+                    .excludes_losses(estimate, reference, &self.rule)
         };
         // An uncertain estimate can answer the rule all the same, if it rests on data: a narrow prior excludes losses without
         // any, and an estimate that rests on an unmeasured excitation is never much narrower than its prior.
@@ -254,14 +280,23 @@ impl Decision {
     /// Nothing is decided from now on: what was sustained starts anew, and what is raised has to be confirmed.
     fn suspend(&mut self) {
         self.interrupt();
-        if let Stage::Watching { watch: Watching::Raised { is_confirmed, .. }, .. } = &mut self.stage {
+        if let Stage::Watching {
+            watch: Watching::Raised { is_confirmed, .. },
+            ..
+        } = &mut self.stage
+        {
             *is_confirmed = false;
         }
     }
 
     /// Adds an estimate to the reference, and starts to watch when the span is over.
     fn learn(&mut self, estimate: ParameterEstimate, alerts: &mut Vec<Alert>) {
-        let Stage::Learning { started_ns, span_ns, learning } = &mut self.stage else {
+        let Stage::Learning {
+            started_ns,
+            span_ns,
+            learning,
+        } = &mut self.stage
+        else {
             return;
         };
         let start_ns = *started_ns.get_or_insert(estimate.time_ns);
@@ -275,7 +310,10 @@ impl Decision {
         // A reference that is too uncertain is learnt on.
         match learnt.and_then(|span| Reference::new(span.mean, span.variance().sqrt()).ok()) {
             Some(reference) => {
-                self.stage = Stage::Watching { reference, watch: Watching::Normal };
+                self.stage = Stage::Watching {
+                    reference,
+                    watch: Watching::Normal,
+                };
                 self.announce(alerts);
             }
             None => self.announce_change(alerts),
@@ -283,31 +321,60 @@ impl Decision {
     }
 
     /// The state after an estimate with this probability of the loss.
-    fn next(&self, watch: Watching, probability: f64, fit: Option<FitVerdict>, time_ns: i64) -> Watching {
+    fn next(
+        &self,
+        watch: Watching,
+        probability: f64,
+        fit: Option<FitVerdict>,
+        time_ns: i64,
+    ) -> Watching {
         let is_credible = probability >= self.rule.credibility();
-        let is_sustained = |since_ns: i64| time_ns.saturating_sub(since_ns) >= self.rule.sustain_ns();
+        let is_sustained =
+            |since_ns: i64| time_ns.saturating_sub(since_ns) >= self.rule.sustain_ns();
         let is_held = self.jump.holds(fit, time_ns); // others are not blamed for a sudden change
         let rise = |since_ns: i64, otherwise: Watching| match is_sustained(since_ns) && !is_held {
-            true => Watching::Raised { since_ns, acknowledged: None, low_since_ns: None, is_confirmed: true },
+            true => Watching::Raised {
+                since_ns,
+                acknowledged: None,
+                low_since_ns: None,
+                is_confirmed: true,
+            },
             false => otherwise,
         };
         match watch {
-            Watching::Normal if is_credible => rise(time_ns, Watching::Pending { since_ns: time_ns }),
-            Watching::Pending { since_ns } if is_credible => rise(since_ns, Watching::Pending { since_ns }),
+            Watching::Normal if is_credible => {
+                rise(time_ns, Watching::Pending { since_ns: time_ns })
+            }
+            Watching::Pending { since_ns } if is_credible => {
+                rise(since_ns, Watching::Pending { since_ns })
+            }
             Watching::Normal | Watching::Pending { .. } => Watching::Normal,
-            Watching::ClearedUnseen if is_credible => rise(time_ns, Watching::PendingUnseen { since_ns: time_ns }),
-            Watching::PendingUnseen { since_ns } if is_credible => rise(since_ns, Watching::PendingUnseen { since_ns }),
+            Watching::ClearedUnseen if is_credible => {
+                rise(time_ns, Watching::PendingUnseen { since_ns: time_ns })
+            }
+            Watching::PendingUnseen { since_ns } if is_credible => {
+                rise(since_ns, Watching::PendingUnseen { since_ns })
+            }
             Watching::ClearedUnseen | Watching::PendingUnseen { .. } => Watching::ClearedUnseen,
-            Watching::Raised { since_ns, acknowledged, low_since_ns, is_confirmed } => {
+            Watching::Raised {
+                since_ns,
+                acknowledged,
+                low_since_ns,
+                is_confirmed,
+            } => {
                 // The prior of a filter that has just restarted is no news of the structure: it clears no alert.
-                let is_low = probability < self.rule.clear_credibility() && self.knowledge == Knowledge::Measured;
+                let is_low = probability < self.rule.clear_credibility()
+                    && self.knowledge == Knowledge::Measured;
                 let low_since_ns = is_low.then(|| low_since_ns.unwrap_or(time_ns));
                 match low_since_ns.filter(|since_ns| is_sustained(*since_ns)) {
                     Some(_) if acknowledged.is_some() => Watching::Normal,
                     Some(_) => Watching::ClearedUnseen,
-                    None => {
-                        Watching::Raised { since_ns, acknowledged, low_since_ns, is_confirmed: is_confirmed || !is_low }
-                    }
+                    None => Watching::Raised {
+                        since_ns,
+                        acknowledged,
+                        low_since_ns,
+                        is_confirmed: is_confirmed || !is_low,
+                    },
                 }
             }
         }
@@ -326,12 +393,25 @@ impl Decision {
         let state = self.state();
         let last = self.last_alert.as_ref();
         let told = last.map_or((AlertState::Normal, None, None, None), |last| {
-            (last.state, last.since_ns, last.undecided_because, last.acknowledgement.as_ref())
+            (
+                last.state,
+                last.since_ns,
+                last.undecided_because,
+                last.acknowledgement.as_ref(),
+            )
         });
-        if told == (state, self.since_ns(), self.support.undecided_because(), self.acknowledgement()) {
+        if told
+            == (
+                state,
+                self.since_ns(),
+                self.support.undecided_because(),
+                self.acknowledgement(),
+            )
+        {
             return;
         }
-        let was_seen = told.0 == AlertState::Acknowledged || (told.0 == AlertState::Unconfirmed && told.3.is_some());
+        let was_seen = told.0 == AlertState::Acknowledged
+            || (told.0 == AlertState::Unconfirmed && told.3.is_some());
         if was_seen && state == AlertState::Normal {
             alerts.extend(self.alert(AlertState::Cleared));
         }
@@ -352,7 +432,12 @@ impl Decision {
 
     fn restart(&mut self) {
         self.knowledge = Knowledge::Prior;
-        if let Stage::Learning { started_ns, learning, .. } = &mut self.stage {
+        if let Stage::Learning {
+            started_ns,
+            learning,
+            ..
+        } = &mut self.stage
+        {
             // The filter diverged: what it said before is no reference.
             (*started_ns, *learning) = (None, Learning::new());
         }
@@ -363,14 +448,21 @@ impl Decision {
             return false;
         };
         let next = match watch {
-            Watching::Raised { since_ns, acknowledged: None, low_since_ns, is_confirmed } => Watching::Raised {
+            Watching::Raised {
+                since_ns,
+                acknowledged: None,
+                low_since_ns,
+                is_confirmed,
+            } => Watching::Raised {
                 since_ns: *since_ns,
                 acknowledged: Some(by),
                 low_since_ns: *low_since_ns,
                 is_confirmed: *is_confirmed,
             },
             Watching::ClearedUnseen => Watching::Normal,
-            Watching::PendingUnseen { since_ns } => Watching::Pending { since_ns: *since_ns },
+            Watching::PendingUnseen { since_ns } => Watching::Pending {
+                since_ns: *since_ns,
+            },
             Watching::Normal | Watching::Pending { .. } | Watching::Raised { .. } => return false,
         };
         self.enter(next, alerts);
@@ -383,11 +475,20 @@ impl Decision {
             Stage::Learning { .. } if is_undecided => AlertState::Undecided,
             Stage::Learning { .. } => AlertState::Learning,
             Stage::Watching { watch, .. } => match watch {
-                Watching::Raised { is_confirmed, .. } if is_undecided || !is_confirmed => AlertState::Unconfirmed,
-                Watching::Raised { acknowledged: None, .. } => AlertState::Raised,
-                Watching::Raised { acknowledged: Some(_), .. } => AlertState::Acknowledged,
+                Watching::Raised { is_confirmed, .. } if is_undecided || !is_confirmed => {
+                    AlertState::Unconfirmed
+                }
+                Watching::Raised {
+                    acknowledged: None, ..
+                } => AlertState::Raised,
+                Watching::Raised {
+                    acknowledged: Some(_),
+                    ..
+                } => AlertState::Acknowledged,
                 Watching::ClearedUnseen => AlertState::Cleared,
-                Watching::Normal | Watching::Pending { .. } | Watching::PendingUnseen { .. } if is_undecided => {
+                Watching::Normal | Watching::Pending { .. } | Watching::PendingUnseen { .. }
+                    if is_undecided =>
+                {
                     AlertState::Undecided
                 }
                 Watching::Normal => AlertState::Normal,
@@ -398,7 +499,10 @@ impl Decision {
 
     fn acknowledgement(&self) -> Option<&Acknowledged> {
         match &self.stage {
-            Stage::Watching { watch: Watching::Raised { acknowledged, .. }, .. } => acknowledged.as_ref(),
+            Stage::Watching {
+                watch: Watching::Raised { acknowledged, .. },
+                ..
+            } => acknowledged.as_ref(),
             Stage::Learning { .. } | Stage::Watching { .. } => None,
         }
     }

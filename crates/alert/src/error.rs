@@ -18,7 +18,9 @@ pub enum AlertError {
         high: f64,
     },
     /// A reference is not positive, or too uncertain.
-    #[error("reference is {mean} ± {std}, must be positive and more than 3 standard deviations from zero")]
+    #[error(
+        "reference is {mean} ± {std}, must be positive and more than 3 standard deviations from zero"
+    )]
     Reference {
         /// Its mean, ratio to nominal.
         mean: f64,
@@ -34,7 +36,9 @@ pub enum AlertError {
         source: Box<AlertError>,
     },
     /// A rule names a parameter, or its reference, that is not there.
-    #[error("rule {rule} watches parameter {index}, must be one of the {count} identified ones with a reference")]
+    #[error(
+        "rule {rule} watches parameter {index}, must be one of the {count} identified ones with a reference"
+    )]
     NoSuchParameter {
         /// Number of the rule, from 1.
         rule: usize,
@@ -52,7 +56,9 @@ pub enum AlertError {
         expected: usize,
     },
     /// One record does not show how records differ.
-    #[error("one record does not show the scatter between records; use more records, or state it with --between-std")]
+    #[error(
+        "one record does not show the scatter between records; use more records, or state it with --between-std"
+    )]
     OneRecord,
     /// The scatter between records is too large to be known from so few of them.
     #[error(

@@ -79,7 +79,9 @@ mod tests {
 
     fn summary(frames: &[(f64, f64)]) -> SpanSummary {
         let mut learning = Learning::new();
-        frames.iter().for_each(|(mean, std)| learning.add(*mean, *std));
+        frames
+            .iter()
+            .for_each(|(mean, std)| learning.add(*mean, *std));
         learning.summary().unwrap()
     }
 

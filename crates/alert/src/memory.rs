@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use spandrel_checkpoint::{
-    CheckpointError, Checkpoints, Failures, Identity, Place, Remembering, fingerprint, moment_within,
+    CheckpointError, Checkpoints, Failures, Identity, Place, Remembering, fingerprint,
+    moment_within,
 };
 use spandrel_structure::Structure;
 use tokio::time::Instant;
@@ -25,8 +26,15 @@ pub(crate) struct Basis {
 
 impl Basis {
     pub(crate) fn of(structure: &Structure) -> Self {
-        let parameters = structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
-        Self { parameters, model: fingerprint(&structure.identification_basis()) }
+        let parameters = structure
+            .parameters()
+            .iter()
+            .map(|parameter| parameter.name().to_owned())
+            .collect();
+        Self {
+            parameters,
+            model: fingerprint(&structure.identification_basis()),
+        }
     }
 }
 
@@ -48,7 +56,10 @@ const VERSION: u16 = 3;
 
 impl AlertState {
     /// The state of a service that has decided on nothing.
-    pub(crate) fn new(structure: &Structure, baseline: Option<&Baseline>) -> Result<Self, AlertError> {
+    pub(crate) fn new(
+        structure: &Structure,
+        baseline: Option<&Baseline>,
+    ) -> Result<Self, AlertError> {
         Ok(Self {
             basis: Basis::of(structure),
             watch: Watch::new(structure, baseline)?,
@@ -62,9 +73,20 @@ impl AlertState {
     /// that may not have been put.
     pub(crate) fn succeed(mut self, former: Self) -> Self {
         let names = &mut self.basis.parameters;
-        let told = former.unsent.iter().chain(&former.log).map(|alert| alert.parameter);
-        let watched = former.watch.decisions().iter().map(|decision| decision.subject().parameter);
-        for former in told.chain(watched).filter_map(|number| former.basis.parameters.get(number)) {
+        let told = former
+            .unsent
+            .iter()
+            .chain(&former.log)
+            .map(|alert| alert.parameter);
+        let watched = former
+            .watch
+            .decisions()
+            .iter()
+            .map(|decision| decision.subject().parameter);
+        for former in told
+            .chain(watched)
+            .filter_map(|number| former.basis.parameters.get(number))
+        {
             if !names.contains(former) {
                 names.push(former.clone());
             }
@@ -77,10 +99,17 @@ impl AlertState {
         self.log = former.log.into_iter().filter_map(renumbered).collect();
         self.unsent = former.unsent.into_iter().filter_map(renumbered).collect();
         self.last_time_ns = former.last_time_ns;
-        let model = if former.basis.model == self.basis.model { Model::Same } else { Model::Changed };
+        let model = if former.basis.model == self.basis.model {
+            Model::Same
+        } else {
+            Model::Changed
+        };
         let mut changes = Vec::new();
-        self.watch.succeed(&former.watch, names, model, &mut changes);
-        changes.iter().for_each(|change| note(&mut self.log, change));
+        self.watch
+            .succeed(&former.watch, names, model, &mut changes);
+        changes
+            .iter()
+            .for_each(|change| note(&mut self.log, change));
         self.unsent.extend(changes);
         self
     }
@@ -88,9 +117,18 @@ impl AlertState {
     /// Whether every number is one of a parameter.
     fn is_consistent(&self) -> bool {
         let parameters = self.basis.parameters.len();
-        let told = self.unsent.iter().chain(&self.log).map(|alert| alert.parameter);
-        let watched = self.watch.decisions().iter().map(|decision| decision.subject().parameter);
-        self.watch.parameter_count() <= parameters && told.chain(watched).all(|number| number < parameters)
+        let told = self
+            .unsent
+            .iter()
+            .chain(&self.log)
+            .map(|alert| alert.parameter);
+        let watched = self
+            .watch
+            .decisions()
+            .iter()
+            .map(|decision| decision.subject().parameter);
+        self.watch.parameter_count() <= parameters
+            && told.chain(watched).all(|number| number < parameters)
     }
 }
 
@@ -118,10 +156,18 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    pub(crate) fn open(structure: &Structure, remembering: &Remembering) -> Result<Self, AlertError> {
+    pub(crate) fn open(
+        structure: &Structure,
+        remembering: &Remembering,
+    ) -> Result<Self, AlertError> {
         // A state carries what its parts rest on: of another structure file, what still holds is taken over.
         let basis = String::new();
-        let identity = Identity { kind: "alert", version: VERSION, of: structure.name().to_owned(), basis };
+        let identity = Identity {
+            kind: "alert",
+            version: VERSION,
+            of: structure.name().to_owned(),
+            basis,
+        };
         Ok(Self {
             checkpoints: Checkpoints::open(&remembering.folder, identity)?,
             every: remembering.every,
@@ -134,21 +180,31 @@ impl Memory {
     /// Returns the newest state, if there is one that may be read.
     pub(crate) fn recall(&mut self) -> Option<AlertState> {
         loop {
-            let loaded =
-                self.checkpoints.load_latest_or_former::<AlertState, version_2::AlertState>(version_2::VERSION);
+            let loaded = self
+                .checkpoints
+                .load_latest_or_former::<AlertState, version_2::AlertState>(version_2::VERSION);
             let (place, state) = loaded.found?;
             if state.is_consistent() {
-                info!(epoch = place.epoch, estimate = place.sequence, "goes on from its checkpoint");
+                info!(
+                    epoch = place.epoch,
+                    estimate = place.sequence,
+                    "goes on from its checkpoint"
+                );
                 self.kept = Some(place);
                 return Some(state);
             }
-            drop(self.checkpoints.refuse(place, "it tells of parameters that it does not name".to_owned()));
+            drop(self.checkpoints.refuse(
+                place,
+                "it tells of parameters that it does not name".to_owned(),
+            ));
         }
     }
 
     /// Number of the first estimate of an epoch that would be needed again if the service died now.
     pub(crate) fn kept(&self, epoch: u64) -> u64 {
-        self.kept.filter(|place| place.epoch == epoch).map_or(0, |place| place.sequence)
+        self.kept
+            .filter(|place| place.epoch == epoch)
+            .map_or(0, |place| place.sequence)
     }
 
     pub(crate) fn is_due(&self) -> bool {
@@ -163,7 +219,10 @@ impl Memory {
         self.last = Instant::now();
         let place = Place { epoch, sequence };
         // Blocks the thread for the time of a write: called where the runtime knows.
-        let kept = self.checkpoints.save(place, state).and_then(|()| self.checkpoints.forget_before(Some(place)));
+        let kept = self
+            .checkpoints
+            .save(place, state)
+            .and_then(|()| self.checkpoints.forget_before(Some(place)));
         match kept {
             Ok(()) => {
                 self.kept = Some(place);

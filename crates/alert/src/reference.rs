@@ -27,7 +27,11 @@ pub struct Scatter {
 
 impl Reference {
     /// As designed: exactly 1.
-    pub const DESIGN: Self = Self { mean: 1.0, known_std: 0.0, scatter: None };
+    pub const DESIGN: Self = Self {
+        mean: 1.0,
+        known_std: 0.0,
+        scatter: None,
+    };
 
     /// Checks a reference whose deviation is known: the mean must be positive and more than three standard deviations from
     /// zero, otherwise no loss against it can be told.
@@ -37,7 +41,11 @@ impl Reference {
     pub fn new(mean: f64, std: f64) -> Result<Self, AlertError> {
         let is_usable = mean.is_finite() && mean > 0.0 && std >= 0.0 && LEAST_RATIO * std < mean;
         if is_usable {
-            return Ok(Self { mean, known_std: std, scatter: None });
+            return Ok(Self {
+                mean,
+                known_std: std,
+                scatter: None,
+            });
         }
         Err(AlertError::Reference { mean, std })
     }
@@ -48,13 +56,28 @@ impl Reference {
     /// # Errors
     /// [`AlertError::FewRecords`] if the scatter is too large for so few degrees of freedom.
     pub fn with_scatter(self, scatter: Scatter) -> Result<Self, AlertError> {
-        let reference = Self { scatter: Some(scatter), ..self };
-        let is_finite = scatter.std >= 0.0 && scatter.std.is_finite() && scatter.degrees_of_freedom > 0.0;
-        if is_finite && reference.deviation(0.0, 1.0).is_none_or(|sum| sum.cdf(self.mean) > LEAST_POSITIVE) {
+        let reference = Self {
+            scatter: Some(scatter),
+            ..self
+        };
+        let is_finite =
+            scatter.std >= 0.0 && scatter.std.is_finite() && scatter.degrees_of_freedom > 0.0;
+        if is_finite
+            && reference
+                .deviation(0.0, 1.0)
+                .is_none_or(|sum| sum.cdf(self.mean) > LEAST_POSITIVE)
+        {
             return Ok(reference);
         }
-        let Scatter { std, degrees_of_freedom } = scatter;
-        Err(AlertError::FewRecords { mean: self.mean, std, degrees_of_freedom })
+        let Scatter {
+            std,
+            degrees_of_freedom,
+        } = scatter;
+        Err(AlertError::FewRecords {
+            mean: self.mean,
+            std,
+            degrees_of_freedom,
+        })
     }
 
     /// Mean, ratio to nominal.
@@ -64,7 +87,8 @@ impl Reference {
 
     /// Standard deviation with both parts as estimated, ratio to nominal.
     pub fn std(&self) -> f64 {
-        self.known_std.hypot(self.scatter.map_or(0.0, |scatter| scatter.std))
+        self.known_std
+            .hypot(self.scatter.map_or(0.0, |scatter| scatter.std))
     }
 
     /// The part of the deviation that is known, ratio to nominal.
@@ -105,7 +129,12 @@ impl Reference {
 
 /// Φ⁻¹, by way of the sum without a Student part.
 fn standard_normal_quantile(probability: f64) -> f64 {
-    let normal = NormalPlusStudent { normal_std: 1.0, student_scale: 0.0, degrees_of_freedom: 1.0, largest_usual: 1.0 };
+    let normal = NormalPlusStudent {
+        normal_std: 1.0,
+        student_scale: 0.0,
+        degrees_of_freedom: 1.0,
+        largest_usual: 1.0,
+    };
     normal.quantile(probability)
 }
 

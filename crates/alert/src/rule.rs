@@ -32,20 +32,38 @@ impl Rule {
     ///
     /// # Errors
     /// [`AlertError::Setting`] with the setting, what was found and what is allowed.
-    pub fn new(loss: f64, credibility: f64, clear_credibility: f64, sustain_s: f64) -> Result<Self, AlertError> {
+    pub fn new(
+        loss: f64,
+        credibility: f64,
+        clear_credibility: f64,
+        sustain_s: f64,
+    ) -> Result<Self, AlertError> {
         let credibility = check_between("credibility", credibility, 0.0, 1.0)?;
         Ok(Self {
             loss: check_between("loss", loss, 0.0, 1.0)?,
             credibility,
-            sustain_ns: ns_from_s(check_between("sustain time in s", sustain_s, 0.0, MAX_SPAN_S)?),
-            clear_credibility: check_between("clear credibility", clear_credibility, 0.0, credibility)?,
+            sustain_ns: ns_from_s(check_between(
+                "sustain time in s",
+                sustain_s,
+                0.0,
+                MAX_SPAN_S,
+            )?),
+            clear_credibility: check_between(
+                "clear credibility",
+                clear_credibility,
+                0.0,
+                credibility,
+            )?,
             reference: ReferenceRule::Given(Reference::DESIGN),
         })
     }
 
     /// Counts the loss from this reference.
     pub fn with_reference(self, reference: Reference) -> Self {
-        Self { reference: ReferenceRule::Given(reference), ..self }
+        Self {
+            reference: ReferenceRule::Given(reference),
+            ..self
+        }
     }
 
     /// Counts the loss from what the first `span_s` (s) teach.
@@ -53,8 +71,16 @@ impl Rule {
     /// # Errors
     /// As [`Rule::new`].
     pub fn with_learnt_reference(self, span_s: f64) -> Result<Self, AlertError> {
-        let span_ns = ns_from_s(check_between("learning time in s", span_s, 0.0, MAX_SPAN_S)?);
-        Ok(Self { reference: ReferenceRule::Learnt { span_ns }, ..self })
+        let span_ns = ns_from_s(check_between(
+            "learning time in s",
+            span_s,
+            0.0,
+            MAX_SPAN_S,
+        )?);
+        Ok(Self {
+            reference: ReferenceRule::Learnt { span_ns },
+            ..self
+        })
     }
 
     /// The loss asked about, share of the reference.
@@ -90,11 +116,21 @@ fn ns_from_s(seconds: f64) -> i64 {
     (seconds * 1e9).round() as i64
 }
 
-fn check_between(setting: &'static str, found: f64, low: f64, high: f64) -> Result<f64, AlertError> {
+fn check_between(
+    setting: &'static str,
+    found: f64,
+    low: f64,
+    high: f64,
+) -> Result<f64, AlertError> {
     if (low..=high).contains(&found) {
         return Ok(found);
     }
-    Err(AlertError::Setting { setting, found, low, high })
+    Err(AlertError::Setting {
+        setting,
+        found,
+        low,
+        high,
+    })
 }
 
 #[cfg(test)]
@@ -103,10 +139,18 @@ mod tests {
 
     #[test]
     fn settings_out_of_range_are_refused_with_the_range() {
-        assert_eq!(Rule::new(1.5, 0.95, 0.5, 10.0).unwrap_err().to_string(), "loss is 1.5, must lie between 0 and 1");
+        assert_eq!(
+            Rule::new(1.5, 0.95, 0.5, 10.0).unwrap_err().to_string(),
+            "loss is 1.5, must lie between 0 and 1"
+        );
         assert!(Rule::new(0.1, f64::NAN, 0.5, 10.0).is_err());
         assert!(Rule::new(0.1, 0.95, 0.5, -1.0).is_err());
         assert!(Rule::new(0.1, 0.9, 0.95, 1.0).is_err());
-        assert!(Rule::new(0.1, 0.9, 0.5, 1.0).unwrap().with_learnt_reference(f64::INFINITY).is_err());
+        assert!(
+            Rule::new(0.1, 0.9, 0.5, 1.0)
+                .unwrap()
+                .with_learnt_reference(f64::INFINITY)
+                .is_err()
+        );
     }
 }

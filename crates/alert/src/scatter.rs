@@ -56,7 +56,8 @@ impl NormalPlusStudent {
         let (low, high) = (-reach, reach.ln_1p());
         let step = (high - low) / f64::from(NODES - 1);
         let (known, estimated) = (self.normal_std.powi(2), self.student_scale.powi(2));
-        let excess = 0.5 * (self.student_scale / self.largest_usual.max(self.student_scale)).powi(2); // τ²/(2c²)
+        let excess =
+            0.5 * (self.student_scale / self.largest_usual.max(self.student_scale)).powi(2); // τ²/(2c²)
         let excess = if excess.is_finite() { excess } else { 0.0 }; // without scatter
         let (mut sum, mut total) = (0.0, 0.0);
         for node in 0..NODES {
@@ -115,7 +116,12 @@ mod tests {
     use super::*;
 
     fn student(degrees_of_freedom: f64) -> NormalPlusStudent {
-        NormalPlusStudent { normal_std: 0.0, student_scale: 1.0, degrees_of_freedom, largest_usual: f64::INFINITY }
+        NormalPlusStudent {
+            normal_std: 0.0,
+            student_scale: 1.0,
+            degrees_of_freedom,
+            largest_usual: f64::INFINITY,
+        }
     }
 
     #[test]
@@ -128,8 +134,16 @@ mod tests {
             (9.0, 2.262, 2.821),
             (120.0, 1.980, 2.358),
         ] {
-            assert!((student(nu).quantile(0.975) / at_975 - 1.0).abs() < 3e-4, "{nu}: {}", student(nu).quantile(0.975));
-            assert!((student(nu).quantile(0.99) / at_99 - 1.0).abs() < 3e-4, "{nu}: {}", student(nu).quantile(0.99));
+            assert!(
+                (student(nu).quantile(0.975) / at_975 - 1.0).abs() < 3e-4,
+                "{nu}: {}",
+                student(nu).quantile(0.975)
+            );
+            assert!(
+                (student(nu).quantile(0.99) / at_99 - 1.0).abs() < 3e-4,
+                "{nu}: {}",
+                student(nu).quantile(0.99)
+            );
         }
     }
 
@@ -138,15 +152,27 @@ mod tests {
         for x in [-200.0, -1.0, 0.0, 0.3, 5.0] {
             let cauchy = 0.5 + f64::atan(x) / std::f64::consts::PI;
             let found = student(1.0).cdf(x);
-            assert!((found - cauchy).abs() < 1e-5 * cauchy.min(1.0 - cauchy) + 1e-7, "{x}: {found} {cauchy}");
+            assert!(
+                (found - cauchy).abs() < 1e-5 * cauchy.min(1.0 - cauchy) + 1e-7,
+                "{x}: {found} {cauchy}"
+            );
         }
     }
 
     #[test]
     fn without_scatter_and_with_many_degrees_of_freedom_it_is_normal() {
-        let sharp = NormalPlusStudent { normal_std: 2.0, student_scale: 0.0, degrees_of_freedom: 1.0, ..student(1.0) };
+        let sharp = NormalPlusStudent {
+            normal_std: 2.0,
+            student_scale: 0.0,
+            degrees_of_freedom: 1.0,
+            ..student(1.0)
+        };
         assert!((sharp.cdf(2.0) - normal_cdf(1.0)).abs() < 1e-12);
-        let known = NormalPlusStudent { normal_std: 0.6, student_scale: 0.8, ..student(1e7) };
+        let known = NormalPlusStudent {
+            normal_std: 0.6,
+            student_scale: 0.8,
+            ..student(1e7)
+        };
         assert!((known.cdf(2.0) - normal_cdf(2.0)).abs() < 1e-6);
     }
 
@@ -154,32 +180,57 @@ mod tests {
     fn sum_with_one_degree_of_freedom_is_the_profile_of_voigt() {
         // The profile of Voigt at its centre: Re w(i/√2)/√(2π), with w(i/√2) = e^(1/2)·erfc(1/√2) = 0.523 157
         // (Abramowitz & Stegun 1964, 7.1.3 and table 7.1).
-        let sum = NormalPlusStudent { normal_std: 1.0, ..student(1.0) };
+        let sum = NormalPlusStudent {
+            normal_std: 1.0,
+            ..student(1.0)
+        };
         let density = (sum.cdf(1e-3) - sum.cdf(-1e-3)) / 2e-3;
-        assert!((density - 0.523_157 / (2.0 * std::f64::consts::PI).sqrt()).abs() < 1e-5, "{density}");
+        assert!(
+            (density - 0.523_157 / (2.0 * std::f64::consts::PI).sqrt()).abs() < 1e-5,
+            "{density}"
+        );
     }
 
     #[test]
     fn largest_usual_scatter_cuts_the_tail_of_few_records() {
         // P(X ≤ x) by a fine sum over σ in place of w: density exp(−τ²/(2σ²) − σ²/(2c²))/σ², variance σ², τ = 0.05, c = 0.25.
-        let cut = NormalPlusStudent { student_scale: 0.05, largest_usual: 0.25, ..student(1.0) };
+        let cut = NormalPlusStudent {
+            student_scale: 0.05,
+            largest_usual: 0.25,
+            ..student(1.0)
+        };
         let by_sum = |x: f64| {
             let (mut sum, mut total) = (0.0, 0.0);
             for step in 1..200_000 {
                 let sigma = f64::from(step) * 1e-5;
-                let density = (-0.5 * (0.05 / sigma).powi(2) - 0.5 * (sigma / 0.25).powi(2)).exp() / sigma.powi(2);
+                let density = (-0.5 * (0.05 / sigma).powi(2) - 0.5 * (sigma / 0.25).powi(2)).exp()
+                    / sigma.powi(2);
                 sum += density * normal_cdf(x / sigma);
                 total += density;
             }
             sum / total
         };
         for x in [-0.6, -0.3, -0.05, 0.1, 0.4] {
-            assert!((cut.cdf(x) - by_sum(x)).abs() < 1e-5, "{x}: {} {}", cut.cdf(x), by_sum(x));
+            assert!(
+                (cut.cdf(x) - by_sum(x)).abs() < 1e-5,
+                "{x}: {} {}",
+                cut.cdf(x),
+                by_sum(x)
+            );
         }
-        let uncut = NormalPlusStudent { largest_usual: f64::INFINITY, ..cut };
+        let uncut = NormalPlusStudent {
+            largest_usual: f64::INFINITY,
+            ..cut
+        };
         assert!(cut.quantile(0.99) < 0.3 * uncut.quantile(0.99));
-        let many = NormalPlusStudent { degrees_of_freedom: 20.0, ..cut };
-        let uncut = NormalPlusStudent { degrees_of_freedom: 20.0, ..uncut };
+        let many = NormalPlusStudent {
+            degrees_of_freedom: 20.0,
+            ..cut
+        };
+        let uncut = NormalPlusStudent {
+            degrees_of_freedom: 20.0,
+            ..uncut
+        };
         assert!((many.quantile(0.99) / uncut.quantile(0.99) - 1.0).abs() < 0.02);
     }
 }

@@ -5,9 +5,9 @@ use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Bus, Delivery, DisplayPublisher, EstimateBlock,
-    HistoryLog, Keys, LatestPublisher, LiveToken, Name, ProgressPublisher, Question, Questions, Service, Start, Status,
-    Stream, Subscription,
+    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Bus, Delivery, DisplayPublisher,
+    EstimateBlock, HistoryLog, Keys, LatestPublisher, LiveToken, Name, ProgressPublisher, Question,
+    Questions, Service, Start, Status, Stream, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -83,7 +83,13 @@ impl AlertService {
                 None => None,
             };
             let state = begin(structure, baseline, memory.as_mut())?;
-            let Remembered { basis, watch, unsent, log, last_time_ns } = state;
+            let Remembered {
+                basis,
+                watch,
+                unsent,
+                log,
+                last_time_ns,
+            } = state;
             let start = match watch.position() {
                 Some((epoch, sequence)) => Start::At { epoch, sequence },
                 None => Start::Beginning,
@@ -93,26 +99,44 @@ impl AlertService {
             for parameter in &basis.parameters {
                 let parameter = name(parameter)?;
                 let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
-                alerts.push(AlertTopic { parameter, publisher, is_told: false });
+                alerts.push(AlertTopic {
+                    parameter,
+                    publisher,
+                    is_told: false,
+                });
             }
-            let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
+            let acknowledgements = bus
+                .subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING)
+                .await?;
             let settings = bus.reading(start).patient(); // an identify service that comes back has them, or makes them again
             let parameters = structure.parameters().len();
-            let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
-                true => Ok(()),
-                false => Err("estimates-of-another-structure"),
-            };
-            let progress = bus.publish_progress(keys.progress(Service::Alert), id.to_string()).await?;
+            let is_of_structure =
+                move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
+                    true => Ok(()),
+                    false => Err("estimates-of-another-structure"),
+                };
+            let progress = bus
+                .publish_progress(keys.progress(Service::Alert), id.to_string())
+                .await?;
             let done = watch.position().map_or(0, |(epoch, done)| {
                 // Sources may wait for what this service did last before it was killed, and could not say.
                 progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
                 done
             });
             let service = Self {
-                estimates: bus.follow_fit(keys.estimates(), keys.estimates_buffer(), settings, is_of_structure).await?,
+                estimates: bus
+                    .follow_fit(
+                        keys.estimates(),
+                        keys.estimates_buffer(),
+                        settings,
+                        is_of_structure,
+                    )
+                    .await?,
                 acknowledgements,
                 progress,
-                status: bus.publish_display(keys.status(Service::Alert, &id)).await?,
+                status: bus
+                    .publish_display(keys.status(Service::Alert, &id))
+                    .await?,
                 basis,
                 watch,
                 alerts,
@@ -143,11 +167,17 @@ impl AlertService {
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), AlertError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), AlertError>> {
         self.run_until(Box::pin(stop))
     }
 
-    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), AlertError>> {
+    fn run_until(
+        mut self,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), AlertError>> {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
             let deliveries = self.estimates.deliveries().clone();
@@ -189,7 +219,10 @@ impl AlertService {
         for (parameter, topic) in self.alerts.iter_mut().enumerate() {
             let standing = self.watch.standing(parameter);
             if let Some(standing) = standing {
-                topic.publisher.put(&standing.to_message(structure, &topic.parameter)).await?;
+                topic
+                    .publisher
+                    .put(&standing.to_message(structure, &topic.parameter))
+                    .await?;
             }
             topic.is_told = standing.is_some(); // the end of an alert of a former rule says nothing of another one
         }
@@ -204,7 +237,13 @@ impl AlertService {
         };
         let (watch, log) = (self.watch.clone(), self.log.clone());
         let basis = self.basis.clone();
-        let state = Remembered { basis, watch, unsent: alerts, log, last_time_ns: self.last_time_ns };
+        let state = Remembered {
+            basis,
+            watch,
+            unsent: alerts,
+            log,
+            last_time_ns: self.last_time_ns,
+        };
         tokio::task::block_in_place(|| memory.keep(&state));
         state.unsent
     }
@@ -253,25 +292,59 @@ impl AlertService {
         self.publish(alerts).await?;
         self.publish_first().await?;
         let epoch = block.header.epoch;
-        let kept = self.memory.as_ref().map_or(self.done, |memory| memory.kept(epoch));
-        self.progress.set_kept(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN), kept);
+        let kept = self
+            .memory
+            .as_ref()
+            .map_or(self.done, |memory| memory.kept(epoch));
+        self.progress.set_kept(
+            epoch,
+            self.done,
+            self.last_time_ns.unwrap_or(i64::MIN),
+            kept,
+        );
         Ok(())
     }
 
-    async fn acknowledge(&mut self, key: &str, acknowledgement: Acknowledgement) -> Result<(), AlertError> {
-        let Acknowledgement { structure, parameter, who, note, .. } = acknowledgement;
-        let index = self.alerts.iter().position(|topic| topic.parameter == parameter);
-        let is_on_its_key = structure == *self.keys.structure() && key == self.keys.acknowledge(&parameter);
+    async fn acknowledge(
+        &mut self,
+        key: &str,
+        acknowledgement: Acknowledgement,
+    ) -> Result<(), AlertError> {
+        let Acknowledgement {
+            structure,
+            parameter,
+            who,
+            note,
+            ..
+        } = acknowledgement;
+        let index = self
+            .alerts
+            .iter()
+            .position(|topic| topic.parameter == parameter);
+        let is_on_its_key =
+            structure == *self.keys.structure() && key == self.keys.acknowledge(&parameter);
         let Some(index) = index.filter(|_| is_on_its_key) else {
-            *self.refused.entry("acknowledgement-on-another-key").or_default() += 1;
+            *self
+                .refused
+                .entry("acknowledgement-on-another-key")
+                .or_default() += 1;
             return Ok(());
         };
         let mut alerts = Vec::new();
-        let is_taken = self.watch.acknowledge(index, &Acknowledged { who, note }, &mut alerts);
+        let is_taken = self
+            .watch
+            .acknowledge(index, &Acknowledged { who, note }, &mut alerts);
         if !is_taken {
-            *self.refused.entry("acknowledgement-without-alert").or_default() += 1;
+            *self
+                .refused
+                .entry("acknowledgement-without-alert")
+                .or_default() += 1;
         }
-        let alerts = if alerts.is_empty() { alerts } else { self.keep(alerts) };
+        let alerts = if alerts.is_empty() {
+            alerts
+        } else {
+            self.keep(alerts)
+        };
         self.publish(alerts).await
     }
 
@@ -283,14 +356,23 @@ impl AlertService {
             if let Some(topic) = self.alerts.get_mut(alert.parameter) {
                 topic.is_told = true;
                 log(structure, &topic.parameter, &alert);
-                topic.publisher.put(&alert.to_message(structure, &topic.parameter)).await?;
+                topic
+                    .publisher
+                    .put(&alert.to_message(structure, &topic.parameter))
+                    .await?;
                 last_put.insert(alert.parameter, alert);
             }
         }
         for (parameter, last) in last_put {
-            let standing = self.watch.standing(parameter).filter(|standing| standing.rule != last.rule);
+            let standing = self
+                .watch
+                .standing(parameter)
+                .filter(|standing| standing.rule != last.rule);
             if let (Some(topic), Some(standing)) = (self.alerts.get(parameter), standing) {
-                topic.publisher.put(&standing.to_message(structure, &topic.parameter)).await?;
+                topic
+                    .publisher
+                    .put(&standing.to_message(structure, &topic.parameter))
+                    .await?;
             }
         }
         Ok(())
@@ -300,9 +382,17 @@ impl AlertService {
     /// earlier life of this service, learns that it is normal.
     async fn publish_first(&mut self) -> Result<(), AlertError> {
         let structure = self.keys.structure();
-        for (index, topic) in self.alerts.iter_mut().enumerate().filter(|(_, topic)| !topic.is_told) {
+        for (index, topic) in self
+            .alerts
+            .iter_mut()
+            .enumerate()
+            .filter(|(_, topic)| !topic.is_told)
+        {
             if let Some(alert) = self.watch.unannounced(index) {
-                topic.publisher.put(&alert.to_message(structure, &topic.parameter)).await?;
+                topic
+                    .publisher
+                    .put(&alert.to_message(structure, &topic.parameter))
+                    .await?;
                 topic.is_told = true;
             }
         }
@@ -319,20 +409,35 @@ impl AlertService {
     }
 
     async fn put_status(&self) -> Result<(), AlertError> {
-        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "the status tells the lag behind the wall clock"
+        )]
         let now = SystemTime::now();
-        let now_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let now_ns = now
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |elapsed| elapsed.as_nanos() as i64);
         let mut drops = self.estimates.counts().drops();
         let unread = self.acknowledgements.refused().into_iter();
         drops.extend(unread.map(|(reason, count)| (format!("acknowledgement-{reason}"), count)));
-        drops.extend(self.memory.as_ref().and_then(|memory| memory.failures().drops()));
-        drops.extend(self.refused.iter().map(|(reason, count)| ((*reason).to_owned(), *count)));
+        drops.extend(
+            self.memory
+                .as_ref()
+                .and_then(|memory| memory.failures().drops()),
+        );
+        drops.extend(
+            self.refused
+                .iter()
+                .map(|(reason, count)| ((*reason).to_owned(), *count)),
+        );
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
-            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
+            lag_s: self
+                .last_time_ns
+                .map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             pace: None,
             load: None,
             frames_behind: None,
@@ -355,13 +460,19 @@ fn begin(
     memory: Option<&mut Memory>,
 ) -> Result<Remembered, AlertError> {
     let new = Remembered::new(structure, baseline)?;
-    let Some((memory, former)) = memory.and_then(|memory| memory.recall().map(|former| (memory, former))) else {
+    let Some((memory, former)) =
+        memory.and_then(|memory| memory.recall().map(|former| (memory, former)))
+    else {
         return Ok(new);
     };
     let state = new.succeed(former.clone());
     if state != former {
         // what follows from the change comes after what the last life may not have put
-        let ended = state.unsent.iter().skip(former.unsent.len()).filter(|alert| alert.state == AlertState::Cleared);
+        let ended = state
+            .unsent
+            .iter()
+            .skip(former.unsent.len())
+            .filter(|alert| alert.state == AlertState::Cleared);
         let ended = ended.count();
         info!(
             structure = structure.name(),
@@ -373,15 +484,30 @@ fn begin(
 }
 
 fn name(text: &str) -> Result<Name, AlertError> {
-    Name::new(text).map_err(|source| AlertError::Name { found: text.to_owned(), source })
+    Name::new(text).map_err(|source| AlertError::Name {
+        found: text.to_owned(),
+        source,
+    })
 }
 
 fn log(structure: &Name, parameter: &Name, alert: &Alert) {
     let (structure, parameter, why) = (structure.as_str(), parameter.as_str(), alert.why.as_str());
     match alert.state {
         // the loss of an alert that stands is on the page
-        state if alert.revision > 0 => debug!(structure, parameter, state = state.as_str(), why, "alert revised"),
+        state if alert.revision > 0 => debug!(
+            structure,
+            parameter,
+            state = state.as_str(),
+            why,
+            "alert revised"
+        ),
         AlertState::Raised => warn!(structure, parameter, why, "alert raised"),
-        state => info!(structure, parameter, state = state.as_str(), why, "alert changed"),
+        state => info!(
+            structure,
+            parameter,
+            state = state.as_str(),
+            why,
+            "alert changed"
+        ),
     }
 }

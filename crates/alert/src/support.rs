@@ -38,11 +38,20 @@ impl Support {
             return;
         }
         // a record that is replayed begins at an earlier time
-        let since_ns = self.otherwise_since_ns.filter(|since_ns| *since_ns <= time_ns).unwrap_or(time_ns);
+        let since_ns = self
+            .otherwise_since_ns
+            .filter(|since_ns| *since_ns <= time_ns)
+            .unwrap_or(time_ns);
         let is_lasting = time_ns.saturating_sub(since_ns) >= PERSISTS_NS;
         *self = match is_lasting {
-            true => Self { because: found, otherwise_since_ns: None },
-            false => Self { otherwise_since_ns: Some(since_ns), ..*self },
+            true => Self {
+                because: found,
+                otherwise_since_ns: None,
+            },
+            false => Self {
+                otherwise_since_ns: Some(since_ns),
+                ..*self
+            },
         };
     }
 
@@ -51,13 +60,21 @@ impl Support {
     /// The estimate of a loss of 2L has the mean (1 − 2L)·r, so its probability of more than L is Φ(L·r/√(s² +
     /// (1 − L)²·s_r²)). If the rule's loss exceeds one half, a loss of everything takes the place of 2L. A rule about a loss
     /// of 0 or 1 has no such measure.
-    pub(crate) fn shows_losses(&self, estimate: &ParameterEstimate, reference: &Reference, rule: &Rule) -> bool {
+    pub(crate) fn shows_losses(
+        &self,
+        estimate: &ParameterEstimate,
+        reference: &Reference,
+        rule: &Rule,
+    ) -> bool {
         let loss = rule.loss();
         if loss <= 0.0 || loss >= 1.0 {
             return true;
         }
         let mean = (1.0 - twice(rule)) * reference.mean();
-        let of_twice_the_loss = ParameterEstimate { mean, ..self.cautious(estimate) };
+        let of_twice_the_loss = ParameterEstimate {
+            mean,
+            ..self.cautious(estimate)
+        };
         probability_of_loss(&of_twice_the_loss, reference, loss) >= rule.credibility()
     }
 
@@ -65,14 +82,27 @@ impl Support {
     ///
     /// A sound structure is further from a loss of 2L than that loss is from L. So an estimate may exclude the loss although
     /// it is too uncertain to raise it.
-    pub(crate) fn excludes_losses(&self, estimate: &ParameterEstimate, reference: &Reference, rule: &Rule) -> bool {
-        probability_of_loss(&self.cautious(estimate), reference, twice(rule)) <= 1.0 - rule.credibility()
+    pub(crate) fn excludes_losses(
+        &self,
+        estimate: &ParameterEstimate,
+        reference: &Reference,
+        rule: &Rule,
+    ) -> bool {
+        probability_of_loss(&self.cautious(estimate), reference, twice(rule))
+            <= 1.0 - rule.credibility()
     }
 
     /// The estimate with a larger deviation where the parameter has to be learnt again.
     fn cautious(&self, estimate: &ParameterEstimate) -> ParameterEstimate {
-        let slack = if self.because == Some(UndecidedBecause::NothingLearnt) { LEARNT_AGAIN } else { 1.0 };
-        ParameterEstimate { std: slack * estimate.std, ..*estimate }
+        let slack = if self.because == Some(UndecidedBecause::NothingLearnt) {
+            LEARNT_AGAIN
+        } else {
+            1.0
+        };
+        ParameterEstimate {
+            std: slack * estimate.std,
+            ..*estimate
+        }
     }
 }
 
@@ -124,15 +154,19 @@ const LONGEST_HELD_NS: i64 = 30_000_000_000;
 impl Jump {
     /// Takes a frame. A jump that begins again within a second is the same one.
     pub(crate) fn take(&mut self, flags: &EstimateFlags, time_ns: i64) {
-        let is_recent =
-            |since_ns: Option<i64>| since_ns.is_some_and(|since_ns| is_within(PERSISTS_NS, since_ns, time_ns));
+        let is_recent = |since_ns: Option<i64>| {
+            since_ns.is_some_and(|since_ns| is_within(PERSISTS_NS, since_ns, time_ns))
+        };
         if flags.follows_jump {
             let first = self.first.filter(|first| first.start_ns <= time_ns);
             if first.is_none() || (self.over_since_ns.is_some() && !is_recent(self.over_since_ns)) {
                 self.last_ns = time_ns;
             }
             let was_supported = is_recent(self.supported_ns);
-            self.first = first.or(Some(FirstJump { start_ns: time_ns, was_supported }));
+            self.first = first.or(Some(FirstJump {
+                start_ns: time_ns,
+                was_supported,
+            }));
             self.over_since_ns = None;
         } else if self.first.is_some() {
             self.over_since_ns = self.over_since_ns.or(Some(time_ns));
@@ -148,7 +182,8 @@ impl Jump {
     /// Returns `true` while new alerts are held because of the jump. `fit`: verdict at the frame.
     pub(crate) fn holds(&self, fit: Option<FitVerdict>, time_ns: i64) -> bool {
         self.first.is_some_and(|first| {
-            let is_worse = first.was_supported && fit.is_some_and(|fit| fit > FitVerdict::Supported);
+            let is_worse =
+                first.was_supported && fit.is_some_and(|fit| fit > FitVerdict::Supported);
             is_within(HELD_NS, self.last_ns, time_ns)
                 || (is_worse && is_within(LONGEST_HELD_NS, first.start_ns, time_ns))
         })
@@ -171,7 +206,9 @@ impl DecidedFrames {
     /// Counts a frame.
     pub(crate) fn count(&mut self, undecided_because: Option<UndecidedBecause>) {
         self.frames += 1;
-        if let Some(count) = undecided_because.and_then(|because| self.undecided.get_mut(because as usize)) {
+        if let Some(count) =
+            undecided_because.and_then(|because| self.undecided.get_mut(because as usize))
+        {
             *count += 1;
         }
     }
@@ -180,7 +217,10 @@ impl DecidedFrames {
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
         self.frames += other.frames;
-        self.undecided.iter_mut().zip(other.undecided).for_each(|(count, others)| *count += others);
+        self.undecided
+            .iter_mut()
+            .zip(other.undecided)
+            .for_each(|(count, others)| *count += others);
         self
     }
 
@@ -192,7 +232,10 @@ impl DecidedFrames {
 
     /// Number of frames that were not decided on, by reason; reasons without a frame are left out.
     pub fn undecided(&self) -> impl Iterator<Item = (UndecidedBecause, u64)> {
-        UndecidedBecause::ALL.into_iter().zip(self.undecided).filter(|(_, count)| *count > 0)
+        UndecidedBecause::ALL
+            .into_iter()
+            .zip(self.undecided)
+            .filter(|(_, count)| *count > 0)
     }
 
     /// Share of the frames that were decided on, 0 to 1; `None` without a frame.
@@ -210,7 +253,11 @@ mod tests {
     const S: i64 = 1_000_000_000;
 
     fn estimate(mean: f64, std: f64) -> ParameterEstimate {
-        ParameterEstimate { time_ns: 0, mean, std }
+        ParameterEstimate {
+            time_ns: 0,
+            mean,
+            std,
+        }
     }
 
     #[test]
@@ -227,7 +274,10 @@ mod tests {
         support.take(contradicted, 2 * S);
         assert_eq!(support.undecided_because(), contradicted);
         support.take(None, 3 * S);
-        assert_eq!((support.undecided_because(), support.decides()), (contradicted, false));
+        assert_eq!(
+            (support.undecided_because(), support.decides()),
+            (contradicted, false)
+        );
         support.take(None, 4 * S);
         assert!(support.decides());
     }
@@ -236,10 +286,15 @@ mod tests {
     fn loss_shows_where_twice_the_rule_would_be_raised() {
         // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s = 0.05/1.644854 = 0.030398.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
-        let shows = |support: &Support, std: f64| support.shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule);
+        let shows = |support: &Support, std: f64| {
+            support.shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule)
+        };
         let decided = Support::default();
         assert!(shows(&decided, 0.0303) && !shows(&decided, 0.0305));
-        let undecided = Support { because: Some(UndecidedBecause::NothingLearnt), otherwise_since_ns: None };
+        let undecided = Support {
+            because: Some(UndecidedBecause::NothingLearnt),
+            otherwise_since_ns: None,
+        };
         assert!(
             !shows(&undecided, 0.0303) && shows(&undecided, 0.0303 / 1.1),
             "what was not learnt has to be learnt well"
@@ -254,12 +309,16 @@ mod tests {
     fn sound_estimate_excludes_twice_the_rule_before_it_could_show_it() {
         // A loss of 10 % is 0.1 away from the sound value: s = 0.1/1.644854 = 0.060796.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
-        let excludes =
-            |support: &Support, std: f64| support.excludes_losses(&estimate(1.0, std), &Reference::DESIGN, &rule);
+        let excludes = |support: &Support, std: f64| {
+            support.excludes_losses(&estimate(1.0, std), &Reference::DESIGN, &rule)
+        };
         let decided = Support::default();
         assert!(excludes(&decided, 0.0607) && !excludes(&decided, 0.0609));
         assert!(!decided.shows_losses(&estimate(1.0, 0.0607), &Reference::DESIGN, &rule));
-        let undecided = Support { because: Some(UndecidedBecause::NothingLearnt), otherwise_since_ns: None };
+        let undecided = Support {
+            because: Some(UndecidedBecause::NothingLearnt),
+            otherwise_since_ns: None,
+        };
         assert!(!excludes(&undecided, 0.0607) && excludes(&undecided, 0.0607 / 1.1));
     }
 
@@ -267,7 +326,9 @@ mod tests {
     fn rule_about_more_than_half_asks_whether_the_loss_of_everything_would_show() {
         // 70 % with 95 %: s = 0.3/1.644854 = 0.18239.
         let rule = Rule::new(0.7, 0.95, 0.5, 10.0).unwrap();
-        let shows = |std: f64| Support::default().shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule);
+        let shows = |std: f64| {
+            Support::default().shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule)
+        };
         assert!(shows(0.182) && !shows(0.183));
         let nothing = Rule::new(0.0, 0.95, 0.5, 10.0).unwrap();
         assert!(Support::default().shows_losses(&estimate(1.0, 0.3), &Reference::DESIGN, &nothing));
@@ -276,7 +337,10 @@ mod tests {
     #[test]
     fn estimate_within_a_deviation_of_its_bound_rests_on_it() {
         let bounds = (0.1, 2.0);
-        assert!(rests_on_bound(&estimate(0.1, 0.0), bounds) && rests_on_bound(&estimate(1.995, 0.01), bounds));
+        assert!(
+            rests_on_bound(&estimate(0.1, 0.0), bounds)
+                && rests_on_bound(&estimate(1.995, 0.01), bounds)
+        );
         assert!(!rests_on_bound(&estimate(0.12, 0.01), bounds));
     }
 
@@ -285,11 +349,24 @@ mod tests {
         let (mut jump, mut last) = (Jump::default(), 0.0);
         for tenth in 0..1000 {
             let time_ns = tenth * S / 10;
-            let follows_jump = jumps.iter().any(|start| (0..5).contains(&(tenth - 10 * start)));
+            let follows_jump = jumps
+                .iter()
+                .any(|start| (0..5).contains(&(tenth - 10 * start)));
             // the verdict falls half a second before the filter follows the jump
             let is_after = jumps.iter().any(|start| tenth > 10 * start - 5);
-            let fit = Some(if is_after { fit_after } else { FitVerdict::Supported });
-            jump.take(&EstimateFlags { follows_jump, fit, ..EstimateFlags::working() }, time_ns);
+            let fit = Some(if is_after {
+                fit_after
+            } else {
+                FitVerdict::Supported
+            });
+            jump.take(
+                &EstimateFlags {
+                    follows_jump,
+                    fit,
+                    ..EstimateFlags::working()
+                },
+                time_ns,
+            );
             if jump.holds(fit, time_ns) {
                 last = tenth as f64 / 10.0;
             }
@@ -306,15 +383,32 @@ mod tests {
     #[test]
     fn jump_that_spoils_the_fit_holds_alerts_for_thirty_seconds() {
         assert_eq!(held_until(&[10], FitVerdict::Doubtful), 39.9);
-        assert_eq!(held_until(&[10, 30], FitVerdict::Doubtful), 39.9, "later jumps do not prolong it");
-        assert_eq!(held_until(&[10, 35], FitVerdict::Doubtful), 42.9, "but for their own eight seconds");
+        assert_eq!(
+            held_until(&[10, 30], FitVerdict::Doubtful),
+            39.9,
+            "later jumps do not prolong it"
+        );
+        assert_eq!(
+            held_until(&[10, 35], FitVerdict::Doubtful),
+            42.9,
+            "but for their own eight seconds"
+        );
     }
 
     #[test]
     fn fit_that_was_doubtful_before_prolongs_nothing() {
         let mut jump = Jump::default();
-        let doubtful = EstimateFlags { fit: Some(FitVerdict::Doubtful), ..EstimateFlags::working() };
-        jump.take(&EstimateFlags { follows_jump: true, ..doubtful }, 0);
+        let doubtful = EstimateFlags {
+            fit: Some(FitVerdict::Doubtful),
+            ..EstimateFlags::working()
+        };
+        jump.take(
+            &EstimateFlags {
+                follows_jump: true,
+                ..doubtful
+            },
+            0,
+        );
         assert!(jump.holds(doubtful.fit, 8 * S - 1) && !jump.holds(doubtful.fit, 8 * S));
     }
 
@@ -327,6 +421,9 @@ mod tests {
         }
         assert_eq!((decided.frames(), decided.share()), (8, Some(0.75)));
         let both = decided.plus(&decided);
-        assert_eq!(both.undecided().collect::<Vec<_>>(), [(UndecidedBecause::NothingLearnt, 4)]);
+        assert_eq!(
+            both.undecided().collect::<Vec<_>>(),
+            [(UndecidedBecause::NothingLearnt, 4)]
+        );
     }
 }

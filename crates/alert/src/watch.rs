@@ -7,8 +7,8 @@ use spandrel_bus::{AlertState, Estimate, EstimateBlock, UndecidedBecause};
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
-    Alert, AlertError, Baseline, DecidedFrames, Decision, Input, Model, ParameterEstimate, Reference, Rule, Subject,
-    alert::Acknowledged, wording::End,
+    Alert, AlertError, Baseline, DecidedFrames, Decision, Input, Model, ParameterEstimate,
+    Reference, Rule, Subject, alert::Acknowledged, wording::End,
 };
 
 /// The decisions on one structure; serialises as its checkpoint.
@@ -29,7 +29,8 @@ impl Watch {
     /// A rule is not consistent with the parameters, a reference cannot be one, or the baseline is that of another
     /// structure.
     pub fn new(structure: &Structure, baseline: Option<&Baseline>) -> Result<Self, AlertError> {
-        if let Some(baseline) = baseline.filter(|baseline| baseline.structure() != structure.name()) {
+        if let Some(baseline) = baseline.filter(|baseline| baseline.structure() != structure.name())
+        {
             return Err(AlertError::BaselineStructure {
                 found: baseline.structure().to_owned(),
                 expected: structure.name().to_owned(),
@@ -39,7 +40,8 @@ impl Watch {
         let mut decisions = Vec::new();
         for (number, rule) in structure.alert_rules().iter().enumerate() {
             for (position, &index) in rule.parameters.iter().enumerate() {
-                let decision = decision_from_structure(number, rule, position, parameters, baseline);
+                let decision =
+                    decision_from_structure(number, rule, position, parameters, baseline);
                 decisions.push(decision.map_err(|source| in_parameter(parameters, index, source))?);
             }
         }
@@ -48,32 +50,60 @@ impl Watch {
 
     /// Watches by these decisions on a structure of `parameter_count` parameters.
     pub fn from_decisions(parameter_count: usize, decisions: Vec<Decision>) -> Self {
-        Self { parameter_count, decisions, expected: None }
+        Self {
+            parameter_count,
+            decisions,
+            expected: None,
+        }
     }
 
     /// Goes on where `former` stood, which watched by the structure file of before; appends what has changed by that.
     ///
     /// `names`: names of the parameters by the numbers that alerts carry, those of this watch first; of former parameters
     /// that are gone too.
-    pub(crate) fn succeed(&mut self, former: &Self, names: &[String], model: Model, alerts: &mut Vec<Alert>) {
+    pub(crate) fn succeed(
+        &mut self,
+        former: &Self,
+        names: &[String],
+        model: Model,
+        alerts: &mut Vec<Alert>,
+    ) {
         self.expected = former.expected;
         let mut left: Vec<Option<&Decision>> = former.decisions.iter().map(Some).collect();
         let mut heirs: Vec<Option<&Decision>> = vec![None; self.decisions.len()];
         // equal rules first: rules that change places, and others beside them, change nothing
         for is_equal in [true, false] {
-            for (heir, own) in heirs.iter_mut().zip(&self.decisions).filter(|(heir, _)| heir.is_none()) {
+            for (heir, own) in heirs
+                .iter_mut()
+                .zip(&self.decisions)
+                .filter(|(heir, _)| heir.is_none())
+            {
                 let fits = |former: &&Decision| {
-                    former.subject().name == own.subject().name && (!is_equal || former.rule() == own.rule())
+                    former.subject().name == own.subject().name
+                        && (!is_equal || former.rule() == own.rule())
                 };
-                *heir = left.iter_mut().find(|former| former.as_ref().is_some_and(fits)).and_then(Option::take);
+                *heir = left
+                    .iter_mut()
+                    .find(|former| former.as_ref().is_some_and(fits))
+                    .and_then(Option::take);
             }
         }
         for former in left.into_iter().flatten() {
-            let Some(parameter) = names.iter().position(|name| *name == former.subject().name) else {
+            let Some(parameter) = names.iter().position(|name| *name == former.subject().name)
+            else {
                 continue; // the names are complete
             };
-            let end = if parameter < self.parameter_count { End::Unwatched } else { End::NoSuchParameter };
-            alerts.extend(former.clone().ended(&end).map(|alert| Alert { parameter, ..alert }));
+            let end = if parameter < self.parameter_count {
+                End::Unwatched
+            } else {
+                End::NoSuchParameter
+            };
+            alerts.extend(
+                former
+                    .clone()
+                    .ended(&end)
+                    .map(|alert| Alert { parameter, ..alert }),
+            );
         }
         for (own, former) in self.decisions.iter_mut().zip(heirs) {
             if let Some(former) = former {
@@ -87,11 +117,18 @@ impl Watch {
     ///
     /// # Errors
     /// [`AlertError::ParameterCount`] if the block is none of this structure; nothing has changed then.
-    pub fn handle_block(&mut self, block: &EstimateBlock, alerts: &mut Vec<Alert>) -> Result<(), AlertError> {
+    pub fn handle_block(
+        &mut self,
+        block: &EstimateBlock,
+        alerts: &mut Vec<Alert>,
+    ) -> Result<(), AlertError> {
         let widths = std::iter::once(usize::from(block.parameters))
             .chain(block.estimates.iter().map(|estimate| estimate.mean.len()));
         if let Some(found) = { widths }.find(|width| *width != self.parameter_count) {
-            return Err(AlertError::ParameterCount { found, expected: self.parameter_count });
+            return Err(AlertError::ParameterCount {
+                found,
+                expected: self.parameter_count,
+            });
         }
         let Some(grid) = block.grid() else {
             return Ok(()); // a checked block has a grid
@@ -110,9 +147,18 @@ impl Watch {
     }
 
     /// Reacts to an acknowledgement of the alerts of one parameter; tells whether there was anything to acknowledge.
-    pub fn acknowledge(&mut self, parameter: usize, by: &Acknowledged, alerts: &mut Vec<Alert>) -> bool {
+    pub fn acknowledge(
+        &mut self,
+        parameter: usize,
+        by: &Acknowledged,
+        alerts: &mut Vec<Alert>,
+    ) -> bool {
         let mut is_taken = false;
-        for decision in self.decisions.iter_mut().filter(|decision| decision.subject().parameter == parameter) {
+        for decision in self
+            .decisions
+            .iter_mut()
+            .filter(|decision| decision.subject().parameter == parameter)
+        {
             is_taken |= decision.handle(Input::Acknowledge(by.clone()), alerts);
         }
         is_taken
@@ -120,24 +166,43 @@ impl Watch {
 
     /// The alert that stands for a parameter: the most severe one where several rules watch it; `None` before the first.
     pub fn standing(&self, parameter: usize) -> Option<&Alert> {
-        let of_parameter = self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
+        let of_parameter = self
+            .decisions
+            .iter()
+            .filter(|decision| decision.subject().parameter == parameter);
         of_parameter
             .filter_map(Decision::last_alert)
-            .max_by(|a, b| severity(a.state).cmp(&severity(b.state)).then(a.rule_loss.total_cmp(&b.rule_loss)))
+            .max_by(|a, b| {
+                severity(a.state)
+                    .cmp(&severity(b.state))
+                    .then(a.rule_loss.total_cmp(&b.rule_loss))
+            })
     }
 
     /// Where a parameter stands of which nothing has been announced, against the first rule that watches it; `None` before
     /// the first estimate that is decided on, without a rule, and once there was something to announce.
     pub fn unannounced(&self, parameter: usize) -> Option<Alert> {
-        let of_parameter = || self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
+        let of_parameter = || {
+            self.decisions
+                .iter()
+                .filter(|decision| decision.subject().parameter == parameter)
+        };
         let is_announced = of_parameter().any(|decision| decision.last_alert().is_some());
-        of_parameter().next().filter(|_| !is_announced)?.unannounced()
+        of_parameter()
+            .next()
+            .filter(|_| !is_announced)?
+            .unannounced()
     }
 
     /// How many frames of a parameter were decided on since its reference was known, by all of its rules together.
     pub fn decided_frames(&self, parameter: usize) -> DecidedFrames {
-        let of_parameter = self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
-        of_parameter.fold(DecidedFrames::default(), |sum, decision| sum.plus(decision.decided_frames()))
+        let of_parameter = self
+            .decisions
+            .iter()
+            .filter(|decision| decision.subject().parameter == parameter);
+        of_parameter.fold(DecidedFrames::default(), |sum, decision| {
+            sum.plus(decision.decided_frames())
+        })
     }
 
     /// Share of the frames of a parameter that were decided on since its reference was known, 0 to 1; `None` before that, and
@@ -148,14 +213,23 @@ impl Watch {
 
     /// The frames of each watched parameter, by its number: how many there were, and how many were decided on.
     pub fn decided_shares(&self) -> BTreeMap<usize, DecidedFrames> {
-        let watched = self.decisions.iter().map(|decision| decision.subject().parameter);
-        watched.map(|parameter| (parameter, self.decided_frames(parameter))).collect()
+        let watched = self
+            .decisions
+            .iter()
+            .map(|decision| decision.subject().parameter);
+        watched
+            .map(|parameter| (parameter, self.decided_frames(parameter)))
+            .collect()
     }
 
     /// Number of rules and parameters on which nothing is decided now, by reason.
     pub fn undecided(&self) -> BTreeMap<UndecidedBecause, u64> {
         let mut counts = BTreeMap::new();
-        for because in self.decisions.iter().filter_map(Decision::undecided_because) {
+        for because in self
+            .decisions
+            .iter()
+            .filter_map(Decision::undecided_because)
+        {
             *counts.entry(because).or_default() += 1;
         }
         counts
@@ -182,11 +256,16 @@ impl Watch {
         }
         for decision in &mut self.decisions {
             let index = decision.subject().parameter;
-            let (Some(mean), Some(variance)) = (estimate.mean.get(index), estimate.variance(index)) else {
+            let (Some(mean), Some(variance)) = (estimate.mean.get(index), estimate.variance(index))
+            else {
                 continue; // the block was checked: each parameter is there
             };
             let std = variance.max(0.0).sqrt();
-            let of_parameter = ParameterEstimate { time_ns, mean: *mean, std };
+            let of_parameter = ParameterEstimate {
+                time_ns,
+                mean: *mean,
+                std,
+            };
             decision.handle(Input::Estimate(of_parameter, estimate.flags), alerts);
         }
     }
@@ -223,19 +302,35 @@ fn decision_from_structure(
     use spandrel_structure::Reference as Asked;
 
     let index = rule.parameters.get(position).copied().unwrap_or(usize::MAX);
-    let no_such = || AlertError::NoSuchParameter { rule: number + 1, index, count: parameters.len() };
+    let no_such = || AlertError::NoSuchParameter {
+        rule: number + 1,
+        index,
+        count: parameters.len(),
+    };
     let parameter = parameters.get(index).ok_or_else(no_such)?;
-    let own = Rule::new(rule.loss, rule.credibility, rule.clear_credibility, rule.sustain_s)?;
+    let own = Rule::new(
+        rule.loss,
+        rule.credibility,
+        rule.clear_credibility,
+        rule.sustain_s,
+    )?;
     let from_baseline = baseline.and_then(|baseline| baseline.reference(parameter.name()));
     let own = match (&rule.reference, from_baseline) {
         (Asked::Baseline { .. }, Some(reference)) => own.with_reference(reference),
         (Asked::Baseline { learn_s }, None) => own.with_learnt_reference(*learn_s)?,
         (Asked::Given { mean, std }, _) => {
-            let (mean, std) = mean.get(position).zip(std.get(position)).ok_or_else(no_such)?;
+            let (mean, std) = mean
+                .get(position)
+                .zip(std.get(position))
+                .ok_or_else(no_such)?;
             own.with_reference(Reference::new(*mean, *std)?)
         }
     };
-    let quantity = if parameter.is_stiffness() { "stiffness" } else { "nominal value" };
+    let quantity = if parameter.is_stiffness() {
+        "stiffness"
+    } else {
+        "nominal value"
+    };
     let subject = Subject {
         parameter: index,
         name: parameter.name().to_owned(),
@@ -249,7 +344,10 @@ fn decision_from_structure(
 /// Adds the name of the parameter to what is wrong with its rule.
 fn in_parameter(parameters: &[Parameter], index: usize, source: AlertError) -> AlertError {
     match parameters.get(index) {
-        Some(parameter) => AlertError::Parameter { parameter: parameter.name().to_owned(), source: Box::new(source) },
+        Some(parameter) => AlertError::Parameter {
+            parameter: parameter.name().to_owned(),
+            source: Box::new(source),
+        },
         None => source,
     }
 }

@@ -6,28 +6,46 @@ use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause,
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
 /// The decision in words; `alert.why` is not read. `before`: what was said last.
-pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Option<&Alert>) -> String {
+pub(crate) fn describe(
+    subject: &Subject,
+    rule: &Rule,
+    alert: &Alert,
+    before: Option<&Alert>,
+) -> String {
     let Subject { name, quantity, .. } = subject;
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
-        return format!("no alert of {name} is decided: {}", undecided(because, alert));
+        return format!(
+            "no alert of {name} is decided: {}",
+            undecided(because, alert)
+        );
     }
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
     };
     let how_much = match alert.follows_jump && alert.undecided_because.is_none() {
         true => followed(quantity, loss, alert, before),
-        false => format!("{} of its {quantity} ({})", percent(loss.loss), intervals(loss, alert)),
+        false => format!(
+            "{} of its {quantity} ({})",
+            percent(loss.loss),
+            intervals(loss, alert)
+        ),
     };
     let found = alert.probability_of_loss;
     let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
-    let how_sure = format!("more than {} with probability {told}", percent(alert.rule_loss));
+    let how_sure = format!(
+        "more than {} with probability {told}",
+        percent(alert.rule_loss)
+    );
     // where it is too little, so that one need not know the rule
     let of_rule = if found < rule.credibility() {
         format!("{how_sure} ({} is asked for)", asked(rule.credibility()))
     } else {
         how_sure.clone()
     };
-    let since = alert.since_ns.map(|time_ns| format!(", since {}", time(time_ns))).unwrap_or_default();
+    let since = alert
+        .since_ns
+        .map(|time_ns| format!(", since {}", time(time_ns)))
+        .unwrap_or_default();
     let ends = match found < rule.clear_credibility() {
         true => format!("; is cleared after {}", duration(rule.sustain_ns())),
         false => String::new(),
@@ -41,11 +59,18 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Op
         AlertState::Pending => format!(
             "{name} seems to have lost {how_much}, {of_rule}{since}; is raised after {}{}",
             duration(rule.sustain_ns()),
-            if alert.follows_jump { "; a sudden change is still being followed" } else { "" }
+            if alert.follows_jump {
+                "; a sudden change is still being followed"
+            } else {
+                ""
+            }
         ),
         AlertState::Unconfirmed => {
-            let seen =
-                if alert.acknowledgement.is_some() { format!("; {}", acknowledged(alert)) } else { String::new() };
+            let seen = if alert.acknowledgement.is_some() {
+                format!("; {}", acknowledged(alert))
+            } else {
+                String::new()
+            };
             match alert.undecided_because {
                 Some(because) => format!(
                     "{name} had lost {how_much}, {of_rule}{since}; not confirmed now: {}{seen}",
@@ -60,11 +85,17 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Op
         }
         AlertState::Raised => format!("{name} has lost {how_much}, {of_rule}{since}{ends}"),
         AlertState::Acknowledged => {
-            format!("{name} has lost {how_much}, {of_rule}{since}{ends}; {}", acknowledged(alert))
+            format!(
+                "{name} has lost {how_much}, {of_rule}{since}{ends}; {}",
+                acknowledged(alert)
+            )
         }
         AlertState::Cleared if alert.undecided_because.is_some() => format!(
             "the alert of {name} was cleared; no new one is decided: {}",
-            alert.undecided_because.map(|because| undecided(because, alert)).unwrap_or_default()
+            alert
+                .undecided_because
+                .map(|because| undecided(because, alert))
+                .unwrap_or_default()
         ),
         AlertState::Cleared if found >= rule.clear_credibility() => format!(
             "that {name} has lost more than {} was credible again, but not for {}: loss {how_much}, {of_rule}",
@@ -83,9 +114,13 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Op
 /// Why nothing is decided, with the reasons of a fit that is contradicted.
 fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
     match because {
-        UndecidedBecause::FitContradicted => fit_in_words(FitVerdict::Contradicted, alert.fit_reasons),
+        UndecidedBecause::FitContradicted => {
+            fit_in_words(FitVerdict::Contradicted, alert.fit_reasons)
+        }
         UndecidedBecause::NothingLearnt => nothing_learnt(because, alert),
-        UndecidedBecause::NoiseTraining | UndecidedBecause::ExcitationSilent | UndecidedBecause::ParameterAtBound => {
+        UndecidedBecause::NoiseTraining
+        | UndecidedBecause::ExcitationSilent
+        | UndecidedBecause::ParameterAtBound => {
             let ParameterEstimate { mean, std, .. } = alert.estimate;
             format!("{} (estimate {mean:.3} ± {std:.3})", because.words())
         }
@@ -108,14 +143,21 @@ fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     };
     let shown = format!("a loss of {}", percent(twice));
     let (sound, scatter) = (reference.mean(), reference.std());
-    format!("{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})")
+    format!(
+        "{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})"
+    )
 }
 
 /// A loss that is still moving: what is gone at least.
 fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&Alert>) -> String {
-    let has_risen = before.is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
+    let has_risen = before
+        .is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
     let moves = if has_risen { "moving" } else { "falling" };
-    format!("at least {} of its {quantity}, still {moves} ({})", percent(loss.low.max(0.0)), intervals(loss, alert))
+    format!(
+        "at least {} of its {quantity}, still {moves} ({})",
+        percent(loss.low.max(0.0)),
+        intervals(loss, alert)
+    )
 }
 
 /// Why an alert is over although nothing new has been measured.
@@ -126,7 +168,11 @@ pub(crate) enum End {
     /// No rule watches the parameter.
     Unwatched,
     /// The rule is another, and the last estimate does not reach it.
-    RuleChanged { from: Rule, to: Rule, probability: f64 },
+    RuleChanged {
+        from: Rule,
+        to: Rule,
+        probability: f64,
+    },
     /// The rule is another, and so is the model: there is no estimate that it could be held against.
     RuleAndModelChanged,
     /// What the loss counts from is not known any more.
@@ -167,7 +213,9 @@ fn counted_from(reference: ReferenceRule) -> String {
     match reference {
         ReferenceRule::Given(given) if given.std() == 0.0 => format!(" below {:.3}", given.mean()),
         ReferenceRule::Given(given) => format!(" below {:.3} ± {:.3}", given.mean(), given.std()),
-        ReferenceRule::Learnt { span_ns } => format!(" below what is learnt in {}", duration(span_ns)),
+        ReferenceRule::Learnt { span_ns } => {
+            format!(" below what is learnt in {}", duration(span_ns))
+        }
     }
 }
 
@@ -182,7 +230,11 @@ fn acknowledged(alert: &Alert) -> String {
     if acknowledged.note.is_empty() {
         return format!("acknowledged by {}", quote(&acknowledged.who));
     }
-    format!("acknowledged by {}: {}", quote(&acknowledged.who), quote(&acknowledged.note))
+    format!(
+        "acknowledged by {}: {}",
+        quote(&acknowledged.who),
+        quote(&acknowledged.note)
+    )
 }
 
 /// A share in per cent with one decimal, without one where it is whole: `14.2 %`, `5 %`.
@@ -201,11 +253,18 @@ fn per_cent(share: f64) -> String {
 
 /// The interval of the loss; also the one within this record where the scatter between records is known.
 fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
-    let range = |loss: &LossEstimate| format!("{} to {} %", per_cent(loss.low), per_cent(loss.high));
-    let has_scatter = alert.reference.is_some_and(|reference| reference.scatter().is_some());
+    let range =
+        |loss: &LossEstimate| format!("{} to {} %", per_cent(loss.low), per_cent(loss.high));
+    let has_scatter = alert
+        .reference
+        .is_some_and(|reference| reference.scatter().is_some());
     match alert.loss_within_record().filter(|_| has_scatter) {
         Some(within) => {
-            format!("95 % interval for this structure {}, within this record {}", range(loss), range(&within))
+            format!(
+                "95 % interval for this structure {}, within this record {}",
+                range(loss),
+                range(&within)
+            )
         }
         None => format!("95 % interval {}", range(loss)),
     }
@@ -214,7 +273,11 @@ fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
 /// A probability that a rule asks for: as it stands in the rule, with three decimals at least.
 fn asked(probability: f64) -> String {
     let rounded = format!("{probability:.3}");
-    if rounded.parse() == Ok(probability) { rounded } else { probability.to_string() }
+    if rounded.parse() == Ok(probability) {
+        rounded
+    } else {
+        probability.to_string()
+    }
 }
 
 fn duration(span_ns: i64) -> String {
@@ -226,7 +289,9 @@ fn time(time_ns: i64) -> String {
     /// Three years: no record from 0 is longer, and no clock is so far behind.
     const RECORD_NS: i64 = 100_000_000_000_000_000;
     match Timestamp::from_nanosecond(i128::from(time_ns)) {
-        Ok(calendar) if time_ns.abs() >= RECORD_NS => calendar.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+        Ok(calendar) if time_ns.abs() >= RECORD_NS => {
+            calendar.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
+        }
         _ => format!("{:.2} s", time_ns as f64 / 1e9),
     }
 }

@@ -1,14 +1,18 @@
 //! The alert service on a real Zenoh session: estimates in, alerts out, acknowledgements back.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a helper of tests may fail them")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a helper of tests may fail them"
+)]
 
 use std::path::Path;
 use std::time::Duration;
 
 use spandrel_alert::AlertService;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock, EstimateFlags, FitReason,
-    FitVerdict, Header, HistoryLog, Keep, Keys, Name, NumberedPublisher, NumberedStream, Service, Status, StreamState,
-    Subscription, UndecidedBecause,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock,
+    EstimateFlags, FitReason, FitVerdict, Header, HistoryLog, Keep, Keys, Name, NumberedPublisher,
+    NumberedStream, Service, Status, StreamState, Subscription, UndecidedBecause,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -36,7 +40,12 @@ fn estimate(mean: f64) -> Estimate {
 
 fn block(sequence: u64, count: usize, mean: f64) -> EstimateBlock {
     EstimateBlock {
-        header: Header { source: "identify-1".into(), epoch: 1, sequence, time_ns: sequence as i64 * 10_000_000 },
+        header: Header {
+            source: "identify-1".into(),
+            epoch: 1,
+            sequence,
+            time_ns: sequence as i64 * 10_000_000,
+        },
         term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -50,7 +59,11 @@ fn block(sequence: u64, count: usize, mean: f64) -> EstimateBlock {
 
 /// Both sides of the bus: a session, and the estimates put on it.
 async fn open(root: &str) -> (Bus, Keys, NumberedPublisher<EstimateBlock>) {
-    let config = BusConfig { root: root.into(), listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+    let config = BusConfig {
+        root: root.into(),
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::default()
+    };
     let bus = Bus::open(&config).await.unwrap();
     let keys = config.keys("tower").unwrap();
     let stream = NumberedStream {
@@ -77,10 +90,18 @@ impl Running {
         Self::start_with(bus, keys, STRUCTURE, None).await
     }
 
-    async fn start_with(bus: &Bus, keys: &Keys, text: &str, remembering: Option<&Remembering>) -> Self {
-        let structure = Structure::parse(text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
+    async fn start_with(
+        bus: &Bus,
+        keys: &Keys,
+        text: &str,
+        remembering: Option<&Remembering>,
+    ) -> Self {
+        let structure = Structure::parse(text, Path::new("tower.toml"))
+            .unwrap_or_else(|error| panic!("{error}"));
         let id = Name::new("alert-1").unwrap();
-        let running = AlertService::start(&structure, None, bus, keys.clone(), id, remembering).await.unwrap();
+        let running = AlertService::start(&structure, None, bus, keys.clone(), id, remembering)
+            .await
+            .unwrap();
         let (stop, stopped) = oneshot::channel();
         let service = tokio::spawn(async move {
             let stopped = async move { drop(stopped.await) };
@@ -101,26 +122,47 @@ impl Running {
 }
 
 async fn next(alerts: &Subscription<AlertMessage>) -> AlertMessage {
-    timeout(DEADLINE, alerts.messages().recv_async()).await.unwrap().unwrap().1
+    timeout(DEADLINE, alerts.messages().recv_async())
+        .await
+        .unwrap()
+        .unwrap()
+        .1
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn loss_is_raised_acknowledged_and_answered_on_query() {
     let (bus, keys, estimates) = open("alert-test-a").await;
     let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
-    let mut progress = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
+    let mut progress = bus
+        .watch_progress(keys.progress(Service::Alert))
+        .await
+        .unwrap();
     let running = Running::start(&bus, &keys).await;
 
     estimates.put(block(0, 100, 0.86)).await.unwrap();
     assert_eq!(next(&alerts).await.state, AlertState::Pending);
     let raised = next(&alerts).await;
-    assert_eq!((raised.state, raised.time_ns, raised.since_ns), (AlertState::Raised, 500_000_000, Some(0)));
-    assert!(raised.why.starts_with("storey-1 has lost 14 % of its stiffness"), "{}", raised.why);
-    let done = timeout(DEADLINE, progress.wait_for(|progress| progress.done == 100)).await.unwrap();
+    assert_eq!(
+        (raised.state, raised.time_ns, raised.since_ns),
+        (AlertState::Raised, 500_000_000, Some(0))
+    );
+    assert!(
+        raised
+            .why
+            .starts_with("storey-1 has lost 14 % of its stiffness"),
+        "{}",
+        raised.why
+    );
+    let done = timeout(DEADLINE, progress.wait_for(|progress| progress.done == 100))
+        .await
+        .unwrap();
     assert_eq!(done.header.epoch, 1);
 
     let parameter = Name::new("storey-1").unwrap();
-    let person = bus.publish_display(keys.acknowledge(&parameter)).await.unwrap();
+    let person = bus
+        .publish_display(keys.acknowledge(&parameter))
+        .await
+        .unwrap();
     let acknowledgement = Acknowledgement {
         structure: Name::new("tower").unwrap(),
         parameter,
@@ -134,7 +176,10 @@ async fn loss_is_raised_acknowledged_and_answered_on_query() {
     assert_eq!(acknowledged.acknowledged_by.as_deref(), Some("Ada"));
 
     let last: Vec<(String, AlertMessage)> = bus.ask(&keys.all_alerts(), DEADLINE).await.unwrap();
-    assert_eq!(last.into_iter().map(|(_, alert)| alert).collect::<Vec<_>>(), [acknowledged]);
+    assert_eq!(
+        last.into_iter().map(|(_, alert)| alert).collect::<Vec<_>>(),
+        [acknowledged]
+    );
     running.end(bus).await;
 }
 
@@ -153,14 +198,20 @@ async fn estimates_put_before_the_service_came_are_decided_too() {
 async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it_does_not_raise() {
     let (bus, keys, estimates) = open("alert-test-d").await;
     let folder = tempfile::tempdir().unwrap();
-    let remembering = Remembering { folder: folder.path().to_owned(), every: Duration::from_secs(5) };
+    let remembering = Remembering {
+        folder: folder.path().to_owned(),
+        every: Duration::from_secs(5),
+    };
     let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
     let running = Running::start_with(&bus, &keys, STRUCTURE, Some(&remembering)).await;
     estimates.put(block(0, 100, 0.86)).await.unwrap();
     assert_eq!(next(&alerts).await.state, AlertState::Pending);
     assert_eq!(next(&alerts).await.state, AlertState::Raised);
     let parameter = Name::new("storey-1").unwrap();
-    let person = bus.publish_display(keys.acknowledge(&parameter)).await.unwrap();
+    let person = bus
+        .publish_display(keys.acknowledge(&parameter))
+        .await
+        .unwrap();
     let acknowledgement = Acknowledgement {
         structure: Name::new("tower").unwrap(),
         parameter: parameter.clone(),
@@ -175,7 +226,10 @@ async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it
     let commented = format!("# the crew has been there\n{STRUCTURE}");
     let running = Running::start_with(&bus, &keys, &commented, Some(&remembering)).await;
     let again = next(&alerts).await;
-    assert_eq!((again.state, again.acknowledged_by.as_deref()), (AlertState::Acknowledged, Some("Ada")));
+    assert_eq!(
+        (again.state, again.acknowledged_by.as_deref()),
+        (AlertState::Acknowledged, Some("Ada"))
+    );
     running.stop().await;
 
     let lenient = STRUCTURE.replace("loss = 0.05", "loss = 0.3");
@@ -183,7 +237,9 @@ async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it
     let ended = next(&alerts).await;
     assert_eq!(ended.state, AlertState::Cleared);
     assert!(
-        ended.why.starts_with("alert of storey-1 has ended: its rule was changed from more than 5 %"),
+        ended
+            .why
+            .starts_with("alert of storey-1 has ended: its rule was changed from more than 5 %"),
         "{}",
         ended.why
     );
@@ -194,7 +250,13 @@ async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it
     let log: Vec<(String, HistoryLog)> = bus.ask(&keys.alert_log(), DEADLINE).await.unwrap();
     let states: Vec<AlertState> = log[0].1.alerts.iter().map(|alert| alert.state).collect();
     let told = ["pending", "raised", "acknowledged", "cleared", "normal"];
-    assert_eq!(states.iter().map(|state| state.as_str()).collect::<Vec<_>>(), told);
+    assert_eq!(
+        states
+            .iter()
+            .map(|state| state.as_str())
+            .collect::<Vec<_>>(),
+        told
+    );
     running.end(bus).await;
 }
 
@@ -214,7 +276,10 @@ async fn token_is_there_while_the_service_runs() {
 async fn alert_is_unconfirmed_while_the_data_contradict_the_model_and_the_status_counts_it() {
     let (bus, keys, estimates) = open("alert-test-undecided").await;
     let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
-    let statuses = bus.subscribe::<Status>(keys.all_statuses(), 100).await.unwrap();
+    let statuses = bus
+        .subscribe::<Status>(keys.all_statuses(), 100)
+        .await
+        .unwrap();
     let running = Running::start(&bus, &keys).await;
     let contradicted = |sequence| {
         let mut block = block(sequence, 300, 0.5);
@@ -227,8 +292,14 @@ async fn alert_is_unconfirmed_while_the_data_contradict_the_model_and_the_status
     estimates.put(contradicted(0)).await.unwrap();
     let undecided = next(&alerts).await;
     let because = Some(UndecidedBecause::FitContradicted);
-    assert_eq!((undecided.state, undecided.time_ns), (AlertState::Undecided, 1_000_000_000));
-    assert_eq!((undecided.undecided_because, undecided.fit), (because, Some(FitVerdict::Contradicted)));
+    assert_eq!(
+        (undecided.state, undecided.time_ns),
+        (AlertState::Undecided, 1_000_000_000)
+    );
+    assert_eq!(
+        (undecided.undecided_because, undecided.fit),
+        (because, Some(FitVerdict::Contradicted))
+    );
     let counted = async {
         loop {
             let (_, status) = statuses.messages().recv_async().await.unwrap();
@@ -245,7 +316,13 @@ async fn alert_is_unconfirmed_while_the_data_contradict_the_model_and_the_status
     assert_eq!(next(&alerts).await.state, AlertState::Raised);
     estimates.put(contradicted(600)).await.unwrap();
     let unconfirmed = next(&alerts).await;
-    assert_eq!((unconfirmed.state, unconfirmed.undecided_because), (AlertState::Unconfirmed, because));
-    assert!((unconfirmed.mean - 0.86).abs() < 1e-12, "the estimate of a contradicted model is not told");
+    assert_eq!(
+        (unconfirmed.state, unconfirmed.undecided_because),
+        (AlertState::Unconfirmed, because)
+    );
+    assert!(
+        (unconfirmed.mean - 0.86).abs() < 1e-12,
+        "the estimate of a contradicted model is not told"
+    );
     running.end(bus).await;
 }

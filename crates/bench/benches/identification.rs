@@ -3,7 +3,11 @@
 //!
 //! The time per element is that of one frame; 100 Hz in real time leaves 10 ms for it.
 
-#![allow(clippy::expect_used, missing_docs, reason = "a benchmark stops where it cannot start")]
+#![allow(
+    clippy::expect_used,
+    missing_docs,
+    reason = "a benchmark stops where it cannot start"
+)]
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use spandrel_bus::{FrameBlock, Header, StreamState};
@@ -18,18 +22,30 @@ fn identification(criterion: &mut Criterion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let structure = Structure::read(&path).expect("the example is valid");
     let block = FrameBlock {
-        header: Header { source: "bench".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "bench".into(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: structure.sampling_rate_hz(),
         channels: structure.channel_count() as u16,
-        values: structure.simulator(1).take(FRAMES).flat_map(|frame| frame.values).collect(),
+        values: structure
+            .simulator(1)
+            .take(FRAMES)
+            .flat_map(|frame| frame.values)
+            .collect(),
         state: StreamState::Ended,
     };
     let mut group = criterion.benchmark_group("identification");
-    group.throughput(Throughput::Elements(FRAMES as u64)).sample_size(10);
+    group
+        .throughput(Throughput::Elements(FRAMES as u64))
+        .sample_size(10);
     group.bench_function("five storeys", |bencher| {
         bencher.iter(|| {
-            let mut core = Identification::new(&structure, "bench").expect("the example has a filter");
+            let mut core =
+                Identification::new(&structure, "bench").expect("the example has a filter");
             let mut outputs = Vec::new();
             core.handle(Input::Frames(block.clone()), &mut outputs);
             black_box(outputs.len())
@@ -45,12 +61,21 @@ fn an_hour(criterion: &mut Criterion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let structure = Structure::read(&path).expect("the example is valid");
     let channels = structure.channel_count();
-    let values: Vec<f64> = structure.simulator(1).take(HOUR as usize).flat_map(|frame| frame.values).collect();
+    let values: Vec<f64> = structure
+        .simulator(1)
+        .take(HOUR as usize)
+        .flat_map(|frame| frame.values)
+        .collect();
     let blocks: Vec<FrameBlock> = values
         .chunks(BLOCK * channels)
         .zip((0..).step_by(BLOCK))
         .map(|(values, sequence)| FrameBlock {
-            header: Header { source: "bench".into(), epoch: 1, sequence, time_ns: sequence as i64 * 10_000_000 },
+            header: Header {
+                source: "bench".into(),
+                epoch: 1,
+                sequence,
+                time_ns: sequence as i64 * 10_000_000,
+            },
             t0_ns: 0,
             sampling_rate_hz: structure.sampling_rate_hz(),
             channels: channels as u16,
@@ -62,7 +87,8 @@ fn an_hour(criterion: &mut Criterion) {
     group.throughput(Throughput::Elements(HOUR)).sample_size(10);
     group.bench_function("an hour of five storeys", |bencher| {
         bencher.iter(|| {
-            let mut core = Identification::new(&structure, "bench").expect("the example has a filter");
+            let mut core =
+                Identification::new(&structure, "bench").expect("the example has a filter");
             let (mut outputs, mut estimates) = (Vec::new(), 0);
             for block in &blocks {
                 core.handle(Input::Frames(block.clone()), &mut outputs);

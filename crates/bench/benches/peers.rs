@@ -8,9 +8,14 @@
 //!
 //! Without `--bench`, as `cargo test --benches` has it, or with `--test` every filter takes a few steps and nothing is measured.
 
-#![allow(clippy::print_stdout, reason = "a benchmark that is run by hand reports to who runs it")]
+#![allow(
+    clippy::print_stdout,
+    reason = "a benchmark that is run by hand reports to who runs it"
+)]
 
-use adskalman::{KalmanFilterNoControl, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
+use adskalman::{
+    KalmanFilterNoControl, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl,
+};
 use kfilter::{Kalman1M, Kalman1MLinearNoInput, KalmanPredict};
 use nalgebra::{Const, DMatrix, DVector, OMatrix, OVector, SMatrix};
 use spandrel_bench::building::{Building, GROUND_STD, SENSOR_STD, step};
@@ -39,21 +44,30 @@ struct Options {
 
 impl Options {
     fn read() -> Result<Self, Box<dyn Error>> {
-        let mut options = Self { storeys: vec![5, 10, 20, 40, 100, 200, 400], ..Self::default() };
+        let mut options = Self {
+            storeys: vec![5, 10, 20, 40, 100, 200, 400],
+            ..Self::default()
+        };
         options.smoke = !std::env::args().any(|argument| argument == "--bench");
         let mut arguments = std::env::args().skip(1);
         while let Some(argument) = arguments.next() {
             let mut value = || arguments.next().ok_or(format!("{argument} needs a value"));
             match argument.as_str() {
                 "--test" => options.smoke = true,
-                "--storeys" => options.storeys = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?,
+                "--storeys" => {
+                    options.storeys = value()?
+                        .split(',')
+                        .map(str::parse)
+                        .collect::<Result<_, _>>()?
+                }
                 "--python" => options.python = Some(from_root(&value()?)),
                 "--plot" => options.plot = Some(from_root(&value()?)),
                 "--bench" => {}
                 _ => {
-                    return Err(
-                        format!("{argument} is no option; there are --test, --storeys, --python and --plot").into()
-                    );
+                    return Err(format!(
+                        "{argument} is no option; there are --test, --storeys, --python and --plot"
+                    )
+                    .into());
                 }
             }
         }
@@ -71,13 +85,22 @@ fn from_root(path: &str) -> PathBuf {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let options = Options::read()?;
-    let rows = options.storeys.iter().map(|storeys| compare(*storeys, &options)).collect::<Result<Vec<_>, _>>()?;
-    println!("\nA step of the filter of a shear building\n\n{}", markdown(&rows));
+    let rows = options
+        .storeys
+        .iter()
+        .map(|storeys| compare(*storeys, &options))
+        .collect::<Result<Vec<_>, _>>()?;
+    println!(
+        "\nA step of the filter of a shear building\n\n{}",
+        markdown(&rows)
+    );
     if let Some(path) = &options.plot {
         plot(&rows, path)?;
     }
     println!("The linear part: nothing identified, 2N states, N/5 channels\n");
-    println!("| storeys | steps in turn | Spandrel µs | adskalman µs | kfilter µs |\n|---|---|---|---|---|");
+    println!(
+        "| storeys | steps in turn | Spandrel µs | adskalman µs | kfilter µs |\n|---|---|---|---|---|"
+    );
     linear::<10, 1>(5, &options)?;
     if !options.smoke {
         linear::<20, 2>(10, &options)?;
@@ -93,8 +116,16 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Measures one building.
 fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
     let volume = storeys * storeys;
-    let (warm, frames) = if options.smoke { (1, 2) } else { (150, (400_000 / volume).clamp(30, 2_000)) };
-    let peer_frames = if options.smoke { 3 } else { (4_000_000 / (volume * storeys)).clamp(3, 200) };
+    let (warm, frames) = if options.smoke {
+        (1, 2)
+    } else {
+        (150, (400_000 / volume).clamp(30, 2_000))
+    };
+    let peer_frames = if options.smoke {
+        3
+    } else {
+        (4_000_000 / (volume * storeys)).clamp(3, 200)
+    };
     let building = Building::new(storeys, warm + ROUNDS * frames)?;
     let (mut filter, mut known) = (building.filter()?, building.plain_filter()?);
     let mut dense = DenseFilter::new(building.structure.model(), building.plain_settings());
@@ -123,7 +154,13 @@ fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
     let std = dense.covariance().diagonal().map(f64::sqrt);
     let agree = |name: &str, mean: &DVector<f64>| {
         let off = (mean - known.mean()).component_div(&std).amax();
-        if off < AGREEMENT { Ok(()) } else { Err(format!("{storeys} storeys, {name}: off by {off:e} deviations")) }
+        if off < AGREEMENT {
+            Ok(())
+        } else {
+            Err(format!(
+                "{storeys} storeys, {name}: off by {off:e} deviations"
+            ))
+        }
     };
     agree("dense nalgebra", dense.mean())?;
     let mut python = [f64::NAN; 2];
@@ -138,7 +175,9 @@ fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
         result?;
         of_known.push(time_s);
     }
-    let terms = filter.transition_term_count().ok_or("a chain has a proportional form")?;
+    let terms = filter
+        .transition_term_count()
+        .ok_or("a chain has a proportional form")?;
     let count = Count::of(&building, terms);
     let rates = Rates::measure(count.bytes);
     println!(
@@ -215,8 +254,12 @@ where
 }
 
 /// The same as kfilter takes it; its covariance starts from that of the process noise.
-fn of_kfilter<const N: usize, const M: usize>(step: &LinearStep) -> Kalman1MLinearNoInput<f64, N, M> {
-    let square = |matrix: &DMatrix<f64>| kfilter_nalgebra::SMatrix::<f64, N, N>::from_column_slice(matrix.as_slice());
+fn of_kfilter<const N: usize, const M: usize>(
+    step: &LinearStep,
+) -> Kalman1MLinearNoInput<f64, N, M> {
+    let square = |matrix: &DMatrix<f64>| {
+        kfilter_nalgebra::SMatrix::<f64, N, N>::from_column_slice(matrix.as_slice())
+    };
     Kalman1M::new(
         square(&step.transition),
         square(&step.process_noise),
@@ -227,7 +270,10 @@ fn of_kfilter<const N: usize, const M: usize>(step: &LinearStep) -> Kalman1MLine
 }
 
 /// Measures the linear part, where the crates of fixed sizes can follow.
-fn linear<const N: usize, const M: usize>(storeys: usize, options: &Options) -> Result<(), Box<dyn Error>>
+fn linear<const N: usize, const M: usize>(
+    storeys: usize,
+    options: &Options,
+) -> Result<(), Box<dyn Error>>
 where
     Const<M>: nalgebra::DimMin<Const<M>, Output = Const<M>>,
 {
@@ -267,7 +313,8 @@ where
                 by_kfilter.push(time_s);
             }
         }
-        let [filter, adskalman, kfilter] = [by_filter, by_adskalman, by_kfilter].map(|times| times.median() * 1e6);
+        let [filter, adskalman, kfilter] =
+            [by_filter, by_adskalman, by_kfilter].map(|times| times.median() * 1e6);
         println!("| {storeys} | {together} | {filter:.2} | {adskalman:.2} | {kfilter:.2} |");
     }
     Ok(())
@@ -276,7 +323,10 @@ where
 /// Measures what one structure after the other takes for a frame.
 fn keep_up(options: &Options) -> Result<(), Box<dyn Error>> {
     let frames = |many: usize| if options.smoke { 2 } else { many };
-    for monitored in [Monitored::bridge(frames(1_500))?, Monitored::tower(frames(30))?] {
+    for monitored in [
+        Monitored::bridge(frames(1_500))?,
+        Monitored::tower(frames(30))?,
+    ] {
         let mut filter = monitored.filter()?;
         let mut times = Times::default();
         for index in 0..monitored.frames.len() {

@@ -3,13 +3,19 @@
 //! A prediction alone has no samples; an update has them with all noises known; then the noise levels are identified, and
 //! outliers screened. The time per element is that of one step.
 
-#![allow(clippy::expect_used, missing_docs, reason = "a benchmark stops where it cannot start")]
+#![allow(
+    clippy::expect_used,
+    missing_docs,
+    reason = "a benchmark stops where it cannot start"
+)]
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::DMatrix;
 use spandrel_bench::building::Building;
 use spandrel_bench::structures::Monitored;
-use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame, ObservationModel, OutlierSettings, ProcessModel};
+use spandrel_filter::{
+    ExtendedKalmanFilter, FilterSettings, Frame, ObservationModel, OutlierSettings, ProcessModel,
+};
 use spandrel_structure::StructureModel;
 use std::hint::black_box;
 
@@ -18,9 +24,15 @@ use std::hint::black_box;
 const STEPS: usize = 100;
 
 fn warm(building: &Building, settings: FilterSettings) -> ExtendedKalmanFilter<StructureModel> {
-    let mut filter = ExtendedKalmanFilter::new(building.structure.model(), settings).expect("the settings fit");
+    let mut filter =
+        ExtendedKalmanFilter::new(building.structure.model(), settings).expect("the settings fit");
     for samples in &building.frames {
-        filter.step(Frame { observations: samples, excitation: &[0.0] }).expect("the filter follows");
+        filter
+            .step(Frame {
+                observations: samples,
+                excitation: &[0.0],
+            })
+            .expect("the filter follows");
     }
     filter
 }
@@ -31,7 +43,10 @@ fn stages(criterion: &mut Criterion) {
         let nothing = vec![f64::NAN; building.frames[0].len()];
         let identified = building.settings.clone();
         let known = building.plain_settings();
-        let screened = FilterSettings { outliers: Some(OutlierSettings::for_period(30.0)), ..identified.clone() };
+        let screened = FilterSettings {
+            outliers: Some(OutlierSettings::for_period(30.0)),
+            ..identified.clone()
+        };
         let runs = [
             ("prediction", known.clone(), true),
             ("and update", known, false),
@@ -39,7 +54,9 @@ fn stages(criterion: &mut Criterion) {
             ("and outliers", screened, false),
         ];
         let mut group = criterion.benchmark_group(format!("{storeys} storeys"));
-        group.throughput(Throughput::Elements(STEPS as u64)).sample_size(20);
+        group
+            .throughput(Throughput::Elements(STEPS as u64))
+            .sample_size(20);
         for (name, settings, blind) in runs {
             let filter = warm(&building, settings);
             group.bench_function(name, |bencher| {
@@ -48,7 +65,10 @@ fn stages(criterion: &mut Criterion) {
                     |filter| {
                         for samples in &building.frames[..STEPS] {
                             let observations = if blind { &nothing } else { samples };
-                            let frame = Frame { observations, excitation: &[0.0] };
+                            let frame = Frame {
+                                observations,
+                                excitation: &[0.0],
+                            };
                             black_box(filter.step(frame).expect("the filter follows"));
                         }
                     },
@@ -78,7 +98,8 @@ fn model(criterion: &mut Criterion) {
         bencher.iter(|| model.jacobian_mul(black_box(filter.covariance()), &mut product));
     });
     group.bench_function("observation Jacobian times a covariance", |bencher| {
-        bencher.iter(|| model.observation_jacobian_mul(black_box(filter.covariance()), &mut observed));
+        bencher
+            .iter(|| model.observation_jacobian_mul(black_box(filter.covariance()), &mut observed));
     });
     group.finish();
 }
@@ -105,7 +126,11 @@ fn larger(criterion: &mut Criterion) {
             group.bench_function(monitored.name, |bencher| {
                 bencher.iter(|| {
                     index += 1;
-                    black_box(filter.step(monitored.frame(index)).expect("the filter follows"))
+                    black_box(
+                        filter
+                            .step(monitored.frame(index))
+                            .expect("the filter follows"),
+                    )
                 });
             });
         }

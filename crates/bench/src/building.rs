@@ -1,7 +1,9 @@
 //! The shear building that every filter of the comparison follows, at any height.
 
 use nalgebra::DMatrix;
-use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseModel, NoiseTarget};
+use spandrel_filter::{
+    ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseModel, NoiseTarget,
+};
 use spandrel_structure::{Structure, StructureModel};
 use std::error::Error;
 use std::path::Path;
@@ -57,8 +59,17 @@ impl Building {
         // what is measured is a filter at work, not the few minutes before
         settings.noise_settings.training_steps = 50;
         settings.noise_settings.training_limit_steps = 100;
-        let frames = structure.simulator(1).take(frames).map(|frame| frame.values).collect();
-        Ok(Self { storeys, structure, settings, frames })
+        let frames = structure
+            .simulator(1)
+            .take(frames)
+            .map(|frame| frame.values)
+            .collect();
+        Ok(Self {
+            storeys,
+            structure,
+            settings,
+            frames,
+        })
     }
 
     /// Returns the degrees of freedom that are sensed (from 0).
@@ -85,8 +96,11 @@ impl Building {
     /// Returns the settings of [`Self::plain_filter`].
     #[must_use]
     pub fn plain_settings(&self) -> FilterSettings {
-        let (step_s, mean, std) =
-            (self.settings.step_s, self.settings.prior_mean.clone(), self.settings.prior_std.clone());
+        let (step_s, mean, std) = (
+            self.settings.step_s,
+            self.settings.prior_mean.clone(),
+            self.settings.prior_std.clone(),
+        );
         let mut settings = FilterSettings::new(step_s, mean, std, known(&self.settings.noise));
         settings.fading = self.settings.fading;
         settings
@@ -97,8 +111,16 @@ impl Building {
 ///
 /// # Errors
 /// When the filter has diverged.
-pub fn step(filter: &mut ExtendedKalmanFilter<StructureModel>, samples: &[f64]) -> Result<(), FilterError> {
-    filter.step(Frame { observations: samples, excitation: &[0.0] }).map(|_| ())
+pub fn step(
+    filter: &mut ExtendedKalmanFilter<StructureModel>,
+    samples: &[f64],
+) -> Result<(), FilterError> {
+    filter
+        .step(Frame {
+            observations: samples,
+            excitation: &[0.0],
+        })
+        .map(|_| ())
 }
 
 /// Returns the noises at the levels from which they would be identified.
@@ -125,8 +147,13 @@ fn parameters(storeys: usize) -> String {
             "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nstd = 0.1\n"
         )
     };
-    let damping = |name| format!("[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"\nstd = 0.1\n");
-    (1..=storeys).map(storey).chain(["alpha", "beta"].map(damping)).collect()
+    let damping = |name| {
+        format!("[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"\nstd = 0.1\n")
+    };
+    (1..=storeys)
+        .map(storey)
+        .chain(["alpha", "beta"].map(damping))
+        .collect()
 }
 
 /// Returns the structure file but for its parameters.

@@ -21,7 +21,13 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
     pub fn new(model: M, settings: FilterSettings) -> Self {
         let mean = settings.prior_mean.clone();
         let covariance = DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std));
-        Self { model, settings, mean, covariance, fresh: true }
+        Self {
+            model,
+            settings,
+            mean,
+            covariance,
+            fresh: true,
+        }
     }
 
     /// Takes the samples of one frame (N_0), none missing, with no known excitation.
@@ -34,9 +40,11 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
             self.predict(&at_rest);
         }
         self.fresh = false;
-        self.model.linearise_observation(self.mean.as_slice(), &at_rest);
+        self.model
+            .linearise_observation(self.mean.as_slice(), &at_rest);
         let mut h = DMatrix::zeros(samples.len(), n);
-        self.model.observation_jacobian_mul(&DMatrix::identity(n, n), &mut h);
+        self.model
+            .observation_jacobian_mul(&DMatrix::identity(n, n), &mut h);
         let mut innovation = DVector::zeros(samples.len());
         self.model.observe(innovation.as_mut_slice());
         innovation = DVector::from_column_slice(samples) - innovation;
@@ -55,21 +63,24 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
         // [[A_y, g, B_y], [0, 0, 0]] Δt: its exponential holds the integrals of the inputs beside the transition
         let mut augmented = DMatrix::zeros(n + 1 + inputs, n + 1 + inputs);
         let mut jacobian = DMatrix::zeros(n, n);
-        self.model.jacobian_mul(&DMatrix::identity(n, n), &mut jacobian);
+        self.model
+            .jacobian_mul(&DMatrix::identity(n, n), &mut jacobian);
         let mut rate = DVector::zeros(n);
         self.model.derivative(rate.as_mut_slice());
         let mut input = DMatrix::zeros(n, inputs);
         self.model.excitation_matrix(&mut input);
         augmented.view_mut((0, 0), (n, n)).copy_from(&jacobian);
         augmented.column_mut(n).rows_mut(0, n).copy_from(&rate);
-        augmented.view_mut((0, n + 1), (n, inputs)).copy_from(&input);
+        augmented
+            .view_mut((0, n + 1), (n, inputs))
+            .copy_from(&input);
         let exponential = (augmented * self.settings.step_s).exp();
         let transition = exponential.view((0, 0), (n, n));
         let input = exponential.view((0, n + 1), (n, inputs));
         self.mean += exponential.column(n).rows(0, n);
         let noise = input * &self.settings.noise.excitation * input.transpose();
-        self.covariance =
-            self.settings.fading.value() * (transition * &self.covariance * transition.transpose() + noise);
+        self.covariance = self.settings.fading.value()
+            * (transition * &self.covariance * transition.transpose() + noise);
     }
 
     /// Returns the filtered state `y` (n).

@@ -29,7 +29,10 @@ impl Count {
         // H has the terms of its floor: three of x and of ẋ, two storeys and two damping parameters
         let observed = n * channels * 10.0 + n * channels * (channels + 1.0) / 2.0;
         let updated = n * (n + 1.0) / 2.0 * (channels + 1.0);
-        Self { flops: 2.0 * (predicted + observed + updated), bytes: 2.0 * 8.0 * n * n }
+        Self {
+            flops: 2.0 * (predicted + observed + updated),
+            bytes: 2.0 * 8.0 * n * n,
+        }
     }
 }
 
@@ -46,7 +49,10 @@ impl Rates {
     /// Measures both, with copies whose source and target take `bytes` together.
     #[must_use]
     pub fn measure(bytes: f64) -> Self {
-        Self { flops_per_s: vector_rate(), bytes_per_s: copy_rate(bytes) }
+        Self {
+            flops_per_s: vector_rate(),
+            bytes_per_s: copy_rate(bytes),
+        }
     }
 
     /// Returns the least time of a step (s).
@@ -65,7 +71,11 @@ fn vector_rate() -> f64 {
     const ROUNDS: usize = 20_000;
     let arch = Arch::new();
     best(|| {
-        let (time_s, flops) = seconds(|| arch.dispatch(MultiplyAndAdd { rounds: black_box(ROUNDS) }));
+        let (time_s, flops) = seconds(|| {
+            arch.dispatch(MultiplyAndAdd {
+                rounds: black_box(ROUNDS),
+            })
+        });
         flops / time_s
     })
 }
@@ -98,7 +108,10 @@ impl WithSimd for MultiplyAndAdd {
     /// Returns the number of operations.
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let (factor, addend) = (simd.splat_f64s(black_box(0.999)), simd.splat_f64s(black_box(1e-3)));
+        let (factor, addend) = (
+            simd.splat_f64s(black_box(0.999)),
+            simd.splat_f64s(black_box(1e-3)),
+        );
         let mut sums = [simd.splat_f64s(1.0); SUMS];
         for _ in 0..self.rounds {
             for sum in &mut sums {

@@ -1,6 +1,8 @@
 //! The peers in Python: `python/peers.py`, run with an interpreter that has what its requirements name.
 
-use crate::building::{ALPHA_PER_S, BETA_S, Building, GROUND_STD, MASS_KG, SENSOR_STD, STIFFNESS_N_PER_M};
+use crate::building::{
+    ALPHA_PER_S, BETA_S, Building, GROUND_STD, MASS_KG, SENSOR_STD, STIFFNESS_N_PER_M,
+};
 use crate::timing::Times;
 use serde::{Deserialize, Serialize};
 use std::error::Error;
@@ -48,7 +50,11 @@ pub struct PythonPeer {
 ///
 /// # Errors
 /// When the interpreter cannot be run or the script fails.
-pub fn run(interpreter: &Path, building: &Building, frames: usize) -> Result<Vec<PythonPeer>, Box<dyn Error>> {
+pub fn run(
+    interpreter: &Path,
+    building: &Building,
+    frames: usize,
+) -> Result<Vec<PythonPeer>, Box<dyn Error>> {
     let case = Case {
         storeys: building.storeys,
         mass: MASS_KG,
@@ -69,17 +75,39 @@ pub fn run(interpreter: &Path, building: &Building, frames: usize) -> Result<Vec
     std::fs::write(&path, serde_json::to_vec(&case)?)?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/peers.py");
     // one core for each filter
-    let single = [("OPENBLAS_NUM_THREADS", "1"), ("OMP_NUM_THREADS", "1"), ("MKL_NUM_THREADS", "1")];
-    let output = Command::new(interpreter).envs(single).arg(script).arg(&path).output()?;
+    let single = [
+        ("OPENBLAS_NUM_THREADS", "1"),
+        ("OMP_NUM_THREADS", "1"),
+        ("MKL_NUM_THREADS", "1"),
+    ];
+    let output = Command::new(interpreter)
+        .envs(single)
+        .arg(script)
+        .arg(&path)
+        .output()?;
     if !output.status.success() {
-        return Err(format!("{}: {}", interpreter.display(), String::from_utf8_lossy(&output.stderr)).into());
+        return Err(format!(
+            "{}: {}",
+            interpreter.display(),
+            String::from_utf8_lossy(&output.stderr)
+        )
+        .into());
     }
     let lines = String::from_utf8(output.stdout)?;
-    lines.lines().map(|line| Ok(serde_json::from_str::<Line>(line)?.into())).collect()
+    lines
+        .lines()
+        .map(|line| Ok(serde_json::from_str::<Line>(line)?.into()))
+        .collect()
 }
 
 impl From<Line> for PythonPeer {
-    fn from(Line { name, times: seconds, mean }: Line) -> Self {
+    fn from(
+        Line {
+            name,
+            times: seconds,
+            mean,
+        }: Line,
+    ) -> Self {
         let mut times = Times::default();
         seconds.into_iter().for_each(|time_s| times.push(time_s));
         Self { name, times, mean }

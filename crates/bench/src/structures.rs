@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 use spandrel_filter::{
-    ClassBank, ClassPlan, ClassSettings, ExtendedKalmanFilter, FilterError, Frame, Grouping, ObservationModel,
-    ProcessModel,
+    ClassBank, ClassPlan, ClassSettings, ExtendedKalmanFilter, FilterError, Frame, Grouping,
+    ObservationModel, ProcessModel,
 };
 use spandrel_structure::{Structure, StructureModel};
 use std::error::Error;
@@ -23,11 +23,23 @@ pub struct Monitored {
 impl Monitored {
     fn new(name: &'static str, structure: Structure, frames: usize) -> Self {
         let frames = structure.simulator(1).take(frames).map(|frame| {
-            let observations = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
-            let known = structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
+            let observations = structure
+                .observation_channels()
+                .iter()
+                .map(|c| frame.values[*c])
+                .collect();
+            let known = structure
+                .excitation_channels()
+                .iter()
+                .map(|c| c.map_or(0.0, |c| frame.values[c]))
+                .collect();
             (observations, known)
         });
-        Self { name, frames: frames.collect(), structure }
+        Self {
+            name,
+            frames: frames.collect(),
+            structure,
+        }
     }
 
     /// The three-pier bridge with twelve channels and 400 frames per second: 127 states.
@@ -44,7 +56,11 @@ impl Monitored {
                  noise-std = 0.05\n"
             );
         }
-        Ok(Self::new("three-pier bridge", Structure::parse(&text, &path)?, frames))
+        Ok(Self::new(
+            "three-pier bridge",
+            Structure::parse(&text, &path)?,
+            frames,
+        ))
     }
 
     /// The tower at 50 frames per second: 372 states, and modes of kilohertz.
@@ -63,7 +79,11 @@ impl Monitored {
     /// When its file is not valid.
     pub fn dome(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (text, path) = example("dome-bars")?;
-        Ok(Self::new("dome, eight classes", Structure::parse(&text, &path)?, frames))
+        Ok(Self::new(
+            "dome, eight classes",
+            Structure::parse(&text, &path)?,
+            frames,
+        ))
     }
 
     /// Makes the filter of the structure.
@@ -82,7 +102,9 @@ impl Monitored {
         use spandrel_filter::ComponentSystem;
         let system = self.structure.class_system();
         let components = system.components().len();
-        let classes: Result<Vec<_>, _> = (0..8).map(|apart| Grouping::apart(vec![apart], components)).collect();
+        let classes: Result<Vec<_>, _> = (0..8)
+            .map(|apart| Grouping::apart(vec![apart], components))
+            .collect();
         let settings = ClassSettings::published(ClassPlan::Predefined { classes: classes? }, 100);
         ClassBank::new(system, self.structure.filter_settings()?, settings)
     }
@@ -91,12 +113,18 @@ impl Monitored {
     #[must_use]
     pub fn frame(&self, index: usize) -> Frame<'_> {
         let (observations, excitation) = &self.frames[index % self.frames.len()];
-        Frame { observations, excitation }
+        Frame {
+            observations,
+            excitation,
+        }
     }
 }
 
 fn example(name: &str) -> Result<(String, std::path::PathBuf), Box<dyn Error>> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .with_extension("toml");
     Ok((std::fs::read_to_string(&path)?, path))
 }
 

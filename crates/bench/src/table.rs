@@ -59,7 +59,11 @@ pub fn markdown(rows: &[Row]) -> String {
 
 fn microseconds(time_s: f64) -> String {
     let time = time_s * 1e6;
-    if time < 100.0 { format!("{time:.1}") } else { format!("{time:.0}") }
+    if time < 100.0 {
+        format!("{time:.1}")
+    } else {
+        format!("{time:.0}")
+    }
 }
 
 /// Draws the time of a step against the storeys, both in logarithms.
@@ -89,15 +93,26 @@ pub fn plot(rows: &[Row], path: &Path) -> Result<(), Box<dyn Error>> {
         .y_label_formatter(&|y| format!("{y:.0e}"))
         .draw()?;
     for (name, time, colour) in LINES {
-        let points: Vec<(f64, f64)> =
-            rows.iter().map(|row| (row.storeys as f64, time(row))).filter(|(_, time)| time.is_finite()).collect();
+        let points: Vec<(f64, f64)> = rows
+            .iter()
+            .map(|row| (row.storeys as f64, time(row)))
+            .filter(|(_, time)| time.is_finite())
+            .collect();
         chart
             .draw_series(LineSeries::new(points.clone(), colour.stroke_width(2)))?
             .label(name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
-        chart.draw_series(points.iter().map(|point| Circle::new(*point, 3, colour.filled())))?;
+        chart.draw_series(
+            points
+                .iter()
+                .map(|point| Circle::new(*point, 3, colour.filled())),
+        )?;
     }
-    chart.configure_series_labels().position(SeriesLabelPosition::UpperLeft).background_style(WHITE).draw()?;
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperLeft)
+        .background_style(WHITE)
+        .draw()?;
     root.present()?;
     Ok(())
 }
@@ -122,14 +137,28 @@ mod tests {
     #[test]
     fn table_has_ratios_and_leaves_out_what_was_not_measured() {
         let table = markdown(&[row()]);
-        assert_eq!(table.lines().last(), Some("| 5 | 17 | 10.0 | 8.0 | 5.0 | 2.0 | 100 | 10.0 | 200 | 20.0 | | |"));
+        assert_eq!(
+            table.lines().last(),
+            Some("| 5 | 17 | 10.0 | 8.0 | 5.0 | 2.0 | 100 | 10.0 | 200 | 20.0 | | |")
+        );
     }
 
     #[test]
     fn plot_is_a_drawing_with_every_line() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("scaling.svg");
-        plot(&[row(), Row { storeys: 10, numpy: 3e-4, ..row() }], &path).unwrap();
+        plot(
+            &[
+                row(),
+                Row {
+                    storeys: 10,
+                    numpy: 3e-4,
+                    ..row()
+                },
+            ],
+            &path,
+        )
+        .unwrap();
         let drawing = std::fs::read_to_string(path).unwrap();
         for name in ["Spandrel", "filterpy", "NumPy", "dense nalgebra", "floor"] {
             assert!(drawing.contains(name), "{name}");

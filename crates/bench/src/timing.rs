@@ -3,7 +3,10 @@
 use std::time::Instant;
 
 /// Returns how long something takes (s), and what it returns.
-#[expect(clippy::disallowed_methods, reason = "a benchmark is there to read the clock")]
+#[expect(
+    clippy::disallowed_methods,
+    reason = "a benchmark is there to read the clock"
+)]
 pub fn seconds<T>(work: impl FnOnce() -> T) -> (f64, T) {
     let start = Instant::now();
     let result = work();

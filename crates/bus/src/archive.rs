@@ -33,24 +33,45 @@ impl Lookup {
         let limit = range.limit.max(1);
         match range.epoch {
             Some(epoch) if epoch > last_epoch => None,
-            Some(epoch) if epoch < last_epoch => Some(Self { epoch, after: range.after, limit, last_epoch }),
+            Some(epoch) if epoch < last_epoch => Some(Self {
+                epoch,
+                after: range.after,
+                limit,
+                last_epoch,
+            }),
             epoch => {
-                let oldest = if epoch.is_some() { 0 } else { ring.next().saturating_sub(recent) };
+                let oldest = if epoch.is_some() {
+                    0
+                } else {
+                    ring.next().saturating_sub(recent)
+                };
                 let after = range.after.max(oldest);
-                (after < ring.first()).then_some(Self { epoch: last_epoch, after, limit, last_epoch })
+                (after < ring.first()).then_some(Self {
+                    epoch: last_epoch,
+                    after,
+                    limit,
+                    last_epoch,
+                })
             }
         }
     }
 
     /// The items, or none if the ring must answer with what it has.
     pub(crate) fn read<B: Block>(self, archive: &dyn Archive<B>) -> Option<B> {
-        let Self { mut epoch, mut after, limit, last_epoch } = self;
+        let Self {
+            mut epoch,
+            mut after,
+            limit,
+            last_epoch,
+        } = self;
         loop {
             if let Some(block) = archive.read(epoch, after, limit, ANSWER_BYTES) {
                 return Some(block);
             }
             // Nothing more in this epoch: the asker goes on with the next one.
-            epoch = archive.epoch_after(epoch).filter(|next| *next <= last_epoch)?;
+            epoch = archive
+                .epoch_after(epoch)
+                .filter(|next| *next <= last_epoch)?;
             after = 0;
         }
     }
@@ -81,19 +102,37 @@ mod tests {
         }
     }
 
-    fn found(ring: &Ring<FrameBlock>, after: u64, epoch: Option<u64>, recent: u64) -> Option<(u64, u64, u64)> {
-        let lookup = Lookup::of(ring, &QueryRange { after, limit: 100, epoch }, recent)?;
+    fn found(
+        ring: &Ring<FrameBlock>,
+        after: u64,
+        epoch: Option<u64>,
+        recent: u64,
+    ) -> Option<(u64, u64, u64)> {
+        let lookup = Lookup::of(
+            ring,
+            &QueryRange {
+                after,
+                limit: 100,
+                epoch,
+            },
+            recent,
+        )?;
         let block = lookup.read(&Kept)?;
         Some((block.header.epoch, block.header.sequence, block.end()))
     }
 
     #[test]
     fn what_the_ring_has_is_not_looked_up() {
-        let mut ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
+        let mut ring =
+            Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         push(&mut ring, &frames(3, 5, 5)).unwrap();
         assert_eq!(found(&ring, 5, Some(3), 100), None);
         assert_eq!(found(&ring, 10, Some(3), 100), None);
-        assert_eq!(found(&ring, 0, Some(4), 100), None, "an epoch that this source has not reached");
+        assert_eq!(
+            found(&ring, 0, Some(4), 100),
+            None,
+            "an epoch that this source has not reached"
+        );
     }
 
     #[test]
@@ -101,10 +140,22 @@ mod tests {
         let ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         assert_eq!(found(&ring, 2, Some(3), 100), Some((3, 2, 5)));
         assert_eq!(found(&ring, 7, Some(1), 100), Some((1, 7, 10)));
-        assert_eq!(found(&ring, 10, Some(1), 100), Some((3, 0, 5)), "epoch 1 is over");
-        assert_eq!(found(&ring, 4, Some(2), 100), Some((3, 0, 5)), "nothing of epoch 2");
+        assert_eq!(
+            found(&ring, 10, Some(1), 100),
+            Some((3, 0, 5)),
+            "epoch 1 is over"
+        );
+        assert_eq!(
+            found(&ring, 4, Some(2), 100),
+            Some((3, 0, 5)),
+            "nothing of epoch 2"
+        );
         let empty = Ring::new("source".into(), 9, Keep::last(100));
-        assert_eq!(found(&empty, 5, Some(3), 100), None, "epoch 3 is over, the ring answers");
+        assert_eq!(
+            found(&empty, 5, Some(3), 100),
+            None,
+            "epoch 3 is over, the ring answers"
+        );
     }
 
     #[test]

@@ -40,8 +40,16 @@ impl Arrivals {
     /// then of what was heard before only what it does not know to be recorded counts.
     pub fn ingested(&mut self, epoch: u64, time_ns: i64) -> bool {
         let is_first = self.recorded.is_none() || self.has_left;
-        if is_first || self.recorded.as_ref().is_none_or(|recorded| epoch > recorded.epoch) {
-            self.recorded = Some(Recorded { epoch, until_ns: is_first.then_some(time_ns) });
+        if is_first
+            || self
+                .recorded
+                .as_ref()
+                .is_none_or(|recorded| epoch > recorded.epoch)
+        {
+            self.recorded = Some(Recorded {
+                epoch,
+                until_ns: is_first.then_some(time_ns),
+            });
         }
         if is_first && self.is_from_the_recording() {
             self.heard = self.heard_before;
@@ -60,7 +68,10 @@ impl Arrivals {
     /// everything is taken for live.
     #[must_use]
     pub fn is_live(&self, time_ns: i64) -> bool {
-        let until_ns = self.recorded.as_ref().and_then(|recorded| recorded.until_ns);
+        let until_ns = self
+            .recorded
+            .as_ref()
+            .and_then(|recorded| recorded.until_ns);
         until_ns.is_none_or(|until_ns| time_ns > until_ns)
     }
 
@@ -89,7 +100,10 @@ mod tests {
         assert!(arrivals.is_live(10), "nothing is known of a recording");
         assert!(arrivals.ingested(7, 100));
         assert!(!arrivals.is_live(100) && arrivals.is_live(101));
-        assert!(!arrivals.ingested(7, 200), "what was recorded since is live");
+        assert!(
+            !arrivals.ingested(7, 200),
+            "what was recorded since is live"
+        );
         assert!(arrivals.is_live(101));
     }
 
@@ -107,13 +121,26 @@ mod tests {
     fn what_is_read_again_was_not_heard() {
         let mut arrivals = Arrivals::default();
         arrivals.value(50, AT(1));
-        assert_eq!(arrivals.heard(), Some(AT(1)), "nothing is known of a recording");
+        assert_eq!(
+            arrivals.heard(),
+            Some(AT(1)),
+            "nothing is known of a recording"
+        );
         arrivals.ingested(7, 100);
-        assert_eq!((arrivals.heard(), arrivals.is_from_the_recording()), (None, true));
+        assert_eq!(
+            (arrivals.heard(), arrivals.is_from_the_recording()),
+            (None, true)
+        );
         arrivals.value(100, AT(2));
-        assert_eq!((arrivals.heard(), arrivals.is_from_the_recording()), (None, true));
+        assert_eq!(
+            (arrivals.heard(), arrivals.is_from_the_recording()),
+            (None, true)
+        );
         arrivals.value(101, AT(3));
-        assert_eq!((arrivals.heard(), arrivals.is_from_the_recording()), (Some(AT(3)), false));
+        assert_eq!(
+            (arrivals.heard(), arrivals.is_from_the_recording()),
+            (Some(AT(3)), false)
+        );
     }
 
     #[test]
@@ -124,7 +151,11 @@ mod tests {
         arrivals.ingest_left();
         arrivals.value(120, AT(5));
         assert!(arrivals.ingested(7, 200));
-        assert_eq!(arrivals.heard(), Some(AT(1)), "what came before it spoke was read again");
+        assert_eq!(
+            arrivals.heard(),
+            Some(AT(1)),
+            "what came before it spoke was read again"
+        );
         assert!(!arrivals.is_live(150) && arrivals.is_live(201));
         assert!(!arrivals.ingested(7, 210));
         arrivals.value(201, AT(6));

@@ -62,7 +62,12 @@ impl Bus {
         let note = move |status: MatchingStatus| {
             sees.fetch_or(status.matching(), Ordering::Relaxed);
         };
-        match querier.matching_listener().callback(note).background().await {
+        match querier
+            .matching_listener()
+            .callback(note)
+            .background()
+            .await
+        {
             Ok(()) => Ok(Buffer { querier, seen }),
             Err(source) => Err(refused(source)),
         }
@@ -77,8 +82,12 @@ impl Buffer {
     pub(crate) async fn ask<B: Block>(&self, range: QueryRange) -> Fetched<B> {
         let (replies, received) = flume::bounded(REPLIES);
         let range = range.to_string();
-        let asked =
-            self.querier.get().parameters(range.as_str()).callback(move |reply| drop(replies.try_send(reply))).await;
+        let asked = self
+            .querier
+            .get()
+            .parameters(range.as_str())
+            .callback(move |reply| drop(replies.try_send(reply)))
+            .await;
         let key = self.querier.key_expr().as_str();
         if let Err(error) = asked {
             debug!(key, range, %error, "query not sent");

@@ -26,7 +26,12 @@ impl<'e> Endpoint<'e> {
         let (locator, settings) = text.split_once('#').unwrap_or((text, ""));
         let (locator, metadata) = locator.split_once('?').unwrap_or((locator, ""));
         let (protocol, address) = locator.split_once('/').unwrap_or(("", locator));
-        Self { protocol, address, metadata, settings }
+        Self {
+            protocol,
+            address,
+            metadata,
+            settings,
+        }
     }
 
     /// `host:port` where there is one.
@@ -36,8 +41,13 @@ impl<'e> Endpoint<'e> {
 
     /// The host, without the brackets of an IPv6 address.
     pub(crate) fn host(&self) -> &'e str {
-        let host = self.address.rsplit_once(':').map_or(self.address, |(host, _port)| host);
-        host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host)
+        let host = self
+            .address
+            .rsplit_once(':')
+            .map_or(self.address, |(host, _port)| host);
+        host.strip_prefix('[')
+            .and_then(|host| host.strip_suffix(']'))
+            .unwrap_or(host)
     }
 
     /// Whether it is reached over TCP, with nothing in between.
@@ -58,7 +68,12 @@ impl<'e> Endpoint<'e> {
 
     /// Whether the endpoint itself says that who connects need not show a certificate.
     pub(crate) fn waives_certificates(&self) -> bool {
-        let says = |setting: &str| setting.trim().strip_prefix(MUTUAL_TLS).is_some_and(|value| value.trim() != "true");
+        let says = |setting: &str| {
+            setting
+                .trim()
+                .strip_prefix(MUTUAL_TLS)
+                .is_some_and(|value| value.trim() != "true")
+        };
         self.settings.split(';').any(says)
     }
 
@@ -75,17 +90,23 @@ pub fn in_order(endpoint: &str) -> String {
     if !parts.is_quic() || parts.metadata.contains("multistream=") {
         return endpoint.to_owned();
     }
-    let (locator, settings) =
-        endpoint.split_once('#').map_or((endpoint, None), |(locator, rest)| (locator, Some(rest)));
+    let (locator, settings) = endpoint
+        .split_once('#')
+        .map_or((endpoint, None), |(locator, rest)| (locator, Some(rest)));
     let joint = if locator.contains('?') { ';' } else { '?' };
-    let settings = settings.map(|settings| format!("#{settings}")).unwrap_or_default();
+    let settings = settings
+        .map(|settings| format!("#{settings}"))
+        .unwrap_or_default();
     format!("{locator}{joint}{ONE_STREAM}{settings}")
 }
 
 /// Whether only this machine reaches a host: `localhost`, or an address of the loopback interface.
 #[must_use]
 pub fn is_loopback(host: &str) -> bool {
-    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.to_canonical().is_loopback())
+    host == "localhost"
+        || host
+            .parse::<IpAddr>()
+            .is_ok_and(|address| address.to_canonical().is_loopback())
 }
 
 #[cfg(test)]
@@ -132,9 +153,18 @@ mod tests {
     fn quic_keeps_the_order_unless_told_otherwise() {
         for (given, expected) in [
             ("quic/10.0.0.5:7447", "quic/10.0.0.5:7447?multistream=0"),
-            ("quic/10.0.0.5:7447#iface=eth0", "quic/10.0.0.5:7447?multistream=0#iface=eth0"),
-            ("quic/10.0.0.5:7447?rel=1#iface=eth0", "quic/10.0.0.5:7447?rel=1;multistream=0#iface=eth0"),
-            ("quic/10.0.0.5:7447?multistream=1", "quic/10.0.0.5:7447?multistream=1"),
+            (
+                "quic/10.0.0.5:7447#iface=eth0",
+                "quic/10.0.0.5:7447?multistream=0#iface=eth0",
+            ),
+            (
+                "quic/10.0.0.5:7447?rel=1#iface=eth0",
+                "quic/10.0.0.5:7447?rel=1;multistream=0#iface=eth0",
+            ),
+            (
+                "quic/10.0.0.5:7447?multistream=1",
+                "quic/10.0.0.5:7447?multistream=1",
+            ),
             ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
         ] {
             assert_eq!(in_order(given), expected);
@@ -143,7 +173,9 @@ mod tests {
 
     #[test]
     fn an_endpoint_can_waive_certificates() {
-        assert!(Endpoint::new("quic/0.0.0.0:7447#iface=eth0;enable_mtls=false").waives_certificates());
+        assert!(
+            Endpoint::new("quic/0.0.0.0:7447#iface=eth0;enable_mtls=false").waives_certificates()
+        );
         assert!(!Endpoint::new("quic/0.0.0.0:7447#enable_mtls=true").waives_certificates());
         assert!(!Endpoint::new("quic/0.0.0.0:7447").waives_certificates());
     }

@@ -58,12 +58,19 @@ impl FloodGate {
         }
         if self.keys.len() >= MOST_KEYS {
             // those that have been quiet are as good as new
-            self.keys.retain(|_, allowance| allowance.gained(now) < AT_ONCE);
+            self.keys
+                .retain(|_, allowance| allowance.gained(now) < AT_ONCE);
             if self.keys.len() >= MOST_KEYS {
                 return Err(Flooded::TooManyKeys);
             }
         }
-        self.keys.insert(key.to_owned(), Allowance { left: AT_ONCE - 1, as_of: now });
+        self.keys.insert(
+            key.to_owned(),
+            Allowance {
+                left: AT_ONCE - 1,
+                as_of: now,
+            },
+        );
         Ok(())
     }
 }
@@ -107,20 +114,28 @@ mod tests {
         let mut gate = FloodGate::default();
         for tick in 0..100_u32 {
             let now = Duration::from_millis(10) * tick;
-            assert_eq!(taken(&mut gate, "steady", PER_SECOND / 100, now), PER_SECOND / 100);
+            assert_eq!(
+                taken(&mut gate, "steady", PER_SECOND / 100, now),
+                PER_SECOND / 100
+            );
         }
         let mut flooding = 0;
         for tick in 0..1000_u32 {
             flooding += taken(&mut gate, "flood", 1000, Duration::from_millis(10) * tick);
         }
-        assert!(flooding <= AT_ONCE + 10 * PER_SECOND && flooding > 9 * PER_SECOND, "{flooding}");
+        assert!(
+            flooding <= AT_ONCE + 10 * PER_SECOND && flooding > 9 * PER_SECOND,
+            "{flooding}"
+        );
     }
 
     #[test]
     fn messages_closer_than_one_allowance_still_add_up() {
         let mut gate = FloodGate::default();
         taken(&mut gate, "a", AT_ONCE, Duration::ZERO);
-        let often = (1..=10_000_u32).filter(|tick| gate.take("a", Duration::from_micros(50) * *tick).is_ok()).count();
+        let often = (1..=10_000_u32)
+            .filter(|tick| gate.take("a", Duration::from_micros(50) * *tick).is_ok())
+            .count();
         assert!((4_000..=5_000).contains(&often), "{often} in half a second");
     }
 
@@ -130,9 +145,15 @@ mod tests {
         for key in 0..MOST_KEYS {
             gate.take(&key.to_string(), Duration::ZERO).unwrap();
         }
-        assert_eq!(gate.take("one more", Duration::ZERO), Err(Flooded::TooManyKeys));
+        assert_eq!(
+            gate.take("one more", Duration::ZERO),
+            Err(Flooded::TooManyKeys)
+        );
         assert_eq!(gate.keys.len(), MOST_KEYS);
         assert_eq!(gate.take("one more", Duration::from_secs(60)), Ok(()));
-        assert_eq!(gate.take(&"k".repeat(MAX_KEY_BYTES + 1), Duration::ZERO), Err(Flooded::KeyTooLong));
+        assert_eq!(
+            gate.take(&"k".repeat(MAX_KEY_BYTES + 1), Duration::ZERO),
+            Err(Flooded::KeyTooLong)
+        );
     }
 }

@@ -157,7 +157,13 @@ struct Position {
 
 impl Position {
     fn new(epoch: u64, source: Option<String>, next: u64) -> Self {
-        Self { epoch, source, next, seen_end: next, ended: false }
+        Self {
+            epoch,
+            source,
+            next,
+            seen_end: next,
+            ended: false,
+        }
     }
 }
 
@@ -233,9 +239,13 @@ impl<B: Block> Follower<B> {
             (Patience::UntilAnswered, Silence::NoAnswer) => false,
             (Patience::UntilAnswered, Silence::Denied) => self.denials >= MAX_FAILURES,
             (Patience::UntilAnswered, Silence::NoBuffer) => self.failures >= MAX_FAILURES,
-            (Patience::Limited, _) if self.source_is_silent => self.failures >= MAX_FAILURES_OF_A_SILENT_SOURCE,
+            (Patience::Limited, _) if self.source_is_silent => {
+                self.failures >= MAX_FAILURES_OF_A_SILENT_SOURCE
+            }
             (Patience::Limited, Silence::NoBuffer) => self.failures >= MAX_FAILURES_WITHOUT_BUFFER,
-            (Patience::Limited, Silence::NoAnswer | Silence::Denied) => self.failures >= MAX_FAILURES,
+            (Patience::Limited, Silence::NoAnswer | Silence::Denied) => {
+                self.failures >= MAX_FAILURES
+            }
         };
         if is_over {
             (self.failures, self.denials) = (0, 0);
@@ -294,7 +304,11 @@ impl<B: Block> Follower<B> {
         }
         if at.header.epoch > position.epoch {
             self.change_epoch(at.header.epoch, at.header.source.clone(), actions);
-        } else if self.lacks_items() && self.fetch.is_some_and(|fetch| fetch.seen_end > at.header.sequence) {
+        } else if self.lacks_items()
+            && self
+                .fetch
+                .is_some_and(|fetch| fetch.seen_end > at.header.sequence)
+        {
             self.disbelieve(at.header.sequence, actions);
         } else if self.fetch.is_some_and(|fetch| fetch.later) {
             self.counts.impossible_blocks += 1;
@@ -379,7 +393,9 @@ impl<B: Block> Follower<B> {
 
     /// Whether a block is of a later epoch, and this one may go on behind what has been delivered.
     fn leaves_the_epoch(&self, block: &B) -> bool {
-        self.position.as_ref().is_some_and(|p| block.header().epoch > p.epoch && !p.ended)
+        self.position
+            .as_ref()
+            .is_some_and(|p| block.header().epoch > p.epoch && !p.ended)
     }
 
     fn see_end(&mut self, end: u64) {
@@ -425,7 +441,8 @@ impl<B: Block> Follower<B> {
         let known = position.next.saturating_sub(block.header().sequence);
         let duplicates = known.min(block.count());
         self.counts.duplicate_items += duplicates;
-        let ends_now = block.state() == StreamState::Ended && block.end() == position.next && !position.ended;
+        let ends_now =
+            block.state() == StreamState::Ended && block.end() == position.next && !position.ended;
         if block.end() <= position.next && !ends_now {
             return;
         }
@@ -456,7 +473,11 @@ impl<B: Block> Follower<B> {
             let ahead = self.held.first_key_value().map(|(sequence, _)| *sequence);
             let to = ahead.map_or(end, |sequence| sequence.min(end));
             if to > position.next {
-                let gap = Gap { epoch: position.epoch, from: position.next, to };
+                let gap = Gap {
+                    epoch: position.epoch,
+                    from: position.next,
+                    to,
+                };
                 self.counts.gap_items += gap.to - gap.from;
                 position.next = to;
                 position.seen_end = position.seen_end.max(to);
@@ -493,9 +514,17 @@ impl<B: Block> Follower<B> {
             (None, Start::Beginning | Start::At { .. }) => 0,
         };
         let seen_end = self.position.as_ref().map_or(0, |p| p.seen_end);
-        self.fetch = Some(Fetching { after, seen_end, later: self.later.is_some() });
+        self.fetch = Some(Fetching {
+            after,
+            seen_end,
+            later: self.later.is_some(),
+        });
         actions.push_back(Action::Fetch {
-            range: QueryRange { after, limit: self.limit, epoch: self.position.as_ref().map(|p| p.epoch) },
+            range: QueryRange {
+                after,
+                limit: self.limit,
+                epoch: self.position.as_ref().map(|p| p.epoch),
+            },
             failures: self.failures,
         });
     }

@@ -33,8 +33,11 @@ impl TimeGrid {
             return None;
         }
         let microhertz = (rate_hz * 1e6).round();
-        let rate =
-            if microhertz / 1e6 == rate_hz { Rate::WholeMicrohertz(microhertz as i128) } else { Rate::Hertz(rate_hz) };
+        let rate = if microhertz / 1e6 == rate_hz {
+            Rate::WholeMicrohertz(microhertz as i128)
+        } else {
+            Rate::Hertz(rate_hz)
+        };
         Some(Self { start_ns, rate })
     }
 
@@ -96,7 +99,10 @@ mod tests {
         assert_eq!(grid.time_ns(0), 1_000);
         assert_eq!(grid.time_ns(1), 1_000 + 8_333_333);
         assert_eq!(grid.time_ns(2), 1_000 + 16_666_667);
-        assert_eq!(grid.time_ns(120_000_000_000), 1_000 + 1_000_000_000_000_000_000);
+        assert_eq!(
+            grid.time_ns(120_000_000_000),
+            1_000 + 1_000_000_000_000_000_000
+        );
     }
 
     #[test]
@@ -104,7 +110,11 @@ mod tests {
         for rate in [0.02, 1.0, 119.88, 120.0, 200.0, 1.0e9 / 7.0e6, 1e6] {
             let grid = TimeGrid::new(-1_700_000_000_000_000_000, rate).unwrap();
             for number in [0, 1, 2, 3, 1000, 123_456_789] {
-                assert_eq!(grid.nearest(grid.time_ns(number)), number as i64, "{rate} {number}");
+                assert_eq!(
+                    grid.nearest(grid.time_ns(number)),
+                    number as i64,
+                    "{rate} {number}"
+                );
             }
         }
     }

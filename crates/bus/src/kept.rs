@@ -51,7 +51,13 @@ struct Place {
 
 impl Page {
     fn new(first: u64, begun: Instant, bytes: Vec<u8>) -> Self {
-        Self { first, begun, bytes, places: Vec::new(), forgotten: 0 }
+        Self {
+            first,
+            begun,
+            bytes,
+            places: Vec::new(),
+            forgotten: 0,
+        }
     }
 
     fn has_room_for(&self, payload: &[u8]) -> bool {
@@ -62,18 +68,31 @@ impl Page {
     fn note(&mut self, count: u64, put_at: Instant) {
         let before = self.places.last().copied().unwrap_or_default();
         // a page has at most 16 KiB of blocks of at most 65,536 items
-        let items = before.items.saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
-        let after_ms = u32::try_from(put_at.duration_since(self.begun).as_millis()).unwrap_or(u32::MAX);
-        self.places.push(Place { items, bytes: self.bytes.len() as u32, after_ms });
+        let items = before
+            .items
+            .saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
+        let after_ms =
+            u32::try_from(put_at.duration_since(self.begun).as_millis()).unwrap_or(u32::MAX);
+        self.places.push(Place {
+            items,
+            bytes: self.bytes.len() as u32,
+            after_ms,
+        });
     }
 
     fn get(&self, index: usize) -> Option<Kept<'_>> {
         let place = self.places.get(index)?;
-        let before = index.checked_sub(1).and_then(|before| self.places.get(before)).copied().unwrap_or_default();
+        let before = index
+            .checked_sub(1)
+            .and_then(|before| self.places.get(before))
+            .copied()
+            .unwrap_or_default();
         Some(Kept {
             sequence: self.first + u64::from(before.items),
             count: u64::from(place.items - before.items),
-            payload: self.bytes.get(before.bytes as usize..place.bytes as usize)?,
+            payload: self
+                .bytes
+                .get(before.bytes as usize..place.bytes as usize)?,
             put_at: self.begun + Duration::from_millis(place.after_ms.into()),
         })
     }
@@ -100,9 +119,17 @@ impl KeptBlocks {
     pub(crate) fn push(&mut self, sequence: u64, count: u64, payload: &[u8], put_at: Instant) {
         self.blocks += 1;
         if payload.len() < OWN_PAGE_BYTES {
-            let page = match self.pages.back_mut().filter(|page| page.has_room_for(payload)) {
+            let page = match self
+                .pages
+                .back_mut()
+                .filter(|page| page.has_room_for(payload))
+            {
                 Some(page) => page,
-                None => self.pages.push_back_mut(Page::new(sequence, put_at, Vec::with_capacity(PAGE_BYTES))),
+                None => self.pages.push_back_mut(Page::new(
+                    sequence,
+                    put_at,
+                    Vec::with_capacity(PAGE_BYTES),
+                )),
             };
             page.bytes.extend_from_slice(payload);
             return page.note(count, put_at);
@@ -117,7 +144,9 @@ impl KeptBlocks {
     }
 
     pub(crate) fn back(&self) -> Option<Kept<'_>> {
-        self.pages.back().and_then(|page| page.get(page.places.len().checked_sub(1)?))
+        self.pages
+            .back()
+            .and_then(|page| page.get(page.places.len().checked_sub(1)?))
     }
 
     /// Forgets the first block.
@@ -133,7 +162,8 @@ impl KeptBlocks {
     pub(crate) fn pop_back(&mut self) {
         if let Some(page) = self.pages.back_mut() {
             page.places.pop();
-            page.bytes.truncate(page.places.last().map_or(0, |place| place.bytes as usize));
+            page.bytes
+                .truncate(page.places.last().map_or(0, |place| place.bytes as usize));
             self.blocks -= 1;
         }
         self.pages.pop_back_if(|page| page.is_empty());
@@ -142,21 +172,28 @@ impl KeptBlocks {
     /// The blocks from the first one on that ends behind this number.
     pub(crate) fn after(&self, number: u64) -> impl Iterator<Item = Kept<'_>> {
         let page = self.pages.partition_point(|page| page.end() <= number);
-        let blocks =
-            self.pages.iter().skip(page).flat_map(|page| (page.forgotten..).map_while(|index| page.get(index)));
+        let blocks = self
+            .pages
+            .iter()
+            .skip(page)
+            .flat_map(|page| (page.forgotten..).map_while(|index| page.get(index)));
         blocks.skip_while(move |block| block.end() <= number)
     }
 
     /// Bytes of memory that the blocks take.
     #[cfg(test)]
     pub(crate) fn bytes(&self) -> usize {
-        let of_page = |page: &Page| page.bytes.capacity() + page.places.capacity() * size_of::<Place>();
+        let of_page =
+            |page: &Page| page.bytes.capacity() + page.places.capacity() * size_of::<Place>();
         self.pages.iter().map(of_page).sum::<usize>() + self.pages.capacity() * size_of::<Page>()
     }
 }
 
 #[cfg(test)]
-#[expect(clippy::disallowed_methods, reason = "the beginning of times that are then given")]
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the beginning of times that are then given"
+)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
@@ -165,7 +202,16 @@ mod tests {
     type Listed = (u64, u64, Vec<u8>, Instant);
 
     fn listed(kept: &KeptBlocks, after: u64) -> Vec<Listed> {
-        kept.after(after).map(|block| (block.sequence, block.count, block.payload.to_vec(), block.put_at)).collect()
+        kept.after(after)
+            .map(|block| {
+                (
+                    block.sequence,
+                    block.count,
+                    block.payload.to_vec(),
+                    block.put_at,
+                )
+            })
+            .collect()
     }
 
     proptest! {
@@ -214,8 +260,16 @@ mod tests {
             kept.push(5 * block, 5, &[7; 1_040], now); // 82 s of estimates of five storeys
         }
         let bytes = 1640 * 1_040;
-        assert!(kept.bytes() < bytes + bytes / 10, "{} for {bytes}", kept.bytes());
+        assert!(
+            kept.bytes() < bytes + bytes / 10,
+            "{} for {bytes}",
+            kept.bytes()
+        );
         (0..1639).for_each(|_| kept.pop_front());
-        assert!(kept.bytes() < 2 * PAGE_BYTES + 128 * size_of::<Page>(), "{} for one block", kept.bytes());
+        assert!(
+            kept.bytes() < 2 * PAGE_BYTES + 128 * size_of::<Page>(),
+            "{} for one block",
+            kept.bytes()
+        );
     }
 }

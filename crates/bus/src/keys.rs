@@ -435,21 +435,35 @@ impl KeyFamily {
 
     /// The key expression of the families of all services together, of those that have one for each service.
     #[must_use]
-    pub fn expression_of_all_services(self, root: &Name, structure: Option<&Name>) -> Option<String> {
+    pub fn expression_of_all_services(
+        self,
+        root: &Name,
+        structure: Option<&Name>,
+    ) -> Option<String> {
         let rest = match self {
             Self::Progress(_) => "progress/*",
             Self::Status(_) => "status/*/*",
             Self::Live(_) => "live/*/*",
             _ => return None,
         };
-        Some(format!("{root}/{}/{rest}", structure.map_or("*", Name::as_str)))
+        Some(format!(
+            "{root}/{}/{rest}",
+            structure.map_or("*", Name::as_str)
+        ))
     }
 
     /// All families.
     #[must_use]
     pub fn all() -> Vec<Self> {
         use KeyFamily as K;
-        let mut all = vec![K::Samples, K::Buffer, K::Frames, K::Recording, K::Estimates, K::EstimatesBuffer];
+        let mut all = vec![
+            K::Samples,
+            K::Buffer,
+            K::Frames,
+            K::Recording,
+            K::Estimates,
+            K::EstimatesBuffer,
+        ];
         all.extend([
             K::Parameter,
             K::Noise,
@@ -465,7 +479,14 @@ impl KeyFamily {
         for of_service in [K::Progress, K::Status, K::Live] {
             all.extend(Service::ALL.map(of_service));
         }
-        all.extend([K::Leader, K::State, K::Description, K::History, K::HistoryLog, K::AlertLog]);
+        all.extend([
+            K::Leader,
+            K::State,
+            K::Description,
+            K::History,
+            K::HistoryLog,
+            K::AlertLog,
+        ]);
         all
     }
 }
@@ -570,9 +591,18 @@ mod tests {
             (keys.estimates(), "spandrel/tower/estimates"),
             (keys.parameter(&n), "spandrel/tower/parameter/storey-1"),
             (keys.alert(&n), "spandrel/tower/alert/storey-1"),
-            (keys.acknowledge(&n), "spandrel/tower/alert/storey-1/acknowledge"),
-            (keys.progress(Service::Identify), "spandrel/tower/progress/identify"),
-            (keys.live(Service::Ingest, &n), "spandrel/tower/live/ingest/storey-1"),
+            (
+                keys.acknowledge(&n),
+                "spandrel/tower/alert/storey-1/acknowledge",
+            ),
+            (
+                keys.progress(Service::Identify),
+                "spandrel/tower/progress/identify",
+            ),
+            (
+                keys.live(Service::Ingest, &n),
+                "spandrel/tower/live/ingest/storey-1",
+            ),
             (keys.recording(), "spandrel/tower/@recording"),
             (keys.buffer(&n), "spandrel/tower/sensor/storey-1/@buffer"),
             (keys.estimates_buffer(), "spandrel/tower/@estimates"),
@@ -590,7 +620,8 @@ mod tests {
     #[test]
     fn families_are_the_keys_that_services_use() {
         let (keys, n) = (keys(), Name::new("storey-1").unwrap());
-        let one = |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), Some(&n));
+        let one =
+            |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), Some(&n));
         let mut used = vec![
             keys.samples(&n),
             keys.buffer(&n),
@@ -626,9 +657,13 @@ mod tests {
         let all = |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), None);
         assert_eq!(all(KeyFamily::Alert), keys.all_alerts());
         assert_eq!(all(KeyFamily::Acknowledge), keys.all_acknowledgements());
-        assert_eq!(all(KeyFamily::Live(Service::Sensor)), keys.all_live(Service::Sensor));
+        assert_eq!(
+            all(KeyFamily::Live(Service::Sensor)),
+            keys.all_live(Service::Sensor)
+        );
         assert_eq!(all(KeyFamily::Leader), keys.all_leaders());
-        let statuses = KeyFamily::Status(Service::Fuse).expression_of_all_services(keys.root(), Some(keys.structure()));
+        let statuses = KeyFamily::Status(Service::Fuse)
+            .expression_of_all_services(keys.root(), Some(keys.structure()));
         assert_eq!(statuses, Some(keys.all_statuses()));
     }
 
@@ -650,9 +685,18 @@ mod tests {
             (keys.event(), Topic::Event),
             (keys.alert(&n), Topic::Alert(n.clone())),
             (keys.acknowledge(&n), Topic::Acknowledge(n.clone())),
-            (keys.progress(Service::Alert), Topic::Progress(Service::Alert)),
-            (keys.status(Service::Fuse, &n), Topic::Status(Service::Fuse, n.clone())),
-            (keys.live(Service::Sensor, &n), Topic::Live(Service::Sensor, n.clone())),
+            (
+                keys.progress(Service::Alert),
+                Topic::Progress(Service::Alert),
+            ),
+            (
+                keys.status(Service::Fuse, &n),
+                Topic::Status(Service::Fuse, n.clone()),
+            ),
+            (
+                keys.live(Service::Sensor, &n),
+                Topic::Live(Service::Sensor, n.clone()),
+            ),
             (keys.description(), Topic::Description),
             (keys.history(&n), Topic::History(n.clone())),
         ];

@@ -44,7 +44,10 @@ impl Claim {
     fn from_key(key: &str) -> Option<Self> {
         let (_, chunk) = key.rsplit_once('/')?;
         let (term, instance) = chunk.split_once('-')?;
-        Some(Self { term: term.parse().ok()?, instance: Name::new(instance).ok()? })
+        Some(Self {
+            term: term.parse().ok()?,
+            instance: Name::new(instance).ok()?,
+        })
     }
 
     fn key(&self, keys: &Keys) -> Result<String, BusError> {
@@ -97,7 +100,9 @@ impl Bus {
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
     pub async fn watch_claims(&self, keys: &Keys) -> Result<Claims, BusError> {
-        Ok(Claims { watch: self.watch_live(keys.all_leaders()).await? })
+        Ok(Claims {
+            watch: self.watch_live(keys.all_leaders()).await?,
+        })
     }
 
     /// Claims to lead the identification of a structure, for as long as the token lives.
@@ -113,8 +118,14 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
-    pub async fn ask_who_leads(&self, keys: &Keys, timeout: Duration) -> Result<Option<Claim>, BusError> {
-        Ok(leading(&self.ask_who_is_there(&keys.all_leaders(), timeout).await?))
+    pub async fn ask_who_leads(
+        &self,
+        keys: &Keys,
+        timeout: Duration,
+    ) -> Result<Option<Claim>, BusError> {
+        Ok(leading(
+            &self.ask_who_is_there(&keys.all_leaders(), timeout).await?,
+        ))
     }
 
     /// Asks the identification that leads for its state; `None` if nobody answers in time, or with nothing that can be read.
@@ -144,7 +155,9 @@ impl Bus {
             let mut highest: Option<StateMessage> = None;
             while let Ok(reply) = replies.recv_async().await {
                 match reply.result().map(read::<StateMessage>) {
-                    Ok(Ok(state)) if highest.as_ref().is_none_or(|other| state.term > other.term) => {
+                    Ok(Ok(state))
+                        if highest.as_ref().is_none_or(|other| state.term > other.term) =>
+                    {
                         highest = Some(state)
                     }
                     Ok(Ok(_superseded)) => {}
@@ -171,17 +184,40 @@ mod tests {
 
     #[test]
     fn the_highest_term_leads_and_of_equal_terms_the_last_name() {
-        let of = |claims: &[Claim]| leading(&claims.iter().map(|claim| claim.key(&keys()).unwrap()).collect());
+        let of = |claims: &[Claim]| {
+            leading(
+                &claims
+                    .iter()
+                    .map(|claim| claim.key(&keys()).unwrap())
+                    .collect(),
+            )
+        };
         assert_eq!(of(&[]), None);
-        assert_eq!(of(&[claim(9, "b"), claim(10, "a")]), Some(claim(10, "a")), "numbers, not texts");
-        assert_eq!(of(&[claim(10, "a"), claim(10, "c"), claim(10, "b")]), Some(claim(10, "c")));
+        assert_eq!(
+            of(&[claim(9, "b"), claim(10, "a")]),
+            Some(claim(10, "a")),
+            "numbers, not texts"
+        );
+        assert_eq!(
+            of(&[claim(10, "a"), claim(10, "c"), claim(10, "b")]),
+            Some(claim(10, "c"))
+        );
     }
 
     #[test]
     fn a_claim_is_what_its_key_says_and_other_keys_are_none() {
         let highest = claim(u64::MAX, &"f".repeat(32));
-        assert_eq!(Claim::from_key(&highest.key(&keys()).unwrap()), Some(highest));
-        for key in ["", "spandrel/tower/leader/identify/7", "leader/identify/x-a", "leader/identify/7-", "7-a"] {
+        assert_eq!(
+            Claim::from_key(&highest.key(&keys()).unwrap()),
+            Some(highest)
+        );
+        for key in [
+            "",
+            "spandrel/tower/leader/identify/7",
+            "leader/identify/x-a",
+            "leader/identify/7-",
+            "7-a",
+        ] {
             assert_eq!(Claim::from_key(key), None, "{key}");
         }
     }

@@ -78,18 +78,22 @@ pub use keys::{DEFAULT_ROOT, KeyFamily, Keys, Service, Topic, parse_key};
 pub use leader::{Claim, Claims};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
-    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelFitDisplay, ChannelState, ClassCalibration,
-    ClassPlausibility, CredibleInterval, DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags,
-    Event, EventKind, FeedbackMessage, FitDisplay, FitReason, FitReasons, FitVerdict, Format, FrameBlock, Header,
-    HistoryLog, HistoryRows, HistorySpan, Load, LocalDensity, LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES,
-    MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay,
-    NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
-    RoundedProbability, SampleBlock, ScreenedChannel, Standing, StateMessage, Status, StreamState, ToldMotion,
-    ToldSamples, UndecidedBecause, fit_in_words, is_without_date, pace_told,
+    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelFitDisplay, ChannelState,
+    ClassCalibration, ClassPlausibility, CredibleInterval, DecodeError, Description, EncodeError,
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, FitDisplay,
+    FitReason, FitReasons, FitVerdict, Format, FrameBlock, Header, HistoryLog, HistoryRows,
+    HistorySpan, Load, LocalDensity, LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES,
+    MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay,
+    MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay,
+    Pace, ParameterDisplay, Phase, Progress, RoundedProbability, SampleBlock, ScreenedChannel,
+    Standing, StateMessage, Status, StreamState, ToldMotion, ToldSamples, UndecidedBecause,
+    fit_in_words, is_without_date, pace_told,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};
-pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStandby, NumberedStream, Older};
+pub use publish::{
+    DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStandby, NumberedStream, Older,
+};
 pub use questions::{Question, Questions};
 pub use range::{QueryRange, RangeError};
 pub use ring::{Answer, Forget, Keep, NotConsecutive, Ring};

@@ -138,15 +138,28 @@ impl Bus {
         timeout: Duration,
     ) -> BoxedFuture<'a, Result<BTreeSet<String>, BusError>> {
         Box::pin(async move {
-            let asked = self.session().liveliness().get(key_expression).timeout(timeout).await;
-            let refused = |source| BusError::Declare { key: key_expression.to_owned(), source };
+            let asked = self
+                .session()
+                .liveliness()
+                .get(key_expression)
+                .timeout(timeout)
+                .await;
+            let refused = |source| BusError::Declare {
+                key: key_expression.to_owned(),
+                source,
+            };
             let replies = match asked {
                 Ok(replies) => replies,
                 Err(source) => return Err(refused(source)),
             };
             let mut present = BTreeSet::new();
             while let Ok(reply) = replies.recv_async().await {
-                present.extend(reply.result().ok().map(|token| token.key_expr().to_string()));
+                present.extend(
+                    reply
+                        .result()
+                        .ok()
+                        .map(|token| token.key_expr().to_string()),
+                );
             }
             Ok(present)
         })
@@ -156,7 +169,10 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
-    pub fn watch_live<'a>(&'a self, key_expression: String) -> BoxedFuture<'a, Result<LiveWatch, BusError>> {
+    pub fn watch_live<'a>(
+        &'a self,
+        key_expression: String,
+    ) -> BoxedFuture<'a, Result<LiveWatch, BusError>> {
         Box::pin(async move {
             let (changes, present) = watch::channel(Presence::default());
             let (doubt, doubtful) = mpsc::unbounded_channel();
@@ -180,10 +196,18 @@ impl Bus {
                 .await;
             match declared {
                 Ok(subscriber) => {
-                    let doubts = tokio::spawn(settle_doubts(self.session().clone(), changes, doubtful));
-                    Ok(LiveWatch { present, _subscriber: subscriber, doubts })
+                    let doubts =
+                        tokio::spawn(settle_doubts(self.session().clone(), changes, doubtful));
+                    Ok(LiveWatch {
+                        present,
+                        _subscriber: subscriber,
+                        doubts,
+                    })
                 }
-                Err(source) => Err(BusError::Declare { key: key_expression, source }),
+                Err(source) => Err(BusError::Declare {
+                    key: key_expression,
+                    source,
+                }),
             }
         })
     }
@@ -209,7 +233,11 @@ impl LiveWatch {
 
     /// Waits until at least one token is there.
     pub async fn some(&mut self) {
-        let closed = self.present.wait_for(|present| !present.tokens.is_empty()).await.is_err();
+        let closed = self
+            .present
+            .wait_for(|present| !present.tokens.is_empty())
+            .await
+            .is_err();
         if closed {
             std::future::pending().await
         }
@@ -218,7 +246,10 @@ impl LiveWatch {
     /// Waits until no token is there.
     pub async fn none(&mut self) {
         // A closed session has no tokens either.
-        let _ = self.present.wait_for(|present| present.tokens.is_empty()).await;
+        let _ = self
+            .present
+            .wait_for(|present| present.tokens.is_empty())
+            .await;
     }
 }
 
@@ -234,7 +265,10 @@ mod tests {
         assert!(!presence.comes("one"), "it is back");
         presence.goes("two");
         assert!(presence.comes("two"));
-        assert!(presence.tokens.contains("two"), "until it is known to be gone");
+        assert!(
+            presence.tokens.contains("two"),
+            "until it is known to be gone"
+        );
         presence.was_gone("two");
         assert!(presence.tokens.iter().eq(["one"]));
         assert!(!presence.comes("two"), "it is there after all");

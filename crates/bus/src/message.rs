@@ -37,11 +37,17 @@ pub use description::Description;
 pub use estimates::{Estimate, EstimateBlock, EstimateFlags, Phase};
 pub use event::{Event, EventKind};
 pub use feedback::FeedbackMessage;
-pub use fit::{ChannelFitDisplay, FitDisplay, FitReason, FitReasons, FitVerdict, UndecidedBecause, fit_in_words};
+pub use fit::{
+    ChannelFitDisplay, FitDisplay, FitReason, FitReasons, FitVerdict, UndecidedBecause,
+    fit_in_words,
+};
 pub use frames::FrameBlock;
 pub use header::{Header, MAX_SOURCE_BYTES};
 pub use history::{HistoryLog, HistoryRows, HistorySpan};
-pub use local::{LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion, ToldSamples};
+pub use local::{
+    LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,
+    ToldSamples,
+};
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
 pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;
@@ -96,7 +102,11 @@ pub trait Message: Serialize + DeserializeOwned {
             Format::Postcard => "postcard",
             Format::Json => "json",
         };
-        format!("application/{format};spandrel.{}.v{}", Self::TYPE, Self::VERSION)
+        format!(
+            "application/{format};spandrel.{}.v{}",
+            Self::TYPE,
+            Self::VERSION
+        )
     }
 
     /// The payload.
@@ -110,7 +120,9 @@ pub trait Message: Serialize + DeserializeOwned {
             Format::Json => serde_json::to_vec(self)?,
         };
         if payload.len() > MAX_MESSAGE_BYTES {
-            return Err(EncodeError::TooLarge { bytes: payload.len() });
+            return Err(EncodeError::TooLarge {
+                bytes: payload.len(),
+            });
         }
         Ok(payload)
     }
@@ -129,7 +141,9 @@ pub trait Message: Serialize + DeserializeOwned {
             return Err(DecodeError::Encoding { expected, found });
         }
         if payload.len() > MAX_MESSAGE_BYTES {
-            return Err(DecodeError::TooLarge { bytes: payload.len() });
+            return Err(DecodeError::TooLarge {
+                bytes: payload.len(),
+            });
         }
         let message: Self = match Self::FORMAT {
             Format::Postcard => {
@@ -294,11 +308,21 @@ impl DecodeError {
     }
 }
 
-fn check_count(what: &'static str, found: usize, least: usize, most: usize) -> Result<(), Malformed> {
+fn check_count(
+    what: &'static str,
+    found: usize,
+    least: usize,
+    most: usize,
+) -> Result<(), Malformed> {
     if (least..=most).contains(&found) {
         return Ok(());
     }
-    Err(Malformed::Count { what, found, least, most })
+    Err(Malformed::Count {
+        what,
+        found,
+        least,
+        most,
+    })
 }
 
 fn check_finite(what: &'static str, found: f64) -> Result<(), Malformed> {
@@ -309,7 +333,9 @@ fn check_finite(what: &'static str, found: f64) -> Result<(), Malformed> {
 }
 
 fn check_finite_list(what: &'static str, values: &[f64]) -> Result<(), Malformed> {
-    values.iter().try_for_each(|value| check_finite(what, *value))
+    values
+        .iter()
+        .try_for_each(|value| check_finite(what, *value))
 }
 
 /// NaN is a missing value; infinity is a mistake.
@@ -324,7 +350,12 @@ fn check_range(what: &'static str, found: f64, low: f64, high: f64) -> Result<()
     if (low..=high).contains(&found) {
         return Ok(());
     }
-    Err(Malformed::Range { what, found, low, high })
+    Err(Malformed::Range {
+        what,
+        found,
+        low,
+        high,
+    })
 }
 
 #[cfg(test)]

@@ -56,7 +56,10 @@ impl Name {
         }
         let refused = |c: &char| !(c.is_ascii_lowercase() || c.is_ascii_digit() || *c == '-');
         match text.chars().find(refused) {
-            Some(character) => Err(NameError::Character { found: text, character }),
+            Some(character) => Err(NameError::Character {
+                found: text,
+                character,
+            }),
             None => Ok(Self(text)),
         }
     }
@@ -123,6 +126,9 @@ mod tests {
     #[test]
     fn empty_and_long_names_are_refused() {
         assert_eq!(Name::new(""), Err(NameError::Empty));
-        assert!(matches!(Name::new("a".repeat(65)), Err(NameError::TooLong { .. })));
+        assert!(matches!(
+            Name::new("a".repeat(65)),
+            Err(NameError::TooLong { .. })
+        ));
     }
 }

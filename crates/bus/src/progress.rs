@@ -53,7 +53,11 @@ impl Bus {
             let (latest, changes) = watch::channel(Latest::default());
             let mut repeating = JoinSet::new();
             repeating.spawn(repeat(publisher, changes));
-            Ok(ProgressPublisher { source, latest, _repeating: repeating })
+            Ok(ProgressPublisher {
+                source,
+                latest,
+                _repeating: repeating,
+            })
         })
     }
 
@@ -61,7 +65,10 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
-    pub fn watch_progress<'a>(&'a self, key: String) -> BoxedFuture<'a, Result<ProgressWatch, BusError>> {
+    pub fn watch_progress<'a>(
+        &'a self,
+        key: String,
+    ) -> BoxedFuture<'a, Result<ProgressWatch, BusError>> {
         Box::pin(async move {
             let (changes, latest) = watch::channel(None);
             let declared = self.session().declare_subscriber(key.clone());
@@ -72,7 +79,10 @@ impl Bus {
                 })
                 .await
                 .map_err(|source| BusError::Declare { key, source })?;
-            Ok(ProgressWatch { latest, _subscriber: Arc::new(subscriber) })
+            Ok(ProgressWatch {
+                latest,
+                _subscriber: Arc::new(subscriber),
+            })
         })
     }
 }
@@ -109,8 +119,9 @@ impl Latest {
         let (epoch, done) = (progress.header.epoch, progress.done);
         self.progress = Some(progress);
         self.untold += 1;
-        let is_small =
-            self.told.is_some_and(|(told, from)| told == epoch && done.abs_diff(from) < STEP && self.untold < CHANGES);
+        let is_small = self.told.is_some_and(|(told, from)| {
+            told == epoch && done.abs_diff(from) < STEP && self.untold < CHANGES
+        });
         if !is_small {
             (self.told, self.untold) = (Some((epoch, done)), 0);
         }
@@ -127,8 +138,14 @@ impl ProgressPublisher {
 
     /// As [`ProgressPublisher::set`], of a service that would need the frames from number `kept` on again if it were killed.
     pub fn set_kept(&self, epoch: u64, done: u64, time_ns: i64, kept: u64) {
-        let header = Header { source: self.source.clone(), epoch, sequence: done, time_ns };
-        self.latest.send_if_modified(|latest| latest.take(Progress { header, done, kept }));
+        let header = Header {
+            source: self.source.clone(),
+            epoch,
+            sequence: done,
+            time_ns,
+        };
+        self.latest
+            .send_if_modified(|latest| latest.take(Progress { header, done, kept }));
     }
 }
 
@@ -141,7 +158,10 @@ impl ProgressWatch {
 
     /// Waits until a progress message arrives that fulfils a condition, and returns it; the last one counts.
     pub async fn wait_for(&mut self, mut reached: impl FnMut(&Progress) -> bool) -> Progress {
-        let waited = self.latest.wait_for(|progress| progress.as_ref().is_some_and(&mut reached)).await;
+        let waited = self
+            .latest
+            .wait_for(|progress| progress.as_ref().is_some_and(&mut reached))
+            .await;
         match waited.map(|progress| progress.clone()) {
             Ok(Some(progress)) => progress,
             Ok(None) | Err(_) => std::future::pending().await, // the session is closed: nothing arrives any more
@@ -156,13 +176,23 @@ mod tests {
     #[test]
     fn one_change_in_four_is_told_and_every_great_step() {
         let progress = |epoch, done| Progress {
-            header: Header { source: "ingest".into(), epoch, sequence: done, time_ns: 0 },
+            header: Header {
+                source: "ingest".into(),
+                epoch,
+                sequence: done,
+                time_ns: 0,
+            },
             done,
             kept: done,
         };
         let mut latest = Latest::default();
-        let small: Vec<bool> = (1..=9).map(|block| latest.take(progress(1, 5 * block))).collect();
-        assert_eq!(small, [true, false, false, false, true, false, false, false, true]);
+        let small: Vec<bool> = (1..=9)
+            .map(|block| latest.take(progress(1, 5 * block)))
+            .collect();
+        assert_eq!(
+            small,
+            [true, false, false, false, true, false, false, false, true]
+        );
         assert!(latest.take(progress(1, 45 + STEP)));
         assert!(!latest.take(progress(1, 50 + STEP)));
         assert!(latest.take(progress(2, 5)), "another epoch");

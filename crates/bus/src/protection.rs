@@ -23,8 +23,14 @@ pub(crate) fn check(config: &mut zenoh::Config) -> Result<(), BusError> {
     }
     let certificates = check_certificates(config)?;
     let connect = endpoints(config, "connect/endpoints")?;
-    if let Some(endpoint) = listen.iter().chain(&connect).find(|endpoint| Endpoint::new(endpoint).is_tls_over_tcp()) {
-        return Err(BusError::TlsOverTcp { endpoint: endpoint.clone() });
+    if let Some(endpoint) = listen
+        .iter()
+        .chain(&connect)
+        .find(|endpoint| Endpoint::new(endpoint).is_tls_over_tcp())
+    {
+        return Err(BusError::TlsOverTcp {
+            endpoint: endpoint.clone(),
+        });
     }
     for endpoint in &listen {
         let parts = Endpoint::new(endpoint);
@@ -32,14 +38,23 @@ pub(crate) fn check(config: &mut zenoh::Config) -> Result<(), BusError> {
             continue;
         }
         if !parts.is_quic() {
-            return Err(BusError::Unprotected { endpoint: endpoint.clone() });
+            return Err(BusError::Unprotected {
+                endpoint: endpoint.clone(),
+            });
         }
         if !certificates.asked_for || parts.waives_certificates() {
-            return Err(BusError::NoCertificateAsked { endpoint: endpoint.clone() });
+            return Err(BusError::NoCertificateAsked {
+                endpoint: endpoint.clone(),
+            });
         }
     }
-    if let Some(endpoint) = connect.iter().find(|endpoint| Endpoint::new(endpoint).is_quic() && !certificates.own) {
-        return Err(BusError::NoCertificates { endpoint: endpoint.clone() });
+    if let Some(endpoint) = connect
+        .iter()
+        .find(|endpoint| Endpoint::new(endpoint).is_quic() && !certificates.own)
+    {
+        return Err(BusError::NoCertificates {
+            endpoint: endpoint.clone(),
+        });
     }
     let only_quic = get(config, "transport/link/protocols")? == serde_json::json!(["quic"]);
     if get(config, "scouting/multicast/enabled")? != Value::Bool(false) && !only_quic {
@@ -70,13 +85,24 @@ fn endpoints(config: &zenoh::Config, key: &'static str) -> Result<Vec<String>, B
     };
     let one = |value: &Value| match value {
         Value::String(text) => text.clone(),
-        other => other.get("endpoint").and_then(Value::as_str).unwrap_or_default().to_owned(),
+        other => other
+            .get("endpoint")
+            .and_then(Value::as_str)
+            .unwrap_or_default()
+            .to_owned(),
     };
-    Ok(of_mode.as_array().map(|list| list.iter().map(one).collect()).unwrap_or_default())
+    Ok(of_mode
+        .as_array()
+        .map(|list| list.iter().map(one).collect())
+        .unwrap_or_default())
 }
 
 fn get(config: &zenoh::Config, key: &'static str) -> Result<Value, BusError> {
-    let text = config.get_json(key).map_err(|source| BusError::Setting { key, value: String::new(), source })?;
+    let text = config.get_json(key).map_err(|source| BusError::Setting {
+        key,
+        value: String::new(),
+        source,
+    })?;
     Ok(serde_json::from_str(&text).unwrap_or(Value::Null))
 }
 
@@ -94,12 +120,22 @@ fn check_certificates(config: &zenoh::Config) -> Result<Certificates, BusError> 
     let file = |key: &str| tls.get(key).and_then(Value::as_str).map(PathBuf::from);
     let given = |key: &str| tls.get(key).is_some_and(|value| !value.is_null());
     let authority = file("root_ca_certificate");
-    for (certificate, key) in
-        [("listen_certificate", "listen_private_key"), ("connect_certificate", "connect_private_key")]
-    {
-        match (file(certificate), file(key), authority.as_deref().map(Path::to_owned)) {
+    for (certificate, key) in [
+        ("listen_certificate", "listen_private_key"),
+        ("connect_certificate", "connect_private_key"),
+    ] {
+        match (
+            file(certificate),
+            file(key),
+            authority.as_deref().map(Path::to_owned),
+        ) {
             (Some(certificate), Some(key), authority @ Some(_)) => {
-                TlsConfig { certificate, key: Some(key), authority }.check()?;
+                TlsConfig {
+                    certificate,
+                    key: Some(key),
+                    authority,
+                }
+                .check()?;
             }
             (Some(certificate), Some(key), None) => drop(read_pair(&certificate, &key)?),
             // given as text in the file itself, or not at all
@@ -107,8 +143,12 @@ fn check_certificates(config: &zenoh::Config) -> Result<Certificates, BusError> 
         }
     }
     let either = |file: &str| given(file) || given(&format!("{file}_base64"));
-    let asked_for = tls.get("enable_mtls") == Some(&Value::Bool(true)) && either("root_ca_certificate");
-    Ok(Certificates { asked_for, own: either("connect_certificate") && either("connect_private_key") })
+    let asked_for =
+        tls.get("enable_mtls") == Some(&Value::Bool(true)) && either("root_ca_certificate");
+    Ok(Certificates {
+        asked_for,
+        own: either("connect_certificate") && either("connect_private_key"),
+    })
 }
 
 #[cfg(test)]
@@ -133,9 +173,15 @@ mod tests {
     fn plain_tcp_beyond_this_machine_is_refused_by_name() {
         for endpoint in ["tcp/0.0.0.0:7447", "udp/10.0.0.5:1", "tcp/[::]:7447"] {
             let error = checked(&router(endpoint, "")).unwrap_err();
-            assert!(matches!(&error, BusError::Unprotected { endpoint: found } if found == endpoint), "{error}");
+            assert!(
+                matches!(&error, BusError::Unprotected { endpoint: found } if found == endpoint),
+                "{error}"
+            );
         }
-        assert_eq!(checked(&router("tcp/127.0.0.1:7447", "")).unwrap(), ["tcp/127.0.0.1:7447"]);
+        assert_eq!(
+            checked(&router("tcp/127.0.0.1:7447", "")).unwrap(),
+            ["tcp/127.0.0.1:7447"]
+        );
     }
 
     #[test]
@@ -143,13 +189,25 @@ mod tests {
         for (endpoint, tls) in [
             ("quic/0.0.0.0:7447", ""),
             ("quic/0.0.0.0:7447", "enable_mtls: true"),
-            ("quic/0.0.0.0:7447", "enable_mtls: false, root_ca_certificate: \"a.pem\""),
-            ("quic/0.0.0.0:7447#enable_mtls=false", "enable_mtls: true, root_ca_certificate: \"a.pem\""),
+            (
+                "quic/0.0.0.0:7447",
+                "enable_mtls: false, root_ca_certificate: \"a.pem\"",
+            ),
+            (
+                "quic/0.0.0.0:7447#enable_mtls=false",
+                "enable_mtls: true, root_ca_certificate: \"a.pem\"",
+            ),
         ] {
             let error = checked(&router(endpoint, tls)).unwrap_err();
-            assert!(matches!(error, BusError::NoCertificateAsked { .. }), "{endpoint} {tls}: {error}");
+            assert!(
+                matches!(error, BusError::NoCertificateAsked { .. }),
+                "{endpoint} {tls}: {error}"
+            );
         }
-        let mutual = router("quic/0.0.0.0:7447", "enable_mtls: true, root_ca_certificate: \"a.pem\"");
+        let mutual = router(
+            "quic/0.0.0.0:7447",
+            "enable_mtls: true, root_ca_certificate: \"a.pem\"",
+        );
         assert_eq!(checked(&mutual).unwrap(), ["quic/0.0.0.0:7447"]);
     }
 
@@ -167,7 +225,10 @@ mod tests {
     fn endpoints_of_the_mode_count_in_both_spellings() {
         let by_mode = "{mode: \"router\", scouting: {multicast: {enabled: false}}, \
                        listen: {endpoints: {router: [\"tcp/10.0.0.5:1\"], peer: [\"tcp/127.0.0.1:0\"]}}}";
-        assert!(matches!(checked(by_mode), Err(BusError::Unprotected { .. })));
+        assert!(matches!(
+            checked(by_mode),
+            Err(BusError::Unprotected { .. })
+        ));
         assert!(checked(&by_mode.replace("mode: \"router\"", "mode: \"peer\"")).is_ok());
     }
 
@@ -175,7 +236,10 @@ mod tests {
     fn tls_over_tcp_is_refused_and_what_to_use_is_told() {
         let certificates = "enable_mtls: true, root_ca_certificate: \"a.pem\"";
         let error = checked(&router("tls/127.0.0.1:7447", certificates)).unwrap_err();
-        assert!(error.to_string().contains("tls/127.0.0.1:7447") && error.to_string().contains("quic/"), "{error}");
+        assert!(
+            error.to_string().contains("tls/127.0.0.1:7447") && error.to_string().contains("quic/"),
+            "{error}"
+        );
         let text = "{mode: \"client\", connect: {endpoints: [\"tls/site.example:7447\"]}, \
                     scouting: {multicast: {enabled: false}}}";
         assert!(matches!(checked(text), Err(BusError::TlsOverTcp { .. })));
@@ -185,6 +249,9 @@ mod tests {
     fn a_connection_without_a_certificate_is_refused() {
         let text = "{mode: \"client\", connect: {endpoints: [\"quic/site.example:7447\"]}, \
                     scouting: {multicast: {enabled: false}}}";
-        assert!(matches!(checked(text), Err(BusError::NoCertificates { .. })));
+        assert!(matches!(
+            checked(text),
+            Err(BusError::NoCertificates { .. })
+        ));
     }
 }

@@ -80,7 +80,10 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses a key, or the session is closed.
-    pub async fn publish_numbered<B: Block>(&self, stream: NumberedStream) -> Result<NumberedPublisher<B>, BusError> {
+    pub async fn publish_numbered<B: Block>(
+        &self,
+        stream: NumberedStream,
+    ) -> Result<NumberedPublisher<B>, BusError> {
         self.publish_archived(stream, None).await
     }
 
@@ -93,22 +96,51 @@ impl Bus {
         stream: NumberedStream,
         older: Option<Older<B>>,
     ) -> Result<NumberedPublisher<B>, BusError> {
-        let NumberedStream { key, buffer_key, source, epoch, first, state, keep } = stream;
-        let ring = Arc::new(Mutex::new(Ring::new(source, epoch, keep).going_on(first, state)));
+        let NumberedStream {
+            key,
+            buffer_key,
+            source,
+            epoch,
+            first,
+            state,
+            keep,
+        } = stream;
+        let ring = Arc::new(Mutex::new(
+            Ring::new(source, epoch, keep).going_on(first, state),
+        ));
         let answering = self.answer(buffer_key, ring.clone(), older).await?;
         let publisher = declare_publisher::<B>(self.session(), key).await?;
-        Ok(NumberedPublisher { publisher, ring, _answering: answering })
+        Ok(NumberedPublisher {
+            publisher,
+            ring,
+            _answering: answering,
+        })
     }
 
     /// Declares a lossless stream that another source puts, and that this one may come to lead: nothing is put nor answered till then.
     ///
     /// # Errors
     /// As [`Bus::publish_numbered`].
-    pub async fn stand_by_numbered<B: Block>(&self, stream: NumberedStream) -> Result<NumberedStandby<B>, BusError> {
-        let NumberedStream { key, buffer_key, source, epoch, first, state, keep } = stream;
+    pub async fn stand_by_numbered<B: Block>(
+        &self,
+        stream: NumberedStream,
+    ) -> Result<NumberedStandby<B>, BusError> {
+        let NumberedStream {
+            key,
+            buffer_key,
+            source,
+            epoch,
+            first,
+            state,
+            keep,
+        } = stream;
         let ring = Ring::new(source, epoch, keep).going_on(first, state);
         let publisher = declare_publisher::<B>(self.session(), key).await?;
-        Ok(NumberedStandby { publisher, buffer_key, ring })
+        Ok(NumberedStandby {
+            publisher,
+            buffer_key,
+            ring,
+        })
     }
 
     async fn answer<B: Block>(
@@ -121,16 +153,25 @@ impl Bus {
         let queryable = declare_queryable(self.session(), buffer_key, queries).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(answer_queries(ring, older, waiting));
-        Ok(Answering { _queryable: queryable, _tasks: tasks })
+        Ok(Answering {
+            _queryable: queryable,
+            _tasks: tasks,
+        })
     }
 
     /// Declares a topic for people and dashboards: a value that the network cannot take is dropped.
     ///
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
-    pub async fn publish_display<M: Message>(&self, key: String) -> Result<DisplayPublisher<M>, BusError> {
+    pub async fn publish_display<M: Message>(
+        &self,
+        key: String,
+    ) -> Result<DisplayPublisher<M>, BusError> {
         let publisher = declare_publisher::<M>(self.session(), key).await?;
-        Ok(DisplayPublisher { publisher, message: PhantomData })
+        Ok(DisplayPublisher {
+            publisher,
+            message: PhantomData,
+        })
     }
 
     /// Declares a topic whose last value is also given on query.
@@ -148,11 +189,19 @@ impl Bus {
         let answer_key = key.clone();
         answering.spawn(answer_latest::<M>(answer_key, latest.clone(), waiting));
         let publisher = self.publish_display(key).await?;
-        Ok(LatestPublisher { publisher, latest, _queryable: queryable, _answering: answering })
+        Ok(LatestPublisher {
+            publisher,
+            latest,
+            _queryable: queryable,
+            _answering: answering,
+        })
     }
 }
 
-async fn declare_publisher<M: Message>(session: &Session, key: String) -> Result<Publisher<'static>, BusError> {
+async fn declare_publisher<M: Message>(
+    session: &Session,
+    key: String,
+) -> Result<Publisher<'static>, BusError> {
     let declared = session
         .declare_publisher(key.clone())
         .encoding(M::encoding())
@@ -168,7 +217,10 @@ pub(crate) async fn declare_queryable(
     key: String,
     queries: flume::Sender<Query>,
 ) -> Result<Queryable<()>, BusError> {
-    let declared = session.declare_queryable(key.clone()).callback(move |query| drop(queries.try_send(query))).await;
+    let declared = session
+        .declare_queryable(key.clone())
+        .callback(move |query| drop(queries.try_send(query)))
+        .await;
     declared.map_err(|source| BusError::Declare { key, source })
 }
 
@@ -183,12 +235,21 @@ async fn put<M: Message>(publisher: &Publisher<'static>, message: &M) -> Result<
 }
 
 fn encode<M: Message>(key: &KeyExpr<'_>, message: &M) -> Result<Vec<u8>, BusError> {
-    message.encode().map_err(|source| BusError::Encode { key: key.to_string(), source })
+    message.encode().map_err(|source| BusError::Encode {
+        key: key.to_string(),
+        source,
+    })
 }
 
-async fn put_payload(publisher: &Publisher<'static>, payload: impl Into<ZBytes>) -> Result<(), BusError> {
+async fn put_payload(
+    publisher: &Publisher<'static>,
+    payload: impl Into<ZBytes>,
+) -> Result<(), BusError> {
     let put = publisher.put(payload).await;
-    put.map_err(|source| BusError::Put { key: publisher.key_expr().to_string(), source })
+    put.map_err(|source| BusError::Put {
+        key: publisher.key_expr().to_string(),
+        source,
+    })
 }
 
 impl<B: Block> NumberedPublisher<B> {
@@ -210,7 +271,12 @@ impl<B: Block> NumberedPublisher<B> {
         block.set_term(lock(&self.ring).term());
         let payload = encode(self.publisher.key_expr(), &block)?;
         // Into the ring first: whoever sees a gap after this put finds the block there.
-        push(&mut lock(&self.ring), self.publisher.key_expr(), &block, &payload)?;
+        push(
+            &mut lock(&self.ring),
+            self.publisher.key_expr(),
+            &block,
+            &payload,
+        )?;
         put_payload(&self.publisher, payload).await
     }
 
@@ -220,15 +286,25 @@ impl<B: Block> NumberedPublisher<B> {
     /// # Errors
     /// The session is closed.
     pub async fn put_again(&self, epoch: u64, after: u64) -> Result<(), BusError> {
-        let mut range = QueryRange { after, limit: u64::MAX, epoch: Some(epoch) };
+        let mut range = QueryRange {
+            after,
+            limit: u64::MAX,
+            epoch: Some(epoch),
+        };
         loop {
             let answer = lock(&self.ring).answer(&range);
-            let Answer::Block(block) = answer else { return Ok(()) };
+            let Answer::Block(block) = answer else {
+                return Ok(());
+            };
             put(&self.publisher, &block).await?;
             if block.count() == 0 || block.state() == StreamState::Ended {
                 return Ok(());
             }
-            range = QueryRange { after: block.end(), epoch: Some(block.header().epoch), ..range };
+            range = QueryRange {
+                after: block.end(),
+                epoch: Some(block.header().epoch),
+                ..range
+            };
         }
     }
 }
@@ -253,22 +329,45 @@ impl<B: Block> NumberedStandby<B> {
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
     pub async fn lead(self, bus: &Bus, term: u64) -> Result<NumberedPublisher<B>, BusError> {
-        let Self { publisher, buffer_key, mut ring } = self;
+        let Self {
+            publisher,
+            buffer_key,
+            mut ring,
+        } = self;
         ring.lead(term);
         let ring = Arc::new(Mutex::new(ring));
         let answering = bus.answer(buffer_key, ring.clone(), None).await?;
-        Ok(NumberedPublisher { publisher, ring, _answering: answering })
+        Ok(NumberedPublisher {
+            publisher,
+            ring,
+            _answering: answering,
+        })
     }
 }
 
-fn push<B: Block>(ring: &mut Ring<B>, key: &KeyExpr<'_>, block: &B, payload: &[u8]) -> Result<(), BusError> {
-    #[expect(clippy::disallowed_methods, reason = "how long blocks are kept goes by the time at which they were put")]
+fn push<B: Block>(
+    ring: &mut Ring<B>,
+    key: &KeyExpr<'_>,
+    block: &B,
+    payload: &[u8],
+) -> Result<(), BusError> {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "how long blocks are kept goes by the time at which they were put"
+    )]
     let now = Instant::now();
     let pushed = ring.push(block, payload, now);
-    pushed.map_err(|source| BusError::NotConsecutive { key: key.to_string(), source })
+    pushed.map_err(|source| BusError::NotConsecutive {
+        key: key.to_string(),
+        source,
+    })
 }
 
-async fn answer_queries<B: Block>(ring: Arc<Mutex<Ring<B>>>, older: Option<Older<B>>, queries: flume::Receiver<Query>) {
+async fn answer_queries<B: Block>(
+    ring: Arc<Mutex<Ring<B>>>,
+    older: Option<Older<B>>,
+    queries: flume::Receiver<Query>,
+) {
     while let Ok(query) = queries.recv_async().await {
         let range: QueryRange = match query.parameters().as_str().parse() {
             Ok(range) => range,
@@ -295,7 +394,11 @@ async fn answer_queries<B: Block>(ring: Arc<Mutex<Ring<B>>>, older: Option<Older
 }
 
 /// What an asker wants that is only in the archive; read on a thread that may wait for the disk.
-async fn read_archive<B: Block>(ring: &Mutex<Ring<B>>, older: &Older<B>, range: &QueryRange) -> Option<B> {
+async fn read_archive<B: Block>(
+    ring: &Mutex<Ring<B>>,
+    older: &Older<B>,
+    range: &QueryRange,
+) -> Option<B> {
     let lookup = Lookup::of(&*lock(ring), range, older.recent)?;
     let archive = older.archive.clone();
     let read = tokio::task::spawn_blocking(move || lookup.read(&*archive));
@@ -348,7 +451,11 @@ impl<M: Message> LatestPublisher<M> {
     }
 }
 
-async fn answer_latest<M: Message>(key: String, latest: Arc<Mutex<Option<Vec<u8>>>>, queries: flume::Receiver<Query>) {
+async fn answer_latest<M: Message>(
+    key: String,
+    latest: Arc<Mutex<Option<Vec<u8>>>>,
+    queries: flume::Receiver<Query>,
+) {
     let Ok(key) = KeyExpr::new(key) else {
         return; // it has been declared, so it is one
     };

@@ -34,8 +34,12 @@ impl Bus {
     ) -> BoxedFuture<'a, Result<Questions, BusError>> {
         Box::pin(async move {
             let (sender, queries) = flume::bounded(waiting.max(1));
-            let queryable = crate::publish::declare_queryable(self.session(), key_expression, sender).await?;
-            Ok(Questions { queries, _queryable: queryable })
+            let queryable =
+                crate::publish::declare_queryable(self.session(), key_expression, sender).await?;
+            Ok(Questions {
+                queries,
+                _queryable: queryable,
+            })
         })
     }
 }
@@ -72,7 +76,10 @@ impl Question {
     /// # Errors
     /// The message is malformed. That the asker has gone is none.
     pub async fn answer<M: Message>(&self, key: &str, message: &M) -> Result<(), BusError> {
-        let payload = message.encode().map_err(|source| BusError::Encode { key: key.to_owned(), source })?;
+        let payload = message.encode().map_err(|source| BusError::Encode {
+            key: key.to_owned(),
+            source,
+        })?;
         if let Err(error) = self.query.reply(key, payload).encoding(M::encoding()).await {
             debug!(key, %error, "answer not sent");
         }

@@ -46,8 +46,12 @@ impl FromStr for QueryRange {
                 .split(';')
                 .filter_map(|pair| pair.split_once('='))
                 .find_map(|(k, value)| (k == key).then_some(value));
-            let parse =
-                |text: &str| text.parse().map_err(|_| RangeError { key, found: text.chars().take(32).collect() });
+            let parse = |text: &str| {
+                text.parse().map_err(|_| RangeError {
+                    key,
+                    found: text.chars().take(32).collect(),
+                })
+            };
             value.map(parse).transpose()
         };
         Ok(Self {
@@ -75,7 +79,11 @@ mod tests {
     #[test]
     fn what_is_written_is_read_back() {
         for epoch in [None, Some(u64::MAX)] {
-            let range = QueryRange { after: 7, limit: 9, epoch };
+            let range = QueryRange {
+                after: 7,
+                limit: 9,
+                epoch,
+            };
             assert_eq!(range.to_string().parse(), Ok(range));
         }
     }

@@ -25,9 +25,15 @@ pub(crate) struct Intake {
 
 impl Intake {
     pub(crate) fn new() -> Self {
-        #[expect(clippy::disallowed_methods, reason = "floods are told by the clock of the wall")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "floods are told by the clock of the wall"
+        )]
         let start = Instant::now();
-        Self { gate: FloodGate::default(), start }
+        Self {
+            gate: FloodGate::default(),
+            start,
+        }
     }
 
     /// Takes a sample, or says why not.

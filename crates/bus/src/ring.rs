@@ -44,7 +44,11 @@ impl Keep {
     /// The last so many items, however old.
     #[must_use]
     pub fn last(last: u64) -> Self {
-        Self { last, needed: None, released: None }
+        Self {
+            last,
+            needed: None,
+            released: None,
+        }
     }
 }
 
@@ -87,13 +91,28 @@ impl<B: Block> Ring<B> {
     #[must_use]
     pub fn new(source: String, epoch: u64, keep: Keep) -> Self {
         let (blocks, state) = (KeptBlocks::default(), StreamState::Running);
-        Self { source, epoch, term: 0, blocks, items: 0, keep, released: 0, next: 0, state, block: PhantomData }
+        Self {
+            source,
+            epoch,
+            term: 0,
+            blocks,
+            items: 0,
+            keep,
+            released: 0,
+            next: 0,
+            state,
+            block: PhantomData,
+        }
     }
 
     /// As [`Ring::new`], of a source that goes on at item `first` of its epoch: those before it are kept elsewhere, or nowhere.
     #[must_use]
     pub fn going_on(self, first: u64, state: StreamState) -> Self {
-        Self { next: first, state, ..self }
+        Self {
+            next: first,
+            state,
+            ..self
+        }
     }
 
     /// Answers in this term of leadership from now on.
@@ -113,7 +132,9 @@ impl<B: Block> Ring<B> {
 
     /// Number of the oldest item kept; that of the next one if none is.
     pub(crate) fn first(&self) -> u64 {
-        self.blocks.front().map_or(self.next, |oldest| oldest.sequence)
+        self.blocks
+            .front()
+            .map_or(self.next, |oldest| oldest.sequence)
     }
 
     /// Number of the item expected next.
@@ -132,7 +153,11 @@ impl<B: Block> Ring<B> {
     /// Takes back the items from number `first` on: the source will put them again.
     pub fn take_back(&mut self, first: u64) {
         while let Some(last) = self.blocks.back().filter(|last| last.end() > first) {
-            let (sequence, put_at, kept) = (last.sequence, last.put_at, first.saturating_sub(last.sequence));
+            let (sequence, put_at, kept) = (
+                last.sequence,
+                last.put_at,
+                first.saturating_sub(last.sequence),
+            );
             let part = if kept > 0 { decode::<B>(&last) } else { None };
             self.items -= last.count;
             self.blocks.pop_back();
@@ -176,7 +201,8 @@ impl<B: Block> Ring<B> {
         self.next = block.end();
         self.state = block.state();
         self.items += block.count();
-        self.blocks.push(header.sequence, block.count(), payload, now);
+        self.blocks
+            .push(header.sequence, block.count(), payload, now);
         self.forget(now);
         Ok(())
     }
@@ -185,9 +211,14 @@ impl<B: Block> Ring<B> {
         while let Some(oldest) = self.blocks.front().filter(|_| self.blocks.len() > 1) {
             let left = self.items - oldest.count;
             let is_released = oldest.end() <= self.released;
-            let forget = self.keep.released.filter(|_| is_released).or(self.keep.needed);
-            let is_old = forget
-                .is_some_and(|forget| left >= forget.at_least && now.duration_since(oldest.put_at) >= forget.after);
+            let forget = self
+                .keep
+                .released
+                .filter(|_| is_released)
+                .or(self.keep.needed);
+            let is_old = forget.is_some_and(|forget| {
+                left >= forget.at_least && now.duration_since(oldest.put_at) >= forget.after
+            });
             if left < self.keep.last && !is_old {
                 return;
             }
@@ -233,13 +264,23 @@ impl<B: Block> Ring<B> {
     /// Whoever has all items may still not know that the stream has ended.
     fn answer_at_the_end(&self, after: u64) -> Answer<B> {
         let has_all = self.state == StreamState::Ended && after == self.next;
-        match self.blocks.back().filter(|_| has_all).and_then(|kept| self.decode(&kept)) {
+        match self
+            .blocks
+            .back()
+            .filter(|_| has_all)
+            .and_then(|kept| self.decode(&kept))
+        {
             Some(mut end) => {
                 end.skip(end.count());
                 Answer::Block(end)
             }
             None => Answer::CaughtUp(CaughtUp {
-                header: Header { source: self.source.clone(), epoch: self.epoch, sequence: self.next, time_ns: 0 },
+                header: Header {
+                    source: self.source.clone(),
+                    epoch: self.epoch,
+                    sequence: self.next,
+                    time_ns: 0,
+                },
                 state: self.state,
             }),
         }
@@ -257,7 +298,11 @@ mod tests {
     use crate::testing::{frames, push};
 
     fn range(after: u64, limit: u64) -> QueryRange {
-        QueryRange { after, limit, epoch: None }
+        QueryRange {
+            after,
+            limit,
+            epoch: None,
+        }
     }
 
     fn ring(capacity: u64, blocks: &[u64]) -> Ring<crate::FrameBlock> {
@@ -300,65 +345,129 @@ mod tests {
     fn what_is_taken_back_is_put_again() {
         let mut ring = ring(100, &[3, 4, 5]);
         ring.take_back(5);
-        assert_eq!((ring.next(), numbers(ring.answer(&range(0, 100)))), (5, (0, 5)));
+        assert_eq!(
+            (ring.next(), numbers(ring.answer(&range(0, 100)))),
+            (5, (0, 5))
+        );
         push(&mut ring, &frames(1, 5, 9)).unwrap();
         assert_eq!(numbers(ring.answer(&range(0, 100))), (0, 14));
     }
 
     /// A ring into which a block of two frames is put each second, and what it has then.
-    #[expect(clippy::disallowed_methods, reason = "the beginning of times that are then given")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "the beginning of times that are then given"
+    )]
     fn of_a_minute(keep: Keep, release: impl Fn(u64) -> u64) -> (Ring<crate::FrameBlock>, Instant) {
         let mut ring = Ring::new("source".into(), 1, keep);
         let start = Instant::now();
         for second in 0..60 {
             let block = frames(1, 2 * second, 2);
             ring.release(1, release(second));
-            ring.push(&block, &block.encode().unwrap(), start + Duration::from_secs(second)).unwrap();
+            ring.push(
+                &block,
+                &block.encode().unwrap(),
+                start + Duration::from_secs(second),
+            )
+            .unwrap();
         }
         (ring, start)
     }
 
     #[test]
     fn what_is_old_is_forgotten_but_for_the_last_items() {
-        let forget = Forget { at_least: 4, after: Duration::from_secs(30) };
-        let (mut ring, start) = of_a_minute(Keep { needed: Some(forget), ..Keep::last(100) }, |_| 0);
+        let forget = Forget {
+            at_least: 4,
+            after: Duration::from_secs(30),
+        };
+        let (mut ring, start) = of_a_minute(
+            Keep {
+                needed: Some(forget),
+                ..Keep::last(100)
+            },
+            |_| 0,
+        );
         assert_eq!(ring.first(), 60, "30 s of the last 60");
         let late = frames(1, 120, 1);
-        ring.push(&late, &late.encode().unwrap(), start + Duration::from_secs(1000)).unwrap();
-        assert_eq!((ring.first(), ring.next()), (116, 121), "whole blocks with four items or more");
+        ring.push(
+            &late,
+            &late.encode().unwrap(),
+            start + Duration::from_secs(1000),
+        )
+        .unwrap();
+        assert_eq!(
+            (ring.first(), ring.next()),
+            (116, 121),
+            "whole blocks with four items or more"
+        );
     }
 
     #[test]
     fn what_is_needed_stays_longer_than_what_was_released() {
         let keep = Keep {
-            needed: Some(Forget { at_least: 40, after: Duration::from_secs(30) }),
-            released: Some(Forget { at_least: 4, after: Duration::from_secs(10) }),
+            needed: Some(Forget {
+                at_least: 40,
+                after: Duration::from_secs(30),
+            }),
+            released: Some(Forget {
+                at_least: 4,
+                after: Duration::from_secs(10),
+            }),
             ..Keep::last(100)
         };
         let first = |release: fn(u64) -> u64| of_a_minute(keep, release).0.first();
         assert_eq!(first(|_| 0), 60, "nobody says anything: 30 s");
         assert_eq!(first(|second| 2 * second), 100, "the reader has all: 10 s");
-        assert_eq!(first(|second| second.min(15) * 2), 60, "it has gone away, and what it had is old anyway");
-        assert_eq!(first(|second| second.min(40) * 2), 80, "it has gone away, and finds all that it has not");
+        assert_eq!(
+            first(|second| second.min(15) * 2),
+            60,
+            "it has gone away, and what it had is old anyway"
+        );
+        assert_eq!(
+            first(|second| second.min(40) * 2),
+            80,
+            "it has gone away, and finds all that it has not"
+        );
         let restarted = of_a_minute(keep, |second| 2 * second);
         let mut ring = restarted.0;
         push(&mut ring, &frames(2, 0, 1)).unwrap();
         ring.release(1, 1000);
-        assert_eq!((ring.first(), ring.released), (0, 0), "nothing is released of an epoch that has begun");
+        assert_eq!(
+            (ring.first(), ring.released),
+            (0, 0),
+            "nothing is released of an epoch that has begun"
+        );
     }
 
     #[test]
     fn what_is_full_forgets_also_what_is_needed() {
-        let keep = Keep { released: Some(Forget { at_least: 0, after: Duration::ZERO }), ..Keep::last(40) };
+        let keep = Keep {
+            released: Some(Forget {
+                at_least: 0,
+                after: Duration::ZERO,
+            }),
+            ..Keep::last(40)
+        };
         assert_eq!(of_a_minute(keep, |_| 0).0.first(), 80);
-        assert_eq!(of_a_minute(keep, |second| 2 * second).0.first(), 118, "the last block is always kept");
+        assert_eq!(
+            of_a_minute(keep, |second| 2 * second).0.first(),
+            118,
+            "the last block is always kept"
+        );
     }
 
     #[test]
     fn who_has_everything_is_told_so() {
         assert!(matches!(
             ring(5, &[3]).answer(&range(3, 9)),
-            Answer::CaughtUp(CaughtUp { header: Header { epoch: 1, sequence: 3, .. }, .. })
+            Answer::CaughtUp(CaughtUp {
+                header: Header {
+                    epoch: 1,
+                    sequence: 3,
+                    ..
+                },
+                ..
+            })
         ));
         assert_eq!(numbers(ring(5, &[]).answer(&range(u64::MAX, 9))), (0, 0));
     }
@@ -386,16 +495,26 @@ mod tests {
 
     #[test]
     fn a_ring_that_goes_on_expects_the_next_item_and_says_where_it_is() {
-        let mut ring = Ring::new("source".into(), 1, Keep::last(5)).going_on(7, StreamState::Running);
-        assert_eq!((ring.first(), numbers(ring.answer(&range(0, 9)))), (7, (7, 7)));
+        let mut ring =
+            Ring::new("source".into(), 1, Keep::last(5)).going_on(7, StreamState::Running);
+        assert_eq!(
+            (ring.first(), numbers(ring.answer(&range(0, 9)))),
+            (7, (7, 7))
+        );
         assert!(push(&mut ring, &frames(1, 0, 1)).is_err());
         push(&mut ring, &frames(1, 7, 2)).unwrap();
-        assert_eq!((ring.first(), numbers(ring.answer(&range(0, 9)))), (7, (7, 9)));
+        assert_eq!(
+            (ring.first(), numbers(ring.answer(&range(0, 9)))),
+            (7, (7, 9))
+        );
     }
 
     #[test]
     fn an_asker_in_another_epoch_gets_the_oldest() {
-        let other = QueryRange { epoch: Some(7), ..range(2, 9) };
+        let other = QueryRange {
+            epoch: Some(7),
+            ..range(2, 9)
+        };
         assert_eq!(numbers(ring(5, &[3]).answer(&other)), (0, 3));
     }
 

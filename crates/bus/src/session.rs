@@ -127,7 +127,10 @@ impl BusConfig {
     }
 
     fn zenoh_config(&self) -> Result<zenoh::Config, BusError> {
-        if let Some(found) = self.connect_timeout_s.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
+        if let Some(found) = self
+            .connect_timeout_s
+            .filter(|seconds| seconds.is_nan() || *seconds < 0.0)
+        {
             return Err(BusError::ConnectTimeout { found });
         }
         if let Some(found) = self.lease_s.filter(|seconds| !LEASES_S.contains(seconds)) {
@@ -135,7 +138,10 @@ impl BusConfig {
         }
         let mut config = match &self.config_file {
             Some(path) => {
-                zenoh::Config::from_file(path).map_err(|source| BusError::ConfigFile { path: path.clone(), source })?
+                zenoh::Config::from_file(path).map_err(|source| BusError::ConfigFile {
+                    path: path.clone(),
+                    source,
+                })?
             }
             None => zenoh::Config::default(),
         };
@@ -145,7 +151,10 @@ impl BusConfig {
             // On a site network, whoever answers a multicast would become part of the system.
             set("scouting/multicast/enabled", false.into())?;
             // Zenoh would put together messages of 1 GiB, only to have them refused here.
-            set("transport/link/rx/max_message_size", (MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD).into())?;
+            set(
+                "transport/link/rx/max_message_size",
+                (MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD).into(),
+            )?;
             set("listen/endpoints", all_in_order(&self.effective_listen()))?;
         } else if !self.listen.is_empty() {
             set("listen/endpoints", all_in_order(&self.listen))?;
@@ -164,7 +173,10 @@ impl BusConfig {
         }
         if let Some(tls) = &self.tls {
             let (certificate, key) = (text(&tls.certificate)?, text(&tls.key())?);
-            set("transport/link/tls/root_ca_certificate", text(&tls.authority())?)?;
+            set(
+                "transport/link/tls/root_ca_certificate",
+                text(&tls.authority())?,
+            )?;
             set("transport/link/tls/listen_certificate", certificate.clone())?;
             set("transport/link/tls/listen_private_key", key.clone())?;
             set("transport/link/tls/connect_certificate", certificate)?;
@@ -187,28 +199,47 @@ impl BusConfig {
                 () => Ok(()),
             };
             if let Err(source) = bound {
-                return BusError::Listen { endpoint: endpoint.clone(), place: self.place("listen"), source };
+                return BusError::Listen {
+                    endpoint: endpoint.clone(),
+                    place: self.place("listen"),
+                    source,
+                };
             }
         }
         let mut answering = None;
         for endpoint in &self.connect {
             let parts = Endpoint::new(endpoint);
             let reached = match &self.tls {
-                Some(tls) if parts.is_quic() => tls.reach(parts.address(), parts.host(), DIAGNOSIS).await,
+                Some(tls) if parts.is_quic() => {
+                    tls.reach(parts.address(), parts.host(), DIAGNOSIS).await
+                }
                 _ if parts.is_tcp() => reach(parts.address()).map(|()| None),
                 _ => Ok(None),
             };
             match reached {
                 Err(source) => {
-                    return BusError::Unreachable { endpoint: endpoint.clone(), place: self.place("connect"), source };
+                    return BusError::Unreachable {
+                        endpoint: endpoint.clone(),
+                        place: self.place("connect"),
+                        source,
+                    };
                 }
-                Ok(Some(why)) => return BusError::Handshake { endpoint: endpoint.clone(), why },
+                Ok(Some(why)) => {
+                    return BusError::Handshake {
+                        endpoint: endpoint.clone(),
+                        why,
+                    };
+                }
                 Ok(None) if parts.is_tcp() => answering = Some(endpoint.clone()),
                 Ok(None) => {}
             }
         }
         match answering {
-            Some(endpoint) => BusError::NoZenoh { endpoint, place: self.place("connect"), source },
+            Some(endpoint) => BusError::NoZenoh {
+                endpoint,
+                place: self.place("connect"),
+                source,
+            },
             None => BusError::Open { source },
         }
     }
@@ -227,24 +258,38 @@ impl BusConfig {
 }
 
 /// Sets one value of a Zenoh configuration.
-pub(crate) fn set(config: &mut zenoh::Config, key: &'static str, value: &Value) -> Result<(), BusError> {
+pub(crate) fn set(
+    config: &mut zenoh::Config,
+    key: &'static str,
+    value: &Value,
+) -> Result<(), BusError> {
     let value = value.to_string();
-    config.insert_json5(key, &value).map_err(|source| BusError::Setting { key, value, source })
+    config
+        .insert_json5(key, &value)
+        .map_err(|source| BusError::Setting { key, value, source })
 }
 
 /// A path as Zenoh takes it.
 fn text(path: &Path) -> Result<Value, BusError> {
-    let text = path.to_str().ok_or_else(|| BusError::PathNotText { path: path.to_owned() })?;
+    let text = path.to_str().ok_or_else(|| BusError::PathNotText {
+        path: path.to_owned(),
+    })?;
     Ok(text.into())
 }
 
 /// Endpoints as Zenoh is given them.
 fn all_in_order(endpoints: &[String]) -> Value {
-    endpoints.iter().map(|endpoint| in_order(endpoint)).collect()
+    endpoints
+        .iter()
+        .map(|endpoint| in_order(endpoint))
+        .collect()
 }
 
 fn reach(address: &str) -> std::io::Result<()> {
-    let mut result = Err(std::io::Error::new(std::io::ErrorKind::NotFound, "no such host"));
+    let mut result = Err(std::io::Error::new(
+        std::io::ErrorKind::NotFound,
+        "no such host",
+    ));
     for socket_address in address.to_socket_addrs()? {
         result = TcpStream::connect_timeout(&socket_address, DIAGNOSIS).map(drop);
         if result.is_ok() {
@@ -274,7 +319,10 @@ impl Bus {
             let zenoh_config = config.zenoh_config()?;
             let listen = protection::listen_endpoints(&zenoh_config)?;
             match zenoh::open(zenoh_config).await {
-                Ok(session) => Ok(Self { session, queue: config.queue }),
+                Ok(session) => Ok(Self {
+                    session,
+                    queue: config.queue,
+                }),
                 Err(source) => Err(config.diagnose(&listen, source).await),
             }
         })
@@ -285,23 +333,40 @@ impl Bus {
     ///
     /// # Errors
     /// What is wrong with the file is named, as is an endpoint that is taken.
-    pub fn open_router<'a>(file: &'a Path) -> BoxedFuture<'a, Result<(Self, Vec<String>), BusError>> {
+    pub fn open_router<'a>(
+        file: &'a Path,
+    ) -> BoxedFuture<'a, Result<(Self, Vec<String>), BusError>> {
         Box::pin(async move {
-            let config = BusConfig { config_file: Some(file.to_owned()), ..BusConfig::default() };
-            let mut zenoh_config = zenoh::Config::from_file(file)
-                .map_err(|source| BusError::ConfigFile { path: file.to_owned(), source })?;
+            let config = BusConfig {
+                config_file: Some(file.to_owned()),
+                ..BusConfig::default()
+            };
+            let mut zenoh_config =
+                zenoh::Config::from_file(file).map_err(|source| BusError::ConfigFile {
+                    path: file.to_owned(),
+                    source,
+                })?;
             match protection::mode(&zenoh_config)? {
                 // what zenohd takes a file for that does not say
                 None => set(&mut zenoh_config, "mode", &"router".into())?,
                 Some(Mode::Router) => {}
                 Some(found @ (Mode::Peer | Mode::Client)) => {
-                    return Err(BusError::NotARouter { path: file.to_owned(), found });
+                    return Err(BusError::NotARouter {
+                        path: file.to_owned(),
+                        found,
+                    });
                 }
             }
             protection::check(&mut zenoh_config)?;
             let listen = protection::listen_endpoints(&zenoh_config)?;
             match zenoh::open(zenoh_config).await {
-                Ok(session) => Ok((Self { session, queue: config.queue }, listen)),
+                Ok(session) => Ok((
+                    Self {
+                        session,
+                        queue: config.queue,
+                    },
+                    listen,
+                )),
                 Err(source) => Err(config.diagnose(&listen, source).await),
             }
         })
@@ -311,7 +376,11 @@ impl Bus {
     #[must_use]
     pub fn reading(&self, start: Start) -> StreamSettings {
         let settings = StreamSettings::new(start);
-        StreamSettings { queue: self.queue.get(), deliveries: self.queue.get().min(settings.deliveries), ..settings }
+        StreamSettings {
+            queue: self.queue.get(),
+            deliveries: self.queue.get().min(settings.deliveries),
+            ..settings
+        }
     }
 
     /// Whether a router is connected to: it may allow parties what their roles need, and drop the rest.

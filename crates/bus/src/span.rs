@@ -49,7 +49,8 @@ pub struct SpanError {
 }
 
 /// What a time may be.
-pub const TIMES: &str = "seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z or 2026-03-01";
+pub const TIMES: &str =
+    "seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z or 2026-03-01";
 
 /// Reads a time: seconds since 1970, or ISO 8601; without an offset it is UTC, and a day begins at midnight. Returns ns since the
 /// Unix epoch, UTC.
@@ -70,36 +71,60 @@ pub fn time_ns(text: &str) -> Option<i64> {
         // a cast of what no i64 holds stops at its ends
         return (!seconds.is_nan()).then_some((seconds * 1e9) as i64);
     }
-    let of_calendar = || text.parse::<DateTime>().ok()?.to_zoned(TimeZone::UTC).ok().map(|zoned| zoned.timestamp());
+    let of_calendar = || {
+        text.parse::<DateTime>()
+            .ok()?
+            .to_zoned(TimeZone::UTC)
+            .ok()
+            .map(|zoned| zoned.timestamp())
+    };
     // in the address of a page a plus sign that is not escaped is a space
-    let with_sign = || text.rsplit_once(' ').and_then(|(time, offset)| format!("{time}+{offset}").parse().ok());
+    let with_sign = || {
+        text.rsplit_once(' ')
+            .and_then(|(time, offset)| format!("{time}+{offset}").parse().ok())
+    };
     let time: Timestamp = text.parse().ok().or_else(of_calendar).or_else(with_sign)?;
     i64::try_from(time.as_nanosecond()).ok()
 }
 
 /// Reads seconds in digits alone, to the nanosecond: a floating-point number of them is known to 0.24 µs only.
 fn decimal_ns(text: &str) -> Option<i64> {
-    let (sign, digits) = text.strip_prefix('-').map_or((1, text), |digits| (-1, digits));
+    let (sign, digits) = text
+        .strip_prefix('-')
+        .map_or((1, text), |digits| (-1, digits));
     let (whole, fraction) = digits.split_once('.').unwrap_or((digits, "0"));
     let is_digits = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
     if !is_digits(whole) || !is_digits(fraction) {
         return None;
     }
     let fraction: i64 = format!("{fraction:0<9}").get(..9)?.parse().ok()?;
-    whole.parse::<i64>().ok()?.checked_mul(NS_PER_S)?.checked_add(fraction)?.checked_mul(sign)
+    whole
+        .parse::<i64>()
+        .ok()?
+        .checked_mul(NS_PER_S)?
+        .checked_add(fraction)?
+        .checked_mul(sign)
 }
 
 /// Seconds as digits that are read back as the same nanosecond.
 fn seconds(time_ns: i64) -> String {
     let (sign, size) = (if time_ns < 0 { "-" } else { "" }, time_ns.unsigned_abs());
-    let (whole, fraction) = (size / NS_PER_S.unsigned_abs(), size % NS_PER_S.unsigned_abs());
+    let (whole, fraction) = (
+        size / NS_PER_S.unsigned_abs(),
+        size % NS_PER_S.unsigned_abs(),
+    );
     let text = format!("{sign}{whole}.{fraction:09}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 impl Default for SpanQuery {
     fn default() -> Self {
-        Self { from_ns: i64::MIN, to_ns: i64::MAX, points: DEFAULT_POINTS, kind: "parameter".to_owned() }
+        Self {
+            from_ns: i64::MIN,
+            to_ns: i64::MAX,
+            points: DEFAULT_POINTS,
+            kind: "parameter".to_owned(),
+        }
     }
 }
 
@@ -108,10 +133,20 @@ impl FromStr for SpanQuery {
 
     fn from_str(parameters: &str) -> Result<Self, SpanError> {
         let mut query = Self::default();
-        for (key, value) in parameters.split(';').filter_map(|pair| pair.split_once('=')) {
+        for (key, value) in parameters
+            .split(';')
+            .filter_map(|pair| pair.split_once('='))
+        {
             let refused = |key: &str, allowed| {
-                let (key, found) = (key.chars().take(32).collect(), value.chars().take(32).collect());
-                SpanError { key, found, allowed }
+                let (key, found) = (
+                    key.chars().take(32).collect(),
+                    value.chars().take(32).collect(),
+                );
+                SpanError {
+                    key,
+                    found,
+                    allowed,
+                }
             };
             let seconds = |key| time_ns(value).ok_or_else(|| refused(key, TIMES));
             match key {
@@ -119,12 +154,19 @@ impl FromStr for SpanQuery {
                 "to" => query.to_ns = seconds("to")?,
                 "points" => match value.parse() {
                     Ok(points) if (1..=MOST_POINTS).contains(&points) => query.points = points,
-                    Ok(_) | Err(_) => return Err(refused("points", "a whole number from 1 to 20000")),
+                    Ok(_) | Err(_) => {
+                        return Err(refused("points", "a whole number from 1 to 20000"));
+                    }
                 },
                 "kind" if value.len() <= 64 => value.clone_into(&mut query.kind),
                 "kind" => return Err(refused("kind", "a word")),
                 _ if key.starts_with('_') => {} // of Zenoh itself
-                _ => return Err(refused(key, "left out: a query has from, to, points and kind")),
+                _ => {
+                    return Err(refused(
+                        key,
+                        "left out: a query has from, to, points and kind",
+                    ));
+                }
             }
         }
         if query.from_ns > query.to_ns {
@@ -158,21 +200,43 @@ mod tests {
     #[test]
     fn a_query_is_read_back_to_the_nanosecond() {
         let at_ns = 1_671_532_441_000_000_000;
-        for (from_ns, to_ns) in [(-1, at_ns - 1), (-1_500_000_000, 0), (at_ns, at_ns + 7), (i64::MIN + 1, i64::MAX - 1)]
-        {
-            let query = SpanQuery { from_ns, to_ns, ..SpanQuery::default() };
-            assert_eq!(query.to_string().parse::<SpanQuery>(), Ok(query.clone()), "{query}");
+        for (from_ns, to_ns) in [
+            (-1, at_ns - 1),
+            (-1_500_000_000, 0),
+            (at_ns, at_ns + 7),
+            (i64::MIN + 1, i64::MAX - 1),
+        ] {
+            let query = SpanQuery {
+                from_ns,
+                to_ns,
+                ..SpanQuery::default()
+            };
+            assert_eq!(
+                query.to_string().parse::<SpanQuery>(),
+                Ok(query.clone()),
+                "{query}"
+            );
         }
         assert_eq!(time_ns("1e9"), Some(1_000_000_000_000_000_000));
-        assert_eq!((time_ns("-0.25"), time_ns("0.0000000019")), (Some(-250_000_000), Some(1)));
+        assert_eq!(
+            (time_ns("-0.25"), time_ns("0.0000000019")),
+            (Some(-250_000_000), Some(1))
+        );
     }
 
     #[test]
     fn what_is_written_is_read_back() {
-        let query =
-            SpanQuery { from_ns: 1_500_000_000, to_ns: 86_400_000_000_000, points: 7, kind: "noise".to_owned() };
+        let query = SpanQuery {
+            from_ns: 1_500_000_000,
+            to_ns: 86_400_000_000_000,
+            points: 7,
+            kind: "noise".to_owned(),
+        };
         assert_eq!(query.to_string().parse(), Ok(query));
-        assert_eq!(SpanQuery::default().to_string().parse(), Ok(SpanQuery::default()));
+        assert_eq!(
+            SpanQuery::default().to_string().parse(),
+            Ok(SpanQuery::default())
+        );
         assert_eq!("".parse(), Ok(SpanQuery::default()));
     }
 
@@ -189,7 +253,10 @@ mod tests {
             assert_eq!(time_ns(text), noon, "{text}");
         }
         let query: SpanQuery = "from=2024-02-29T12:00:00Z;to=2024-03-01".parse().unwrap();
-        assert_eq!((Some(query.from_ns), query.to_ns), (noon, 1_709_251_200_000_000_000));
+        assert_eq!(
+            (Some(query.from_ns), query.to_ns),
+            (noon, 1_709_251_200_000_000_000)
+        );
         assert_eq!(time_ns("9999-12-30"), None, "beyond what ns can count");
     }
 
@@ -206,11 +273,17 @@ mod tests {
         ] {
             assert_eq!(text.parse::<SpanQuery>().unwrap_err().key, key, "{text}");
         }
-        assert!("_time=[now(-1h)..]".parse::<SpanQuery>().is_ok(), "a parameter of Zenoh itself");
+        assert!(
+            "_time=[now(-1h)..]".parse::<SpanQuery>().is_ok(),
+            "a parameter of Zenoh itself"
+        );
         let error = "since=2".parse::<SpanQuery>().unwrap_err();
         let told = "query parameter since is \"2\", must be left out: a query has from, to, points and kind";
         assert_eq!(error.to_string(), told);
         let error = "points=many".parse::<SpanQuery>().unwrap_err();
-        assert_eq!(error.to_string(), "query parameter points is \"many\", must be a whole number from 1 to 20000");
+        assert_eq!(
+            error.to_string(),
+            "query parameter points is \"many\", must be a whole number from 1 to 20000"
+        );
     }
 }

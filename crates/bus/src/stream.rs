@@ -68,7 +68,10 @@ impl StreamSettings {
     /// As these, of a source that keeps what it has put: what is missing is asked for until it answers.
     #[must_use]
     pub fn patient(self) -> Self {
-        Self { patience: Patience::UntilAnswered, ..self }
+        Self {
+            patience: Patience::UntilAnswered,
+            ..self
+        }
     }
 }
 
@@ -105,11 +108,17 @@ impl StreamCounts {
             ("flooded-messages", self.flooded),
         ];
         let counted = counts.into_iter().filter(|(_, count)| *count > 0);
-        let mut drops: BTreeMap<String, u64> = counted.map(|(reason, count)| (reason.to_owned(), count)).collect();
+        let mut drops: BTreeMap<String, u64> = counted
+            .map(|(reason, count)| (reason.to_owned(), count))
+            .collect();
         for (reason, count) in &self.unfit {
             *drops.entry((*reason).to_owned()).or_default() += count;
         }
-        drops.extend(self.refused.iter().map(|(reason, count)| (format!("refused-{reason}"), *count)));
+        drops.extend(
+            self.refused
+                .iter()
+                .map(|(reason, count)| (format!("refused-{reason}"), *count)),
+        );
         drops
     }
 }
@@ -158,7 +167,11 @@ impl Source {
     fn counts(&self) -> StreamCounts {
         let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         let load = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        StreamCounts { overflowed: load(&self.overflowed), flooded: load(&self.flooded), ..counts.clone() }
+        StreamCounts {
+            overflowed: load(&self.overflowed),
+            flooded: load(&self.flooded),
+            ..counts.clone()
+        }
     }
 }
 
@@ -222,12 +235,22 @@ impl Bus {
         check: impl Fn(&B) -> Result<(), &'static str> + Send + 'static,
     ) -> Result<Stream<B>, BusError> {
         let deliveries = settings.deliveries.max(1);
-        let (reader, arrived, source) =
-            self.reader(Reading { key, buffer_key, settings, check: Box::new(check) }).await?;
+        let (reader, arrived, source) = self
+            .reader(Reading {
+                key,
+                buffer_key,
+                settings,
+                check: Box::new(check),
+            })
+            .await?;
         let (out, deliveries) = flume::bounded(deliveries);
         let mut reading = JoinSet::new();
         reading.spawn(reader.run(arrived, Out::One(out)));
-        Ok(Stream { deliveries, source, _reading: reading })
+        Ok(Stream {
+            deliveries,
+            source,
+            _reading: reading,
+        })
     }
 
     /// Reads several streams into one queue, in which so many blocks wait at most.
@@ -249,7 +272,11 @@ impl Bus {
             }
             let mut reading = JoinSet::new();
             reading.spawn(readers.collect::<()>());
-            Ok(StreamGroup { deliveries: queue, sources, _reading: reading })
+            Ok(StreamGroup {
+                deliveries: queue,
+                sources,
+                _reading: reading,
+            })
         })
     }
 
@@ -257,7 +284,12 @@ impl Bus {
         &self,
         stream: Reading<B>,
     ) -> Result<(Reader<B>, mpsc::Receiver<Box<Sample>>, Source), BusError> {
-        let Reading { key, buffer_key, settings, check } = stream;
+        let Reading {
+            key,
+            buffer_key,
+            settings,
+            check,
+        } = stream;
         let overflowed = Arc::new(AtomicU64::new(0));
         // In boxes: a queue has room for 32 of what it holds from the first one on, and there is one for each node.
         let (samples, arrived) = mpsc::channel(settings.queue.max(1));
@@ -268,14 +300,22 @@ impl Bus {
         let declared = self.session().declare_subscriber(key.clone());
         let subscriber = declared
             .callback(move |sample: Sample| {
-                if intake.lock().unwrap_or_else(PoisonError::into_inner).take(&sample).is_err() {
+                if intake
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .take(&sample)
+                    .is_err()
+                {
                     too_often.fetch_add(1, Ordering::Relaxed);
                 } else if samples.try_send(Box::new(sample)).is_err() {
                     full.fetch_add(1, Ordering::Relaxed);
                 }
             })
             .await
-            .map_err(|source| BusError::Declare { key: key.clone(), source })?;
+            .map_err(|source| BusError::Declare {
+                key: key.clone(),
+                source,
+            })?;
         let buffer = self.buffer(buffer_key, settings.fetch_timeout).await?;
         let reader = Reader {
             follower: Follower::new(settings.start, settings.fetch_limit, settings.patience),
@@ -288,20 +328,39 @@ impl Bus {
             check,
             counts: counts.clone(),
         };
-        Ok((reader, arrived, Source { counts, overflowed, flooded, _subscriber: subscriber }))
+        Ok((
+            reader,
+            arrived,
+            Source {
+                counts,
+                overflowed,
+                flooded,
+                _subscriber: subscriber,
+            },
+        ))
     }
 }
 
 impl Bus {
     /// Asks where a stream stands; none if nobody answers in time.
-    pub fn stream_position<'a>(&'a self, buffer_key: &'a str, timeout: Duration) -> BoxedFuture<'a, Option<CaughtUp>> {
+    pub fn stream_position<'a>(
+        &'a self,
+        buffer_key: &'a str,
+        timeout: Duration,
+    ) -> BoxedFuture<'a, Option<CaughtUp>> {
         Box::pin(async move {
             // Nobody has so many items: the answer can only be where the stream ends.
-            let range = QueryRange { after: u64::MAX, limit: 1, epoch: None };
+            let range = QueryRange {
+                after: u64::MAX,
+                limit: 1,
+                epoch: None,
+            };
             let buffer = self.buffer(buffer_key.to_owned(), timeout).await.ok()?;
             match buffer.ask::<SampleBlock>(range).await {
                 Fetched::Answer(Answer::CaughtUp(at)) => Some(at),
-                Fetched::Answer(Answer::Block(_)) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
+                Fetched::Answer(Answer::Block(_))
+                | Fetched::Unreadable(_)
+                | Fetched::Nothing(_) => None,
             }
         })
     }
@@ -309,11 +368,22 @@ impl Bus {
 
 impl Bus {
     /// Asks for the last item of a stream, and where it stands; none if nobody answers in time, or there is no item yet.
-    pub async fn last_item<B: Block>(&self, buffer_key: &str, timeout: Duration) -> Option<(B, CaughtUp)> {
+    pub async fn last_item<B: Block>(
+        &self,
+        buffer_key: &str,
+        timeout: Duration,
+    ) -> Option<(B, CaughtUp)> {
         let at = self.stream_position(buffer_key, timeout).await?;
         let after = at.header.sequence.checked_sub(1)?;
         let buffer = self.buffer(buffer_key.to_owned(), timeout).await.ok()?;
-        match buffer.ask::<B>(QueryRange { after, limit: 1, epoch: Some(at.header.epoch) }).await {
+        match buffer
+            .ask::<B>(QueryRange {
+                after,
+                limit: 1,
+                epoch: Some(at.header.epoch),
+            })
+            .await
+        {
             Fetched::Answer(Answer::Block(block)) if block.count() > 0 => Some((block, at)),
             Fetched::Answer(_) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
         }
@@ -415,7 +485,9 @@ impl<B: Block> Reader<B> {
     fn fetched(&mut self, fetched: Fetched<B>) {
         self.fetch = None;
         match fetched {
-            Fetched::Answer(Answer::Block(block)) if !self.fits(&block) => self.unanswered(Silence::Denied),
+            Fetched::Answer(Answer::Block(block)) if !self.fits(&block) => {
+                self.unanswered(Silence::Denied)
+            }
             Fetched::Answer(answer) => self.follower.answered(answer, &mut self.actions),
             Fetched::Unreadable(error) => {
                 self.refuse(&error);
@@ -439,7 +511,13 @@ impl<B: Block> Reader<B> {
         *count += 1;
         if count.is_power_of_two() {
             let source = block.header().source.as_str();
-            warn!(key = self.key, source, reason, count = *count, "block refused");
+            warn!(
+                key = self.key,
+                source,
+                reason,
+                count = *count,
+                "block refused"
+            );
         }
         false
     }
@@ -456,7 +534,10 @@ impl<B: Block> Reader<B> {
 
     fn log_gap(&self, delivery: &Delivery<B>) {
         if let Delivery::Gap(Gap { epoch, from, to }) = delivery {
-            warn!(key = self.key, epoch, from, to, "items lost: their source no longer has them");
+            warn!(
+                key = self.key,
+                epoch, from, to, "items lost: their source no longer has them"
+            );
         }
     }
 
@@ -479,7 +560,9 @@ impl<B: Block> Reader<B> {
 }
 
 /// Waits for the fetch under way, forever if there is none.
-async fn answer_of<B>(fetch: &mut Option<Pin<Box<dyn Future<Output = Fetched<B>> + Send>>>) -> Fetched<B> {
+async fn answer_of<B>(
+    fetch: &mut Option<Pin<Box<dyn Future<Output = Fetched<B>> + Send>>>,
+) -> Fetched<B> {
     match fetch {
         Some(fetch) => fetch.await,
         None => std::future::pending().await,

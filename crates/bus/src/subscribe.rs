@@ -41,15 +41,23 @@ impl<M: Message + Send + 'static> Subscription<M> {
 
     /// Takes all that waits and says the place of its key (structure and topic); what says another place is left out. A message
     /// that says none (`None`) is taken.
-    pub fn gather(&self, root: &Name, place: impl Fn(&M) -> Option<(&Name, Topic)>) -> impl Iterator<Item = M> {
+    pub fn gather(
+        &self,
+        root: &Name,
+        place: impl Fn(&M) -> Option<(&Name, Topic)>,
+    ) -> impl Iterator<Item = M> {
         // what comes meanwhile waits: a source at full speed must not keep us here
-        self.messages.try_iter().take(self.messages.len()).filter_map(move |(key, message)| {
-            let is_in_place = place(&message).is_none_or(|(structure, topic)| {
-                parse_key(root, &key)
-                    .is_some_and(|(of_key, topic_of_key)| (structure, topic) == (&of_key, topic_of_key))
-            });
-            is_in_place.then_some(message)
-        })
+        self.messages
+            .try_iter()
+            .take(self.messages.len())
+            .filter_map(move |(key, message)| {
+                let is_in_place = place(&message).is_none_or(|(structure, topic)| {
+                    parse_key(root, &key).is_some_and(|(of_key, topic_of_key)| {
+                        (structure, topic) == (&of_key, topic_of_key)
+                    })
+                });
+                is_in_place.then_some(message)
+            })
     }
 
     /// Messages refused, by reason; `overwritten` counts those that a newer one pushed out.
@@ -84,7 +92,11 @@ impl Bus {
         let declared = self.session().declare_subscriber(key_expression.clone());
         let subscriber = declared
             .callback(move |sample: Sample| {
-                if let Err(flooded) = intake.lock().unwrap_or_else(PoisonError::into_inner).take(&sample) {
+                if let Err(flooded) = intake
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .take(&sample)
+                {
                     let times = count(&refusals, flooded.reason());
                     if times.is_power_of_two() {
                         warn!(reason = flooded.reason(), times, "message dropped unread");
@@ -95,7 +107,9 @@ impl Bus {
                     Ok(message) => {
                         let mut unsent = Some((sample.key_expr().to_string(), message));
                         while let Some(message) = unsent.take() {
-                            if let Err(flume::TrySendError::Full(message)) = sender.try_send(message) {
+                            if let Err(flume::TrySendError::Full(message)) =
+                                sender.try_send(message)
+                            {
                                 unsent = Some(message);
                                 if oldest.try_recv().is_ok() {
                                     count(&refusals, "overwritten");
@@ -112,8 +126,15 @@ impl Bus {
                 }
             })
             .await
-            .map_err(|source| BusError::Declare { key: key_expression, source })?;
-        Ok(Subscription { messages, refused, _subscriber: subscriber })
+            .map_err(|source| BusError::Declare {
+                key: key_expression,
+                source,
+            })?;
+        Ok(Subscription {
+            messages,
+            refused,
+            _subscriber: subscriber,
+        })
     }
 
     /// Asks a service that is there by its liveliness token, and again while nobody answers: the way to those who answer may be known
@@ -141,20 +162,32 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
-    pub async fn ask<M: Message>(&self, key_expression: &str, timeout: Duration) -> Result<Vec<(String, M)>, BusError> {
+    pub async fn ask<M: Message>(
+        &self,
+        key_expression: &str,
+        timeout: Duration,
+    ) -> Result<Vec<(String, M)>, BusError> {
         let replies = self
             .session()
             .get(key_expression)
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
             .await
-            .map_err(|source| BusError::Put { key: key_expression.to_owned(), source })?;
+            .map_err(|source| BusError::Put {
+                key: key_expression.to_owned(),
+                source,
+            })?;
         let mut found = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             let Ok(sample) = reply.result() else { continue }; // the one asked has nothing
             match read(sample) {
-                Ok(message) if found.len() < MOST_ANSWERS => found.push((sample.key_expr().to_string(), message)),
-                Ok(_) => warn!(key_expression, "more than {MOST_ANSWERS} answers, the others are left out"),
+                Ok(message) if found.len() < MOST_ANSWERS => {
+                    found.push((sample.key_expr().to_string(), message))
+                }
+                Ok(_) => warn!(
+                    key_expression,
+                    "more than {MOST_ANSWERS} answers, the others are left out"
+                ),
                 Err(error) => warn!(key_expression, %error, "answer refused"),
             }
         }

@@ -103,24 +103,36 @@ impl TlsConfig {
     /// Certificate with key and authority beside it.
     #[must_use]
     pub fn beside(certificate: PathBuf) -> Self {
-        Self { certificate, key: None, authority: None }
+        Self {
+            certificate,
+            key: None,
+            authority: None,
+        }
     }
 
     /// The private key.
     #[must_use]
     pub fn key(&self) -> PathBuf {
-        self.key.clone().unwrap_or_else(|| self.certificate.with_extension("key"))
+        self.key
+            .clone()
+            .unwrap_or_else(|| self.certificate.with_extension("key"))
     }
 
     /// The certificate of the authority.
     #[must_use]
     pub fn authority(&self) -> PathBuf {
-        self.authority.clone().unwrap_or_else(|| self.certificate.with_file_name(AUTHORITY_FILE))
+        self.authority
+            .clone()
+            .unwrap_or_else(|| self.certificate.with_file_name(AUTHORITY_FILE))
     }
 
     /// Makes relative paths count from a folder.
     pub fn resolve(&mut self, folder: &Path) {
-        let paths = [Some(&mut self.certificate), self.key.as_mut(), self.authority.as_mut()];
+        let paths = [
+            Some(&mut self.certificate),
+            self.key.as_mut(),
+            self.authority.as_mut(),
+        ];
         for path in paths.into_iter().flatten() {
             *path = folder.join(&path);
         }
@@ -139,14 +151,23 @@ impl TlsConfig {
             authority: authority.clone(),
             why,
         };
-        let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider()).build();
+        let verifier =
+            WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider()).build();
         let verifier = verifier.map_err(|error| refused(error.to_string()))?;
-        let [own, intermediate @ ..] = chain.as_slice() else { return Ok(()) }; // read_pair has seen one
+        let [own, intermediate @ ..] = chain.as_slice() else {
+            return Ok(());
+        }; // read_pair has seen one
         let valid = |at: UnixTime| verifier.verify_client_cert(own, intermediate, at);
         valid(UnixTime::now()).map_err(|error| match refused(in_words(&error)) {
-            TlsError::NotAccepted { certificate, authority, why } if is_of_time(&error) => {
-                TlsError::NotInTime { certificate, authority, why }
-            }
+            TlsError::NotAccepted {
+                certificate,
+                authority,
+                why,
+            } if is_of_time(&error) => TlsError::NotInTime {
+                certificate,
+                authority,
+                why,
+            },
             refused => refused,
         })?;
         let soon = Duration::from_secs(UnixTime::now().as_secs()).saturating_add(WARNED_BEFORE);
@@ -161,17 +182,32 @@ impl TlsConfig {
     ///
     /// # Errors
     /// Nobody answers there.
-    pub(crate) async fn reach(&self, address: &str, host: &str, patience: Duration) -> std::io::Result<Option<String>> {
-        let Some(config) = self.client() else { return Ok(None) };
+    pub(crate) async fn reach(
+        &self,
+        address: &str,
+        host: &str,
+        patience: Duration,
+    ) -> std::io::Result<Option<String>> {
+        let Some(config) = self.client() else {
+            return Ok(None);
+        };
         let Some(remote) = tokio::net::lookup_host(address).await?.next() else {
             return Err(std::io::Error::new(ErrorKind::NotFound, "no such host"));
         };
-        let any_port =
-            if remote.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { (Ipv6Addr::UNSPECIFIED, 0).into() };
+        let any_port = if remote.is_ipv4() {
+            (Ipv4Addr::UNSPECIFIED, 0).into()
+        } else {
+            (Ipv6Addr::UNSPECIFIED, 0).into()
+        };
         let endpoint = quinn::Endpoint::client(any_port)?;
-        let Ok(connecting) = endpoint.connect_with(config, remote, host) else { return Ok(None) };
+        let Ok(connecting) = endpoint.connect_with(config, remote, host) else {
+            return Ok(None);
+        };
         let no_answer = || std::io::Error::new(ErrorKind::TimedOut, "no answer");
-        let error = match timeout(patience, connecting).await.map_err(|_elapsed| no_answer())? {
+        let error = match timeout(patience, connecting)
+            .await
+            .map_err(|_elapsed| no_answer())?
+        {
             Err(error) => error,
             // what the other side thinks of our certificate comes after the handshake, in answer to nothing
             Ok(connection) => match timeout(patience, connection.closed()).await {
@@ -180,10 +216,17 @@ impl TlsConfig {
             },
         };
         Ok(match error {
-            ConnectionError::TransportError(error) => Some(in_words_of_alert(error.code.into(), &error.reason)),
+            ConnectionError::TransportError(error) => {
+                Some(in_words_of_alert(error.code.into(), &error.reason))
+            }
             ConnectionError::ConnectionClosed(close) => {
-                let reason = in_words_of_alert(close.error_code.into(), &String::from_utf8_lossy(&close.reason));
-                Some(format!("the other side refuses the certificate shown to it: {reason}"))
+                let reason = in_words_of_alert(
+                    close.error_code.into(),
+                    &String::from_utf8_lossy(&close.reason),
+                );
+                Some(format!(
+                    "the other side refuses the certificate shown to it: {reason}"
+                ))
             }
             ConnectionError::TimedOut => return Err(no_answer()),
             _ => None,
@@ -194,7 +237,9 @@ impl TlsConfig {
     fn client(&self) -> Option<quinn::ClientConfig> {
         let (chain, key) = read_pair(&self.certificate, &self.key()).ok()?;
         let roots = Arc::new(read_roots(&self.authority()).ok()?);
-        let verifier = WebPkiServerVerifier::builder_with_provider(roots, provider()).build().ok()?;
+        let verifier = WebPkiServerVerifier::builder_with_provider(roots, provider())
+            .build()
+            .ok()?;
         let mut config = ClientConfig::builder_with_provider(provider())
             .with_protocol_versions(&[&rustls::version::TLS13])
             .ok()?
@@ -202,19 +247,26 @@ impl TlsConfig {
             .with_client_auth_cert(chain, key)
             .ok()?;
         config.alpn_protocols = vec![ZENOH_OVER_QUIC.to_vec()];
-        Some(quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(config).ok()?)))
+        Some(quinn::ClientConfig::new(Arc::new(
+            QuicClientConfig::try_from(config).ok()?,
+        )))
     }
 }
 
 /// What an alert of TLS means that ended a connection over QUIC; `reason` for all that is none, or says more.
 fn in_words_of_alert(code: u64, reason: &str) -> String {
     // RFC 9001, section 4.8: the alert is added to 0x100
-    let alert = code.checked_sub(0x100).and_then(|alert| u8::try_from(alert).ok()).map(AlertDescription::from);
+    let alert = code
+        .checked_sub(0x100)
+        .and_then(|alert| u8::try_from(alert).ok())
+        .map(AlertDescription::from);
     match alert {
         Some(AlertDescription::UnknownCA | AlertDescription::DecryptError) => {
             "the authority has not issued it, or not for this use".to_owned()
         }
-        Some(AlertDescription::CertificateExpired) => "it has expired, or is not valid yet".to_owned(),
+        Some(AlertDescription::CertificateExpired) => {
+            "it has expired, or is not valid yet".to_owned()
+        }
         Some(AlertDescription::CertificateRequired) => "none was shown".to_owned(),
         Some(alert) if reason.is_empty() => format!("{alert:?}"),
         Some(_) | None => reason.to_owned(),
@@ -223,7 +275,9 @@ fn in_words_of_alert(code: u64, reason: &str) -> String {
 
 /// Whether a certificate was refused for the time at which it was shown.
 fn is_of_time(error: &rustls::Error) -> bool {
-    let rustls::Error::InvalidCertificate(error) = error else { return false };
+    let rustls::Error::InvalidCertificate(error) = error else {
+        return false;
+    };
     matches!(
         error,
         CertificateError::Expired
@@ -237,7 +291,9 @@ fn is_of_time(error: &rustls::Error) -> bool {
 fn in_words(error: &rustls::Error) -> String {
     match error {
         rustls::Error::InvalidCertificate(
-            CertificateError::UnknownIssuer | CertificateError::BadSignature | CertificateError::InvalidPurpose,
+            CertificateError::UnknownIssuer
+            | CertificateError::BadSignature
+            | CertificateError::InvalidPurpose,
         ) => "the authority has not issued it, or not for this use".to_owned(),
         rustls::Error::InvalidCertificate(CertificateError::ExpiredContext { time, not_after }) => {
             let days = time.as_secs().saturating_sub(not_after.as_secs()) / 86_400;
@@ -267,25 +323,40 @@ pub fn read_pair(
     let text = read("key", key)?;
     let of_key = |error| pem_error("key", key, &error);
     let private = PrivateKeyDer::from_pem_slice(&text).map_err(of_key)?;
-    match CertifiedKey::from_der(chain.clone(), private.clone_key(), &ring::default_provider()) {
+    match CertifiedKey::from_der(
+        chain.clone(),
+        private.clone_key(),
+        &ring::default_provider(),
+    ) {
         Ok(_) => Ok((chain, private)),
-        Err(rustls::Error::InconsistentKeys(_)) => {
-            Err(TlsError::KeyOfAnother { key: key.to_owned(), certificate: certificate.to_owned() })
-        }
-        Err(rustls::Error::InvalidCertificate(_)) => {
-            Err(TlsError::Damaged { what: "certificate", path: certificate.to_owned() })
-        }
+        Err(rustls::Error::InconsistentKeys(_)) => Err(TlsError::KeyOfAnother {
+            key: key.to_owned(),
+            certificate: certificate.to_owned(),
+        }),
+        Err(rustls::Error::InvalidCertificate(_)) => Err(TlsError::Damaged {
+            what: "certificate",
+            path: certificate.to_owned(),
+        }),
         // the text of other errors could speak of the key
-        Err(_) => Err(TlsError::Damaged { what: "key", path: key.to_owned() }),
+        Err(_) => Err(TlsError::Damaged {
+            what: "key",
+            path: key.to_owned(),
+        }),
     }
 }
 
-fn read_certificates(what: &'static str, path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+fn read_certificates(
+    what: &'static str,
+    path: &Path,
+) -> Result<Vec<CertificateDer<'static>>, TlsError> {
     let text = read(what, path)?;
     let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
     let chain = chain.map_err(|error| pem_error(what, path, &error))?;
     match chain.is_empty() {
-        true => Err(TlsError::Empty { what, path: path.to_owned() }),
+        true => Err(TlsError::Empty {
+            what,
+            path: path.to_owned(),
+        }),
         false => Ok(chain),
     }
 }
@@ -293,19 +364,32 @@ fn read_certificates(what: &'static str, path: &Path) -> Result<Vec<CertificateD
 fn read_roots(path: &Path) -> Result<RootCertStore, TlsError> {
     let mut roots = RootCertStore::empty();
     for certificate in read_certificates("authority", path)? {
-        roots.add(certificate).map_err(|_| TlsError::Damaged { what: "authority", path: path.to_owned() })?;
+        roots.add(certificate).map_err(|_| TlsError::Damaged {
+            what: "authority",
+            path: path.to_owned(),
+        })?;
     }
     Ok(roots)
 }
 
 fn read(what: &'static str, path: &Path) -> Result<Vec<u8>, TlsError> {
-    std::fs::read(path).map_err(|source| TlsError::File { what, path: path.to_owned(), source })
+    std::fs::read(path).map_err(|source| TlsError::File {
+        what,
+        path: path.to_owned(),
+        source,
+    })
 }
 
 fn pem_error(what: &'static str, path: &Path, error: &PemError) -> TlsError {
     match error {
-        PemError::NoItemsFound => TlsError::Empty { what, path: path.to_owned() },
-        _ => TlsError::Damaged { what, path: path.to_owned() },
+        PemError::NoItemsFound => TlsError::Empty {
+            what,
+            path: path.to_owned(),
+        },
+        _ => TlsError::Damaged {
+            what,
+            path: path.to_owned(),
+        },
     }
 }
 

@@ -1,6 +1,11 @@
 //! Two real Zenoh sessions over TCP on the loopback interface, without multicast.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use std::net::TcpListener;
 use std::sync::Arc;
@@ -8,8 +13,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, BusError, Delivery, Event, EventKind, Forget, FrameBlock, Gap, Header, Keep, Keys, Message,
-    Mode, NumberedPublisher, NumberedStream, Service, Start, Stream, StreamSettings, StreamState,
+    Block, Bus, BusConfig, BusError, Delivery, Event, EventKind, Forget, FrameBlock, Gap, Header,
+    Keep, Keys, Message, Mode, NumberedPublisher, NumberedStream, Service, Start, Stream,
+    StreamSettings, StreamState,
 };
 use tokio::time::timeout;
 use zenoh::Wait;
@@ -26,11 +32,17 @@ fn free_endpoint() -> String {
 }
 
 fn listening(endpoint: &str) -> BusConfig {
-    BusConfig { listen: vec![endpoint.into()], ..BusConfig::default() }
+    BusConfig {
+        listen: vec![endpoint.into()],
+        ..BusConfig::default()
+    }
 }
 
 fn connecting(endpoint: &str) -> BusConfig {
-    BusConfig { connect: vec![endpoint.into()], ..BusConfig::default() }
+    BusConfig {
+        connect: vec![endpoint.into()],
+        ..BusConfig::default()
+    }
 }
 
 async fn pair() -> (Bus, Bus) {
@@ -46,7 +58,12 @@ fn keys() -> Keys {
 
 fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
     FrameBlock {
-        header: Header { source: "source".into(), epoch, sequence, time_ns: (sequence * 5_000_000) as i64 },
+        header: Header {
+            source: "source".into(),
+            epoch,
+            sequence,
+            time_ns: (sequence * 5_000_000) as i64,
+        },
         t0_ns: 0,
         sampling_rate_hz: 200.0,
         channels: 1,
@@ -73,7 +90,9 @@ async fn publisher_that_keeps(bus: &Bus, keep: Keep) -> NumberedPublisher<FrameB
 }
 
 async fn reader(bus: &Bus, settings: StreamSettings) -> Stream<FrameBlock> {
-    bus.follow(keys().frames(), keys().recording(), settings).await.unwrap()
+    bus.follow(keys().frames(), keys().recording(), settings)
+        .await
+        .unwrap()
 }
 
 /// Reads up to item `end`; everything must be there, in order.
@@ -116,8 +135,12 @@ async fn a_reader_that_joins_late_gets_everything() {
 async fn a_reader_that_stalls_loses_nothing() {
     let (first, second) = pair().await;
     let publisher = publisher(&first, 100_000).await;
-    let settings =
-        StreamSettings { queue: 2, deliveries: 1, fetch_limit: 500, ..StreamSettings::new(Start::Beginning) };
+    let settings = StreamSettings {
+        queue: 2,
+        deliveries: 1,
+        fetch_limit: 500,
+        ..StreamSettings::new(Start::Beginning)
+    };
     let stream = reader(&second, settings).await;
     for block in 0..5_000 {
         publisher.put(frames(1, block * 10, 10)).await.unwrap();
@@ -130,7 +153,11 @@ async fn a_reader_that_stalls_loses_nothing() {
 async fn a_reader_in_the_same_session_that_stalls_loses_nothing() {
     let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
     let publisher = publisher(&bus, 100_000).await;
-    let settings = StreamSettings { queue: 2, deliveries: 1, ..StreamSettings::new(Start::Beginning) };
+    let settings = StreamSettings {
+        queue: 2,
+        deliveries: 1,
+        ..StreamSettings::new(Start::Beginning)
+    };
     let stream = reader(&bus, settings).await;
     for block in 0..1_000 {
         publisher.put(frames(1, block * 10, 10)).await.unwrap();
@@ -141,18 +168,35 @@ async fn a_reader_in_the_same_session_that_stalls_loses_nothing() {
 #[tokio::test(flavor = "multi_thread")]
 async fn who_was_away_finds_what_it_had_not_however_soon_the_rest_is_forgotten() {
     let (first, second) = pair().await;
-    let keep = Keep { released: Some(Forget { at_least: 0, after: Duration::ZERO }), ..Keep::last(10_000) };
+    let keep = Keep {
+        released: Some(Forget {
+            at_least: 0,
+            after: Duration::ZERO,
+        }),
+        ..Keep::last(10_000)
+    };
     let publisher = publisher_that_keeps(&first, keep).await;
     for block in 0..100 {
         publisher.release(1, 10 * block.min(30));
         publisher.put(frames(1, block * 10, 10)).await.unwrap();
     }
-    let back = StreamSettings::new(Start::At { epoch: 1, sequence: 300 });
+    let back = StreamSettings::new(Start::At {
+        epoch: 1,
+        sequence: 300,
+    });
     read_from(300, &reader(&second, back).await, 1000).await;
     let new = reader(&second, StreamSettings::new(Start::Beginning)).await;
     let delivery = timeout(DEADLINE, new.deliveries().recv_async()).await;
-    let forgotten = Gap { epoch: 1, from: 0, to: 300 };
-    assert_eq!(delivery.unwrap(), Ok(Delivery::Gap(forgotten)), "what nobody needs any more");
+    let forgotten = Gap {
+        epoch: 1,
+        from: 0,
+        to: 300,
+    };
+    assert_eq!(
+        delivery.unwrap(),
+        Ok(Delivery::Gap(forgotten)),
+        "what nobody needs any more"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -174,10 +218,21 @@ async fn what_the_ring_has_forgotten_is_a_gap() {
 
 /// A publisher as a program of somebody else has it, who keeps nothing; there is a reader by now.
 async fn publisher_by_hand(bus: &Bus) -> Publisher<'static> {
-    let declared = bus.session().declare_publisher(keys().frames()).encoding(FrameBlock::encoding());
-    let publisher = declared.congestion_control(CongestionControl::Block).await.unwrap();
+    let declared = bus
+        .session()
+        .declare_publisher(keys().frames())
+        .encoding(FrameBlock::encoding());
+    let publisher = declared
+        .congestion_control(CongestionControl::Block)
+        .await
+        .unwrap();
     let readers = publisher.matching_listener().await.unwrap();
-    while !timeout(DEADLINE, readers.recv_async()).await.expect("no reader").unwrap().matching() {}
+    while !timeout(DEADLINE, readers.recv_async())
+        .await
+        .expect("no reader")
+        .unwrap()
+        .matching()
+    {}
     publisher
 }
 
@@ -187,7 +242,9 @@ async fn numbers_up_to(stream: &Stream<FrameBlock>, end: u64) -> Vec<Option<u64>
     while (numbers.len() as u64) < end {
         let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
         match delivery.expect("the stream hangs").unwrap() {
-            Delivery::Block(block) => numbers.extend(block.values.iter().map(|value| Some(*value as u64))),
+            Delivery::Block(block) => {
+                numbers.extend(block.values.iter().map(|value| Some(*value as u64)))
+            }
             Delivery::Gap(gap) => numbers.extend((gap.from..gap.to).map(|_| None)),
         }
     }
@@ -201,13 +258,21 @@ async fn of_a_source_without_buffer_only_the_blocks_not_sent_are_lost() {
     let publisher = publisher_by_hand(&first).await;
     // Fewer than find room in the queue of the reader, and behind a gap.
     for block in (0..100).filter(|block| ![3, 70].contains(block)) {
-        publisher.put(frames(1, block * 10, 10).encode().unwrap()).await.unwrap();
+        publisher
+            .put(frames(1, block * 10, 10).encode().unwrap())
+            .await
+            .unwrap();
     }
     let numbers = numbers_up_to(&stream, 1_000).await;
     let is_lost = |number: u64| [3, 70].contains(&(number / 10));
     let lost = |numbers: &[Option<u64>]| numbers.iter().filter(|number| number.is_none()).count();
     assert_eq!(lost(&numbers), 20, "items lost");
-    assert_eq!(numbers, (0..1_000).map(|number| (!is_lost(number)).then_some(number)).collect::<Vec<_>>());
+    assert_eq!(
+        numbers,
+        (0..1_000)
+            .map(|number| (!is_lost(number)).then_some(number))
+            .collect::<Vec<_>>()
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -220,14 +285,29 @@ async fn a_source_too_busy_to_answer_at_first_loses_nothing() {
         // A query that is dropped ends without a reply, as those do that nobody is there for.
         if counted.fetch_add(1, Ordering::Relaxed) >= UNANSWERED {
             let key = query.key_expr().clone();
-            query.reply(key, missed.clone()).encoding(FrameBlock::encoding()).wait().unwrap();
+            query
+                .reply(key, missed.clone())
+                .encoding(FrameBlock::encoding())
+                .wait()
+                .unwrap();
         }
     };
-    let _buffer = first.session().declare_queryable(keys().recording()).callback(answer).await.unwrap();
+    let _buffer = first
+        .session()
+        .declare_queryable(keys().recording())
+        .callback(answer)
+        .await
+        .unwrap();
     let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
     let publisher = publisher_by_hand(&first).await;
-    publisher.put(frames(1, 0, 5).encode().unwrap()).await.unwrap();
-    publisher.put(frames(1, 10, 5).encode().unwrap()).await.unwrap();
+    publisher
+        .put(frames(1, 0, 5).encode().unwrap())
+        .await
+        .unwrap();
+    publisher
+        .put(frames(1, 10, 5).encode().unwrap())
+        .await
+        .unwrap();
     read_all(&stream, 15).await;
     assert!(asked.load(Ordering::Relaxed) > UNANSWERED);
 }
@@ -245,7 +325,9 @@ async fn wrong_versions_and_damaged_messages_are_counted_and_dropped() {
         let put = first.session().put(keys().frames(), payload);
         put.encoding(encoding)
     };
-    put(payload, "application/postcard;spandrel.frames.v9".into()).await.unwrap();
+    put(payload, "application/postcard;spandrel.frames.v9".into())
+        .await
+        .unwrap();
     put(truncated, FrameBlock::encoding()).await.unwrap();
     put(vec![0xff; 300], FrameBlock::encoding()).await.unwrap();
     publisher.put(frames(1, 5, 5)).await.unwrap();
@@ -288,11 +370,17 @@ async fn tokens_come_and_go() {
 #[tokio::test(flavor = "multi_thread")]
 async fn tokens_are_seen_in_the_session_that_holds_them() {
     let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
-    let mut early = bus.watch_live(keys().all_live(Service::Ingest)).await.unwrap();
+    let mut early = bus
+        .watch_live(keys().all_live(Service::Ingest))
+        .await
+        .unwrap();
     let key = keys().live(Service::Ingest, &"one".parse().unwrap());
     let token = bus.announce(key).await.unwrap();
     timeout(DEADLINE, early.some()).await.unwrap();
-    let mut late = bus.watch_live(keys().all_live(Service::Ingest)).await.unwrap();
+    let mut late = bus
+        .watch_live(keys().all_live(Service::Ingest))
+        .await
+        .unwrap();
     timeout(DEADLINE, late.some()).await.unwrap();
     token.withdraw().await.unwrap();
     timeout(DEADLINE, early.none()).await.unwrap();
@@ -329,7 +417,10 @@ async fn the_latest_value_is_given_on_query_under_its_own_key() {
     let ask_until_answered = async {
         loop {
             // Without an answer the declaration of the one to ask is still on its way.
-            let found = second.ask::<Event>(&keys().all_alerts(), DEADLINE).await.unwrap();
+            let found = second
+                .ask::<Event>(&keys().all_alerts(), DEADLINE)
+                .await
+                .unwrap();
             if !found.is_empty() {
                 return found;
             }
@@ -345,7 +436,9 @@ async fn a_port_in_use_is_named() {
     let _first = Bus::open(&listening(&endpoint)).await.unwrap();
     let opened = timeout(DEADLINE, Bus::open(&listening(&endpoint))).await;
     match opened.expect("opening hangs") {
-        Err(BusError::Listen { endpoint: found, .. }) => assert_eq!(found, endpoint),
+        Err(BusError::Listen {
+            endpoint: found, ..
+        }) => assert_eq!(found, endpoint),
         other => panic!("{other:?}"),
     }
 }
@@ -354,10 +447,16 @@ async fn a_port_in_use_is_named() {
 async fn an_endpoint_where_nobody_answers_is_named() {
     let endpoint = free_endpoint();
     for mode in [Mode::Peer, Mode::Client] {
-        let config = BusConfig { mode, connect_timeout_s: Some(0.5), ..connecting(&endpoint) };
+        let config = BusConfig {
+            mode,
+            connect_timeout_s: Some(0.5),
+            ..connecting(&endpoint)
+        };
         let opened = timeout(DEADLINE, Bus::open(&config)).await;
         match opened.expect("opening hangs") {
-            Err(BusError::Unreachable { endpoint: found, .. }) => assert_eq!(found, endpoint),
+            Err(BusError::Unreachable {
+                endpoint: found, ..
+            }) => assert_eq!(found, endpoint),
             other => panic!("{other:?}"),
         }
     }
@@ -366,9 +465,15 @@ async fn an_endpoint_where_nobody_answers_is_named() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_talks_to_another_through_a_router() {
     let endpoint = free_endpoint();
-    let router = BusConfig { mode: Mode::Router, ..listening(&endpoint) };
+    let router = BusConfig {
+        mode: Mode::Router,
+        ..listening(&endpoint)
+    };
     let _router = Bus::open(&router).await.unwrap();
-    let client = BusConfig { mode: Mode::Client, ..connecting(&endpoint) };
+    let client = BusConfig {
+        mode: Mode::Client,
+        ..connecting(&endpoint)
+    };
     let first = Bus::open(&client).await.unwrap();
     let second = Bus::open(&client).await.unwrap();
     let publisher = publisher(&first, 1000).await;
@@ -382,7 +487,10 @@ async fn a_source_that_floods_is_dropped_unread_and_counted() {
     const PUT: u64 = 150_000;
     let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
     let key = keys().event();
-    let reader = bus.subscribe::<Event>(key.clone(), PUT as usize).await.unwrap();
+    let reader = bus
+        .subscribe::<Event>(key.clone(), PUT as usize)
+        .await
+        .unwrap();
     let event = Event {
         structure: keys().structure().clone(),
         time_ns: 0,
@@ -392,7 +500,10 @@ async fn a_source_that_floods_is_dropped_unread_and_counted() {
         why: "it can".into(),
     };
     let publisher = bus.publish_display::<Event>(key).await.unwrap();
-    #[expect(clippy::disallowed_methods, reason = "the limit goes by the clock of the wall")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "the limit goes by the clock of the wall"
+    )]
     let start = std::time::Instant::now();
     for _ in 0..PUT {
         publisher.put(&event).await.unwrap();
@@ -402,6 +513,9 @@ async fn a_source_that_floods_is_dropped_unread_and_counted() {
     // 20,000 at once, and 10,000 for each second that it took; one second for the rounding at both ends
     let allowed = 30_000 + 10_000 * start.elapsed().as_secs() + 10_000;
     assert_eq!(taken + flooded, PUT);
-    assert!(taken <= allowed, "{taken} messages were taken, {allowed} are allowed");
+    assert!(
+        taken <= allowed,
+        "{taken} messages were taken, {allowed} are allowed"
+    );
     bus.close().await.unwrap();
 }

@@ -1,14 +1,20 @@
 //! Real messages of every type, damaged in many ways: decoding gives an error or a message that is sound, never panics, and never
 //! takes more memory than the message itself accounts for.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use proptest::prelude::*;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate, EstimateBlock, EstimateFlags,
-    Event, FeedbackMessage, FitDisplay, FrameBlock, Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage,
-    MAX_MESSAGE_BYTES, MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage, Status, StreamState,
+    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
+    EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, FrameBlock, Header,
+    HistoryLog, HistorySpan, LocalDensity, LocalMessage, MAX_MESSAGE_BYTES, MaskedSpan, Message,
+    ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage, Status, StreamState,
     ToldMotion, ToldSamples,
 };
 
@@ -41,7 +47,12 @@ fn decode_block<B: Block>(bytes: &[u8]) {
 }
 
 fn header() -> Header {
-    Header { source: "roof".into(), epoch: 3, sequence: 1_000, time_ns: 1_700_000_000_000_000_000 }
+    Header {
+        source: "roof".into(),
+        epoch: 3,
+        sequence: 1_000,
+        time_ns: 1_700_000_000_000_000_000,
+    }
 }
 
 fn estimate() -> Estimate {
@@ -59,7 +70,10 @@ fn estimate() -> Estimate {
 }
 
 fn motion(count: usize) -> MotionNumbers {
-    MotionNumbers { mean: vec![0.1; count], variance: vec![0.01; count] }
+    MotionNumbers {
+        mean: vec![0.1; count],
+        variance: vec![0.01; count],
+    }
 }
 
 /// A real message of each type with what decodes it.
@@ -68,8 +82,8 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         (M::TYPE, message.encode().unwrap(), decode)
     }
     fn text<M: Message>(text: &str) -> (&'static str, Vec<u8>, Decode) {
-        let message =
-            M::decode("application/json", text.as_bytes()).unwrap_or_else(|error| panic!("{error:?}: {text}"));
+        let message = M::decode("application/json", text.as_bytes())
+            .unwrap_or_else(|error| panic!("{error:?}: {text}"));
         (M::TYPE, message.encode().unwrap(), decode::<M>)
     }
     let samples = SampleBlock {
@@ -105,8 +119,14 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         density: Some(LocalDensity {
             mean: vec![1.0, 0.9],
             covariance: vec![0.01, 0.001, 0.02],
-            lineage: Some(NodeLineage { own: 4, answers: vec![1, 2, 3] }),
-            motion: Some(ToldMotion::Samples(ToldSamples::new(&[0.1, f64::NAN, -3.2, 700.0], &[-5, 2]))),
+            lineage: Some(NodeLineage {
+                own: 4,
+                answers: vec![1, 2, 3],
+            }),
+            motion: Some(ToldMotion::Samples(ToldSamples::new(
+                &[0.1, f64::NAN, -3.2, 700.0],
+                &[-5, 2],
+            ))),
         }),
         restarts: 1,
         samples: 250,
@@ -117,7 +137,11 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
                 screened: 1000,
                 recent_share: 0.01,
                 scale: 1e-3,
-                masked: Some(MaskedSpan { from_ns: 1, to_ns: 3, samples: 3 }),
+                masked: Some(MaskedSpan {
+                    from_ns: 1,
+                    to_ns: 3,
+                    samples: 3
+                }),
             };
             2
         ],
@@ -146,8 +170,21 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         binary(&estimates, decode_block::<EstimateBlock>),
         binary(&local, decode::<LocalMessage>),
         binary(&feedback, decode::<FeedbackMessage>),
-        binary(&Progress { header: header(), done: 7, kept: 5 }, decode::<Progress>),
-        binary(&CaughtUp { header: header(), state: StreamState::Ended }, decode::<CaughtUp>),
+        binary(
+            &Progress {
+                header: header(),
+                done: 7,
+                kept: 5,
+            },
+            decode::<Progress>,
+        ),
+        binary(
+            &CaughtUp {
+                header: header(),
+                state: StreamState::Ended,
+            },
+            decode::<CaughtUp>,
+        ),
         text::<AlertMessage>(alert),
         text::<Acknowledgement>(seen),
         text::<Event>(event),
@@ -155,7 +192,9 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2,\
              \"interval\":{\"level\":0.95,\"low\":0.6,\"high\":1.4},\"probability_of_loss\":0.4,\"loss\":0.05,\"reference\":1.0}",
         ),
-        text::<NoiseDisplay>("{\"structure\":\"demo\",\"name\":\"ground\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2}"),
+        text::<NoiseDisplay>(
+            "{\"structure\":\"demo\",\"name\":\"ground\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2}",
+        ),
         text::<OutlierDisplay>(
             "{\"structure\":\"demo\",\"channel\":\"roof\",\"time_ns\":5,\"state\":\"screening\",\"flagged\":1,\"rejected\":2,\
              \"screened\":30,\"recent_share\":0.1,\"scale\":0.5,\"masked\":{\"from_ns\":1,\"to_ns\":2,\"samples\":3}}",
@@ -174,7 +213,9 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{\"structure\":\"demo\",\"service\":\"ingest\",\"id\":\"ingest\",\"time_ns\":5,\"lag_s\":0.1,\"done\":12,\
              \"drops\":{\"lost-items\":1,\"fetched-items\":2},\"restarts\":0,\"version\":\"0.1.0\"}",
         ),
-        text::<Description>("{\"structure\":\"demo\",\"text\":\"[structure]\\nname = \\\"demo\\\"\\n\"}"),
+        text::<Description>(
+            "{\"structure\":\"demo\",\"text\":\"[structure]\\nname = \\\"demo\\\"\\n\"}",
+        ),
         text::<HistorySpan>(
             "{\"structure\":\"demo\",\"kind\":\"parameter\",\"name\":\"storey-2\",\"resolution_s\":60,\"kept_from_s\":1.0,\
              \"rows\":{\"time_s\":[1.0,2.0],\"count\":[1,2],\"mean\":[1.0,1.0],\"std\":[0.1,0.1],\"spread\":[0.0,0.1],\
@@ -184,7 +225,14 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         text::<HistoryLog>(&format!(
             "{{\"structure\":\"demo\",\"alerts\":[{alert}],\"acknowledgements\":[{seen}],\"events\":[{event}]}}"
         )),
-        binary(&StateMessage { header: header(), term: 3, checkpoint: (0..200).collect() }, decode::<StateMessage>),
+        binary(
+            &StateMessage {
+                header: header(),
+                term: 3,
+                checkpoint: (0..200).collect(),
+            },
+            decode::<StateMessage>,
+        ),
         text::<FitDisplay>(
             "{\"structure\":\"demo\",\"time_ns\":5,\"verdict\":\"doubtful\",\"reasons\":[\"excess-noise\"],\"follows_jump\":false,\
              \"channels\":[{\"channel\":\"roof\",\"largest_autocorrelation\":0.35,\"explained_share\":0.8,\
@@ -232,8 +280,13 @@ fn damage() -> impl Strategy<Value = Damage> {
         (at(), 0u8..8).prop_map(|(at, bit)| Damage::Flip { at, bit }),
         (at(), any::<u8>()).prop_map(|(at, to)| Damage::Set { at, to }),
         (at(), 1usize..64).prop_map(|(at, length)| Damage::Cut { at, length }),
-        (at(), 1usize..64, 1usize..200).prop_map(|(at, length, times)| Damage::Repeat { at, length, times }),
-        (at(), proptest::collection::vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Damage::Insert { at, bytes }),
+        (at(), 1usize..64, 1usize..200).prop_map(|(at, length, times)| Damage::Repeat {
+            at,
+            length,
+            times
+        }),
+        (at(), proptest::collection::vec(any::<u8>(), 1..16))
+            .prop_map(|(at, bytes)| Damage::Insert { at, bytes }),
         at().prop_map(|at| Damage::Claim { at }),
         at().prop_map(|at| Damage::End { at }),
     ]
@@ -283,7 +336,12 @@ impl Damage {
 fn check(name: &str, bytes: &[u8], decode: Decode) {
     let taken = allocation_counter::measure(|| decode(bytes));
     let allowed = RESERVED_BYTES + BYTES_PER_BYTE * bytes.len() as u64;
-    assert!(taken.bytes_max <= allowed, "{name}: {} bytes took {} in memory", bytes.len(), taken.bytes_max);
+    assert!(
+        taken.bytes_max <= allowed,
+        "{name}: {} bytes took {} in memory",
+        bytes.len(),
+        taken.bytes_max
+    );
 }
 
 #[test]
@@ -307,7 +365,10 @@ fn the_fuzzer_starts_from_real_messages() {
             std::fs::write(&path, &seed).unwrap();
         }
         let kept = std::fs::read(&path).unwrap_or_default();
-        assert!(kept == seed, "fuzz/seeds/messages/{name} is another message; UPDATE_DOCS=1 writes it anew");
+        assert!(
+            kept == seed,
+            "fuzz/seeds/messages/{name} is another message; UPDATE_DOCS=1 writes it anew"
+        );
     }
 }
 
@@ -369,5 +430,9 @@ fn the_largest_message_takes_what_it_holds() {
     bytes.extend([0x80, 0x80, 0x80, 0x04]); // a claim of 8,388,608
     bytes.resize(MAX_MESSAGE_BYTES, 0);
     let taken = allocation_counter::measure(|| decode::<FeedbackMessage>(&bytes));
-    assert!(taken.bytes_max < 1 << 20, "8 MiB of absent responses took {} bytes", taken.bytes_max);
+    assert!(
+        taken.bytes_max < 1 << 20,
+        "8 MiB of absent responses took {} bytes",
+        taken.bytes_max
+    );
 }

@@ -30,7 +30,10 @@ impl Identity {
     /// # Errors
     /// The state cannot be written.
     pub fn seal<T: Serialize>(&self, state: &T) -> Result<Vec<u8>, CheckpointError> {
-        seal(self, state).map_err(|source| CheckpointError::Encode { kind: self.kind, source })
+        seal(self, state).map_err(|source| CheckpointError::Encode {
+            kind: self.kind,
+            source,
+        })
     }
 
     /// Returns the state in the bytes of a checkpoint of this identity.
@@ -78,9 +81,13 @@ fn seal<T: Serialize>(identity: &Identity, state: &T) -> Result<Vec<u8>, postcar
 
 fn open<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Refusal> {
     let rest = bytes.strip_prefix(MAGIC).ok_or(Refusal::Foreign)?;
-    let content = rest.len().checked_sub(CHECKSUM_BYTES).ok_or(Refusal::Damaged)?;
+    let content = rest
+        .len()
+        .checked_sub(CHECKSUM_BYTES)
+        .ok_or(Refusal::Damaged)?;
     let (content, checksum) = rest.split_at(content);
-    let expected: [u8; CHECKSUM_BYTES] = Sha256::digest(&bytes[..bytes.len() - CHECKSUM_BYTES]).into();
+    let expected: [u8; CHECKSUM_BYTES] =
+        Sha256::digest(&bytes[..bytes.len() - CHECKSUM_BYTES]).into();
     if checksum != expected {
         return Err(Refusal::Damaged);
     }
@@ -88,16 +95,25 @@ fn open<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Ref
     let (layout, content) = content.split_first_chunk::<2>().ok_or(Refusal::Foreign)?;
     let layout = u16::from_le_bytes(*layout);
     if layout != LAYOUT {
-        return Err(Refusal::Version { found: layout, expected: LAYOUT });
+        return Err(Refusal::Version {
+            found: layout,
+            expected: LAYOUT,
+        });
     }
     let unreadable = |error: postcard::Error| Refusal::Content(error.to_string());
     let (label, state) = postcard::take_from_bytes::<Label>(content).map_err(unreadable)?;
     if (label.kind.as_str(), label.of.as_str()) != (identity.kind, identity.of.as_str()) {
         let found = format!("{} of {}", label.kind, label.of);
-        return Err(Refusal::OfAnother { found, expected: format!("{} of {}", identity.kind, identity.of) });
+        return Err(Refusal::OfAnother {
+            found,
+            expected: format!("{} of {}", identity.kind, identity.of),
+        });
     }
     if label.version != identity.version {
-        return Err(Refusal::Version { found: label.version, expected: identity.version });
+        return Err(Refusal::Version {
+            found: label.version,
+            expected: identity.version,
+        });
     }
     if label.basis_sha256 != fingerprint(&identity.basis) {
         return Err(Refusal::Basis);
@@ -114,38 +130,75 @@ mod tests {
     use super::*;
 
     fn identity() -> Identity {
-        Identity { kind: "identify", version: 3, of: "tower".into(), basis: "storeys = 5".into() }
+        Identity {
+            kind: "identify",
+            version: 3,
+            of: "tower".into(),
+            basis: "storeys = 5".into(),
+        }
     }
 
     #[test]
     fn what_is_written_is_read_and_nothing_else() {
         let state = vec![1.5_f64, f64::NAN, -0.0];
         let bytes = seal(&identity(), &state).unwrap();
-        let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
-        assert_eq!(bits(&open::<Vec<f64>>(&identity(), &bytes).unwrap()), bits(&state));
+        let bits = |values: &[f64]| {
+            values
+                .iter()
+                .map(|value| value.to_bits())
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(
+            bits(&open::<Vec<f64>>(&identity(), &bytes).unwrap()),
+            bits(&state)
+        );
         let other = |change: fn(&mut Identity)| {
             let mut other = identity();
             change(&mut other);
             open::<Vec<f64>>(&other, &bytes).unwrap_err()
         };
-        assert!(matches!(other(|other| other.kind = "alert"), Refusal::OfAnother { .. }));
-        assert!(matches!(other(|other| other.of = "bridge".into()), Refusal::OfAnother { .. }));
-        assert_eq!(other(|other| other.version = 4), Refusal::Version { found: 3, expected: 4 });
+        assert!(matches!(
+            other(|other| other.kind = "alert"),
+            Refusal::OfAnother { .. }
+        ));
+        assert!(matches!(
+            other(|other| other.of = "bridge".into()),
+            Refusal::OfAnother { .. }
+        ));
+        assert_eq!(
+            other(|other| other.version = 4),
+            Refusal::Version {
+                found: 3,
+                expected: 4
+            }
+        );
         assert_eq!(other(|other| other.basis.push('0')), Refusal::Basis);
-        assert!(matches!(open::<Vec<[f64; 3]>>(&identity(), &bytes), Err(Refusal::Content(_))));
-        assert!(matches!(open::<u8>(&identity(), &bytes), Err(Refusal::Content(_))));
+        assert!(matches!(
+            open::<Vec<[f64; 3]>>(&identity(), &bytes),
+            Err(Refusal::Content(_))
+        ));
+        assert!(matches!(
+            open::<u8>(&identity(), &bytes),
+            Err(Refusal::Content(_))
+        ));
     }
 
     #[test]
     fn a_cut_and_a_changed_bit_are_seen_wherever_they_are() {
         let bytes = seal(&identity(), &vec![7_u64; 20]).unwrap();
         for length in 0..bytes.len() {
-            assert!(open::<Vec<u64>>(&identity(), &bytes[..length]).is_err(), "cut to {length} bytes");
+            assert!(
+                open::<Vec<u64>>(&identity(), &bytes[..length]).is_err(),
+                "cut to {length} bytes"
+            );
         }
         for position in 0..8 * bytes.len() {
             let mut changed = bytes.clone();
             changed[position / 8] ^= 1 << (position % 8);
-            assert!(open::<Vec<u64>>(&identity(), &changed).is_err(), "bit {position} changed");
+            assert!(
+                open::<Vec<u64>>(&identity(), &changed).is_err(),
+                "bit {position} changed"
+            );
         }
     }
 

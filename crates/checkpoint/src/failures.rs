@@ -49,8 +49,14 @@ mod tests {
         let told: Vec<bool> = (0..5).map(|_| failures.failed()).collect();
         assert_eq!(told, [true, true, false, true, false]);
         assert_eq!(failures.in_a_row(), 5);
-        assert_eq!((failures.succeeded(), failures.succeeded()), (Some(5), None));
+        assert_eq!(
+            (failures.succeeded(), failures.succeeded()),
+            (Some(5), None)
+        );
         assert!(failures.failed(), "the first of another row");
-        assert_eq!(failures.drops(), Some(("checkpoints-not-kept".to_owned(), 6)));
+        assert_eq!(
+            failures.drops(),
+            Some(("checkpoints-not-kept".to_owned(), 6))
+        );
     }
 }

@@ -15,7 +15,9 @@ use tracing::{info, warn};
 #[must_use]
 pub fn moment_within(period: Duration) -> Instant {
     let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
-    Instant::now().checked_sub(period.mul_f64(share)).unwrap_or_else(Instant::now)
+    Instant::now()
+        .checked_sub(period.mul_f64(share))
+        .unwrap_or_else(Instant::now)
 }
 
 /// Keeps the states of a service, one at a time, on a thread that may wait for the disk.
@@ -34,7 +36,13 @@ impl Keeper {
     /// Keeps states among these checkpoints, with so much time between two of them.
     #[must_use]
     pub fn new(checkpoints: Checkpoints, every: Duration) -> Self {
-        Self { checkpoints, every, last: moment_within(every), saving: None, failures: Failures::default() }
+        Self {
+            checkpoints,
+            every,
+            last: moment_within(every),
+            saving: None,
+            failures: Failures::default(),
+        }
     }
 
     /// The checkpoints.
@@ -52,12 +60,18 @@ impl Keeper {
     /// Whether it is time for a state, and the one before it is on the disk.
     #[must_use]
     pub fn is_due(&self) -> bool {
-        self.last.elapsed() >= self.every && self.saving.as_ref().is_none_or(JoinHandle::is_finished)
+        self.last.elapsed() >= self.every
+            && self.saving.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
     /// Begins to keep a state, when the one before it is on the disk; of those before, `needed` is kept as in
     /// [`Checkpoints::forget_before`].
-    pub async fn keep<T: Serialize + Send + 'static>(&mut self, place: Place, state: T, needed: Option<Place>) {
+    pub async fn keep<T: Serialize + Send + 'static>(
+        &mut self,
+        place: Place,
+        state: T,
+        needed: Option<Place>,
+    ) {
         self.finish().await;
         self.last = Instant::now();
         let checkpoints = self.checkpoints.clone();
@@ -83,7 +97,11 @@ impl Keeper {
             Err(error) => error.to_string(),
         };
         if self.failures.failed() {
-            warn!(error = why, failures = self.failures.in_a_row(), "checkpoint not kept: a crash now would cost more");
+            warn!(
+                error = why,
+                failures = self.failures.in_a_row(),
+                "checkpoint not kept: a crash now would cost more"
+            );
         }
     }
 }
@@ -95,7 +113,12 @@ mod tests {
     use std::path::Path;
 
     fn keeper(folder: &Path, every: Duration) -> Keeper {
-        let identity = Identity { kind: "fuse", version: 1, of: "tower".into(), basis: String::new() };
+        let identity = Identity {
+            kind: "fuse",
+            version: 1,
+            of: "tower".into(),
+            basis: String::new(),
+        };
         Keeper::new(Checkpoints::open(folder, identity).unwrap(), every)
     }
 
@@ -113,7 +136,10 @@ mod tests {
         keeper.finish().await;
         assert!(keeper.is_due());
         assert_eq!(keeper.checkpoints().places().unwrap(), [at(2), at(3)]);
-        assert_eq!(keeper.checkpoints().load_latest::<u64>().found, Some((at(3), 3)));
+        assert_eq!(
+            keeper.checkpoints().load_latest::<u64>().found,
+            Some((at(3), 3))
+        );
     }
 
     #[tokio::test]
@@ -133,14 +159,26 @@ mod tests {
         keeper.keep(at(1), 1_u64, None).await;
         keeper.finish().await;
         // a folder in its way: the file cannot be renamed to its place
-        std::fs::create_dir(folder.path().join("below").join(format!("fuse-{:020}-{:020}.checkpoint", 1, 2))).unwrap();
+        std::fs::create_dir(
+            folder
+                .path()
+                .join("below")
+                .join(format!("fuse-{:020}-{:020}.checkpoint", 1, 2)),
+        )
+        .unwrap();
         keeper.keep(at(2), 2_u64, None).await;
         keeper.finish().await;
         assert_eq!(keeper.failures().in_a_row(), 1);
-        assert_eq!(keeper.checkpoints().recall::<u64, _, CheckpointError>(Ok), Some((at(1), 1)));
+        assert_eq!(
+            keeper.checkpoints().recall::<u64, _, CheckpointError>(Ok),
+            Some((at(1), 1))
+        );
         keeper.keep(at(3), 1_u64, None).await;
         keeper.finish().await;
         assert_eq!(keeper.failures().in_a_row(), 0);
-        assert_eq!(keeper.failures().drops(), Some(("checkpoints-not-kept".to_owned(), 1)));
+        assert_eq!(
+            keeper.failures().drops(),
+            Some(("checkpoints-not-kept".to_owned(), 1))
+        );
     }
 }

@@ -59,9 +59,16 @@ impl Checkpoints {
     /// # Errors
     /// It cannot be made or read.
     pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
-        let failed = |source| CheckpointError::Io { what: "make the folder", path: folder.to_owned(), source };
+        let failed = |source| CheckpointError::Io {
+            what: "make the folder",
+            path: folder.to_owned(),
+            source,
+        };
         fs::create_dir_all(folder).map_err(failed)?;
-        let checkpoints = Self { folder: folder.to_owned(), identity };
+        let checkpoints = Self {
+            folder: folder.to_owned(),
+            identity,
+        };
         checkpoints.places()?; // a folder that cannot be read is told of at the start
         Ok(checkpoints)
     }
@@ -90,7 +97,10 @@ impl Checkpoints {
     /// Returns the newest state that may be read; files that may not are set aside.
     #[must_use]
     pub fn load_latest<T: DeserializeOwned>(&self) -> Loaded<T> {
-        self.load(self.places().unwrap_or_default().into_iter().rev(), |bytes| self.identity.open(bytes))
+        self.load(
+            self.places().unwrap_or_default().into_iter().rev(),
+            |bytes| self.identity.open(bytes),
+        )
     }
 
     /// Returns the newest state, as [`Checkpoints::load_latest`], and converts a state of version `former` of the layout.
@@ -104,7 +114,10 @@ impl Checkpoints {
     {
         let open = |bytes: &[u8]| match self.identity.open(bytes) {
             Err(Refusal::Version { found, .. }) if found == former => {
-                let identity = Identity { version: former, ..self.identity.clone() };
+                let identity = Identity {
+                    version: former,
+                    ..self.identity.clone()
+                };
                 let state = identity.open::<F>(bytes)?;
                 info!(
                     kind = identity.kind,
@@ -124,18 +137,29 @@ impl Checkpoints {
         &self,
         mut restore: impl FnMut(T) -> Result<R, E>,
     ) -> Option<(Place, R)> {
-        self.places().unwrap_or_default().into_iter().rev().find_map(|place| {
-            let path = self.path(place);
-            let state = read(&path).and_then(|bytes| self.identity.open(&bytes));
-            let restored = state.and_then(|state| restore(state).map_err(|why| Refusal::Content(why.to_string())));
-            restored.map_err(|why| set_aside(&path, &why)).ok().map(|restored| (place, restored))
-        })
+        self.places()
+            .unwrap_or_default()
+            .into_iter()
+            .rev()
+            .find_map(|place| {
+                let path = self.path(place);
+                let state = read(&path).and_then(|bytes| self.identity.open(&bytes));
+                let restored = state.and_then(|state| {
+                    restore(state).map_err(|why| Refusal::Content(why.to_string()))
+                });
+                restored
+                    .map_err(|why| set_aside(&path, &why))
+                    .ok()
+                    .map(|restored| (place, restored))
+            })
     }
 
     /// Returns the oldest state that may be read; files that may not are set aside.
     #[must_use]
     pub fn load_oldest<T: DeserializeOwned>(&self) -> Loaded<T> {
-        self.load(self.places().unwrap_or_default().into_iter(), |bytes| self.identity.open(bytes))
+        self.load(self.places().unwrap_or_default().into_iter(), |bytes| {
+            self.identity.open(bytes)
+        })
     }
 
     /// Forgets what nobody needs: all but the last two, the newest one at or before `needed`, and those after it.
@@ -146,16 +170,24 @@ impl Checkpoints {
         let places = self.places()?;
         let last_two = places.len().saturating_sub(2);
         let base = match needed {
-            Some(needed) => places.partition_point(|place| *place <= needed).saturating_sub(1),
+            Some(needed) => places
+                .partition_point(|place| *place <= needed)
+                .saturating_sub(1),
             None => last_two,
         };
-        let first = base.min(last_two).max(places.len().saturating_sub(MOST_KEPT));
+        let first = base
+            .min(last_two)
+            .max(places.len().saturating_sub(MOST_KEPT));
         for place in &places[..first] {
             let path = self.path(*place);
             match fs::remove_file(&path) {
                 // somebody has made room by hand
                 Err(source) if source.kind() == io::ErrorKind::NotFound => {}
-                removed => removed.map_err(|source| CheckpointError::Io { what: "remove", path, source })?,
+                removed => removed.map_err(|source| CheckpointError::Io {
+                    what: "remove",
+                    path,
+                    source,
+                })?,
             }
         }
         Ok(())
@@ -166,7 +198,11 @@ impl Checkpoints {
     /// # Errors
     /// The folder cannot be read.
     pub fn places(&self) -> Result<Vec<Place>, CheckpointError> {
-        let failed = |source| CheckpointError::Io { what: "read", path: self.folder.clone(), source };
+        let failed = |source| CheckpointError::Io {
+            what: "read",
+            path: self.folder.clone(),
+            source,
+        };
         let mut places = Vec::new();
         for entry in fs::read_dir(&self.folder).map_err(failed)? {
             let name = entry.map_err(failed)?.file_name();
@@ -176,46 +212,81 @@ impl Checkpoints {
         Ok(places)
     }
 
-    fn load<T>(&self, places: impl Iterator<Item = Place>, open: impl Fn(&[u8]) -> Result<T, Refusal>) -> Loaded<T> {
+    fn load<T>(
+        &self,
+        places: impl Iterator<Item = Place>,
+        open: impl Fn(&[u8]) -> Result<T, Refusal>,
+    ) -> Loaded<T> {
         let mut refused = Vec::new();
         for place in places {
             let path = self.path(place);
             match read(&path).and_then(|bytes| open(&bytes)) {
-                Ok(state) => return Loaded { found: Some((place, state)), refused },
+                Ok(state) => {
+                    return Loaded {
+                        found: Some((place, state)),
+                        refused,
+                    };
+                }
                 Err(why) => refused.push((set_aside(&path, &why), why)),
             }
         }
-        Loaded { found: None, refused }
+        Loaded {
+            found: None,
+            refused,
+        }
     }
 
     fn path(&self, place: Place) -> PathBuf {
         let Place { epoch, sequence } = place;
-        self.folder.join(format!("{}-{epoch:020}-{sequence:020}.{ENDING}", self.identity.kind))
+        self.folder.join(format!(
+            "{}-{epoch:020}-{sequence:020}.{ENDING}",
+            self.identity.kind
+        ))
     }
 
     fn place(&self, name: &str) -> Option<Place> {
         let stem = name.strip_suffix(ENDING)?.strip_suffix('.')?;
         let numbers = stem.strip_prefix(self.identity.kind)?.strip_prefix('-')?;
         let (epoch, sequence) = numbers.split_once('-')?;
-        Some(Place { epoch: epoch.parse().ok()?, sequence: sequence.parse().ok()? })
+        Some(Place {
+            epoch: epoch.parse().ok()?,
+            sequence: sequence.parse().ok()?,
+        })
     }
 }
 
-fn write_whole(beside: &Path, path: &Path, bytes: &[u8], folder: &Path) -> Result<(), CheckpointError> {
-    let failed = |what| move |source| CheckpointError::Io { what, path: beside.to_owned(), source };
+fn write_whole(
+    beside: &Path,
+    path: &Path,
+    bytes: &[u8],
+    folder: &Path,
+) -> Result<(), CheckpointError> {
+    let failed = |what| {
+        move |source| CheckpointError::Io {
+            what,
+            path: beside.to_owned(),
+            source,
+        }
+    };
     let mut file = File::create(beside).map_err(failed("create"))?;
     file.write_all(bytes).map_err(failed("write"))?;
     file.sync_all().map_err(failed("force to the disk"))?;
     fs::rename(beside, path).map_err(failed("rename"))?;
     let forced = File::open(folder).and_then(|folder| folder.sync_all());
-    forced.map_err(|source| CheckpointError::Io { what: "force to the disk", path: folder.to_owned(), source })
+    forced.map_err(|source| CheckpointError::Io {
+        what: "force to the disk",
+        path: folder.to_owned(),
+        source,
+    })
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, Refusal> {
     let unreadable = |error: io::Error| Refusal::Unreadable(error.to_string());
     let length = fs::metadata(path).map_err(unreadable)?.len();
     if length > MAX_BYTES {
-        return Err(Refusal::Unreadable(format!("{length} bytes, a state has at most {MAX_BYTES}")));
+        return Err(Refusal::Unreadable(format!(
+            "{length} bytes, a state has at most {MAX_BYTES}"
+        )));
     }
     fs::read(path).map_err(unreadable)
 }
@@ -240,7 +311,12 @@ mod tests {
     use super::*;
 
     fn checkpoints(folder: &Path) -> Checkpoints {
-        let identity = Identity { kind: "identify", version: 1, of: "tower".into(), basis: "text".into() };
+        let identity = Identity {
+            kind: "identify",
+            version: 1,
+            of: "tower".into(),
+            basis: "text".into(),
+        };
         Checkpoints::open(folder, identity).unwrap()
     }
 
@@ -252,12 +328,24 @@ mod tests {
     fn newest_and_oldest_are_found_in_the_order_of_epochs_and_numbers() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(&folder.path().join("not/yet/there"));
-        assert_eq!(checkpoints.load_latest::<u64>(), Loaded { found: None, refused: vec![] });
+        assert_eq!(
+            checkpoints.load_latest::<u64>(),
+            Loaded {
+                found: None,
+                refused: vec![]
+            }
+        );
         for place in [at(2, 5), at(1, 900), at(2, 40)] {
             checkpoints.save(place, &place.sequence).unwrap();
         }
-        assert_eq!(checkpoints.load_latest::<u64>().found, Some((at(2, 40), 40)));
-        assert_eq!(checkpoints.load_oldest::<u64>().found, Some((at(1, 900), 900)));
+        assert_eq!(
+            checkpoints.load_latest::<u64>().found,
+            Some((at(2, 40), 40))
+        );
+        assert_eq!(
+            checkpoints.load_oldest::<u64>().found,
+            Some((at(1, 900), 900))
+        );
     }
 
     #[test]
@@ -272,7 +360,10 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let of_version = |version| Checkpoints {
-            identity: Identity { version, ..checkpoints(folder.path()).identity },
+            identity: Identity {
+                version,
+                ..checkpoints(folder.path()).identity
+            },
             ..checkpoints(folder.path())
         };
         of_version(2).save(at(1, 1), &7_u8).unwrap();
@@ -281,9 +372,15 @@ mod tests {
         let loaded = of_version(3).load_latest_or_former::<u64, Tens>(2);
         assert_eq!(loaded.found, Some((at(1, 1), 70)));
         let refused: Vec<_> = loaded.refused.into_iter().map(|(_, why)| why).collect();
-        assert_eq!(refused, [4, 1].map(|found| Refusal::Version { found, expected: 3 }));
+        assert_eq!(
+            refused,
+            [4, 1].map(|found| Refusal::Version { found, expected: 3 })
+        );
         of_version(3).save(at(1, 4), &7_u64).unwrap();
-        assert_eq!(of_version(3).load_latest_or_former::<u64, Tens>(2).found, Some((at(1, 4), 7)));
+        assert_eq!(
+            of_version(3).load_latest_or_former::<u64, Tens>(2).found,
+            Some((at(1, 4), 7))
+        );
     }
 
     #[test]
@@ -295,7 +392,12 @@ mod tests {
                 checkpoints.save(at(1, sequence), &sequence).unwrap();
             }
             checkpoints.forget_before(needed).unwrap();
-            checkpoints.places().unwrap().iter().map(|place| place.sequence).collect::<Vec<_>>()
+            checkpoints
+                .places()
+                .unwrap()
+                .iter()
+                .map(|place| place.sequence)
+                .collect::<Vec<_>>()
         };
         assert_eq!(kept(Some(at(1, 25))), [20, 30, 40, 50]);
         assert_eq!(kept(Some(at(1, 30))), [30, 40, 50]);
@@ -327,7 +429,9 @@ mod tests {
         fs::write(&newest, &bytes[..bytes.len() - 1]).unwrap();
         let loaded = checkpoints.load_latest::<u64>();
         assert_eq!(loaded.found, Some((at(1, 1), 1)));
-        let [(aside, Refusal::Damaged)] = &loaded.refused[..] else { panic!("{:?}", loaded.refused) };
+        let [(aside, Refusal::Damaged)] = &loaded.refused[..] else {
+            panic!("{:?}", loaded.refused)
+        };
         assert!(aside.is_file() && !newest.exists());
         assert_eq!(checkpoints.load_latest::<u64>().refused, []);
     }
@@ -340,11 +444,19 @@ mod tests {
             checkpoints.save(at(1, sequence), &sequence).unwrap();
         }
         fs::write(checkpoints.path(at(1, 3)), "no checkpoint").unwrap();
-        let odd = |state: u64| if state % 2 == 1 { Ok(10 * state) } else { Err("it is even") };
+        let odd = |state: u64| {
+            if state % 2 == 1 {
+                Ok(10 * state)
+            } else {
+                Err("it is even")
+            }
+        };
         assert_eq!(checkpoints.recall(odd), Some((at(1, 1), 10)));
         assert_eq!(checkpoints.places().unwrap(), [at(1, 1)]);
         for sequence in [2, 3] {
-            let aside = checkpoints.path(at(1, sequence)).with_extension(format!("{ENDING}.{SET_ASIDE}"));
+            let aside = checkpoints
+                .path(at(1, sequence))
+                .with_extension(format!("{ENDING}.{SET_ASIDE}"));
             assert!(aside.is_file(), "{}", aside.display());
         }
         assert_eq!(checkpoints.recall(|_: u64| Err::<(), _>("never")), None);
@@ -367,14 +479,23 @@ mod tests {
         checkpoints.save(at(1, 2), &u64::MAX).unwrap();
         let loaded = checkpoints.load_latest::<Sized>();
         assert_eq!(loaded.found, Some((at(1, 1), Sized(9))));
-        assert!(matches!(&loaded.refused[..], [(_, Refusal::Content(_))]), "{:?}", loaded.refused);
+        assert!(
+            matches!(&loaded.refused[..], [(_, Refusal::Content(_))]),
+            "{:?}",
+            loaded.refused
+        );
         assert_eq!(checkpoints.places().unwrap(), [at(1, 1)]);
     }
 
     #[test]
     fn files_of_others_and_half_written_ones_are_not_looked_at() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["identify-1.checkpoint", "identify-a-b.checkpoint", "alert-1-1.checkpoint", "identify-1-1.new"] {
+        for name in [
+            "identify-1.checkpoint",
+            "identify-a-b.checkpoint",
+            "alert-1-1.checkpoint",
+            "identify-1-1.new",
+        ] {
             fs::write(folder.path().join(name), "x").unwrap();
         }
         let loaded = checkpoints(folder.path()).load_latest::<u64>();
@@ -386,8 +507,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
-        let identity = Identity { kind: "identify", version: 1, of: "tower".into(), basis: String::new() };
-        let error = Checkpoints::open(&file.join("below"), identity).unwrap_err().to_string();
+        let identity = Identity {
+            kind: "identify",
+            version: 1,
+            of: "tower".into(),
+            basis: String::new(),
+        };
+        let error = Checkpoints::open(&file.join("below"), identity)
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("file/below"), "{error}");
     }
 }

@@ -52,15 +52,35 @@ pub(crate) struct AboutRule {
 
 impl About {
     pub(crate) fn new(structure: &Structure) -> Self {
-        let names: Vec<String> = structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
-        let parameters = structure.parameters().iter().enumerate().map(|(index, parameter)| {
-            let (loss, reference) = structure.displayed_loss(index);
-            AboutParameter { name: parameter.name().to_owned(), stiffness: parameter.is_stiffness(), loss, reference }
-        });
+        let names: Vec<String> = structure
+            .parameters()
+            .iter()
+            .map(|parameter| parameter.name().to_owned())
+            .collect();
+        let parameters = structure
+            .parameters()
+            .iter()
+            .enumerate()
+            .map(|(index, parameter)| {
+                let (loss, reference) = structure.displayed_loss(index);
+                AboutParameter {
+                    name: parameter.name().to_owned(),
+                    stiffness: parameter.is_stiffness(),
+                    loss,
+                    reference,
+                }
+            });
         let noise = structure.noise_levels().iter();
-        let noise = noise.map(|level| AboutNoise { name: level.name().to_owned(), unit: structure.noise_unit(level) });
+        let noise = noise.map(|level| AboutNoise {
+            name: level.name().to_owned(),
+            unit: structure.noise_unit(level),
+        });
         let rules = structure.alert_rules().iter().map(|rule| AboutRule {
-            parameters: rule.parameters.iter().filter_map(|index| names.get(*index).cloned()).collect(),
+            parameters: rule
+                .parameters
+                .iter()
+                .filter_map(|index| names.get(*index).cloned())
+                .collect(),
             loss: rule.loss,
             credibility: rule.credibility,
             sustain_s: rule.sustain_s,
@@ -81,6 +101,9 @@ impl About {
 
     /// The name of an observed channel, by its number in the innovations.
     pub(crate) fn observed_channel(&self, row: usize) -> Option<&str> {
-        self.drawing.sensors.get(*self.observed.get(row)?).map(|sensor| sensor.channel.as_str())
+        self.drawing
+            .sensors
+            .get(*self.observed.get(row)?)
+            .map(|sensor| sensor.channel.as_str())
     }
 }

@@ -15,7 +15,9 @@ use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{DefaultBodyLimit, Path, Query, Request, State};
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN, STRICT_TRANSPORT_SECURITY};
+use axum::http::header::{
+    CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN, STRICT_TRANSPORT_SECURITY,
+};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::{Next, from_fn, from_fn_with_state, map_response, map_response_with_state};
 use axum::response::{IntoResponse, Response};
@@ -46,8 +48,16 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
     vec![
         ("/api/structures", Method::GET, get(structures)),
         ("/api/structures/{structure}", Method::GET, get(structure)),
-        ("/api/structures/{structure}/history", Method::GET, get(read_history)),
-        ("/api/structures/{structure}/alerts/{parameter}/acknowledge", Method::POST, post(acknowledge)),
+        (
+            "/api/structures/{structure}/history",
+            Method::GET,
+            get(read_history),
+        ),
+        (
+            "/api/structures/{structure}/alerts/{parameter}/acknowledge",
+            Method::POST,
+            post(acknowledge),
+        ),
         ("/api/alerts", Method::GET, get(alerts)),
         ("/api/live", Method::GET, get(listen)),
         (SESSION_PATH, Method::GET, get(entrance::who)),
@@ -62,30 +72,49 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
 
 /// Puts interface and page together.
 pub(crate) fn router(server: Arc<Server>) -> Router {
-    let with_page = ASSETS.iter().fold(Router::new(), |router, asset| router.route(asset.path, get(*asset)));
-    let all = routes().into_iter().fold(with_page, |router, (path, _, answer)| router.route(path, answer));
+    let with_page = ASSETS.iter().fold(Router::new(), |router, asset| {
+        router.route(asset.path, get(*asset))
+    });
+    let all = routes()
+        .into_iter()
+        .fold(with_page, |router, (path, _, answer)| {
+            router.route(path, answer)
+        });
     all.fallback(nothing_there)
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(LARGEST_BODY))
         .layer(from_fn_with_state(server.clone(), pass))
         .layer(from_fn(in_time))
         .layer(map_response(with_headers))
-        .layer(map_response_with_state(server.clone(), with_transport_security))
+        .layer(map_response_with_state(
+            server.clone(),
+            with_transport_security,
+        ))
         .with_state(server)
 }
 
 /// Gives a request up that does not end.
 async fn in_time(request: Request, next: Next) -> Response {
-    tokio::time::timeout(REQUEST_WITHIN, next.run(request)).await.unwrap_or_else(|_elapsed| {
-        let allowed = format!("must be whole within {} s", REQUEST_WITHIN.as_secs());
-        Mistake::new(StatusCode::REQUEST_TIMEOUT, "the request takes too long", allowed).into_response()
-    })
+    tokio::time::timeout(REQUEST_WITHIN, next.run(request))
+        .await
+        .unwrap_or_else(|_elapsed| {
+            let allowed = format!("must be whole within {} s", REQUEST_WITHIN.as_secs());
+            Mistake::new(
+                StatusCode::REQUEST_TIMEOUT,
+                "the request takes too long",
+                allowed,
+            )
+            .into_response()
+        })
 }
 
 /// Tells browsers that came over TLS to come over nothing else.
 async fn with_transport_security(State(server): Shared, mut response: Response) -> Response {
     if server.gate().is_secure() {
-        response.headers_mut().insert(STRICT_TRANSPORT_SECURITY, HeaderValue::from_static(TRANSPORT_SECURITY));
+        response.headers_mut().insert(
+            STRICT_TRANSPORT_SECURITY,
+            HeaderValue::from_static(TRANSPORT_SECURITY),
+        );
     }
     response
 }
@@ -99,14 +128,26 @@ pub(crate) struct Mistake {
 }
 
 impl Mistake {
-    pub(crate) fn new(status: StatusCode, what: impl Into<String>, allowed: impl Into<String>) -> Self {
-        Self { status, what: what.into(), allowed: allowed.into() }
+    pub(crate) fn new(
+        status: StatusCode,
+        what: impl Into<String>,
+        allowed: impl Into<String>,
+    ) -> Self {
+        Self {
+            status,
+            what: what.into(),
+            allowed: allowed.into(),
+        }
     }
 }
 
 impl IntoResponse for Mistake {
     fn into_response(self) -> Response {
-        (self.status, Json(json!({"error": self.what, "allowed": self.allowed}))).into_response()
+        (
+            self.status,
+            Json(json!({"error": self.what, "allowed": self.allowed})),
+        )
+            .into_response()
     }
 }
 
@@ -118,50 +159,82 @@ impl From<Refused> for Mistake {
 
 impl From<QueryRejection> for Mistake {
     fn from(rejection: QueryRejection) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, rejection.body_text(), "must be as in /api/openapi.json")
+        Self::new(
+            StatusCode::BAD_REQUEST,
+            rejection.body_text(),
+            "must be as in /api/openapi.json",
+        )
     }
 }
 
 impl From<JsonRejection> for Mistake {
     fn from(rejection: JsonRejection) -> Self {
-        Self::new(rejection.status(), rejection.body_text(), "must be JSON as in /api/openapi.json")
+        Self::new(
+            rejection.status(),
+            rejection.body_text(),
+            "must be JSON as in /api/openapi.json",
+        )
     }
 }
 
 impl From<WebSocketUpgradeRejection> for Mistake {
     fn from(rejection: WebSocketUpgradeRejection) -> Self {
-        Self::new(rejection.status(), rejection.body_text(), "must open a WebSocket")
+        Self::new(
+            rejection.status(),
+            rejection.body_text(),
+            "must open a WebSocket",
+        )
     }
 }
 
 async fn nothing_there(uri: Uri) -> Mistake {
     let what = format!("nothing is at {}", uri.path());
-    Mistake::new(StatusCode::NOT_FOUND, what, "must be a path of /api/openapi.json, or / for the page")
+    Mistake::new(
+        StatusCode::NOT_FOUND,
+        what,
+        "must be a path of /api/openapi.json, or / for the page",
+    )
 }
 
 async fn wrong_method(method: Method, uri: Uri) -> Mistake {
     let what = format!("{} does not take {method}", uri.path());
-    Mistake::new(StatusCode::METHOD_NOT_ALLOWED, what, "must be a method of /api/openapi.json")
+    Mistake::new(
+        StatusCode::METHOD_NOT_ALLOWED,
+        what,
+        "must be a method of /api/openapi.json",
+    )
 }
 
 /// Finds the picture of a structure.
 fn find<'s>(server: &'s Server, name: &str) -> Result<MutexGuard<'s, Store>, Mistake> {
     server.store(name).ok_or_else(|| {
         let allowed = format!("must be one of: {}", server.names().join(", "));
-        Mistake::new(StatusCode::NOT_FOUND, format!("structure `{name}` is not known"), allowed)
+        Mistake::new(
+            StatusCode::NOT_FOUND,
+            format!("structure `{name}` is not known"),
+            allowed,
+        )
     })
 }
 
 /// Refuses what the page of another site sends: browsers say where a request comes from, scripts do not.
 pub(crate) fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
-    let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
-    let origin = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, authority)| authority);
+    let Some(origin) = headers.get(ORIGIN) else {
+        return Ok(());
+    };
+    let origin = origin
+        .to_str()
+        .ok()
+        .and_then(|origin| origin.split_once("://"))
+        .map(|(_, authority)| authority);
     let host = headers.get(HOST).and_then(|host| host.to_str().ok());
     match (origin, host) {
         (Some(origin), Some(host)) if origin == host => Ok(()),
-        (_, _) => {
-            Err(Mistake::new(StatusCode::FORBIDDEN, "the request comes from another site", "must come from here"))
-        }
+        (_, _) => Err(Mistake::new(
+            StatusCode::FORBIDDEN,
+            "the request comes from another site",
+            "must come from here",
+        )),
     }
 }
 
@@ -171,7 +244,13 @@ async fn openapi() -> Response {
 
 async fn read_metrics(State(server): Shared) -> Result<Response, Mistake> {
     let text = metrics(server.stores());
-    let text = text.map_err(|error| Mistake::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string(), "try again"))?;
+    let text = text.map_err(|error| {
+        Mistake::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            error.to_string(),
+            "try again",
+        )
+    })?;
     Ok(([(CONTENT_TYPE, metrics::CONTENT_TYPE)], text).into_response())
 }
 
@@ -202,7 +281,10 @@ async fn read_history(
         Format::Json => Json(span).into_response(),
         Format::Csv => {
             let name = format!("attachment; filename=\"{name}.csv\"");
-            let headers = [(CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()), (CONTENT_DISPOSITION, name)];
+            let headers = [
+                (CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
+                (CONTENT_DISPOSITION, name),
+            ];
             (headers, span.csv()).into_response()
         }
     })
@@ -225,12 +307,28 @@ async fn alerts(
     }
     let (mut standing, mut changed) = (Vec::new(), Vec::new());
     for store in server.stores() {
-        if filter.structure.as_ref().is_some_and(|name| *name != store.about.name) {
+        if filter
+            .structure
+            .as_ref()
+            .is_some_and(|name| *name != store.about.name)
+        {
             continue;
         }
-        let fits = |alert: &crate::view::AlertView<'_>| filter.state.is_none_or(|state| alert.message.state == state);
-        standing.extend(standing_alerts(&store).filter(fits).map(|alert| json!(alert)));
-        changed.extend(changes(&store).filter(fits).map(|alert| (alert.message.time_ns, json!(alert))));
+        let fits = |alert: &crate::view::AlertView<'_>| {
+            filter
+                .state
+                .is_none_or(|state| alert.message.state == state)
+        };
+        standing.extend(
+            standing_alerts(&store)
+                .filter(fits)
+                .map(|alert| json!(alert)),
+        );
+        changed.extend(
+            changes(&store)
+                .filter(fits)
+                .map(|alert| (alert.message.time_ns, json!(alert))),
+        );
     }
     changed.sort_by_key(|(time_ns, _)| std::cmp::Reverse(*time_ns));
     let changed: Vec<_> = changed.into_iter().map(|(_, alert)| alert).collect();
@@ -256,57 +354,113 @@ async fn acknowledge(
     check_origin(&headers)?;
     let Json(Seen { who, note }) = seen?;
     let (who, note) = (who.trim().to_owned(), note.trim().to_owned());
-    let refuse = |what: &str, allowed: String| Err(Mistake::new(StatusCode::BAD_REQUEST, what, allowed));
+    let refuse =
+        |what: &str, allowed: String| Err(Mistake::new(StatusCode::BAD_REQUEST, what, allowed));
     match who.chars().count() {
-        0 => return refuse("who is empty", "must name the person who has seen the alert".to_owned()),
+        0 => {
+            return refuse(
+                "who is empty",
+                "must name the person who has seen the alert".to_owned(),
+            );
+        }
         count if count > LONGEST_NAME => {
-            return refuse("who is too long", format!("must have up to {LONGEST_NAME} characters"));
+            return refuse(
+                "who is too long",
+                format!("must have up to {LONGEST_NAME} characters"),
+            );
         }
         _ => {}
     }
     if who.chars().any(char::is_control) {
-        return refuse("who has control characters", "must be a line of text".to_owned());
+        return refuse(
+            "who has control characters",
+            "must be a line of text".to_owned(),
+        );
     }
-    if note.chars().any(|c| c.is_control() && !matches!(c, '\n' | '\r' | '\t')) {
-        return refuse("note has control characters", "must be text, in one or more lines".to_owned());
+    if note
+        .chars()
+        .any(|c| c.is_control() && !matches!(c, '\n' | '\r' | '\t'))
+    {
+        return refuse(
+            "note has control characters",
+            "must be text, in one or more lines".to_owned(),
+        );
     }
     if note.chars().count() > LONGEST_NOTE {
-        return refuse("note is too long", format!("must have up to {LONGEST_NOTE} characters"));
+        return refuse(
+            "note is too long",
+            format!("must have up to {LONGEST_NOTE} characters"),
+        );
     }
     let before = check_acknowledgeable(&*find(&server, &structure)?, &parameter)?;
     let (Ok(structure), Ok(parameter)) = (Name::new(&*structure), Name::new(&*parameter)) else {
-        return refuse("a name is none", "must be lower-case letters, digits and hyphens".to_owned());
+        return refuse(
+            "a name is none",
+            "must be lower-case letters, digits and hyphens".to_owned(),
+        );
     };
     if let Some(why) = server.cannot_acknowledge() {
-        let what = format!("an acknowledgement would not come through by the certificate of this page: {why}");
-        let allowed = "must be sent from a page, or from spandrel watch, with a certificate of such a role";
+        let what = format!(
+            "an acknowledgement would not come through by the certificate of this page: {why}"
+        );
+        let allowed =
+            "must be sent from a page, or from spandrel watch, with a certificate of such a role";
         return Err(Mistake::new(StatusCode::FORBIDDEN, what, allowed));
     }
     let who = signed(who, visitor.as_ref());
-    let acknowledgement = Acknowledgement { structure, parameter, time_ns: now_ns(), who, note };
+    let acknowledgement = Acknowledgement {
+        structure,
+        parameter,
+        time_ns: now_ns(),
+        who,
+        note,
+    };
     match server.acknowledge(&acknowledgement, before).await {
         Ok(Some(state)) => Ok(Json(json!({"sent": true, "state": state})).into_response()),
-        Ok(None) => Ok((StatusCode::ACCEPTED, Json(json!({"sent": true, "state": null}))).into_response()),
-        Err(error) => Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again")),
+        Ok(None) => Ok((
+            StatusCode::ACCEPTED,
+            Json(json!({"sent": true, "state": null})),
+        )
+            .into_response()),
+        Err(error) => Err(Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            error.to_string(),
+            "try again",
+        )),
     }
 }
 
 /// The state of an alert that somebody can have seen.
 fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<AlertState, Mistake> {
-    if !store.about.parameters.iter().any(|known| known.name == parameter) {
-        let names: Vec<&str> = store.about.parameters.iter().map(|known| known.name.as_str()).collect();
+    if !store
+        .about
+        .parameters
+        .iter()
+        .any(|known| known.name == parameter)
+    {
+        let names: Vec<&str> = store
+            .about
+            .parameters
+            .iter()
+            .map(|known| known.name.as_str())
+            .collect();
         let allowed = format!("must be one of: {}", names.join(", "));
-        return Err(Mistake::new(StatusCode::NOT_FOUND, format!("parameter `{parameter}` is not known"), allowed));
+        return Err(Mistake::new(
+            StatusCode::NOT_FOUND,
+            format!("parameter `{parameter}` is not known"),
+            allowed,
+        ));
     }
     let alert = store.alerts.get(parameter);
     let state = alert.map(|alert| alert.state);
     let is_seen = alert.is_some_and(|alert| alert.stands() && !alert.is_unseen());
     match state {
-        Some(state @ (AlertState::Raised | AlertState::Unconfirmed | AlertState::Cleared | AlertState::Pending))
-            if !is_seen =>
-        {
-            Ok(state)
-        }
+        Some(
+            state @ (AlertState::Raised
+            | AlertState::Unconfirmed
+            | AlertState::Cleared
+            | AlertState::Pending),
+        ) if !is_seen => Ok(state),
         _ => {
             let state = state.map_or("not known", AlertState::as_str);
             let what = format!("the alert of {parameter} is {state}");
@@ -337,12 +491,24 @@ async fn listen(
     if let Some(name) = &structure {
         drop(find(&server, name)?);
     }
-    let upgrade = upgrade?.max_message_size(LARGEST_MESSAGE).max_frame_size(LARGEST_MESSAGE);
+    let upgrade = upgrade?
+        .max_message_size(LARGEST_MESSAGE)
+        .max_frame_size(LARGEST_MESSAGE);
     let Some(place) = server.admit() else {
-        return Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, "too many browsers listen", "try again later"));
+        return Err(Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "too many browsers listen",
+            "try again later",
+        ));
     };
     Ok(upgrade.on_upgrade(async move |socket| {
-        live::serve(socket, server, structure, session.map(|Extension(session)| session)).await;
+        live::serve(
+            socket,
+            server,
+            structure,
+            session.map(|Extension(session)| session),
+        )
+        .await;
         drop(place);
     }))
 }

@@ -37,7 +37,10 @@ impl PageCertificate {
     /// Reads both files and checks that they belong together.
     pub(crate) fn acceptor(&self) -> Result<TlsAcceptor, DashboardError> {
         let (chain, key) = read_pair(&self.certificate, &self.key)?;
-        let unusable = |source| DashboardError::Certificate { path: self.certificate.clone(), source };
+        let unusable = |source| DashboardError::Certificate {
+            path: self.certificate.clone(),
+            source,
+        };
         let mut config = ServerConfig::builder_with_provider(Arc::new(default_provider()))
             .with_safe_default_protocol_versions()
             .map_err(unusable)?
@@ -70,7 +73,10 @@ impl Door {
         let (out, guests) = mpsc::channel(MOST_HANDSHAKES);
         let mut taking = JoinSet::new();
         taking.spawn(take(listener, acceptor, out));
-        Self { guests, _taking: taking }
+        Self {
+            guests,
+            _taking: taking,
+        }
     }
 
     /// The next one; none only when all is at its end.
@@ -93,20 +99,39 @@ async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::S
                 continue;
             }
         };
-        let Some(place) = places.take(address.ip()) else { continue };
+        let Some(place) = places.take(address.ip()) else {
+            continue;
+        };
         let Some(acceptor) = acceptor.clone() else {
-            if out.send(Guest { stream: Either::Left(stream), address, place }).await.is_err() {
+            if out
+                .send(Guest {
+                    stream: Either::Left(stream),
+                    address,
+                    place,
+                })
+                .await
+                .is_err()
+            {
                 return;
             }
             continue;
         };
-        let Ok(handshake) = may_shake_hands.clone().acquire_owned().await else { return };
+        let Ok(handshake) = may_shake_hands.clone().acquire_owned().await else {
+            return;
+        };
         let out = out.clone();
         handshakes.spawn(async move {
             match tokio::time::timeout(HANDSHAKE_WITHIN, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) => {
                     let stream = Either::Right(Box::new(stream));
-                    drop(out.send(Guest { stream, address, place }).await);
+                    drop(
+                        out.send(Guest {
+                            stream,
+                            address,
+                            place,
+                        })
+                        .await,
+                    );
                 }
                 Ok(Err(error)) => debug!(%address, %error, "no handshake"),
                 Err(_) => debug!(%address, "no handshake in time"),

@@ -36,20 +36,30 @@ pub(crate) async fn pass(
         };
     }
     let path = request.uri().path();
-    let is_free =
-        [SESSION_PATH, LIVE_PATH, READY_PATH].contains(&path) || ASSETS.iter().any(|asset| asset.path == path);
+    let is_free = [SESSION_PATH, LIVE_PATH, READY_PATH].contains(&path)
+        || ASSETS.iter().any(|asset| asset.path == path);
     if is_free {
         return next.run(request).await;
     }
-    match server.gate().admit_for_long(request.headers(), address.0, server.since_start()) {
-        Ok((visitor, end)) if request.method() == Method::GET || visitor.role == PageRole::Operator => {
+    match server
+        .gate()
+        .admit_for_long(request.headers(), address.0, server.since_start())
+    {
+        Ok((visitor, end))
+            if request.method() == Method::GET || visitor.role == PageRole::Operator =>
+        {
             request.extensions_mut().insert(visitor);
             end.and_then(|end| request.extensions_mut().insert(end));
             next.run(request).await
         }
         Ok(_) => {
             let what = "this token is one of a viewer, who reads";
-            Mistake::new(StatusCode::FORBIDDEN, what, "must be a token of an operator").into_response()
+            Mistake::new(
+                StatusCode::FORBIDDEN,
+                what,
+                "must be a token of an operator",
+            )
+            .into_response()
         }
         Err(refusal) => refused(refusal),
     }
@@ -58,18 +68,27 @@ pub(crate) async fn pass(
 /// Without tokens the page is for this machine only. The page of another site can give a name of its own the address of this
 /// machine, and would then read here what it likes; under that name it is not answered.
 fn check_host(headers: &HeaderMap) -> Result<(), Mistake> {
-    let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let host = headers
+        .get(HOST)
+        .and_then(|host| host.to_str().ok())
+        .unwrap_or_default();
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
         Some(_) | None => host,
     };
-    let name = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
+    let name = name
+        .strip_prefix('[')
+        .and_then(|name| name.strip_suffix(']'))
+        .unwrap_or(name);
     match is_loopback(name) {
         true => Ok(()),
         false => {
-            let allowed =
-                "must be an address of this machine, such as 127.0.0.1; dashboard.tokens opens the page to others";
-            Err(Mistake::new(StatusCode::FORBIDDEN, "the page is asked for under a foreign name", allowed))
+            let allowed = "must be an address of this machine, such as 127.0.0.1; dashboard.tokens opens the page to others";
+            Err(Mistake::new(
+                StatusCode::FORBIDDEN,
+                "the page is asked for under a foreign name",
+                allowed,
+            ))
         }
     }
 }
@@ -77,15 +96,22 @@ fn check_host(headers: &HeaderMap) -> Result<(), Mistake> {
 fn refused(refusal: Refusal) -> Response {
     match refusal {
         Refusal::Unknown => {
-            let allowed = "must have a token (Authorization: Bearer TOKEN), which spandrel token makes";
+            let allowed =
+                "must have a token (Authorization: Bearer TOKEN), which spandrel token makes";
             Mistake::new(StatusCode::UNAUTHORIZED, "no valid token", allowed).into_response()
         }
         Refusal::Later(pause) => {
             let seconds = pause.as_secs().max(1);
             let what = "too many wrong tokens from this address";
-            let mistake = Mistake::new(StatusCode::TOO_MANY_REQUESTS, what, format!("must wait for {seconds} s"));
+            let mistake = Mistake::new(
+                StatusCode::TOO_MANY_REQUESTS,
+                what,
+                format!("must wait for {seconds} s"),
+            );
             let mut response = mistake.into_response();
-            response.headers_mut().insert(RETRY_AFTER, HeaderValue::from(seconds));
+            response
+                .headers_mut()
+                .insert(RETRY_AFTER, HeaderValue::from(seconds));
             response
         }
     }
@@ -107,8 +133,13 @@ pub(crate) async fn who(
     if server.gate().is_open() {
         return Json(json!({"open": true})).into_response();
     }
-    match server.gate().admit(&headers, address.0, server.since_start()) {
-        Ok(Visitor { name, role }) => Json(json!({"open": false, "name": name, "role": role})).into_response(),
+    match server
+        .gate()
+        .admit(&headers, address.0, server.since_start())
+    {
+        Ok(Visitor { name, role }) => {
+            Json(json!({"open": false, "name": name, "role": role})).into_response()
+        }
         Err(refusal) => refused(refusal),
     }
 }
@@ -124,7 +155,11 @@ pub(crate) async fn enter(
     // what serde says of a wrong body could quote the token
     let allowed = "must be {\"token\": \"…\"}";
     let Ok(Json(Shown { token })) = shown else {
-        return Err(Mistake::new(StatusCode::BAD_REQUEST, "the body is no token", allowed));
+        return Err(Mistake::new(
+            StatusCode::BAD_REQUEST,
+            "the body is no token",
+            allowed,
+        ));
     };
     let now = server.since_start();
     let visitor = match server.gate().check(token.trim(), address.0, now) {
@@ -133,17 +168,30 @@ pub(crate) async fn enter(
     };
     let answer = json!({"open": false, "name": visitor.name, "role": visitor.role});
     let cookie = server.gate().begin(visitor, now);
-    let cookie =
-        cookie.map_err(|error| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"))?;
+    let cookie = cookie.map_err(|error| {
+        Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            error.to_string(),
+            "try again",
+        )
+    })?;
     Ok(([(SET_COOKIE, cookie)], Json(answer)).into_response())
 }
 
 /// Ends a session.
-pub(crate) async fn leave(State(server): State<Arc<Server>>, headers: HeaderMap) -> Result<Response, Mistake> {
+pub(crate) async fn leave(
+    State(server): State<Arc<Server>>,
+    headers: HeaderMap,
+) -> Result<Response, Mistake> {
     crate::api::check_origin(&headers)?;
     let cookie = server.gate().end(&headers);
-    let cookie =
-        cookie.map_err(|error| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"))?;
+    let cookie = cookie.map_err(|error| {
+        Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            error.to_string(),
+            "try again",
+        )
+    })?;
     Ok(([(SET_COOKIE, cookie)], Json(json!({"left": true}))).into_response())
 }
 

@@ -8,7 +8,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum DashboardError {
     /// The address is taken, is none, or may not be listened on.
-    #[error("cannot serve the page on {address}, must be a free address such as 127.0.0.1:8080, or none for no page")]
+    #[error(
+        "cannot serve the page on {address}, must be a free address such as 127.0.0.1:8080, or none for no page"
+    )]
     Listen {
         /// The address asked for.
         address: String,

@@ -89,16 +89,26 @@ struct Wrong {
 impl Wrong {
     fn now(self, now: Duration) -> Self {
         let gained = now.saturating_sub(self.as_of).as_secs() / ONE_MORE_EVERY.as_secs();
-        let left = u64::from(self.left).saturating_add(gained).min(u64::from(WRONG_AT_ONCE));
-        let as_of = self.as_of + ONE_MORE_EVERY.saturating_mul(u32::try_from(gained).unwrap_or(u32::MAX));
+        let left = u64::from(self.left)
+            .saturating_add(gained)
+            .min(u64::from(WRONG_AT_ONCE));
+        let as_of =
+            self.as_of + ONE_MORE_EVERY.saturating_mul(u32::try_from(gained).unwrap_or(u32::MAX));
         // at most WRONG_AT_ONCE, which is a u32
-        Self { left: u32::try_from(left).unwrap_or(WRONG_AT_ONCE), as_of: as_of.min(now) }
+        Self {
+            left: u32::try_from(left).unwrap_or(WRONG_AT_ONCE),
+            as_of: as_of.min(now),
+        }
     }
 }
 
 impl Gate {
     pub(crate) fn new(tokens: Tokens, is_secure: bool) -> Self {
-        Self { tokens, is_secure, inner: Mutex::default() }
+        Self {
+            tokens,
+            is_secure,
+            inner: Mutex::default(),
+        }
     }
 
     /// Whether everybody may do everything.
@@ -112,8 +122,14 @@ impl Gate {
     }
 
     /// Who asks, by the token or cookie of a request.
-    pub(crate) fn admit(&self, headers: &HeaderMap, address: IpAddr, now: Duration) -> Result<Visitor, Refusal> {
-        self.admit_for_long(headers, address, now).map(|(visitor, _)| visitor)
+    pub(crate) fn admit(
+        &self,
+        headers: &HeaderMap,
+        address: IpAddr,
+        now: Duration,
+    ) -> Result<Visitor, Refusal> {
+        self.admit_for_long(headers, address, now)
+            .map(|(visitor, _)| visitor)
     }
 
     /// The same with the end of the session, for those who came by one; a token is good as long as the page runs.
@@ -124,47 +140,88 @@ impl Gate {
         now: Duration,
     ) -> Result<(Visitor, Option<SessionEnd>), Refusal> {
         if let Some(secret) = bearer(headers) {
-            return self.check(secret, address, now).map(|visitor| (visitor, None));
+            return self
+                .check(secret, address, now)
+                .map(|visitor| (visitor, None));
         }
         let inner = self.lock();
         let session = cookie(headers).and_then(|cookie| inner.sessions.get(&hash(cookie)));
-        let session = session.filter(|session| session.until > now).ok_or(Refusal::Unknown)?;
-        let end = SessionEnd { until: session.until, left: session.left.subscribe() };
+        let session = session
+            .filter(|session| session.until > now)
+            .ok_or(Refusal::Unknown)?;
+        let end = SessionEnd {
+            until: session.until,
+            left: session.left.subscribe(),
+        };
         Ok((session.visitor.clone(), Some(end)))
     }
 
     /// Whose token this is; wrong ones are counted against the address.
-    pub(crate) fn check(&self, secret: &str, address: IpAddr, now: Duration) -> Result<Visitor, Refusal> {
+    pub(crate) fn check(
+        &self,
+        secret: &str,
+        address: IpAddr,
+        now: Duration,
+    ) -> Result<Visitor, Refusal> {
         let address = network_of(address);
         let mut inner = self.lock();
-        let fresh = Wrong { left: WRONG_AT_ONCE, as_of: now };
+        let fresh = Wrong {
+            left: WRONG_AT_ONCE,
+            as_of: now,
+        };
         let wrong = inner.wrong.get(&address).copied().unwrap_or(fresh).now(now);
         if wrong.left == 0 {
-            return Err(Refusal::Later((wrong.as_of + ONE_MORE_EVERY).saturating_sub(now)));
+            return Err(Refusal::Later(
+                (wrong.as_of + ONE_MORE_EVERY).saturating_sub(now),
+            ));
         }
         if let Some(token) = self.tokens.find(secret) {
-            return Ok(Visitor { name: token.name.clone(), role: token.role });
+            return Ok(Visitor {
+                name: token.name.clone(),
+                role: token.role,
+            });
         }
-        inner.wrong.retain(|_, wrong| wrong.now(now).left < WRONG_AT_ONCE);
+        inner
+            .wrong
+            .retain(|_, wrong| wrong.now(now).left < WRONG_AT_ONCE);
         if inner.wrong.len() >= MOST_ADDRESSES && !inner.wrong.contains_key(&address) {
             return Err(Refusal::Later(ONE_MORE_EVERY));
         }
-        inner.wrong.insert(address, Wrong { left: wrong.left - 1, ..wrong });
+        inner.wrong.insert(
+            address,
+            Wrong {
+                left: wrong.left - 1,
+                ..wrong
+            },
+        );
         Err(Refusal::Unknown)
     }
 
     /// Begins the session of a browser; returns the header that tells it.
-    pub(crate) fn begin(&self, visitor: Visitor, now: Duration) -> Result<HeaderValue, DashboardError> {
+    pub(crate) fn begin(
+        &self,
+        visitor: Visitor,
+        now: Duration,
+    ) -> Result<HeaderValue, DashboardError> {
         let secret = hexadecimal(&random()?);
         let mut inner = self.lock();
         inner.sessions.retain(|_, session| session.until > now);
         if inner.sessions.len() >= MOST_SESSIONS {
-            let oldest = inner.sessions.iter().min_by_key(|(_, session)| session.until).map(|(hash, _)| hash.clone());
+            let oldest = inner
+                .sessions
+                .iter()
+                .min_by_key(|(_, session)| session.until)
+                .map(|(hash, _)| hash.clone());
             oldest.and_then(|oldest| inner.sessions.remove(&oldest));
         }
-        inner
-            .sessions
-            .insert(hash(&secret), Session { visitor, until: now + SESSION_LASTS, left: watch::Sender::new(()) });
+        inner.sessions.insert(
+            hash(&secret),
+            Session {
+                visitor,
+                until: now + SESSION_LASTS,
+                left: watch::Sender::new(()),
+            },
+        );
         drop(inner);
         self.cookie(&secret, SESSION_LASTS)
     }
@@ -180,7 +237,9 @@ impl Gate {
     fn cookie(&self, value: &str, lasts: Duration) -> Result<HeaderValue, DashboardError> {
         let secure = if self.is_secure { "; Secure" } else { "" };
         let lasts = lasts.as_secs();
-        let text = format!("{COOKIE_NAME}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={lasts}{secure}");
+        let text = format!(
+            "{COOKIE_NAME}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={lasts}{secure}"
+        );
         // digits and letters
         HeaderValue::try_from(text).map_err(|_| DashboardError::NoRandom)
     }
@@ -205,9 +264,16 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
 }
 
 fn cookie(headers: &HeaderMap) -> Option<&str> {
-    let all = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-    let mut pairs = all.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    pairs.find(|(name, _)| *name == COOKIE_NAME).map(|(_, value)| value)
+    let all = headers
+        .get_all(COOKIE)
+        .iter()
+        .filter_map(|value| value.to_str().ok());
+    let mut pairs = all
+        .flat_map(|value| value.split(';'))
+        .filter_map(|pair| pair.trim().split_once('='));
+    pairs
+        .find(|(name, _)| *name == COOKIE_NAME)
+        .map(|(_, value)| value)
 }
 
 #[cfg(test)]
@@ -225,7 +291,8 @@ mod tests {
     fn gate() -> (Gate, String) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");
-        let secret = Tokens::issue(&path, Name::new("ada").unwrap(), PageRole::Viewer, false).unwrap();
+        let secret =
+            Tokens::issue(&path, Name::new("ada").unwrap(), PageRole::Viewer, false).unwrap();
         (Gate::new(Tokens::read(&path).unwrap(), true), secret)
     }
 
@@ -237,25 +304,52 @@ mod tests {
     fn a_token_lets_in_and_nothing_else_does() {
         let (gate, secret) = gate();
         let bearer = |secret: &str| header(AUTHORIZATION, &format!("Bearer {secret}"));
-        assert_eq!(gate.admit(&bearer(&secret), HERE, at(0)).unwrap().name.as_str(), "ada");
-        assert_eq!(gate.admit(&HeaderMap::new(), HERE, at(0)), Err(Refusal::Unknown));
+        assert_eq!(
+            gate.admit(&bearer(&secret), HERE, at(0))
+                .unwrap()
+                .name
+                .as_str(),
+            "ada"
+        );
+        assert_eq!(
+            gate.admit(&HeaderMap::new(), HERE, at(0)),
+            Err(Refusal::Unknown)
+        );
         for wrong in ["", "spandrel-", "x"] {
-            assert_eq!(gate.admit(&bearer(wrong), HERE, at(0)), Err(Refusal::Unknown), "{wrong}");
+            assert_eq!(
+                gate.admit(&bearer(wrong), HERE, at(0)),
+                Err(Refusal::Unknown),
+                "{wrong}"
+            );
         }
-        assert_eq!(gate.admit(&header(AUTHORIZATION, &secret), HERE, at(0)), Err(Refusal::Unknown));
+        assert_eq!(
+            gate.admit(&header(AUTHORIZATION, &secret), HERE, at(0)),
+            Err(Refusal::Unknown)
+        );
     }
 
     #[test]
     fn a_session_lasts_until_its_end() {
         let (gate, secret) = gate();
         let visitor = gate.check(&secret, HERE, at(0)).unwrap();
-        let told = gate.begin(visitor, at(0)).unwrap().to_str().unwrap().to_owned();
+        let told = gate
+            .begin(visitor, at(0))
+            .unwrap()
+            .to_str()
+            .unwrap()
+            .to_owned();
         for part in ["HttpOnly", "SameSite=Strict", "Secure", "Path=/"] {
             assert!(told.contains(part), "{told}");
         }
-        let cookie = header(COOKIE, &format!("theme=dark; {}", told.split(';').next().unwrap()));
+        let cookie = header(
+            COOKIE,
+            &format!("theme=dark; {}", told.split(';').next().unwrap()),
+        );
         assert!(gate.admit(&cookie, HERE, at(12 * 3600 - 1)).is_ok());
-        assert_eq!(gate.admit(&cookie, HERE, at(12 * 3600)), Err(Refusal::Unknown));
+        assert_eq!(
+            gate.admit(&cookie, HERE, at(12 * 3600)),
+            Err(Refusal::Unknown)
+        );
         gate.end(&cookie).unwrap();
         assert_eq!(gate.admit(&cookie, HERE, at(1)), Err(Refusal::Unknown));
     }
@@ -265,19 +359,40 @@ mod tests {
         let (gate, secret) = gate();
         let enter = || {
             let visitor = gate.check(&secret, HERE, at(0)).unwrap();
-            let told = gate.begin(visitor, at(0)).unwrap().to_str().unwrap().to_owned();
+            let told = gate
+                .begin(visitor, at(0))
+                .unwrap()
+                .to_str()
+                .unwrap()
+                .to_owned();
             header(COOKIE, told.split(';').next().unwrap())
         };
         let (first, second) = (enter(), enter());
         let end = |cookie: &HeaderMap| gate.admit_for_long(cookie, HERE, at(0)).unwrap().1.unwrap();
         let (of_first, of_second) = (end(&first), end(&second));
-        assert!(of_first.clone().wait(at(0)).now_or_never().is_none(), "it goes on");
+        assert!(
+            of_first.clone().wait(at(0)).now_or_never().is_none(),
+            "it goes on"
+        );
         gate.end(&first).unwrap();
         of_first.wait(at(0)).await;
-        assert!(of_second.clone().wait(at(12 * 3600 - 1)).now_or_never().is_none(), "it is another one");
+        assert!(
+            of_second
+                .clone()
+                .wait(at(12 * 3600 - 1))
+                .now_or_never()
+                .is_none(),
+            "it is another one"
+        );
         of_second.wait(at(12 * 3600)).await;
         let bearer = header(AUTHORIZATION, &format!("Bearer {secret}"));
-        assert!(gate.admit_for_long(&bearer, HERE, at(0)).unwrap().1.is_none(), "a token is no session");
+        assert!(
+            gate.admit_for_long(&bearer, HERE, at(0))
+                .unwrap()
+                .1
+                .is_none(),
+            "a token is no session"
+        );
     }
 
     #[test]
@@ -302,7 +417,10 @@ mod tests {
         assert!(gate.check(&secret, elsewhere, at(0)).is_ok());
         assert!(gate.check(&secret, HERE, at(6)).is_ok());
         assert_eq!(gate.check("wrong", HERE, at(6)), Err(Refusal::Unknown));
-        assert!(matches!(gate.check("wrong", HERE, at(6)), Err(Refusal::Later(_))));
+        assert!(matches!(
+            gate.check("wrong", HERE, at(6)),
+            Err(Refusal::Later(_))
+        ));
     }
 
     #[test]
@@ -313,7 +431,10 @@ mod tests {
             assert_eq!(gate.check("wrong", address, at(0)), Err(Refusal::Unknown));
         }
         let another = "2001:db8::ffff".parse().unwrap();
-        assert!(matches!(gate.check("wrong", another, at(0)), Err(Refusal::Later(_))));
+        assert!(matches!(
+            gate.check("wrong", another, at(0)),
+            Err(Refusal::Later(_))
+        ));
     }
 
     #[test]
@@ -324,9 +445,15 @@ mod tests {
             let _ = gate.check("wrong", address(number), at(0));
         }
         assert_eq!(gate.lock().wrong.len(), MOST_ADDRESSES);
-        assert!(matches!(gate.check("wrong", address(1 << 20), at(0)), Err(Refusal::Later(_))));
+        assert!(matches!(
+            gate.check("wrong", address(1 << 20), at(0)),
+            Err(Refusal::Later(_))
+        ));
         assert!(gate.check(&secret, address(1 << 20), at(0)).is_ok());
-        assert_eq!(gate.check("wrong", address(1 << 20), at(3600)), Err(Refusal::Unknown));
+        assert_eq!(
+            gate.check("wrong", address(1 << 20), at(3600)),
+            Err(Refusal::Unknown)
+        );
         assert_eq!(gate.lock().wrong.len(), 1);
     }
 }

@@ -26,8 +26,13 @@ pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
         structures += 1;
         missing += u64::from(!has_all(&store));
     }
-    let code = if missing == 0 { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let answer = json!({"ready": missing == 0, "structures": structures, "without-a-service": missing});
+    let code = if missing == 0 {
+        StatusCode::OK
+    } else {
+        StatusCode::SERVICE_UNAVAILABLE
+    };
+    let answer =
+        json!({"ready": missing == 0, "structures": structures, "without-a-service": missing});
     (code, Json(answer)).into_response()
 }
 
@@ -48,14 +53,20 @@ mod tests {
     fn a_structure_is_ready_with_all_services_of_either_kind() {
         let ready = |services: &[Service]| {
             let mut store = demo();
-            store.present = services.iter().map(|service| (*service, Name::new("one").unwrap())).collect();
+            store.present = services
+                .iter()
+                .map(|service| (*service, Name::new("one").unwrap()))
+                .collect();
             has_all(&store)
         };
         assert!(ready(&[Service::Ingest, Service::Identify, Service::Alert]));
         assert!(ready(&[Service::Fuse, Service::Alert]));
-        for lacking in
-            [&[Service::Ingest, Service::Identify][..], &[Service::Identify, Service::Alert], &[Service::Fuse], &[]]
-        {
+        for lacking in [
+            &[Service::Ingest, Service::Identify][..],
+            &[Service::Identify, Service::Alert],
+            &[Service::Fuse],
+            &[],
+        ] {
             assert!(!ready(lacking), "{lacking:?}");
         }
     }

@@ -95,16 +95,35 @@ pub(crate) struct Earlier {
 impl Request {
     /// Checks a request; without names it is for all that is kept.
     pub(crate) fn new(asked: &Asked, store: &Store) -> Result<Self, Refused> {
-        let refuse = |what: String, allowed: &str| Err(Refused { what, allowed: allowed.to_owned() });
+        let refuse = |what: String, allowed: &str| {
+            Err(Refused {
+                what,
+                allowed: allowed.to_owned(),
+            })
+        };
         let mut series = Vec::new();
-        for name in asked.series.as_deref().unwrap_or_default().split(',').filter(|name| !name.is_empty()) {
+        for name in asked
+            .series
+            .as_deref()
+            .unwrap_or_default()
+            .split(',')
+            .filter(|name| !name.is_empty())
+        {
             match SeriesName::parse(name).filter(|name| store.may_have(name)) {
                 Some(name) => series.push(name),
                 None => {
-                    let known: Vec<String> = store.series_names().map(ToString::to_string).collect();
+                    let known: Vec<String> =
+                        store.series_names().map(ToString::to_string).collect();
                     let allowed = format!("must be one of: {}", known.join(", "));
-                    let allowed = if known.is_empty() { "nothing has been heard yet" } else { &allowed };
-                    return refuse(format!("series `{}` is not known", shortened(name)), allowed);
+                    let allowed = if known.is_empty() {
+                        "nothing has been heard yet"
+                    } else {
+                        &allowed
+                    };
+                    return refuse(
+                        format!("series `{}` is not known", shortened(name)),
+                        allowed,
+                    );
                 }
             }
         }
@@ -112,7 +131,10 @@ impl Request {
             series = store.series_names().cloned().collect();
         }
         if series.len() > MOST_SERIES {
-            return refuse(format!("{} series are asked for", series.len()), "must be 256 or fewer");
+            return refuse(
+                format!("{} series are asked for", series.len()),
+                "must be 256 or fewer",
+            );
         }
         let points = asked.points.unwrap_or(POINTS);
         if !(1..=MOST_POINTS).contains(&points) {
@@ -125,13 +147,25 @@ impl Request {
                 allowed: format!("must be {TIMES}"),
             }),
         };
-        let (from_ns, to_ns) = (time("from", &asked.from, i64::MIN)?, time("to", &asked.to, i64::MAX)?);
+        let (from_ns, to_ns) = (
+            time("from", &asked.from, i64::MIN)?,
+            time("to", &asked.to, i64::MAX)?,
+        );
         if from_ns > to_ns {
             let seconds = |time_ns: i64| time_ns as f64 / 1e9;
-            let what = format!("the span is from {} to {} s", seconds(from_ns), seconds(to_ns));
+            let what = format!(
+                "the span is from {} to {} s",
+                seconds(from_ns),
+                seconds(to_ns)
+            );
             return refuse(what, "from must come before to");
         }
-        Ok(Self { series, from_ns, to_ns, points })
+        Ok(Self {
+            series,
+            from_ns,
+            to_ns,
+            points,
+        })
     }
 }
 
@@ -139,7 +173,10 @@ impl Request {
 pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     let mut series = Vec::new();
     let mut earlier = Vec::new();
-    let has_history = store.present.iter().any(|(service, _)| *service == Service::History);
+    let has_history = store
+        .present
+        .iter()
+        .any(|(service, _)| *service == Service::History);
     for (place, name) in request.series.iter().enumerate() {
         let found = store.series(name);
         let first_ns = found.and_then(Series::first_ns);
@@ -148,7 +185,11 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
             let query = before(request, name.kind, first_ns);
             // the rest of the points is for what is here
             points = (points - query.points).max(1);
-            earlier.extend(Name::new(name.of.clone()).ok().map(|name| Earlier { place, name, query }));
+            earlier.extend(Name::new(name.of.clone()).ok().map(|name| Earlier {
+                place,
+                name,
+                query,
+            }));
         }
         // what may come and has not yet is empty
         let span = |series: &Series| series.span(request.from_ns, request.to_ns, points);
@@ -157,34 +198,61 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
         series.push(SpanOfSeries {
             name: name.to_string(),
             generation: found.map_or(0, Series::generation),
-            columns: std::iter::once("time_s").chain(name.kind.columns().iter().copied()).collect(),
+            columns: std::iter::once("time_s")
+                .chain(name.kind.columns().iter().copied())
+                .collect(),
             data: columns(&table, width),
             table,
             kind: name.kind,
             kept_from_ns: first_ns,
         });
     }
-    let mut span = Span { structure: store.about.name.clone(), kept_from_s: None, series };
+    let mut span = Span {
+        structure: store.about.name.clone(),
+        kept_from_s: None,
+        series,
+    };
     span.tell_kept_from();
     (span, earlier)
 }
 
 /// What to ask for before the first point that is here: a share of the points that is that of its time.
 fn before(request: &Request, kind: Kind, first_ns: Option<i64>) -> SpanQuery {
-    let end_ns = first_ns.map_or(request.to_ns, |first_ns| request.to_ns.min(first_ns.saturating_sub(1)));
+    let end_ns = first_ns.map_or(request.to_ns, |first_ns| {
+        request.to_ns.min(first_ns.saturating_sub(1))
+    });
     let length = |to_ns: i64| (to_ns as f64) - (request.from_ns as f64);
-    let share = if first_ns.is_none() { 1.0 } else { length(end_ns) / length(request.to_ns).max(1.0) };
+    let share = if first_ns.is_none() {
+        1.0
+    } else {
+        length(end_ns) / length(request.to_ns).max(1.0)
+    };
     // a span without a beginning or an end says nothing of shares
     let is_bounded = request.from_ns > i64::MIN && request.to_ns < i64::MAX;
-    let share = if is_bounded || first_ns.is_none() { share } else { 0.5 };
+    let share = if is_bounded || first_ns.is_none() {
+        share
+    } else {
+        0.5
+    };
     let points = ((request.points as f64) * share).ceil() as usize;
-    let query = SpanQuery { points: points.clamp(1, request.points), ..SpanQuery::default() };
-    SpanQuery { from_ns: request.from_ns, to_ns: end_ns, kind: kind.as_str().to_owned(), ..query }
+    let query = SpanQuery {
+        points: points.clamp(1, request.points),
+        ..SpanQuery::default()
+    };
+    SpanQuery {
+        from_ns: request.from_ns,
+        to_ns: end_ns,
+        kind: kind.as_str().to_owned(),
+        ..query
+    }
 }
 
 /// The columns of a table, the time (s) first.
 pub(crate) fn columns(table: &Table, width: usize) -> Vec<Vec<f64>> {
-    let times = table.times_ns().map(|time_ns| time_ns as f64 / 1e9).collect();
+    let times = table
+        .times_ns()
+        .map(|time_ns| time_ns as f64 / 1e9)
+        .collect();
     let values = (0..width).map(|column| table.column(column).collect());
     std::iter::once(times).chain(values).collect()
 }
@@ -192,12 +260,16 @@ pub(crate) fn columns(table: &Table, width: usize) -> Vec<Vec<f64>> {
 impl Span {
     /// Puts what the history service knows before what is known here.
     pub(crate) fn put_before(&mut self, earlier: &Earlier, answer: &HistorySpan) {
-        let Some(series) = self.series.get_mut(earlier.place) else { return };
+        let Some(series) = self.series.get_mut(earlier.place) else {
+            return;
+        };
         let width = series.kind.columns().len();
         let rows = &answer.rows;
         let row = |row: usize| {
             let values = match series.kind {
-                Kind::Parameter => vec![rows.mean[row], rows.std[row], rows.probability_of_loss[row]],
+                Kind::Parameter => {
+                    vec![rows.mean[row], rows.std[row], rows.probability_of_loss[row]]
+                }
                 Kind::Noise => vec![rows.mean[row], rows.std[row]],
                 Kind::Outlier | Kind::Node => vec![rows.largest[row]], // the rest is not kept
                 Kind::Class => vec![rows.mean[row]],
@@ -207,7 +279,9 @@ impl Span {
         };
         // a time in seconds is rounded, and must not come after what follows
         let end_ns = earlier.query.to_ns;
-        let rows = (0..rows.time_s.len()).map(row).map(|(time_ns, values)| (time_ns.min(end_ns), values));
+        let rows = (0..rows.time_s.len())
+            .map(row)
+            .map(|(time_ns, values)| (time_ns.min(end_ns), values));
         let mut table = Table::of(width, rows);
         table.append(std::mem::take(&mut series.table));
         series.data = columns(&table, width);
@@ -218,7 +292,11 @@ impl Span {
     }
 
     fn tell_kept_from(&mut self) {
-        let last = self.series.iter().filter_map(|series| series.kept_from_ns).max();
+        let last = self
+            .series
+            .iter()
+            .filter_map(|series| series.kept_from_ns)
+            .max();
         self.kept_from_s = last.map(|time_ns| time_ns as f64 / 1e9);
     }
 
@@ -233,7 +311,11 @@ impl Span {
                 let _ = write!(header, ",{}", quoted(&format!("{}.{column}", series.name)));
             }
             for (row, time_ns) in series.table.times_ns().enumerate() {
-                let values = series.table.row(row).enumerate().map(|(column, value)| (width + column, value));
+                let values = series
+                    .table
+                    .row(row)
+                    .enumerate()
+                    .map(|(column, value)| (width + column, value));
                 rows.entry(time_ns).or_default().extend(values);
             }
             width += series.columns.len() - 1;
@@ -253,26 +335,39 @@ impl Span {
 /// A time in seconds as nanoseconds: of a date to the microsecond, because a number of seconds since 1970 tells no more.
 fn nearest_ns(time_s: f64) -> i64 {
     let time_ns = (time_s * 1e9).round() as i64;
-    if is_without_date(time_ns) { time_ns } else { (time_s * 1e6).round() as i64 * 1_000 }
+    if is_without_date(time_ns) {
+        time_ns
+    } else {
+        (time_s * 1e6).round() as i64 * 1_000
+    }
 }
 
 /// A number in the fewest digits that are read back as the same, with an exponent where zeros would be written instead.
 fn shortest(value: f64) -> String {
     /// Sizes that are read more easily without an exponent.
     const PLAIN: std::ops::Range<f64> = 1e-5..1e16;
-    if value == 0.0 || PLAIN.contains(&value.abs()) { value.to_string() } else { format!("{value:e}") }
+    if value == 0.0 || PLAIN.contains(&value.abs()) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// A time: by the calendar, or in seconds where there is no date.
 fn written(time_ns: i64) -> String {
-    let dated =
-        (!is_without_date(time_ns)).then(|| jiff::Timestamp::from_nanosecond(i128::from(time_ns)).ok()).flatten();
+    let dated = (!is_without_date(time_ns))
+        .then(|| jiff::Timestamp::from_nanosecond(i128::from(time_ns)).ok())
+        .flatten();
     dated.map_or_else(|| shortest(time_ns as f64 / 1e9), |time| time.to_string())
 }
 
 /// A name as a field of CSV; a leading sign that a spreadsheet would take for a formula cannot come from a kind.
 fn quoted(name: &str) -> String {
-    if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.to_owned() }
+    if name.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", name.replace('"', "\"\""))
+    } else {
+        name.to_owned()
+    }
 }
 
 /// The beginning of what somebody else wrote.

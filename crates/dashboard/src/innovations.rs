@@ -33,7 +33,10 @@ struct Open {
 impl Innovations {
     /// Gathers over intervals of `1/display_rate_hz` s.
     pub(crate) fn new(display_rate_hz: f64) -> Self {
-        Self { interval_ns: (1e9 / display_rate_hz).round().max(1.0) as i64, open: None }
+        Self {
+            interval_ns: (1e9 / display_rate_hz).round().max(1.0) as i64,
+            open: None,
+        }
     }
 
     /// Takes a block; every interval that is over is added to `done`.
@@ -46,10 +49,16 @@ impl Innovations {
 
     fn take(&mut self, time_ns: i64, estimate: &Estimate, done: &mut Vec<Interval>) {
         let number = time_ns.div_euclid(self.interval_ns);
-        if self.open.as_ref().is_some_and(|open| open.number != number || !open.fits(estimate)) {
+        if self
+            .open
+            .as_ref()
+            .is_some_and(|open| open.number != number || !open.fits(estimate))
+        {
             done.extend(self.open.take().map(Open::close));
         }
-        let open = self.open.get_or_insert_with(|| Open::new(number, time_ns, estimate.innovations.len()));
+        let open = self
+            .open
+            .get_or_insert_with(|| Open::new(number, time_ns, estimate.innovations.len()));
         open.interval.time_ns = time_ns;
         if estimate.flags.phase != Phase::Working {
             open.interval.phase = estimate.flags.phase;
@@ -66,8 +75,18 @@ impl Innovations {
 impl Open {
     fn new(number: i64, time_ns: i64, channels: usize) -> Self {
         let ends = vec![(f64::NAN, f64::NAN); channels];
-        let interval = Interval { time_ns, ends, consistency: f64::NAN, phase: Phase::Working };
-        Self { number, interval, squares: 0.0, used: 0.0 }
+        let interval = Interval {
+            time_ns,
+            ends,
+            consistency: f64::NAN,
+            phase: Phase::Working,
+        };
+        Self {
+            number,
+            interval,
+            squares: 0.0,
+            used: 0.0,
+        }
     }
 
     fn fits(&self, estimate: &Estimate) -> bool {
@@ -75,8 +94,15 @@ impl Open {
     }
 
     fn close(self) -> Interval {
-        let consistency = if self.used > 0.0 { self.squares / self.used } else { f64::NAN };
-        Interval { consistency, ..self.interval }
+        let consistency = if self.used > 0.0 {
+            self.squares / self.used
+        } else {
+            f64::NAN
+        };
+        Interval {
+            consistency,
+            ..self.interval
+        }
     }
 }
 
@@ -98,7 +124,12 @@ mod tests {
             flags: EstimateFlags::working(),
         };
         EstimateBlock {
-            header: Header { source: "identify".into(), epoch: 1, sequence: first, time_ns: 0 },
+            header: Header {
+                source: "identify".into(),
+                epoch: 1,
+                sequence: first,
+                time_ns: 0,
+            },
             term: 0,
             t0_ns: 1_000_000_000,
             sampling_rate_hz: 100.0,
@@ -120,7 +151,12 @@ mod tests {
         for (start, part) in [(0, &values[..7]), (7, &values[7..19]), (19, &values[19..])] {
             innovations.handle(&block(start, part), &mut cut);
         }
-        let ends = |intervals: &[Interval]| intervals.iter().map(|interval| interval.ends[0]).collect::<Vec<_>>();
+        let ends = |intervals: &[Interval]| {
+            intervals
+                .iter()
+                .map(|interval| interval.ends[0])
+                .collect::<Vec<_>>()
+        };
         assert_eq!(ends(&whole), [(0.0, 9.0), (10.0, 19.0)]);
         assert_eq!(ends(&cut), ends(&whole));
         assert!(whole[0].ends[1].0.is_nan());

@@ -2,9 +2,10 @@
 
 use crate::store::Input;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, FitDisplay, HistoryLog, Keys, LiveWatch,
-    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ProgressWatch,
-    Service, SpanQuery, Status, Subscription, Topic, parse_key,
+    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, FitDisplay, HistoryLog,
+    Keys, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Progress, ProgressWatch, Service, SpanQuery, Status, Subscription, Topic,
+    parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -61,7 +62,9 @@ impl Listening {
             fits: bus.subscribe(keys.fit(), VALUES_WAITING).await?,
             estimates: bus.subscribe(keys.estimates(), BLOCKS_WAITING).await?,
             alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
-            acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
+            acknowledgements: bus
+                .subscribe(keys.all_acknowledgements(), ALERTS_WAITING)
+                .await?,
             events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
             statuses: bus.subscribe(keys.all_statuses(), ALERTS_WAITING).await?,
             ingested: bus.watch_progress(keys.progress(Service::Ingest)).await?,
@@ -80,14 +83,23 @@ impl Listening {
     /// Asks how the alerts stand; the answer comes with what is gathered later.
     fn ask(&mut self) {
         let (bus, alerts) = (self.bus.clone(), self.keys.all_alerts());
-        self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+        self.asked
+            .spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
     }
 
     /// Asks what happened before; the answer comes with what is gathered later.
     fn ask_past(&mut self) {
-        let log = format!("{}?{}", self.keys.history_log(), SpanQuery { points: PAST, ..SpanQuery::default() });
+        let log = format!(
+            "{}?{}",
+            self.keys.history_log(),
+            SpanQuery {
+                points: PAST,
+                ..SpanQuery::default()
+            }
+        );
         let bus = self.bus.clone();
-        self.past.spawn(async move { bus.ask_present(&log, ANSWER_WITHIN).await });
+        self.past
+            .spawn(async move { bus.ask_present(&log, ANSWER_WITHIN).await });
     }
 
     /// Adds what has come since the last time; what is on a key that says otherwise is left out.
@@ -103,29 +115,49 @@ impl Listening {
         let root = keys.root();
         inputs.extend(self.statuses.gather(root, |_| None).map(Input::Status));
         let of_parameter = |m: &ParameterDisplay| Topic::Parameter(m.parameter.clone());
-        let parameters = self.parameters.gather(root, |m| Some((&m.structure, of_parameter(m))));
+        let parameters = self
+            .parameters
+            .gather(root, |m| Some((&m.structure, of_parameter(m))));
         inputs.extend(parameters.map(Input::Parameter));
-        let noise = self.noise.gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone()))));
+        let noise = self
+            .noise
+            .gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone()))));
         inputs.extend(noise.map(Input::Noise));
-        let outliers = self.outliers.gather(root, |m| Some((&m.structure, Topic::Outlier(m.channel.clone()))));
+        let outliers = self.outliers.gather(root, |m| {
+            Some((&m.structure, Topic::Outlier(m.channel.clone())))
+        });
         inputs.extend(outliers.map(Input::Outlier));
-        let classes = self.classes.gather(root, |m| Some((&m.structure, Topic::ModelClass)));
+        let classes = self
+            .classes
+            .gather(root, |m| Some((&m.structure, Topic::ModelClass)));
         inputs.extend(classes.map(Input::Classes));
-        let nodes = self.nodes.gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))));
+        let nodes = self
+            .nodes
+            .gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))));
         inputs.extend(nodes.map(Input::Node));
         let fits = self.fits.gather(root, |m| Some((&m.structure, Topic::Fit)));
         inputs.extend(fits.map(Input::Fit));
         inputs.extend(self.estimates.gather(root, |_| None).map(Input::Estimates));
         let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
-        let acknowledgements = self.acknowledgements.gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
+        let acknowledgements = self
+            .acknowledgements
+            .gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
         inputs.extend(acknowledgements.map(Input::Acknowledgement));
-        let alerts = self.alerts.gather(root, |m| Some((&m.structure, Topic::Alert(m.parameter.clone()))));
+        let alerts = self.alerts.gather(root, |m| {
+            Some((&m.structure, Topic::Alert(m.parameter.clone())))
+        });
         inputs.extend(alerts.map(Input::Alert));
-        let events = self.events.gather(root, |m| Some((&m.structure, Topic::Event)));
+        let events = self
+            .events
+            .gather(root, |m| Some((&m.structure, Topic::Event)));
         inputs.extend(events.map(Input::Event));
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
-                Ok(Ok(alerts)) => inputs.extend(alerts.into_iter().map(|(_, alert)| Input::StandingAlert(alert))),
+                Ok(Ok(alerts)) => inputs.extend(
+                    alerts
+                        .into_iter()
+                        .map(|(_, alert)| Input::StandingAlert(alert)),
+                ),
                 Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
                 Err(error) => warn!(%error, "question for the last alerts is lost"),
             }
@@ -150,7 +182,11 @@ impl Listening {
             return;
         }
         // one that has come back, or that was reached again, may stand otherwise than we know
-        let new = |wanted: Service| present.difference(&self.present).any(|(service, _)| *service == wanted);
+        let new = |wanted: Service| {
+            present
+                .difference(&self.present)
+                .any(|(service, _)| *service == wanted)
+        };
         let (has_alerts, has_history) = (new(Service::Alert), new(Service::History));
         if has_alerts {
             self.ask();
@@ -178,7 +214,11 @@ impl Listening {
         ];
         let mut sum = std::collections::BTreeMap::new();
         for (reason, count) in all.into_iter().flatten() {
-            let reason = if reason == "overwritten" { reason.to_owned() } else { format!("refused-{reason}") };
+            let reason = if reason == "overwritten" {
+                reason.to_owned()
+            } else {
+                format!("refused-{reason}")
+            };
             *sum.entry(reason).or_default() += count;
         }
         sum

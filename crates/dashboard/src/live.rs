@@ -44,7 +44,12 @@ pub(crate) async fn serve(
     tokio::pin!(session_ended);
     let mut tick = tokio::time::interval(TICK);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut client = Client { ticks: 0, structure, read: BTreeMap::new(), last_standing: String::new() };
+    let mut client = Client {
+        ticks: 0,
+        structure,
+        read: BTreeMap::new(),
+        last_standing: String::new(),
+    };
     loop {
         tokio::select! {
             _ = &mut ended => return,
@@ -83,7 +88,10 @@ impl Client {
         let mut messages = Vec::new();
         let is_first = self.ticks == 0;
         if self.ticks.is_multiple_of(TICKS_PER_STANDING) {
-            messages.push(json!({"type": "overview", "now_s": now_s(), "structures": server.overviews()}).to_string());
+            messages.push(
+                json!({"type": "overview", "now_s": now_s(), "structures": server.overviews()})
+                    .to_string(),
+            );
         }
         if let Some(structure) = &self.structure
             && let Some(store) = server.store(structure)
@@ -115,7 +123,10 @@ fn points(news: Vec<(crate::topic::SeriesName, u64, crate::series::Table)>) -> V
         .into_iter()
         .map(|(name, generation, table)| {
             let data = columns(&table, name.kind.columns().len());
-            (name.to_string(), json!({"generation": generation, "data": data}))
+            (
+                name.to_string(),
+                json!({"generation": generation, "data": data}),
+            )
         })
         .collect();
     json!({"type": "points", "series": series})

@@ -65,45 +65,114 @@ pub(crate) fn metrics<'s>(
 impl Metrics {
     fn registry(&self) -> Registry {
         let mut registry = Registry::with_prefix("spandrel");
-        let mut gauge = |name: &str, help: &str, gauges: &Gauges| registry.register(name, help, gauges.clone());
-        gauge("parameter_mean", "Estimate of a parameter, ratio to nominal", &self.mean);
-        gauge("parameter_std", "Standard deviation of the estimate, ratio to nominal", &self.std);
-        gauge("parameter_reference", "What a loss is measured against, ratio to nominal", &self.reference);
+        let mut gauge =
+            |name: &str, help: &str, gauges: &Gauges| registry.register(name, help, gauges.clone());
+        gauge(
+            "parameter_mean",
+            "Estimate of a parameter, ratio to nominal",
+            &self.mean,
+        );
+        gauge(
+            "parameter_std",
+            "Standard deviation of the estimate, ratio to nominal",
+            &self.std,
+        );
+        gauge(
+            "parameter_reference",
+            "What a loss is measured against, ratio to nominal",
+            &self.reference,
+        );
         gauge(
             "parameter_probability_of_loss",
             "Probability that more than the loss of its rule is gone",
             &self.probability,
         );
-        gauge("noise_variance", "Noise level, a variance in the square of its unit", &self.noise);
-        gauge("noise_variance_std", "Standard deviation of the noise level", &self.noise_std);
-        gauge("alert_state", "1 for the state in which an alert is, 0 for the others", &self.alert);
-        gauge("identify_fit_verdict", "1 for the verdict on the fit, 0 for the others", &self.fit);
-        gauge("identify_fit_reason", "1 for a reason why the fit is not supported, 0 for the others", &self.fit_reason);
+        gauge(
+            "noise_variance",
+            "Noise level, a variance in the square of its unit",
+            &self.noise,
+        );
+        gauge(
+            "noise_variance_std",
+            "Standard deviation of the noise level",
+            &self.noise_std,
+        );
+        gauge(
+            "alert_state",
+            "1 for the state in which an alert is, 0 for the others",
+            &self.alert,
+        );
+        gauge(
+            "identify_fit_verdict",
+            "1 for the verdict on the fit, 0 for the others",
+            &self.fit,
+        );
+        gauge(
+            "identify_fit_reason",
+            "1 for a reason why the fit is not supported, 0 for the others",
+            &self.fit_reason,
+        );
         gauge(
             "alert_undecided",
             "1 for the reason why nothing is decided on a parameter, 0 for the others",
             &self.undecided,
         );
-        gauge("model_class_plausibility", "Plausibility of a model class", &self.plausibility);
+        gauge(
+            "model_class_plausibility",
+            "Plausibility of a model class",
+            &self.plausibility,
+        );
         gauge(
             "channel_rejected_share",
             "Share of rejected samples among the late ones of a channel",
             &self.rejected_share,
         );
-        gauge("sensor_alive", "1 if a channel delivers samples that are used", &self.sensor);
-        gauge("node_distance", "Distance of a node that identifies for itself from the others", &self.node_distance);
-        gauge("measured_time_seconds", "Time of the newest value, seconds since the Unix epoch", &self.time);
-        gauge("measured_age_seconds", "Time since something was heard of a structure", &self.age);
+        gauge(
+            "sensor_alive",
+            "1 if a channel delivers samples that are used",
+            &self.sensor,
+        );
+        gauge(
+            "node_distance",
+            "Distance of a node that identifies for itself from the others",
+            &self.node_distance,
+        );
+        gauge(
+            "measured_time_seconds",
+            "Time of the newest value, seconds since the Unix epoch",
+            &self.time,
+        );
+        gauge(
+            "measured_age_seconds",
+            "Time since something was heard of a structure",
+            &self.age,
+        );
         gauge(
             "lag_seconds",
             "Wall clock less time of the last frame done, by service, of samples that come as they are measured",
             &self.lag,
         );
-        gauge("frames_behind", "Frames that ingest has made and a service has not done", &self.behind);
+        gauge(
+            "frames_behind",
+            "Frames that ingest has made and a service has not done",
+            &self.behind,
+        );
         gauge("up", "1 if a service has shown that it is there", &self.up);
-        registry.register("channel_rejected", "Samples of a channel that were rejected", self.rejected.clone());
-        registry.register("frames_done", "Frames, or messages, that a service has done", self.done.clone());
-        registry.register("dropped", "What a service has dropped, by reason", self.dropped.clone());
+        registry.register(
+            "channel_rejected",
+            "Samples of a channel that were rejected",
+            self.rejected.clone(),
+        );
+        registry.register(
+            "frames_done",
+            "Frames, or messages, that a service has done",
+            self.done.clone(),
+        );
+        registry.register(
+            "dropped",
+            "What a service has dropped, by reason",
+            self.dropped.clone(),
+        );
         registry.register("restarts", "Restarts of a filter", self.restarts.clone());
         registry
     }
@@ -111,13 +180,20 @@ impl Metrics {
     fn add(&self, store: &Store) {
         let structure = || ("structure", store.about.name.clone());
         let set = |gauges: &Gauges, key: &'static str, of: &str, value: f64| {
-            gauges.get_or_create(&vec![structure(), (key, of.to_owned())]).set(value);
+            gauges
+                .get_or_create(&vec![structure(), (key, of.to_owned())])
+                .set(value);
         };
         for (name, display) in &store.parameters {
             set(&self.mean, "parameter", name, display.mean);
             set(&self.std, "parameter", name, display.std);
             set(&self.reference, "parameter", name, display.reference);
-            set(&self.probability, "parameter", name, display.probability_of_loss);
+            set(
+                &self.probability,
+                "parameter",
+                name,
+                display.probability_of_loss,
+            );
         }
         for (name, display) in &store.noise {
             set(&self.noise, "name", name, display.mean);
@@ -125,41 +201,85 @@ impl Metrics {
         }
         for (parameter, alert) in &store.alerts {
             for state in AlertState::ALL {
-                let labels = vec![structure(), ("parameter", parameter.clone()), ("state", state.as_str().to_owned())];
-                self.alert.get_or_create(&labels).set(f64::from(u8::from(alert.state == state)));
+                let labels = vec![
+                    structure(),
+                    ("parameter", parameter.clone()),
+                    ("state", state.as_str().to_owned()),
+                ];
+                self.alert
+                    .get_or_create(&labels)
+                    .set(f64::from(u8::from(alert.state == state)));
             }
         }
         for (parameter, alert) in &store.alerts {
             for because in UndecidedBecause::ALL {
-                let labels =
-                    vec![structure(), ("parameter", parameter.clone()), ("reason", because.as_str().to_owned())];
+                let labels = vec![
+                    structure(),
+                    ("parameter", parameter.clone()),
+                    ("reason", because.as_str().to_owned()),
+                ];
                 let holds = alert.undecided_because == Some(because);
-                self.undecided.get_or_create(&labels).set(f64::from(u8::from(holds)));
+                self.undecided
+                    .get_or_create(&labels)
+                    .set(f64::from(u8::from(holds)));
             }
         }
         if let Some(display) = &store.fit {
             for verdict in FitVerdict::ALL {
-                set(&self.fit, "verdict", verdict.as_str(), f64::from(u8::from(display.verdict == verdict)));
+                set(
+                    &self.fit,
+                    "verdict",
+                    verdict.as_str(),
+                    f64::from(u8::from(display.verdict == verdict)),
+                );
             }
             for reason in FitReason::ALL {
                 let holds = display.reasons.iter().any(|found| found == reason);
-                set(&self.fit_reason, "reason", reason.as_str(), f64::from(u8::from(holds)));
+                set(
+                    &self.fit_reason,
+                    "reason",
+                    reason.as_str(),
+                    f64::from(u8::from(holds)),
+                );
             }
         }
         for class in store.classes.iter().flat_map(|display| &display.classes) {
-            set(&self.plausibility, "class", &class.class, class.plausibility);
+            set(
+                &self.plausibility,
+                "class",
+                &class.class,
+                class.plausibility,
+            );
         }
         for (channel, display) in &store.outliers {
-            set(&self.rejected_share, "channel", channel, display.recent_share);
-            self.rejected.get_or_create(&vec![structure(), ("channel", channel.clone())]).inc_by(display.rejected);
+            set(
+                &self.rejected_share,
+                "channel",
+                channel,
+                display.recent_share,
+            );
+            self.rejected
+                .get_or_create(&vec![structure(), ("channel", channel.clone())])
+                .inc_by(display.rejected);
         }
         for sensor in sensor_states(store) {
-            let labels = vec![structure(), ("channel", sensor.channel), ("node", sensor.node)];
+            let labels = vec![
+                structure(),
+                ("channel", sensor.channel),
+                ("node", sensor.node),
+            ];
             let alive = sensor.health == SensorHealth::Alive;
-            self.sensor.get_or_create(&labels).set(f64::from(u8::from(alive)));
+            self.sensor
+                .get_or_create(&labels)
+                .set(f64::from(u8::from(alive)));
         }
         for (node, display) in &store.nodes {
-            set(&self.node_distance, "node", node, display.distance.unwrap_or(f64::NAN));
+            set(
+                &self.node_distance,
+                "node",
+                node,
+                display.distance.unwrap_or(f64::NAN),
+            );
         }
         let whole = vec![structure()];
         let overview = overview(store);
@@ -170,16 +290,28 @@ impl Metrics {
             self.age.get_or_create(&whole).set(age_s);
         }
         for (service, id) in &store.seen {
-            let labels = vec![structure(), ("service", service.as_str().to_owned()), ("id", id.to_string())];
+            let labels = vec![
+                structure(),
+                ("service", service.as_str().to_owned()),
+                ("id", id.to_string()),
+            ];
             let is_there = store.present.contains(&(*service, id.clone()));
-            self.up.get_or_create(&labels).set(f64::from(u8::from(is_there)));
+            self.up
+                .get_or_create(&labels)
+                .set(f64::from(u8::from(is_there)));
         }
         for ((service, id), (status, _)) in &store.statuses {
-            let labels = vec![structure(), ("service", service.as_str().to_owned()), ("id", id.to_string())];
+            let labels = vec![
+                structure(),
+                ("service", service.as_str().to_owned()),
+                ("id", id.to_string()),
+            ];
             if let Some(lag_s) = status.lag_s.filter(|_| store.has_lag()) {
                 // the lag grows while nobody says anything
                 let silent_s = now_ns().saturating_sub(status.time_ns) as f64 / 1e9;
-                self.lag.get_or_create(&labels).set(lag_s + silent_s.max(0.0));
+                self.lag
+                    .get_or_create(&labels)
+                    .set(lag_s + silent_s.max(0.0));
             }
             if let Some(behind) = status.frames_behind {
                 self.behind.get_or_create(&labels).set(behind as f64);
@@ -187,7 +319,11 @@ impl Metrics {
             self.done.get_or_create(&labels).inc_by(status.done);
             self.restarts.get_or_create(&labels).inc_by(status.restarts);
             for (reason, count) in &status.drops {
-                let labels = labels.iter().cloned().chain([("reason", reason.clone())]).collect();
+                let labels = labels
+                    .iter()
+                    .cloned()
+                    .chain([("reason", reason.clone())])
+                    .collect();
                 self.dropped.get_or_create(&labels).inc_by(*count);
             }
         }
@@ -204,7 +340,11 @@ mod tests {
     fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
         let mut store = demo();
         store.handle(parameter("storey-2", 5_000_000_000, 0.85, 0.997));
-        store.handle(Input::Alert(alert("storey-2", 5_000_000_000, AlertState::Raised)));
+        store.handle(Input::Alert(alert(
+            "storey-2",
+            5_000_000_000,
+            AlertState::Raised,
+        )));
         let text = metrics(std::iter::once(&store)).unwrap();
         for line in [
             "spandrel_parameter_mean{structure=\"demo\",parameter=\"storey-2\"} 0.85",
@@ -222,7 +362,11 @@ mod tests {
     fn verdict_and_reasons_are_labels_of_closed_sets() {
         let mut store = demo();
         store.handle(fit(FitVerdict::Doubtful, &[FitReason::ExcessNoise]));
-        store.handle(undecided("storey-2", AlertState::Undecided, UndecidedBecause::NothingLearnt));
+        store.handle(undecided(
+            "storey-2",
+            AlertState::Undecided,
+            UndecidedBecause::NothingLearnt,
+        ));
         let text = metrics(std::iter::once(&store)).unwrap();
         for line in [
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"doubtful\"} 1.0",
@@ -257,7 +401,13 @@ mod tests {
             version: String::new(),
         }));
         let text = metrics(std::iter::once(&store)).unwrap();
-        assert!(text.contains(r#"reason="a\"} 1\nspandrel_up 0 #"} 3"#), "{text}");
-        assert!(!text.lines().any(|line| line.starts_with("spandrel_up 0")), "{text}");
+        assert!(
+            text.contains(r#"reason="a\"} 1\nspandrel_up 0 #"} 3"#),
+            "{text}"
+        );
+        assert!(
+            !text.lines().any(|line| line.starts_with("spandrel_up 0")),
+            "{text}"
+        );
     }
 }

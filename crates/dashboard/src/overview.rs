@@ -91,18 +91,29 @@ pub(crate) struct LastAlert {
 pub(crate) fn overview(store: &Store) -> Overview {
     let sensors = sensor_count(store);
     let (level, sentence) = attention(store, &sensors);
-    let told = store.alerts.values().find(|alert| sentence.starts_with(alert.why.as_str()));
+    let told = store
+        .alerts
+        .values()
+        .find(|alert| sentence.starts_with(alert.why.as_str()));
     let now = told.and_then(|alert| store.present_loss(alert));
-    let worst = store.parameters.values().filter(|display| is_stiffness(store, display.parameter.as_str()));
+    let worst = store
+        .parameters
+        .values()
+        .filter(|display| is_stiffness(store, display.parameter.as_str()));
     // among several that are certain the one that has lost most
     let worst = worst.max_by(|a, b| {
         let ratio = |display: &spandrel_bus::ParameterDisplay| display.mean / display.reference;
-        a.probability_of_loss.total_cmp(&b.probability_of_loss).then(ratio(b).total_cmp(&ratio(a)))
+        a.probability_of_loss
+            .total_cmp(&b.probability_of_loss)
+            .then(ratio(b).total_cmp(&ratio(a)))
     });
     let worst = worst.map(|display| Worst {
         parameter: display.parameter.to_string(),
         probability_of_loss: display.probability_of_loss,
-        credibility: store.alerts.get(display.parameter.as_str()).map(|alert| alert.rule_credibility),
+        credibility: store
+            .alerts
+            .get(display.parameter.as_str())
+            .map(|alert| alert.rule_credibility),
         loss: display.loss,
         mean: display.mean,
         std: display.std,
@@ -133,28 +144,47 @@ pub(crate) fn overview(store: &Store) -> Overview {
 }
 
 fn is_stiffness(store: &Store, name: &str) -> bool {
-    store.about.parameters.iter().any(|parameter| parameter.stiffness && parameter.name == name)
+    store
+        .about
+        .parameters
+        .iter()
+        .any(|parameter| parameter.stiffness && parameter.name == name)
 }
 
 fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMessage> {
-    store.alerts.values().filter(move |alert| alert.state == state)
+    store
+        .alerts
+        .values()
+        .filter(move |alert| alert.state == state)
 }
 
 /// The lag of who puts the estimates: the station where nodes identify for themselves, the one that leads where others stand by.
 fn lag_s(store: &Store) -> Option<f64> {
-    let source = if store.about.distributed { Service::Fuse } else { Service::Identify };
+    let source = if store.about.distributed {
+        Service::Fuse
+    } else {
+        Service::Identify
+    };
     let of_source = store.statuses.iter().filter(|((service, _), (status, _))| {
         *service == source && status.state.is_none_or(|state| state == Standing::Leading)
     });
     // of one that is gone the last status stays
-    of_source.max_by_key(|(_, (_, heard))| *heard).and_then(|(_, (status, _))| status.lag_s)
+    of_source
+        .max_by_key(|(_, (_, heard))| *heard)
+        .and_then(|(_, (status, _))| status.lag_s)
 }
 
 fn sensor_count(store: &Store) -> SensorCount {
     let states = sensor_states(store);
-    let troubled = states.iter().filter(|sensor| sensor.health.is_trouble()).map(|sensor| sensor.channel.clone());
+    let troubled = states
+        .iter()
+        .filter(|sensor| sensor.health.is_trouble())
+        .map(|sensor| sensor.channel.clone());
     SensorCount {
-        alive: states.iter().filter(|sensor| sensor.health == SensorHealth::Alive).count(),
+        alive: states
+            .iter()
+            .filter(|sensor| sensor.health == SensorHealth::Alive)
+            .count(),
         total: states.len(),
         troubled: troubled.collect(),
     }
@@ -162,7 +192,9 @@ fn sensor_count(store: &Store) -> SensorCount {
 
 fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     // the largest loss first
-    let largest = |a: &&AlertMessage, b: &&AlertMessage| a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0));
+    let largest = |a: &&AlertMessage, b: &&AlertMessage| {
+        a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0))
+    };
     if let Some(first) = unseen(store).max_by(largest) {
         return (Level::Alarm, with_others(store, first));
     }
@@ -171,37 +203,60 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if store.is_stale() {
         // what somebody has to look at is not over because no data come
         let as_it_was = "nothing is measured: what is shown is how it was";
-        return (Level::Stale, told().chain([as_it_was]).collect::<Vec<_>>().join("; "));
+        return (
+            Level::Stale,
+            told().chain([as_it_was]).collect::<Vec<_>>().join("; "),
+        );
     }
     if let Some((most_urgent, _)) = concerns.first() {
         return (*most_urgent, told().collect::<Vec<_>>().join("; "));
     }
     if store.data_heard().is_none() && store.now >= NEVER_MEASURED_AFTER {
-        let sentence =
-            "nothing has been measured since this page was started: see which services and sensors are there";
+        let sentence = "nothing has been measured since this page was started: see which services and sensors are there";
         return (Level::Stale, sentence.to_owned());
     }
     if store.data_heard().is_none() {
-        return (Level::Learning, "waiting for the first estimates".to_owned());
+        return (
+            Level::Learning,
+            "waiting for the first estimates".to_owned(),
+        );
     }
     if let Some(sentence) = undecided(store, false) {
         return (Level::Undecided, sentence);
     }
     if alerts_in(store, AlertState::Learning).next().is_some() {
-        return (Level::Learning, "the sound values are being learnt".to_owned());
+        return (
+            Level::Learning,
+            "the sound values are being learnt".to_owned(),
+        );
     }
     if store.alerts.is_empty() {
-        return (Level::Learning, "no alert has been decided on yet".to_owned());
+        return (
+            Level::Learning,
+            "no alert has been decided on yet".to_owned(),
+        );
     }
-    (Level::Normal, "no loss was found that the rules ask about".to_owned())
+    (
+        Level::Normal,
+        "no loss was found that the rules ask about".to_owned(),
+    )
 }
 
 /// What somebody should look at beside alerts that are raised, the most urgent first: one sentence of each kind.
 fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
-    let alerts = |state| alerts_in(store, state).next().map(|first| with_others(store, first));
-    let troubled = (!sensors.troubled.is_empty())
-        .then(|| format!("not used: {}; the estimates rest on the other sensors", sensors.troubled.join(", ")));
-    let missing = missing_service(store).map(|missing| format!("the service {} is gone", missing.as_str()));
+    let alerts = |state| {
+        alerts_in(store, state)
+            .next()
+            .map(|first| with_others(store, first))
+    };
+    let troubled = (!sensors.troubled.is_empty()).then(|| {
+        format!(
+            "not used: {}; the estimates rest on the other sensors",
+            sensors.troubled.join(", ")
+        )
+    });
+    let missing =
+        missing_service(store).map(|missing| format!("the service {} is gone", missing.as_str()));
     let all = [
         (Level::Warning, alerts(AlertState::Pending)),
         (Level::Warning, undecided(store, true)),
@@ -213,7 +268,9 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         (Level::Notice, alerts(AlertState::Acknowledged)),
         (Level::Notice, seen_unconfirmed(store)),
     ];
-    all.into_iter().filter_map(|(level, sentence)| Some((level, sentence?))).collect()
+    all.into_iter()
+        .filter_map(|(level, sentence)| Some((level, sentence?)))
+        .collect()
 }
 
 /// The sentence of an alert on which nothing is decided: because something is wrong, or because nothing is learnt yet or in the
@@ -222,11 +279,15 @@ fn undecided(store: &Store, is_wrong: bool) -> Option<String> {
     let is_of_kind = |alert: &&AlertMessage| match alert.undecided_because {
         Some(UndecidedBecause::NothingLearnt | UndecidedBecause::NoiseTraining) => !is_wrong,
         Some(
-            UndecidedBecause::ExcitationSilent | UndecidedBecause::FitContradicted | UndecidedBecause::ParameterAtBound,
+            UndecidedBecause::ExcitationSilent
+            | UndecidedBecause::FitContradicted
+            | UndecidedBecause::ParameterAtBound,
         ) => is_wrong,
         None => false,
     };
-    alerts_in(store, AlertState::Undecided).find(is_of_kind).map(|first| with_others(store, first))
+    alerts_in(store, AlertState::Undecided)
+        .find(is_of_kind)
+        .map(|first| with_others(store, first))
 }
 
 /// Alerts that stand and that nobody has acknowledged.
@@ -236,13 +297,21 @@ fn unseen(store: &Store) -> impl Iterator<Item = &AlertMessage> {
 
 /// The sentence of an alert that somebody has seen, and that the data do not confirm now.
 fn seen_unconfirmed(store: &Store) -> Option<String> {
-    alerts_in(store, AlertState::Unconfirmed).find(|alert| !alert.is_unseen()).map(|first| with_others(store, first))
+    alerts_in(store, AlertState::Unconfirmed)
+        .find(|alert| !alert.is_unseen())
+        .map(|first| with_others(store, first))
 }
 
 /// What is wrong with the fit, where no alert says so.
 fn contradicted_fit(store: &Store) -> Option<String> {
-    let fit = store.fit.as_ref().filter(|fit| fit.verdict == FitVerdict::Contradicted)?;
-    let is_told = store.alerts.values().any(|alert| alert.undecided_because == Some(UndecidedBecause::FitContradicted));
+    let fit = store
+        .fit
+        .as_ref()
+        .filter(|fit| fit.verdict == FitVerdict::Contradicted)?;
+    let is_told = store
+        .alerts
+        .values()
+        .any(|alert| alert.undecided_because == Some(UndecidedBecause::FitContradicted));
     (!is_told).then(|| fit.words())
 }
 
@@ -258,7 +327,12 @@ fn with_others(store: &Store, first: &AlertMessage) -> String {
 
 /// The first service that was there and is not any more.
 fn missing_service(store: &Store) -> Option<Service> {
-    let needed = [Service::Identify, Service::Fuse, Service::Alert, Service::Ingest];
+    let needed = [
+        Service::Identify,
+        Service::Fuse,
+        Service::Alert,
+        Service::Ingest,
+    ];
     needed.into_iter().find(|service| {
         let was_there = store.seen.iter().any(|(seen, _)| seen == service);
         was_there && !store.present.iter().any(|(present, _)| present == service)

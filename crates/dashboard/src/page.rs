@@ -1,7 +1,8 @@
 //! The page: files that are part of the program, and the headers under which a browser gets them.
 
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+    X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
@@ -14,7 +15,10 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const OTHERS: [(&str, &str); 3] = [
     ("cross-origin-opener-policy", "same-origin"),
     ("cross-origin-resource-policy", "same-origin"),
-    ("permissions-policy", "camera=(), geolocation=(), microphone=(), payment=(), usb=()"),
+    (
+        "permissions-policy",
+        "camera=(), geolocation=(), microphone=(), payment=(), usb=()",
+    ),
 ];
 
 /// For so long (s) a browser that has come over TLS comes over nothing else: a year.
@@ -33,7 +37,11 @@ const STYLE: &str = "text/css; charset=utf-8";
 
 macro_rules! asset {
     ($path:literal, $content_type:expr, $file:literal) => {
-        Asset { path: $path, content_type: $content_type, content: include_str!($file) }
+        Asset {
+            path: $path,
+            content_type: $content_type,
+            content: include_str!($file),
+        }
     };
 }
 
@@ -44,7 +52,11 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/style.css", STYLE, "../page/style.css"),
     asset!("/uplot.css", STYLE, "../vendor/uplot/uPlot.min.css"),
     asset!("/uplot.js", SCRIPT, "../vendor/uplot/uPlot.iife.min.js"),
-    asset!("/uplot-licence.txt", "text/plain; charset=utf-8", "../vendor/uplot/LICENSE"),
+    asset!(
+        "/uplot-licence.txt",
+        "text/plain; charset=utf-8",
+        "../vendor/uplot/LICENSE"
+    ),
     asset!("/app.js", SCRIPT, "../page/app.js"),
     asset!("/entrance.js", SCRIPT, "../page/entrance.js"),
     asset!("/connection.js", SCRIPT, "../page/connection.js"),
@@ -75,7 +87,10 @@ pub(crate) async fn with_headers(mut response: Response) -> Response {
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     headers.insert(X_FRAME_OPTIONS, HeaderValue::from_static("DENY"));
     for (name, value) in OTHERS {
-        headers.insert(HeaderName::from_static(name), HeaderValue::from_static(value));
+        headers.insert(
+            HeaderName::from_static(name),
+            HeaderValue::from_static(value),
+        );
     }
     // what is shown must be of this program, not of the one before its update
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
@@ -88,9 +103,20 @@ mod tests {
 
     #[test]
     fn the_page_asks_for_nothing_but_its_own_files() {
-        for asset in ASSETS.iter().filter(|asset| !asset.path.starts_with("/uplot")) {
-            for line in asset.content.lines().filter(|line| !line.contains("http://www.w3.org/")) {
-                assert!(!line.contains("http://") && !line.contains("https://"), "{}: {line}", asset.path);
+        for asset in ASSETS
+            .iter()
+            .filter(|asset| !asset.path.starts_with("/uplot"))
+        {
+            for line in asset
+                .content
+                .lines()
+                .filter(|line| !line.contains("http://www.w3.org/"))
+            {
+                assert!(
+                    !line.contains("http://") && !line.contains("https://"),
+                    "{}: {line}",
+                    asset.path
+                );
                 assert!(!line.contains("innerHTML"), "{}: {line}", asset.path);
             }
         }
@@ -99,9 +125,13 @@ mod tests {
     #[test]
     fn every_file_that_the_page_names_is_served() {
         let served = |path: &str| ASSETS.iter().any(|asset| asset.path == path);
-        for asset in ASSETS.iter().filter(|asset| asset.path == "/" || asset.content_type == SCRIPT) {
+        for asset in ASSETS
+            .iter()
+            .filter(|asset| asset.path == "/" || asset.content_type == SCRIPT)
+        {
             let names = asset.content.split(['"', '\'']).filter(|text| {
-                let is_file = text.ends_with(".js") || text.ends_with(".css") || text.ends_with(".svg");
+                let is_file =
+                    text.ends_with(".js") || text.ends_with(".css") || text.ends_with(".svg");
                 is_file && (text.starts_with('/') || text.starts_with("./")) && !text.contains(' ')
             });
             for name in names {

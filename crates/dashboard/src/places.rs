@@ -35,7 +35,8 @@ impl Places {
         let address = network_of(address);
         let mut taken = self.lock();
         let of_address = taken.by_address.get(&address).copied().unwrap_or(0);
-        let is_full = taken.all >= MOST_CONNECTIONS || (of_address >= MOST_OF_ONE_ADDRESS && !address.is_loopback());
+        let is_full = taken.all >= MOST_CONNECTIONS
+            || (of_address >= MOST_OF_ONE_ADDRESS && !address.is_loopback());
         if is_full {
             taken.refused += 1;
             let refused = taken.refused;
@@ -47,7 +48,10 @@ impl Places {
         taken.all += 1;
         taken.by_address.insert(address, of_address + 1);
         drop(taken);
-        Some(Place { places: self.clone(), address })
+        Some(Place {
+            places: self.clone(),
+            address,
+        })
     }
 
     fn lock(&self) -> MutexGuard<'_, Taken> {
@@ -80,23 +84,32 @@ mod tests {
     #[test]
     fn one_address_takes_its_share_and_others_come_in() {
         let places = Places::default();
-        let mut held: Vec<Place> =
-            (0..MOST_OF_ONE_ADDRESS).map(|_| places.take(address("10.0.0.7")).unwrap()).collect();
+        let mut held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
+            .map(|_| places.take(address("10.0.0.7")).unwrap())
+            .collect();
         assert!(places.take(address("10.0.0.7")).is_none());
-        assert!(places.take(address("::ffff:10.0.0.7")).is_none(), "it is the same");
+        assert!(
+            places.take(address("::ffff:10.0.0.7")).is_none(),
+            "it is the same"
+        );
         assert!(places.take(address("10.0.0.8")).is_some());
         held.pop();
         assert!(places.take(address("10.0.0.7")).is_some());
         drop(held);
         assert_eq!(places.lock().all, 0);
-        assert!(places.lock().by_address.is_empty(), "who is gone is forgotten");
+        assert!(
+            places.lock().by_address.is_empty(),
+            "who is gone is forgotten"
+        );
     }
 
     #[test]
     fn addresses_of_one_ipv6_network_share_their_places() {
         let places = Places::default();
         let of_host = |host: usize| address(&format!("2001:db8::{host:x}"));
-        let held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS).map(|host| places.take(of_host(host)).unwrap()).collect();
+        let held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
+            .map(|host| places.take(of_host(host)).unwrap())
+            .collect();
         assert!(places.take(address("2001:db8::ffff")).is_none());
         assert!(places.take(address("2001:db8:0:1::1")).is_some());
         drop(held);
@@ -106,7 +119,9 @@ mod tests {
     fn there_is_an_end_for_all_together() {
         let places = Places::default();
         let here = address("127.0.0.1");
-        let held: Vec<Place> = (0..MOST_CONNECTIONS).map(|_| places.take(here).unwrap()).collect();
+        let held: Vec<Place> = (0..MOST_CONNECTIONS)
+            .map(|_| places.take(here).unwrap())
+            .collect();
         assert!(places.take(here).is_none() && places.take(address("10.0.0.7")).is_none());
         drop(held);
         assert!(places.take(here).is_some());

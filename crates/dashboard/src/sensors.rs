@@ -60,7 +60,10 @@ pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState> {
 
 fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
     let (node, channel) = (sensor.node.as_str(), sensor.channel.as_str());
-    let is_faulty = store.outliers.get(channel).is_some_and(|outlier| outlier.state == ChannelState::Faulty);
+    let is_faulty = store
+        .outliers
+        .get(channel)
+        .is_some_and(|outlier| outlier.state == ChannelState::Faulty);
     if is_faulty || store.excluded.contains(channel) {
         return SensorHealth::Faulty;
     }
@@ -72,18 +75,24 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
         None => {}
     }
     let is_in = |set: &std::collections::BTreeSet<(Service, Name)>| {
-        set.iter().any(|(service, id)| *service == Service::Sensor && id.as_str() == node)
+        set.iter()
+            .any(|(service, id)| *service == Service::Sensor && id.as_str() == node)
     };
     let (is_there, was_there) = (is_in(&store.present), is_in(&store.seen));
     if was_there && !is_there {
-        return if all_nodes_left(store) { SensorHealth::Ended } else { SensorHealth::Gone };
+        return if all_nodes_left(store) {
+            SensorHealth::Ended
+        } else {
+            SensorHealth::Gone
+        };
     }
     let last_used = store.used_ns.get(channel);
     match (last_used, store.used_ns.values().max()) {
         (Some(used), Some(latest)) if latest - used > SILENT_AFTER_NS => SensorHealth::Silent,
         (Some(_), _) => SensorHealth::Alive,
         (None, Some(latest))
-            if !sensor.excitation && began_ns(store).is_some_and(|began| latest - began > SILENT_AFTER_NS) =>
+            if !sensor.excitation
+                && began_ns(store).is_some_and(|began| latest - began > SILENT_AFTER_NS) =>
         {
             SensorHealth::Silent
         }
@@ -94,10 +103,15 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
 
 /// Since when estimates have been heard.
 fn began_ns(store: &Store) -> Option<i64> {
-    store.series(&SeriesName::new(Kind::Consistency, ALL_CHANNELS))?.first_ns()
+    store
+        .series(&SeriesName::new(Kind::Consistency, ALL_CHANNELS))?
+        .first_ns()
 }
 
 /// Whether no node is there any more: a record or simulation that has ended, or everything is off, which silence tells.
 fn all_nodes_left(store: &Store) -> bool {
-    !store.present.iter().any(|(service, _)| *service == Service::Sensor)
+    !store
+        .present
+        .iter()
+        .any(|(service, _)| *service == Service::Sensor)
 }

@@ -47,8 +47,18 @@ pub(crate) struct Table {
 
 impl Series {
     pub(crate) fn new(combine: &'static [Combine]) -> Self {
-        let table = Table { width: combine.len(), ..Table::default() };
-        Self { combine, fine: table.clone(), coarse: table.clone(), waiting: table, pushed: 0, generation: 0 }
+        let table = Table {
+            width: combine.len(),
+            ..Table::default()
+        };
+        Self {
+            combine,
+            fine: table.clone(),
+            coarse: table.clone(),
+            waiting: table,
+            pushed: 0,
+            generation: 0,
+        }
     }
 
     /// Adds a point; what lies well before the last one begins a new run of measurement, and the old one is forgotten. What lies just
@@ -69,7 +79,8 @@ impl Series {
         self.fine.keep(FINE_KEPT);
         self.waiting.push(time_ns, values);
         if self.waiting.len() == COMBINED {
-            self.waiting.combine_into(&mut self.coarse, 0..COMBINED, self.combine);
+            self.waiting
+                .combine_into(&mut self.coarse, 0..COMBINED, self.combine);
             self.waiting.clear();
             self.coarse.keep(COARSE_KEPT);
         }
@@ -93,15 +104,23 @@ impl Series {
 
     /// The points that were pushed after the first `pushed` ones, as far as they are kept, combined to at most `most`.
     pub(crate) fn since(&self, pushed: u64, most: usize) -> Table {
-        let new = usize::try_from(self.pushed.saturating_sub(pushed)).unwrap_or(usize::MAX).min(self.fine.len());
-        self.fine.combined(self.fine.len() - new..self.fine.len(), most, self.combine)
+        let new = usize::try_from(self.pushed.saturating_sub(pushed))
+            .unwrap_or(usize::MAX)
+            .min(self.fine.len());
+        self.fine
+            .combined(self.fine.len() - new..self.fine.len(), most, self.combine)
     }
 
     /// The points from one time to another, both included, combined to at most `most`.
     pub(crate) fn span(&self, from_ns: i64, to_ns: i64, most: usize) -> Table {
         let fine_from = self.fine.times_ns.front().copied().unwrap_or(i64::MAX);
-        let mut all = Table { width: self.combine.len(), ..Table::default() };
-        let older = self.coarse.within(from_ns, to_ns.min(fine_from.saturating_sub(1)));
+        let mut all = Table {
+            width: self.combine.len(),
+            ..Table::default()
+        };
+        let older = self
+            .coarse
+            .within(from_ns, to_ns.min(fine_from.saturating_sub(1)));
         let newer = self.fine.within(from_ns, to_ns);
         for (table, rows) in [(&self.coarse, older), (&self.fine, newer)] {
             for row in rows {
@@ -126,17 +145,26 @@ impl Table {
 
     /// The values of one column.
     pub(crate) fn column(&self, column: usize) -> impl Iterator<Item = f64> {
-        self.values.iter().skip(column).step_by(self.width.max(1)).copied()
+        self.values
+            .iter()
+            .skip(column)
+            .step_by(self.width.max(1))
+            .copied()
     }
 
     /// The values of one row.
     pub(crate) fn row(&self, row: usize) -> impl Iterator<Item = f64> {
-        self.values.range(row * self.width..(row + 1) * self.width).copied()
+        self.values
+            .range(row * self.width..(row + 1) * self.width)
+            .copied()
     }
 
     /// A table of some rows, each of `width` values.
     pub(crate) fn of(width: usize, rows: impl Iterator<Item = (i64, Vec<f64>)>) -> Self {
-        let mut table = Self { width, ..Self::default() };
+        let mut table = Self {
+            width,
+            ..Self::default()
+        };
         rows.for_each(|(time_ns, values)| table.push(time_ns, &values));
         table
     }
@@ -175,7 +203,10 @@ impl Table {
 
     /// Some rows, neighbours put together until there are at most `most`.
     fn combined(&self, rows: std::ops::Range<usize>, most: usize, combine: &[Combine]) -> Self {
-        let mut out = Self { width: self.width, ..Self::default() };
+        let mut out = Self {
+            width: self.width,
+            ..Self::default()
+        };
         let each = rows.len().div_ceil(most.max(1)).max(1);
         let mut start = rows.start;
         while start < rows.end {
@@ -188,10 +219,14 @@ impl Table {
 
     /// Adds one row to `out` that stands for several here, at the time of the last of them.
     fn combine_into(&self, out: &mut Self, rows: std::ops::Range<usize>, combine: &[Combine]) {
-        let Some(last) = rows.clone().last() else { return };
+        let Some(last) = rows.clone().last() else {
+            return;
+        };
         out.times_ns.push_back(self.times_ns[last]);
         for (column, combine) in combine.iter().enumerate() {
-            let values = rows.clone().map(|row| self.values[row * self.width + column]);
+            let values = rows
+                .clone()
+                .map(|row| self.values[row * self.width + column]);
             out.values.push_back(match combine {
                 Combine::Last => self.values[last * self.width + column],
                 // NaN, a missing value, gives way to any number
@@ -218,7 +253,10 @@ mod tests {
     #[test]
     fn however_much_comes_no_more_than_promised_is_kept() {
         let series = ramp(1_000_000);
-        assert_eq!((series.fine.len(), series.coarse.len()), (FINE_KEPT, COARSE_KEPT));
+        assert_eq!(
+            (series.fine.len(), series.coarse.len()),
+            (FINE_KEPT, COARSE_KEPT)
+        );
         assert!(series.waiting.len() < COMBINED);
         assert_eq!(series.values_kept(), 2 * (FINE_KEPT + COARSE_KEPT));
     }
@@ -278,7 +316,10 @@ mod tests {
         let last = 499 + 2 * AGAIN_NS;
         series.push(last, &[0.0, 1.0]);
         series.push(last - AGAIN_NS - 1, &[0.0, 1.0]);
-        assert_eq!((series.generation(), series.first_ns(), series.fine.len()), (1, Some(499 + AGAIN_NS - 1), 1));
+        assert_eq!(
+            (series.generation(), series.first_ns(), series.fine.len()),
+            (1, Some(499 + AGAIN_NS - 1), 1)
+        );
     }
 
     /// The plots of all that had been shown were gone when a second was put again.
@@ -287,7 +328,10 @@ mod tests {
         let mut series = ramp(500);
         series.push(3, &[0.0, 1.0]);
         series.push(499, &[0.0, 1.0]);
-        assert_eq!((series.generation(), series.first_ns(), series.fine.len()), (0, Some(0), 500));
+        assert_eq!(
+            (series.generation(), series.first_ns(), series.fine.len()),
+            (0, Some(0), 500)
+        );
         series.push(500, &[0.0, 1.0]);
         assert_eq!(series.fine.len(), 501);
     }

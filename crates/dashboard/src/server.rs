@@ -53,11 +53,25 @@ impl Server {
         gate: Gate,
         cannot_acknowledge: Option<String>,
     ) -> Self {
-        let structures = structures.into_iter().map(|(keys, store)| (keys, Mutex::new(store))).collect();
-        #[expect(clippy::disallowed_methods, reason = "sessions of browsers end by the clock of the wall")]
+        let structures = structures
+            .into_iter()
+            .map(|(keys, store)| (keys, Mutex::new(store)))
+            .collect();
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "sessions of browsers end by the clock of the wall"
+        )]
         let started = Instant::now();
         let (clients, stopped) = (AtomicUsize::new(0), watch::Sender::new(false));
-        Self { bus, structures, clients, stopped, gate, cannot_acknowledge, started }
+        Self {
+            bus,
+            structures,
+            clients,
+            stopped,
+            gate,
+            cannot_acknowledge,
+            started,
+        }
     }
 
     /// Who is let in.
@@ -77,7 +91,10 @@ impl Server {
 
     /// The picture of one structure.
     pub(crate) fn store(&self, name: &str) -> Option<MutexGuard<'_, Store>> {
-        let (_, store) = self.structures.iter().find(|(keys, _)| keys.structure().as_str() == name)?;
+        let (_, store) = self
+            .structures
+            .iter()
+            .find(|(keys, _)| keys.structure().as_str() == name)?;
         Some(lock(store))
     }
 
@@ -95,7 +112,10 @@ impl Server {
 
     /// The names of the structures.
     pub(crate) fn names(&self) -> Vec<&str> {
-        self.structures.iter().map(|(keys, _)| keys.structure().as_str()).collect()
+        self.structures
+            .iter()
+            .map(|(keys, _)| keys.structure().as_str())
+            .collect()
     }
 
     /// Puts an acknowledgement of an alert that is `before` on the bus; returns what the alert service has made of it, `None` where it
@@ -105,17 +125,34 @@ impl Server {
         acknowledgement: &Acknowledgement,
         before: AlertState,
     ) -> Result<Option<AlertState>, BusError> {
-        let Acknowledgement { structure, parameter, who, .. } = acknowledgement;
-        let Some((keys, store)) = self.structures.iter().find(|(keys, _)| keys.structure() == structure) else {
+        let Acknowledgement {
+            structure,
+            parameter,
+            who,
+            ..
+        } = acknowledgement;
+        let Some((keys, store)) = self
+            .structures
+            .iter()
+            .find(|(keys, _)| keys.structure() == structure)
+        else {
             return Ok(None);
         };
         // before it is put: the answer may come at once
-        let alerts = self.bus.subscribe::<AlertMessage>(keys.alert(parameter), CHANGES_WAITING).await?;
-        let publisher = self.bus.publish_display(keys.acknowledge(parameter)).await?;
+        let alerts = self
+            .bus
+            .subscribe::<AlertMessage>(keys.alert(parameter), CHANGES_WAITING)
+            .await?;
+        let publisher = self
+            .bus
+            .publish_display(keys.acknowledge(parameter))
+            .await?;
         publisher.put(acknowledgement).await?;
         let is_answer = |alert: &AlertMessage| {
             let is_taken = match before {
-                AlertState::Raised | AlertState::Unconfirmed => alert.acknowledged_by.as_ref() == Some(who),
+                AlertState::Raised | AlertState::Unconfirmed => {
+                    alert.acknowledged_by.as_ref() == Some(who)
+                }
                 _ => !alert.is_unseen(), // what is over, or only pending, has no name beside it
             };
             is_taken && alert.structure == *structure && alert.parameter == *parameter
@@ -128,7 +165,9 @@ impl Server {
             }
             None
         };
-        let Ok(Some(alert)) = tokio::time::timeout(ANSWER_WITHIN, answered).await else { return Ok(None) };
+        let Ok(Some(alert)) = tokio::time::timeout(ANSWER_WITHIN, answered).await else {
+            return Ok(None);
+        };
         let state = alert.state;
         // what is gathered from the bus comes a little later
         let mut store = lock(store);
@@ -138,8 +177,16 @@ impl Server {
     }
 
     /// Asks the history service for what lies before what is kept here; what it does not answer in time is left out.
-    pub(crate) async fn ask_history(&self, structure: &str, all: Vec<Earlier>) -> Vec<(Earlier, HistorySpan)> {
-        let Some((keys, _)) = self.structures.iter().find(|(keys, _)| keys.structure().as_str() == structure) else {
+    pub(crate) async fn ask_history(
+        &self,
+        structure: &str,
+        all: Vec<Earlier>,
+    ) -> Vec<(Earlier, HistorySpan)> {
+        let Some((keys, _)) = self
+            .structures
+            .iter()
+            .find(|(keys, _)| keys.structure().as_str() == structure)
+        else {
             return Vec::new();
         };
         let mut asked = JoinSet::new();
@@ -148,9 +195,14 @@ impl Server {
             let bus = self.bus.clone();
             asked.spawn(async move {
                 let answers = bus.ask::<HistorySpan>(&selector, HISTORY_WITHIN).await;
-                let answers = answers.inspect_err(|error| warn!(%error, "cannot ask for the history")).ok()?;
+                let answers = answers
+                    .inspect_err(|error| warn!(%error, "cannot ask for the history"))
+                    .ok()?;
                 // of several services that keep it, the one that knows the most
-                let most = answers.into_iter().map(|(_, span)| span).max_by_key(|span| span.rows.time_s.len());
+                let most = answers
+                    .into_iter()
+                    .map(|(_, span)| span)
+                    .max_by_key(|span| span.rows.time_s.len());
                 Some((earlier, most?))
             });
         }
@@ -159,9 +211,11 @@ impl Server {
 
     /// A place for one more client; none where all are taken.
     pub(crate) fn admit(self: &std::sync::Arc<Self>) -> Option<ClientPlace> {
-        let admitted = self.clients.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |clients| {
-            (clients < MOST_CLIENTS).then_some(clients + 1)
-        });
+        let admitted = self
+            .clients
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |clients| {
+                (clients < MOST_CLIENTS).then_some(clients + 1)
+            });
         admitted.is_ok().then(|| ClientPlace(self.clone()))
     }
 
@@ -183,9 +237,13 @@ fn lock(store: &Mutex<Store>) -> MutexGuard<'_, Store> {
 
 /// The wall clock (ns since the Unix epoch, UTC).
 pub(crate) fn now_ns() -> i64 {
-    #[expect(clippy::disallowed_methods, reason = "people are told how old things are, and when they acknowledged")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "people are told how old things are, and when they acknowledged"
+    )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 /// The same in seconds.

@@ -57,7 +57,12 @@ pub struct PageSettings {
 impl From<Listen> for PageSettings {
     /// A page for this machine, without certificate and tokens.
     fn from(listen: Listen) -> Self {
-        Self { listen, certificate: None, tokens: Tokens::default(), cannot_acknowledge: None }
+        Self {
+            listen,
+            certificate: None,
+            tokens: Tokens::default(),
+            cannot_acknowledge: None,
+        }
     }
 }
 
@@ -94,9 +99,15 @@ impl DashboardService {
         id: Name,
     ) -> BoxedFuture<'a, Result<Self, DashboardError>> {
         Box::pin(async move {
-            let acceptor = page.certificate.as_ref().map(PageCertificate::acceptor).transpose()?;
+            let acceptor = page
+                .certificate
+                .as_ref()
+                .map(PageCertificate::acceptor)
+                .transpose()?;
             let listener = bind(page).await?;
-            let address = listener.local_addr().map_err(|source| DashboardError::Serve { source })?;
+            let address = listener
+                .local_addr()
+                .map_err(|source| DashboardError::Serve { source })?;
             let gate = Gate::new(page.tokens.clone(), acceptor.is_some());
             let door = Door::new(listener, acceptor);
             let mut stores = Vec::new();
@@ -105,15 +116,28 @@ impl DashboardService {
                 stores.push((keys.clone(), Store::new(About::new(structure))));
                 sources.push(Source {
                     listening: Listening::start(bus, keys).await?,
-                    status: bus.publish_display(keys.status(Service::Dashboard, &id)).await?,
+                    status: bus
+                        .publish_display(keys.status(Service::Dashboard, &id))
+                        .await?,
                     token: bus.announce(keys.live(Service::Dashboard, &id)).await?,
                     keys: keys.clone(),
                     taken: 0,
                 });
             }
-            let server = Arc::new(Server::new(bus.clone(), stores, gate, page.cannot_acknowledge.clone()));
+            let server = Arc::new(Server::new(
+                bus.clone(),
+                stores,
+                gate,
+                page.cannot_acknowledge.clone(),
+            ));
             info!(address = %address, structures = structures.len(), "dashboard ready");
-            Ok(Self { door, address, server, sources, id })
+            Ok(Self {
+                door,
+                address,
+                server,
+                sources,
+                id,
+            })
         })
     }
 
@@ -127,22 +151,35 @@ impl DashboardService {
     ///
     /// # Errors
     /// When the bus is closed underneath, or browsers can no longer be served.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), DashboardError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), DashboardError>> {
         self.run_until(Box::pin(stop))
     }
 
-    fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), DashboardError>> {
+    fn run_until(
+        mut self,
+        stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), DashboardError>> {
         Box::pin(async move {
             // a set, because it ends with this life: the next one serves at the same address
             let mut browsers = JoinSet::new();
-            browsers.spawn(serve(self.door, router(self.server.clone()), self.server.stopped()));
+            browsers.spawn(serve(
+                self.door,
+                router(self.server.clone()),
+                self.server.stopped(),
+            ));
             let listened = tokio::select! {
                 listened = listen(&mut self.sources, &self.server, &self.id) => listened,
                 Some(served) = browsers.join_next() => return Err(broken(served)),
                 () = stop => Ok(()),
             };
             self.server.stop();
-            if tokio::time::timeout(END_WITHIN, browsers.join_next()).await.is_err() {
+            if tokio::time::timeout(END_WITHIN, browsers.join_next())
+                .await
+                .is_err()
+            {
                 // one that keeps its connection open must not keep the program
                 browsers.abort_all();
             }
@@ -173,27 +210,45 @@ async fn bind(page: &PageSettings) -> Result<TcpListener, DashboardError> {
         (Some(_), true) => Some("token"),
     };
     if let Some(missing) = missing {
-        let listen = |source| DashboardError::Listen { address: address.to_owned(), source };
+        let listen = |source| DashboardError::Listen {
+            address: address.to_owned(),
+            source,
+        };
         let mut all = tokio::net::lookup_host(address).await.map_err(listen)?;
         if !all.all(|address| address.ip().to_canonical().is_loopback()) {
-            return Err(DashboardError::Unprotected { address: address.to_owned(), missing });
+            return Err(DashboardError::Unprotected {
+                address: address.to_owned(),
+                missing,
+            });
         }
     }
     match TcpListener::bind(address).await {
         Ok(listener) => Ok(listener),
         Err(source) if may_move && source.kind() == io::ErrorKind::AddrInUse => {
-            warn!(taken = address, "the usual address of the page is taken, a free port is used instead");
+            warn!(
+                taken = address,
+                "the usual address of the page is taken, a free port is used instead"
+            );
             let free = "127.0.0.1:0";
             let listener = TcpListener::bind(free).await;
-            listener.map_err(|source| DashboardError::Listen { address: free.to_owned(), source })
+            listener.map_err(|source| DashboardError::Listen {
+                address: free.to_owned(),
+                source,
+            })
         }
-        Err(source) => Err(DashboardError::Listen { address: address.to_owned(), source }),
+        Err(source) => Err(DashboardError::Listen {
+            address: address.to_owned(),
+            source,
+        }),
     }
 }
 
 /// Takes from the bus, and puts the status, for ever.
 async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<(), DashboardError> {
-    #[expect(clippy::disallowed_methods, reason = "how long nothing was heard is told by the clock of the wall")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "how long nothing was heard is told by the clock of the wall"
+    )]
     let start = Instant::now();
     let service = Name::new(Service::Dashboard.as_str())?;
     let mut gather = tokio::time::interval(GATHER_EVERY);

@@ -44,7 +44,15 @@ pub(crate) async fn serve(mut door: Door, router: Router, stopped: watch::Receiv
 }
 
 /// Answers the requests of a connection until it ends, or is one of a WebSocket.
-async fn answer(Guest { stream, address, place }: Guest, router: Router, mut stopped: watch::Receiver<bool>) {
+async fn answer(
+    Guest {
+        stream,
+        address,
+        place,
+    }: Guest,
+    router: Router,
+    mut stopped: watch::Receiver<bool>,
+) {
     let router = TowerToHyperService::new(router);
     let client = ConnectInfo(ClientAddress(address.ip()));
     let service = service_fn(move |request: Request<Incoming>| {
@@ -53,8 +61,14 @@ async fn answer(Guest { stream, address, place }: Guest, router: Router, mut sto
         router.call(request)
     });
     let mut builder = Builder::new();
-    builder.timer(TokioTimer::new()).header_read_timeout(HEAD_WITHIN);
-    let mut connection = pin!(builder.serve_connection(TokioIo::new(stream), service).with_upgrades());
+    builder
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_WITHIN);
+    let mut connection = pin!(
+        builder
+            .serve_connection(TokioIo::new(stream), service)
+            .with_upgrades()
+    );
     let stop = async move {
         // a sender that is gone stops as well
         let _ = stopped.wait_for(|stopped| *stopped).await;

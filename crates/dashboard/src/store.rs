@@ -5,9 +5,10 @@ use crate::innovations::{Innovations, Interval};
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event, EventKind, FitDisplay,
-    HistoryLog, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase,
-    Progress, Service, Status, is_without_date, pace_told,
+    Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event,
+    EventKind, FitDisplay, HistoryLog, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, Service, Status, is_without_date,
+    pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -119,9 +120,19 @@ impl Store {
             Input::Now(now) => self.now = now,
             Input::Parameter(display) => self.take_parameter(display),
             Input::Noise(display) => {
-                if self.about.noise.iter().any(|level| level.name == display.name.as_str()) {
+                if self
+                    .about
+                    .noise
+                    .iter()
+                    .any(|level| level.name == display.name.as_str())
+                {
                     self.heard_data(display.time_ns);
-                    self.push(Kind::Noise, display.name.as_str(), display.time_ns, &[display.mean, display.std]);
+                    self.push(
+                        Kind::Noise,
+                        display.name.as_str(),
+                        display.time_ns,
+                        &[display.mean, display.std],
+                    );
                     self.noise.insert(display.name.to_string(), display);
                 }
             }
@@ -132,20 +143,29 @@ impl Store {
             Input::Estimates(block) => {
                 let mut done = Vec::new();
                 self.innovations.handle(&block, &mut done);
-                done.into_iter().for_each(|interval| self.take_interval(&interval));
+                done.into_iter()
+                    .for_each(|interval| self.take_interval(&interval));
             }
             Input::Alert(alert) => self.take_alert(alert),
             Input::StandingAlert(alert) => {
                 let name = alert.parameter.as_str();
                 // what came by itself meanwhile is at least as new, unless it is that of an earlier life
                 let known = self.alerts.get(name);
-                if known.is_none_or(|known| known.time_ns < alert.time_ns || self.stale_alerts.contains(name)) {
+                if known.is_none_or(|known| {
+                    known.time_ns < alert.time_ns || self.stale_alerts.contains(name)
+                }) {
                     self.take_alert(alert);
                 }
             }
             Input::Acknowledgement(acknowledgement) => {
-                if self.about.parameters.iter().any(|known| known.name == acknowledgement.parameter.as_str()) {
-                    self.notes.insert(acknowledgement.parameter.to_string(), acknowledgement);
+                if self
+                    .about
+                    .parameters
+                    .iter()
+                    .any(|known| known.name == acknowledgement.parameter.as_str())
+                {
+                    self.notes
+                        .insert(acknowledgement.parameter.to_string(), acknowledgement);
                 }
             }
             Input::Event(event) => self.take_event(event),
@@ -164,7 +184,11 @@ impl Store {
     /// Takes how far ingest has come; of what was used before its first word only what it does not know to be recorded counts.
     fn take_ingested(&mut self, progress: &Progress) {
         // samples of nodes that identify for themselves are not read again from a recording
-        if self.about.distributed || !self.arrivals.ingested(progress.header.epoch, progress.header.time_ns) {
+        if self.about.distributed
+            || !self
+                .arrivals
+                .ingested(progress.header.epoch, progress.header.time_ns)
+        {
             return;
         }
         let arrivals = &self.arrivals;
@@ -173,11 +197,18 @@ impl Store {
 
     fn push(&mut self, kind: Kind, of: &str, time_ns: i64, values: &[f64]) {
         let name = SeriesName::new(kind, of);
-        self.series.entry(name).or_insert_with(|| kind.series()).push(time_ns, values);
+        self.series
+            .entry(name)
+            .or_insert_with(|| kind.series())
+            .push(time_ns, values);
     }
 
     fn has_channel(&self, name: &str) -> bool {
-        self.about.drawing.sensors.iter().any(|sensor| sensor.channel == name)
+        self.about
+            .drawing
+            .sensors
+            .iter()
+            .any(|sensor| sensor.channel == name)
     }
 
     fn take_parameter(&mut self, display: ParameterDisplay) {
@@ -186,8 +217,14 @@ impl Store {
             return;
         }
         self.heard_data(display.time_ns);
-        self.push(Kind::Parameter, name, display.time_ns, &[display.mean, display.std, display.probability_of_loss]);
-        self.parameters.insert(display.parameter.to_string(), display);
+        self.push(
+            Kind::Parameter,
+            name,
+            display.time_ns,
+            &[display.mean, display.std, display.probability_of_loss],
+        );
+        self.parameters
+            .insert(display.parameter.to_string(), display);
     }
 
     fn take_outlier(&mut self, display: OutlierDisplay) {
@@ -195,7 +232,12 @@ impl Store {
         if !self.has_channel(name) {
             return;
         }
-        self.push(Kind::Outlier, name, display.time_ns, &[display.recent_share, display.flagged as f64]);
+        self.push(
+            Kind::Outlier,
+            name,
+            display.time_ns,
+            &[display.recent_share, display.flagged as f64],
+        );
         if display.state == ChannelState::Screening {
             self.excluded.remove(name);
         }
@@ -205,9 +247,18 @@ impl Store {
     fn take_classes(&mut self, display: ModelClassDisplay) {
         for class in &display.classes {
             let name = SeriesName::new(Kind::Class, class.class.as_str());
-            let known = self.series.keys().filter(|name| name.kind == Kind::Class).count();
+            let known = self
+                .series
+                .keys()
+                .filter(|name| name.kind == Kind::Class)
+                .count();
             if known < MOST_CLASSES || self.series.contains_key(&name) {
-                self.push(Kind::Class, &class.class, display.time_ns, &[class.plausibility]);
+                self.push(
+                    Kind::Class,
+                    &class.class,
+                    display.time_ns,
+                    &[class.plausibility],
+                );
             }
         }
         self.classes = Some(display);
@@ -215,10 +266,17 @@ impl Store {
 
     fn take_node(&mut self, display: NodeDisplay) {
         let name = display.node.as_str();
-        if !self.about.drawing.sensors.iter().any(|sensor| sensor.node == name) {
+        if !self
+            .about
+            .drawing
+            .sensors
+            .iter()
+            .any(|sensor| sensor.node == name)
+        {
             return;
         }
-        let [distance, limit] = [display.distance, display.distance_limit].map(|value| value.unwrap_or(f64::NAN));
+        let [distance, limit] =
+            [display.distance, display.distance_limit].map(|value| value.unwrap_or(f64::NAN));
         self.push(Kind::Node, name, display.time_ns, &[distance, limit]);
         self.nodes.insert(display.node.to_string(), display);
     }
@@ -229,13 +287,25 @@ impl Store {
             return; // a station has estimates, but no innovations
         }
         for (row, (least, largest)) in interval.ends.iter().enumerate() {
-            let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else { return };
+            let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else {
+                return;
+            };
             if least.is_finite() && self.arrivals.is_live(interval.time_ns) {
                 self.used_ns.insert(channel.clone(), interval.time_ns);
             }
-            self.push(Kind::Innovation, &channel, interval.time_ns, &[*least, *largest]);
+            self.push(
+                Kind::Innovation,
+                &channel,
+                interval.time_ns,
+                &[*least, *largest],
+            );
         }
-        self.push(Kind::Consistency, ALL_CHANNELS, interval.time_ns, &[interval.consistency]);
+        self.push(
+            Kind::Consistency,
+            ALL_CHANNELS,
+            interval.time_ns,
+            &[interval.consistency],
+        );
     }
 
     fn take_alert(&mut self, alert: AlertMessage) {
@@ -258,8 +328,12 @@ impl Store {
 
     /// Puts a revision in the place of what it revises; returns `false` where it revises nothing that is kept.
     fn revise(&mut self, alert: &AlertMessage) -> bool {
-        let is_same = |known: &&mut AlertMessage| alert.revises(known) || known.revises(alert) || **known == *alert;
-        let Some(known) = self.changes.iter_mut().find(is_same) else { return false };
+        let is_same = |known: &&mut AlertMessage| {
+            alert.revises(known) || known.revises(alert) || **known == *alert
+        };
+        let Some(known) = self.changes.iter_mut().find(is_same) else {
+            return false;
+        };
         if alert.revises(known) {
             known.clone_from(alert);
         }
@@ -289,7 +363,9 @@ impl Store {
     }
 
     fn take_status(&mut self, status: Status) {
-        let service = Service::ALL.into_iter().find(|service| service.as_str() == status.service.as_str());
+        let service = Service::ALL
+            .into_iter()
+            .find(|service| service.as_str() == status.service.as_str());
         let Some(service) = service else { return };
         let key = (service, status.id.clone());
         if self.has_room(&key) || self.statuses.contains_key(&key) {
@@ -300,13 +376,16 @@ impl Store {
     /// Whether there is room for one more service or node: some for each declared node and then for a few more.
     fn has_room(&self, key: &(Service, Name)) -> bool {
         const OTHERS: usize = 64;
-        self.seen.contains(key) || self.seen.len() + self.statuses.len() < 4 * self.about.drawing.sensors.len() + OTHERS
+        self.seen.contains(key)
+            || self.seen.len() + self.statuses.len() < 4 * self.about.drawing.sensors.len() + OTHERS
     }
 
     fn take_present(&mut self, present: BTreeSet<(Service, Name)>) {
-        let has = |present: &BTreeSet<(Service, Name)>, service| present.iter().any(|(one, _)| *one == service);
-        let [alert_leaves, ingest_leaves] =
-            [Service::Alert, Service::Ingest].map(|service| has(&self.present, service) && !has(&present, service));
+        let has = |present: &BTreeSet<(Service, Name)>, service| {
+            present.iter().any(|(one, _)| *one == service)
+        };
+        let [alert_leaves, ingest_leaves] = [Service::Alert, Service::Ingest]
+            .map(|service| has(&self.present, service) && !has(&present, service));
         if alert_leaves {
             self.stale_alerts = self.alerts.keys().cloned().collect();
         }
@@ -325,14 +404,18 @@ impl Store {
     fn take_past(&mut self, log: HistoryLog) {
         for alert in log.alerts {
             if tells_something(&alert) && !self.revise(&alert) {
-                let place = self.changes.partition_point(|known| known.time_ns > alert.time_ns);
+                let place = self
+                    .changes
+                    .partition_point(|known| known.time_ns > alert.time_ns);
                 self.changes.insert(place, alert);
             }
         }
         self.changes.truncate(CHANGES_KEPT);
         for event in log.events {
             if !self.events.contains(&event) {
-                let place = self.events.partition_point(|known| known.time_ns > event.time_ns);
+                let place = self
+                    .events
+                    .partition_point(|known| known.time_ns > event.time_ns);
                 self.events.insert(place, event);
             }
         }
@@ -378,7 +461,9 @@ impl Store {
     /// Whether the samples come from a record or a simulation, whose times are their own, so that a lag behind the clock on the wall
     /// says nothing.
     pub(crate) fn is_replayed(&self) -> bool {
-        let Some(time_ns) = self.time_ns else { return false };
+        let Some(time_ns) = self.time_ns else {
+            return false;
+        };
         is_without_date(time_ns) || self.pace() == Some(Pace::Replayed)
     }
 
@@ -389,7 +474,8 @@ impl Store {
 
     /// A lag behind the clock on the wall, where it says something and data come.
     pub(crate) fn told_lag(&self, lag_s: Option<f64>) -> Option<f64> {
-        let is_told = self.has_lag() && self.silence().is_some_and(|silence| silence <= STALE_AFTER);
+        let is_told =
+            self.has_lag() && self.silence().is_some_and(|silence| silence <= STALE_AFTER);
         lag_s.filter(|_| is_told)
     }
 
@@ -406,12 +492,21 @@ impl Store {
     pub(crate) fn may_have(&self, name: &SeriesName) -> bool {
         let of = name.of.as_str();
         match name.kind {
-            Kind::Parameter => self.about.parameters.iter().any(|parameter| parameter.name == of),
+            Kind::Parameter => self
+                .about
+                .parameters
+                .iter()
+                .any(|parameter| parameter.name == of),
             Kind::Noise => self.about.noise.iter().any(|level| level.name == of),
             Kind::Innovation | Kind::Outlier => self.has_channel(of),
             Kind::Consistency => of == ALL_CHANNELS,
             Kind::Class => self.series.contains_key(name),
-            Kind::Node => self.about.drawing.sensors.iter().any(|sensor| sensor.node == of),
+            Kind::Node => self
+                .about
+                .drawing
+                .sensors
+                .iter()
+                .any(|sensor| sensor.node == of),
         }
     }
 
@@ -421,12 +516,20 @@ impl Store {
     }
 
     /// What was added to each series since a reader has last looked; its place is moved on.
-    pub(crate) fn news(&self, read: &mut BTreeMap<SeriesName, u64>, most: usize) -> Vec<(SeriesName, u64, Table)> {
+    pub(crate) fn news(
+        &self,
+        read: &mut BTreeMap<SeriesName, u64>,
+        most: usize,
+    ) -> Vec<(SeriesName, u64, Table)> {
         let mut news = Vec::new();
         for (name, series) in &self.series {
             let place = read.entry(name.clone()).or_default();
             if *place < series.pushed() {
-                news.push((name.clone(), series.generation(), series.since(*place, most)));
+                news.push((
+                    name.clone(),
+                    series.generation(),
+                    series.since(*place, most),
+                ));
                 *place = series.pushed();
             }
         }
@@ -436,7 +539,10 @@ impl Store {
 
 /// Whether an alert of a parameter of which nothing was known is worth a line: that all is well is not.
 fn tells_something(alert: &AlertMessage) -> bool {
-    !matches!(alert.state, AlertState::Normal | AlertState::Learning | AlertState::Undecided)
+    !matches!(
+        alert.state,
+        AlertState::Normal | AlertState::Learning | AlertState::Undecided
+    )
 }
 
 #[cfg(test)]

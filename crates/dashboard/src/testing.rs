@@ -3,7 +3,8 @@
 use crate::about::About;
 use crate::store::{Input, Store};
 use spandrel_bus::{
-    AlertMessage, AlertState, FitDisplay, FitReason, FitVerdict, Name, ParameterDisplay, UndecidedBecause,
+    AlertMessage, AlertState, FitDisplay, FitReason, FitVerdict, Name, ParameterDisplay,
+    UndecidedBecause,
 };
 use spandrel_structure::Structure;
 use std::path::Path;
@@ -16,7 +17,9 @@ pub(crate) fn name(text: &str) -> Name {
 /// The store of the demo, of which nothing was heard.
 pub(crate) fn demo() -> Store {
     let text = include_str!("../../../docs/examples/demo.toml");
-    Store::new(About::new(&Structure::parse(text, Path::new("demo.toml")).unwrap()))
+    Store::new(About::new(
+        &Structure::parse(text, Path::new("demo.toml")).unwrap(),
+    ))
 }
 
 pub(crate) fn at(seconds: f64) -> Input {
@@ -24,7 +27,12 @@ pub(crate) fn at(seconds: f64) -> Input {
 }
 
 pub(crate) fn parameter(of: &str, time_ns: i64, mean: f64, probability: f64) -> Input {
-    let mut display = ParameterDisplay::of_gaussian((&name("demo"), &name(of)), time_ns, (mean, 1e-4), (0.05, 1.0));
+    let mut display = ParameterDisplay::of_gaussian(
+        (&name("demo"), &name(of)),
+        time_ns,
+        (mean, 1e-4),
+        (0.05, 1.0),
+    );
     display.probability_of_loss = probability;
     Input::Parameter(display)
 }
@@ -43,7 +51,10 @@ pub(crate) fn fit(verdict: FitVerdict, reasons: &[FitReason]) -> Input {
 
 /// An alert on which nothing is decided.
 pub(crate) fn undecided(of: &str, state: AlertState, because: UndecidedBecause) -> Input {
-    Input::Alert(AlertMessage { undecided_because: Some(because), ..alert(of, 5, state) })
+    Input::Alert(AlertMessage {
+        undecided_because: Some(because),
+        ..alert(of, 5, state)
+    })
 }
 
 pub(crate) fn alert(of: &str, time_ns: i64, state: AlertState) -> AlertMessage {

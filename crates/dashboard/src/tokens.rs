@@ -50,11 +50,17 @@ impl Tokens {
     /// A file that cannot be read or is none.
     pub fn read(path: &Path) -> Result<Self, DashboardError> {
         let text = std::fs::read_to_string(path);
-        let text = text.map_err(|source| DashboardError::TokenFile { path: path.to_owned(), source })?;
+        let text = text.map_err(|source| DashboardError::TokenFile {
+            path: path.to_owned(),
+            source,
+        })?;
         match serde_json::from_str(&text) {
             Ok(tokens) => Ok(Self(tokens)),
             // the text of the error could quote the file
-            Err(error) => Err(DashboardError::NotTokens { path: path.to_owned(), line: error.line() }),
+            Err(error) => Err(DashboardError::NotTokens {
+                path: path.to_owned(),
+                line: error.line(),
+            }),
         }
     }
 
@@ -62,33 +68,58 @@ impl Tokens {
     ///
     /// # Errors
     /// A name that has a token, unless that is to be replaced; a file that cannot be read or written.
-    pub fn issue(path: &Path, name: Name, role: PageRole, replace: bool) -> Result<String, DashboardError> {
+    pub fn issue(
+        path: &Path,
+        name: Name,
+        role: PageRole,
+        replace: bool,
+    ) -> Result<String, DashboardError> {
         let mut all = match Self::read(path) {
             Ok(all) => all,
-            Err(DashboardError::TokenFile { source, .. }) if source.kind() == ErrorKind::NotFound => Self::default(),
+            Err(DashboardError::TokenFile { source, .. })
+                if source.kind() == ErrorKind::NotFound =>
+            {
+                Self::default()
+            }
             Err(error) => return Err(error),
         };
         if all.0.iter().any(|token| token.name == name) {
             if !replace {
-                return Err(DashboardError::TokenExists { name, path: path.to_owned() });
+                return Err(DashboardError::TokenExists {
+                    name,
+                    path: path.to_owned(),
+                });
             }
             all.0.retain(|token| token.name != name);
         }
         let secret = format!("{PREFIX}{}", hexadecimal(&random()?));
-        all.0.push(Token { name, role, sha256: hash(&secret) });
+        all.0.push(Token {
+            name,
+            role,
+            sha256: hash(&secret),
+        });
         all.write(path)?;
         Ok(secret)
     }
 
     /// Writes the file anew and puts it in the place of the old one, so that nobody reads half of it.
     fn write(&self, path: &Path) -> Result<(), DashboardError> {
-        let failed = |source| DashboardError::TokenFile { path: path.to_owned(), source };
+        let failed = |source| DashboardError::TokenFile {
+            path: path.to_owned(),
+            source,
+        };
         let text = serde_json::to_string_pretty(&self.0).map_err(|error| failed(error.into()))?;
         let beside = path.with_extension("new");
         let mut options = std::fs::OpenOptions::new();
-        options.write(true).create(true).truncate(true).mode(FILE_MODE);
+        options
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .mode(FILE_MODE);
         let mut file = options.open(&beside).map_err(failed)?;
-        file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)?;
+        file.write_all(text.as_bytes())
+            .and_then(|()| file.sync_all())
+            .map_err(failed)?;
         std::fs::rename(&beside, path).map_err(failed)
     }
 
@@ -108,7 +139,10 @@ impl Tokens {
 /// Random bytes for a token or session.
 pub(crate) fn random() -> Result<[u8; TOKEN_BYTES], DashboardError> {
     let mut bytes = [0; TOKEN_BYTES];
-    default_provider().secure_random.fill(&mut bytes).map_err(|_| DashboardError::NoRandom)?;
+    default_provider()
+        .secure_random
+        .fill(&mut bytes)
+        .map_err(|_| DashboardError::NoRandom)?;
     Ok(bytes)
 }
 
@@ -118,11 +152,13 @@ pub(crate) fn hash(text: &str) -> String {
 }
 
 pub(crate) fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-        // writing to a String does not fail
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    bytes
+        .iter()
+        .fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+            // writing to a String does not fail
+            let _ = write!(text, "{byte:02x}");
+            text
+        })
 }
 
 #[cfg(test)]
@@ -145,10 +181,19 @@ mod tests {
         for secret in [&ada, &grace] {
             assert!(!text.contains(&secret[PREFIX.len()..]), "{text}");
         }
-        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        assert_eq!(
+            std::fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+            0o600
+        );
         let tokens = Tokens::read(&path).unwrap();
-        assert_eq!(tokens.find(&ada).map(|token| token.role), Some(PageRole::Viewer));
-        assert_eq!(tokens.find(&grace).map(|token| token.name.as_str()), Some("grace"));
+        assert_eq!(
+            tokens.find(&ada).map(|token| token.role),
+            Some(PageRole::Viewer)
+        );
+        assert_eq!(
+            tokens.find(&grace).map(|token| token.name.as_str()),
+            Some("grace")
+        );
         for wrong in ["", "spandrel-", &ada[..ada.len() - 1], &text] {
             assert_eq!(tokens.find(wrong), None);
         }
@@ -160,20 +205,33 @@ mod tests {
         let path = folder.path().join("tokens.json");
         let first = Tokens::issue(&path, name("ada"), PageRole::Viewer, false).unwrap();
         let again = Tokens::issue(&path, name("ada"), PageRole::Operator, false);
-        assert!(matches!(again, Err(DashboardError::TokenExists { .. })), "{again:?}");
+        assert!(
+            matches!(again, Err(DashboardError::TokenExists { .. })),
+            "{again:?}"
+        );
         let second = Tokens::issue(&path, name("ada"), PageRole::Operator, true).unwrap();
         let tokens = Tokens::read(&path).unwrap();
         assert_eq!(tokens.find(&first), None);
-        assert_eq!(tokens.find(&second).map(|token| token.role), Some(PageRole::Operator));
+        assert_eq!(
+            tokens.find(&second).map(|token| token.role),
+            Some(PageRole::Operator)
+        );
     }
 
     #[test]
     fn a_file_that_is_none_is_named_and_not_quoted() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");
-        std::fs::write(&path, "[{\"name\": \"ada\", \"secret\": \"quoted-secret\"}]").unwrap();
+        std::fs::write(
+            &path,
+            "[{\"name\": \"ada\", \"secret\": \"quoted-secret\"}]",
+        )
+        .unwrap();
         let error = Tokens::read(&path).unwrap_err();
         let told = format!("{error} {error:?}");
-        assert!(told.contains("tokens.json") && !told.contains("quoted-secret"), "{told}");
+        assert!(
+            told.contains("tokens.json") && !told.contains("quoted-secret"),
+            "{told}"
+        );
     }
 }

@@ -24,8 +24,15 @@ pub(crate) enum Kind {
 
 impl Kind {
     /// All kinds.
-    pub(crate) const ALL: [Self; 7] =
-        [Self::Parameter, Self::Noise, Self::Innovation, Self::Consistency, Self::Outlier, Self::Class, Self::Node];
+    pub(crate) const ALL: [Self; 7] = [
+        Self::Parameter,
+        Self::Noise,
+        Self::Innovation,
+        Self::Consistency,
+        Self::Outlier,
+        Self::Class,
+        Self::Node,
+    ];
 
     /// The word in requests.
     pub(crate) fn as_str(self) -> &'static str {
@@ -76,7 +83,10 @@ pub(crate) struct SeriesName {
 
 impl SeriesName {
     pub(crate) fn new(kind: Kind, of: impl Into<String>) -> Self {
-        Self { kind, of: of.into() }
+        Self {
+            kind,
+            of: of.into(),
+        }
     }
 
     /// Reads a name; none if it is no kind, a slash and something.

@@ -4,8 +4,8 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay,
-    Phase, Status,
+    AlertMessage, Event, FitDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Phase, Status,
 };
 use std::collections::BTreeMap;
 
@@ -69,8 +69,9 @@ struct ServiceView<'s> {
 impl<'s> Standing<'s> {
     pub(crate) fn of(store: &'s Store) -> Self {
         let known = store.seen.iter().chain(store.statuses.keys());
-        let services: std::collections::BTreeSet<_> =
-            known.filter(|(service, _)| *service != spandrel_bus::Service::Sensor).collect();
+        let services: std::collections::BTreeSet<_> = known
+            .filter(|(service, _)| *service != spandrel_bus::Service::Sensor)
+            .collect();
         let service = |key: &'s (spandrel_bus::Service, spandrel_bus::Name)| ServiceView {
             service: key.0.as_str(),
             id: key.1.as_str(),
@@ -84,7 +85,10 @@ impl<'s> Standing<'s> {
             outliers: &store.outliers,
             classes: store.classes.as_ref(),
             nodes: &store.nodes,
-            fit: store.fit.as_ref().map(|display| FitView { display, words: display.words() }),
+            fit: store.fit.as_ref().map(|display| FitView {
+                display,
+                words: display.words(),
+            }),
             training: store.phase == Some(Phase::Training),
             alerts: standing_alerts(store).collect(),
             changes: changes(store).take(CHANGES_SHOWN).collect(),
@@ -108,5 +112,10 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
 
 /// The changes of alerts, newest first.
 pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
-    store.changes.iter().map(|message| AlertView { message, stale: false, note: store.note(message), now: None })
+    store.changes.iter().map(|message| AlertView {
+        message,
+        stale: false,
+        note: store.note(message),
+        now: None,
+    })
 }

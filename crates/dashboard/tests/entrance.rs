@@ -1,6 +1,11 @@
 //! Who is let in: tokens and sessions over real sockets, over TLS and without.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use futures_util::StreamExt as _;
 use rcgen::{CertificateParams, KeyPair};
@@ -8,7 +13,9 @@ use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
 use serde_json::Value;
 use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Keys, Name};
-use spandrel_dashboard::{DashboardError, DashboardService, Listen, PageCertificate, PageRole, PageSettings, Tokens};
+use spandrel_dashboard::{
+    DashboardError, DashboardService, Listen, PageCertificate, PageRole, PageSettings, Tokens,
+};
 use spandrel_structure::Structure;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -57,12 +64,20 @@ impl Files {
         let tokens = folder.path().join("tokens.json");
         let viewer = Tokens::issue(&tokens, name("ada"), PageRole::Viewer, false).unwrap();
         let operator = Tokens::issue(&tokens, name("grace"), PageRole::Operator, false).unwrap();
-        Self { folder, certificate: certificate.der().clone(), viewer, operator }
+        Self {
+            folder,
+            certificate: certificate.der().clone(),
+            viewer,
+            operator,
+        }
     }
 
     fn certificate(&self) -> PageCertificate {
         let at = |file: &str| self.folder.path().join(file);
-        PageCertificate { certificate: at("page.pem"), key: at("page.key") }
+        PageCertificate {
+            certificate: at("page.pem"),
+            key: at("page.key"),
+        }
     }
 
     fn tokens(&self) -> Tokens {
@@ -89,19 +104,31 @@ struct Answer {
 
 impl Answer {
     fn header(&self, name: &str) -> Option<&str> {
-        self.head.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
+        self.head
+            .lines()
+            .find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
     }
 }
 
 async fn bus() -> (Bus, BusConfig) {
-    let port = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().port();
+    let port = TcpListener::bind("127.0.0.1:0")
+        .await
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port();
     let root = format!("entrance-{port}");
-    let config = BusConfig { root, listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+    let config = BusConfig {
+        root,
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::default()
+    };
     (Bus::open(&config).await.unwrap(), config)
 }
 
 fn demo() -> Structure {
-    Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")).unwrap()
+    Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"))
+        .unwrap()
 }
 
 impl Site {
@@ -116,14 +143,28 @@ impl Site {
         let (bus, config) = bus().await;
         let structure = demo();
         let keys = config.keys(structure.name()).unwrap();
-        let service =
-            DashboardService::start(&[(&structure, keys.clone())], &bus, &page, name("dashboard")).await.unwrap();
+        let service = DashboardService::start(
+            &[(&structure, keys.clone())],
+            &bus,
+            &page,
+            name("dashboard"),
+        )
+        .await
+        .unwrap();
         let address = service.address();
         let (stop, stopped) = oneshot::channel::<()>();
         let running = tokio::spawn(service.run(async {
             let _ = stopped.await;
         }));
-        Self { files, scheme, bus, keys, address, stop, running }
+        Self {
+            files,
+            scheme,
+            bus,
+            keys,
+            address,
+            stop,
+            running,
+        }
     }
 
     async fn request(&self, method: &str, path: &str, headers: &str, body: &str) -> Answer {
@@ -142,29 +183,45 @@ impl Site {
                 }
             }
         };
-        let text = tokio::time::timeout(DEADLINE, exchanged).await.expect("an answer in time");
+        let text = tokio::time::timeout(DEADLINE, exchanged)
+            .await
+            .expect("an answer in time");
         let (head, body) = text.split_once("\r\n\r\n").expect("a head and a body");
         let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-        Answer { status, head: head.to_owned(), body: body.to_owned() }
+        Answer {
+            status,
+            head: head.to_owned(),
+            body: body.to_owned(),
+        }
     }
 
     fn connector(&self) -> TlsConnector {
         let mut roots = RootCertStore::empty();
         roots.add(self.files.certificate.clone()).unwrap();
         let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let config = ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions().unwrap();
-        TlsConnector::from(Arc::new(config.with_root_certificates(roots).with_no_client_auth()))
+        let config = ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .unwrap();
+        TlsConnector::from(Arc::new(
+            config.with_root_certificates(roots).with_no_client_auth(),
+        ))
     }
 
     /// The status of a request with this token.
     async fn status(&self, method: &str, path: &str, token: &str) -> u16 {
         let headers = format!("Authorization: Bearer {token}\r\n");
-        self.request(method, path, &headers, "{\"who\":\"Grace\"}").await.status
+        self.request(method, path, &headers, "{\"who\":\"Grace\"}")
+            .await
+            .status
     }
 
     async fn end(self) {
         self.stop.send(()).unwrap();
-        tokio::time::timeout(DEADLINE, self.running).await.expect("ends in time").unwrap().unwrap();
+        tokio::time::timeout(DEADLINE, self.running)
+            .await
+            .expect("ends in time")
+            .unwrap()
+            .unwrap();
         self.bus.close().await.unwrap();
     }
 }
@@ -185,19 +242,41 @@ async fn without_a_token_only_the_files_of_the_page_are_given() {
     for path in ["/", "/app.js", "/style.css"] {
         let answer = site.request("GET", path, "", "").await;
         assert_eq!(answer.status, 200, "{path}");
-        assert!(answer.header("content-security-policy").unwrap().contains("default-src 'none'"));
-        assert_eq!(answer.header("strict-transport-security"), Some("max-age=31536000"));
+        assert!(
+            answer
+                .header("content-security-policy")
+                .unwrap()
+                .contains("default-src 'none'")
+        );
+        assert_eq!(
+            answer.header("strict-transport-security"),
+            Some("max-age=31536000")
+        );
         assert_eq!(answer.header("x-frame-options"), Some("DENY"));
         assert_eq!(answer.header("x-content-type-options"), Some("nosniff"));
     }
-    for path in ["/api/structures", "/api/structures/demo", "/api/alerts", "/api/live", "/api/openapi.json", "/metrics"]
-    {
+    for path in [
+        "/api/structures",
+        "/api/structures/demo",
+        "/api/alerts",
+        "/api/live",
+        "/api/openapi.json",
+        "/metrics",
+    ] {
         let answer = site.request("GET", path, "", "").await;
         assert_eq!(answer.status, 401, "{path}");
         assert!(!answer.body.contains("storey"), "{}", answer.body);
     }
-    assert_eq!(site.request("POST", ACKNOWLEDGE, "", "{\"who\":\"x\"}").await.status, 401);
-    assert_eq!(site.request("GET", "/api/session", "", "").await.status, 401);
+    assert_eq!(
+        site.request("POST", ACKNOWLEDGE, "", "{\"who\":\"x\"}")
+            .await
+            .status,
+        401
+    );
+    assert_eq!(
+        site.request("GET", "/api/session", "", "").await.status,
+        401
+    );
     site.end().await;
 }
 
@@ -210,9 +289,21 @@ async fn a_viewer_reads_and_an_operator_acknowledges_too() {
         assert_eq!(site.status("GET", "/metrics", token).await, 200);
     }
     assert_eq!(site.status("POST", ACKNOWLEDGE, &viewer).await, 403);
-    assert_eq!(site.status("POST", ACKNOWLEDGE, &operator).await, 409, "there is no alert yet");
-    let alert = site.bus.publish_latest(site.keys.alert(&name("storey-2"))).await.unwrap();
-    let seen = site.bus.subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8).await.unwrap();
+    assert_eq!(
+        site.status("POST", ACKNOWLEDGE, &operator).await,
+        409,
+        "there is no alert yet"
+    );
+    let alert = site
+        .bus
+        .publish_latest(site.keys.alert(&name("storey-2")))
+        .await
+        .unwrap();
+    let seen = site
+        .bus
+        .subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8)
+        .await
+        .unwrap();
     alert.put(&raised()).await.unwrap();
     let sent = async {
         while site.status("POST", ACKNOWLEDGE, &operator).await != 202 {
@@ -220,8 +311,13 @@ async fn a_viewer_reads_and_an_operator_acknowledges_too() {
         }
         seen.messages().recv_async().await.unwrap().1
     };
-    let acknowledgement = tokio::time::timeout(DEADLINE, sent).await.expect("an acknowledgement");
-    assert_eq!(acknowledgement.who, "Grace (grace)", "what somebody calls themselves, and whose token it is");
+    let acknowledgement = tokio::time::timeout(DEADLINE, sent)
+        .await
+        .expect("an acknowledgement");
+    assert_eq!(
+        acknowledgement.who, "Grace (grace)",
+        "what somebody calls themselves, and whose token it is"
+    );
     site.end().await;
 }
 
@@ -257,21 +353,58 @@ async fn a_browser_shows_its_token_once() {
     for scheme in [Scheme::Http, Scheme::Https] {
         let site = Site::start(scheme).await;
         let body = format!("{{\"token\":\"{}\"}}", site.files.viewer);
-        let foreign = site.request("POST", "/api/session", "Origin: https://elsewhere.example\r\n", &body).await;
+        let foreign = site
+            .request(
+                "POST",
+                "/api/session",
+                "Origin: https://elsewhere.example\r\n",
+                &body,
+            )
+            .await;
         assert_eq!(foreign.status, 403);
         let entered = site.request("POST", "/api/session", "", &body).await;
         assert_eq!(entered.status, 200, "{}", entered.body);
         let who: Value = serde_json::from_str(&entered.body).unwrap();
-        assert_eq!((who["name"].as_str(), who["role"].as_str()), (Some("ada"), Some("viewer")));
+        assert_eq!(
+            (who["name"].as_str(), who["role"].as_str()),
+            (Some("ada"), Some("viewer"))
+        );
         let cookie = entered.header("set-cookie").unwrap();
-        assert_eq!(cookie.contains("Secure"), scheme == Scheme::Https, "{cookie}");
-        assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"), "{cookie}");
+        assert_eq!(
+            cookie.contains("Secure"),
+            scheme == Scheme::Https,
+            "{cookie}"
+        );
+        assert!(
+            cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"),
+            "{cookie}"
+        );
         assert!(!cookie.contains(&site.files.viewer) && !entered.body.contains(&site.files.viewer));
         let cookie = format!("Cookie: {}\r\n", cookie.split(';').next().unwrap());
-        assert_eq!(site.request("GET", "/api/structures", &cookie, "").await.status, 200);
-        assert_eq!(site.request("POST", ACKNOWLEDGE, &cookie, "{\"who\":\"x\"}").await.status, 403);
-        assert_eq!(site.request("DELETE", "/api/session", &cookie, "").await.status, 200);
-        assert_eq!(site.request("GET", "/api/structures", &cookie, "").await.status, 401);
+        assert_eq!(
+            site.request("GET", "/api/structures", &cookie, "")
+                .await
+                .status,
+            200
+        );
+        assert_eq!(
+            site.request("POST", ACKNOWLEDGE, &cookie, "{\"who\":\"x\"}")
+                .await
+                .status,
+            403
+        );
+        assert_eq!(
+            site.request("DELETE", "/api/session", &cookie, "")
+                .await
+                .status,
+            200
+        );
+        assert_eq!(
+            site.request("GET", "/api/structures", &cookie, "")
+                .await
+                .status,
+            401
+        );
         site.end().await;
     }
 }
@@ -279,23 +412,54 @@ async fn a_browser_shows_its_token_once() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_socket_ends_with_the_session_of_its_browser() {
     let site = Site::start(Scheme::Http).await;
-    let entered = site.request("POST", "/api/session", "", &format!("{{\"token\":\"{}\"}}", site.files.viewer)).await;
-    let cookie = entered.header("set-cookie").unwrap().split(';').next().unwrap().to_owned();
+    let entered = site
+        .request(
+            "POST",
+            "/api/session",
+            "",
+            &format!("{{\"token\":\"{}\"}}", site.files.viewer),
+        )
+        .await;
+    let cookie = entered
+        .header("set-cookie")
+        .unwrap()
+        .split(';')
+        .next()
+        .unwrap()
+        .to_owned();
     let mut listening = Vec::new();
-    for (name, value) in [("cookie", cookie.clone()), ("authorization", format!("Bearer {}", site.files.viewer))] {
-        let mut request = format!("ws://{}/api/live", site.address).into_client_request().unwrap();
+    for (name, value) in [
+        ("cookie", cookie.clone()),
+        ("authorization", format!("Bearer {}", site.files.viewer)),
+    ] {
+        let mut request = format!("ws://{}/api/live", site.address)
+            .into_client_request()
+            .unwrap();
         request.headers_mut().insert(name, value.parse().unwrap());
         let (mut socket, _) = tokio_tungstenite::connect_async(request).await.unwrap();
         assert!(matches!(next(&mut socket).await, Message::Text(_)));
         listening.push(socket);
     }
-    assert_eq!(site.request("DELETE", "/api/session", &format!("Cookie: {cookie}\r\n"), "").await.status, 200);
+    assert_eq!(
+        site.request(
+            "DELETE",
+            "/api/session",
+            &format!("Cookie: {cookie}\r\n"),
+            ""
+        )
+        .await
+        .status,
+        200
+    );
     let why = loop {
         if let Message::Close(why) = next(&mut listening[0]).await {
             break why.unwrap();
         }
     };
-    assert_eq!((why.code, why.reason.as_str()), (CloseCode::Policy, "the session is over"));
+    assert_eq!(
+        (why.code, why.reason.as_str()),
+        (CloseCode::Policy, "the session is over")
+    );
     // a token is no session
     for _ in 0..10 {
         assert!(matches!(next(&mut listening[1]).await, Message::Text(_)));
@@ -305,7 +469,11 @@ async fn a_socket_ends_with_the_session_of_its_browser() {
 }
 
 async fn next(socket: &mut WebSocketStream<MaybeTlsStream<TcpStream>>) -> Message {
-    tokio::time::timeout(DEADLINE, socket.next()).await.expect("a message in time").unwrap().unwrap()
+    tokio::time::timeout(DEADLINE, socket.next())
+        .await
+        .expect("a message in time")
+        .unwrap()
+        .unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -318,10 +486,27 @@ async fn wrong_tokens_are_refused_and_then_no_longer_looked_at() {
     }
     assert_eq!(statuses[..10], [401; 10], "{statuses:?}");
     assert!(statuses[10..].contains(&429), "{statuses:?}");
-    let answer = site.request("POST", "/api/session", "", "{\"token\":\"wrong\"}").await;
+    let answer = site
+        .request("POST", "/api/session", "", "{\"token\":\"wrong\"}")
+        .await;
     assert_eq!(answer.status, 429);
-    assert!(answer.header("retry-after").unwrap().parse::<u64>().unwrap() >= 1);
-    let body = site.request("POST", "/api/session", "", "{\"tokens\":\"secret-in-the-wrong-field\"}").await.body;
+    assert!(
+        answer
+            .header("retry-after")
+            .unwrap()
+            .parse::<u64>()
+            .unwrap()
+            >= 1
+    );
+    let body = site
+        .request(
+            "POST",
+            "/api/session",
+            "",
+            "{\"tokens\":\"secret-in-the-wrong-field\"}",
+        )
+        .await
+        .body;
     assert!(!body.contains("secret-in-the-wrong-field"), "{body}");
     site.end().await;
 }
@@ -330,10 +515,19 @@ async fn wrong_tokens_are_refused_and_then_no_longer_looked_at() {
 async fn plain_http_is_not_answered_where_there_is_a_certificate() {
     let site = Site::start(Scheme::Https).await;
     let mut socket = TcpStream::connect(site.address).await.unwrap();
-    socket.write_all(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n").await.unwrap();
+    socket
+        .write_all(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+        .await
+        .unwrap();
     let mut answer = Vec::new();
-    let _ = tokio::time::timeout(DEADLINE, socket.read_to_end(&mut answer)).await.expect("the connection ends");
-    assert!(!answer.starts_with(b"HTTP"), "{}", String::from_utf8_lossy(&answer));
+    let _ = tokio::time::timeout(DEADLINE, socket.read_to_end(&mut answer))
+        .await
+        .expect("the connection ends");
+    assert!(
+        !answer.starts_with(b"HTTP"),
+        "{}",
+        String::from_utf8_lossy(&answer)
+    );
     // connections that never begin a handshake keep nobody out
     let mut idle = Vec::new();
     for _ in 0..32 {
@@ -360,7 +554,10 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
                 tokens: tokens.clone(),
                 cannot_acknowledge: None,
             };
-            let error = DashboardService::start(&[], &bus, &page, name("page")).await.map(|_| ()).unwrap_err();
+            let error = DashboardService::start(&[], &bus, &page, name("page"))
+                .await
+                .map(|_| ())
+                .unwrap_err();
             let told = error.to_string();
             assert!(told.contains(address) && told.contains(missing), "{told}");
         }
@@ -371,7 +568,9 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
         tokens: files.tokens(),
         cannot_acknowledge: None,
     };
-    DashboardService::start(&[], &bus, &page, name("page")).await.unwrap();
+    DashboardService::start(&[], &bus, &page, name("page"))
+        .await
+        .unwrap();
     bus.close().await.unwrap();
 }
 
@@ -381,21 +580,29 @@ async fn a_foreign_name_is_not_answered_without_tokens() {
     let structure = demo();
     let keys = config.keys(structure.name()).unwrap();
     let page = Listen::At("127.0.0.1:0".into()).into();
-    let service = DashboardService::start(&[(&structure, keys)], &bus, &page, name("page")).await.unwrap();
+    let service = DashboardService::start(&[(&structure, keys)], &bus, &page, name("page"))
+        .await
+        .unwrap();
     let address = service.address();
     let (stop, stopped) = oneshot::channel::<()>();
     let running = tokio::spawn(service.run(async {
         let _ = stopped.await;
     }));
     let ask = async |host: &str| {
-        let request = format!("GET /api/structures HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+        let request =
+            format!("GET /api/structures HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
         let text = exchange(TcpStream::connect(address).await.unwrap(), &request).await;
         text.split(' ').nth(1).unwrap().parse::<u16>().unwrap()
     };
     for host in ["127.0.0.1:8080", "localhost", "[::1]:80", "127.0.0.1"] {
         assert_eq!(ask(host).await, 200, "{host}");
     }
-    for host in ["rebound.example", "rebound.example:8080", "127.0.0.1.example", ""] {
+    for host in [
+        "rebound.example",
+        "rebound.example:8080",
+        "127.0.0.1.example",
+        "",
+    ] {
         assert_eq!(ask(host).await, 403, "{host}");
     }
     stop.send(()).unwrap();

@@ -1,12 +1,17 @@
 //! The HTTP interface and the WebSocket, over a real Zenoh session and a real socket.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use futures_util::StreamExt;
 use serde_json::{Value, json};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, DisplayPublisher, Keys, LatestPublisher, Name,
-    ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, DisplayPublisher, Keys,
+    LatestPublisher, Name, ParameterDisplay,
 };
 use spandrel_dashboard::{DashboardError, DashboardService, Listen, PageSettings};
 use spandrel_structure::Structure;
@@ -64,7 +69,10 @@ impl Answer {
     fn expect_refused(&self, status: u16, told: &str) {
         assert_eq!(self.status, status, "{}", self.body);
         let body = self.json();
-        assert!(body["error"].as_str().unwrap().contains(told), "expected {told:?}, found {body}");
+        assert!(
+            body["error"].as_str().unwrap().contains(told),
+            "expected {told:?}, found {body}"
+        );
         assert!(!body["allowed"].as_str().unwrap().is_empty());
     }
 }
@@ -75,28 +83,60 @@ impl Site {
     }
 
     async fn with(page: PageSettings) -> Self {
-        let root =
-            format!("dashboard-{}", TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().port());
-        let config = BusConfig { root, listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+        let root = format!(
+            "dashboard-{}",
+            TcpListener::bind("127.0.0.1:0")
+                .await
+                .unwrap()
+                .local_addr()
+                .unwrap()
+                .port()
+        );
+        let config = BusConfig {
+            root,
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..BusConfig::default()
+        };
         let bus = Bus::open(&config).await.unwrap();
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
         let structure = Structure::read(&path).unwrap();
         let keys = config.keys(structure.name()).unwrap();
-        let parameter = bus.publish_display(keys.parameter(&name("storey-2"))).await.unwrap();
-        let alert = bus.publish_latest(keys.alert(&name("storey-2"))).await.unwrap();
-        let service =
-            DashboardService::start(&[(&structure, keys.clone())], &bus, &page, name("dashboard")).await.unwrap();
+        let parameter = bus
+            .publish_display(keys.parameter(&name("storey-2")))
+            .await
+            .unwrap();
+        let alert = bus
+            .publish_latest(keys.alert(&name("storey-2")))
+            .await
+            .unwrap();
+        let service = DashboardService::start(
+            &[(&structure, keys.clone())],
+            &bus,
+            &page,
+            name("dashboard"),
+        )
+        .await
+        .unwrap();
         let address = service.address();
         let (stop, stopped) = oneshot::channel::<()>();
         let running = tokio::spawn(service.run(async {
             let _ = stopped.await;
         }));
-        Self { bus, keys, client: Client { address }, parameter, alert, stop, running }
+        Self {
+            bus,
+            keys,
+            client: Client { address },
+            parameter,
+            alert,
+            stop,
+            running,
+        }
     }
 
     async fn put(&self, time_s: i64, mean: f64) {
         let names = (&name("demo"), &name("storey-2"));
-        let display = ParameterDisplay::of_gaussian(names, time_s * 1_000_000_000, (mean, 1e-4), (0.05, 1.0));
+        let display =
+            ParameterDisplay::of_gaussian(names, time_s * 1_000_000_000, (mean, 1e-4), (0.05, 1.0));
         self.parameter.put(&display).await.unwrap();
     }
 
@@ -130,7 +170,11 @@ impl Site {
 
     async fn end(self) {
         self.stop.send(()).unwrap();
-        tokio::time::timeout(DEADLINE, self.running).await.expect("ends in time").unwrap().unwrap();
+        tokio::time::timeout(DEADLINE, self.running)
+            .await
+            .expect("ends in time")
+            .unwrap()
+            .unwrap();
         self.bus.close().await.unwrap();
     }
 }
@@ -149,10 +193,16 @@ impl Client {
             socket.read_to_string(&mut text).await.unwrap();
             text
         };
-        let text = tokio::time::timeout(DEADLINE, exchange).await.expect("an answer in time");
+        let text = tokio::time::timeout(DEADLINE, exchange)
+            .await
+            .expect("an answer in time");
         let (head, body) = text.split_once("\r\n\r\n").expect("a head and a body");
         let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-        Answer { status, head: head.to_lowercase(), body: body.to_owned() }
+        Answer {
+            status,
+            head: head.to_lowercase(),
+            body: body.to_owned(),
+        }
     }
 
     async fn get(&self, path: &str) -> Answer {
@@ -161,7 +211,13 @@ impl Client {
 
     async fn acknowledge(&self, parameter: &str, headers: &str, body: &str) -> Answer {
         let path = format!("/api/structures/demo/alerts/{parameter}/acknowledge");
-        self.request("POST", &path, &format!("Content-Type: application/json\r\n{headers}"), body).await
+        self.request(
+            "POST",
+            &path,
+            &format!("Content-Type: application/json\r\n{headers}"),
+            body,
+        )
+        .await
     }
 
     /// Asks for the structures until one is as it must become.
@@ -175,26 +231,46 @@ impl Client {
                 tokio::task::yield_now().await;
             }
         };
-        tokio::time::timeout(DEADLINE, waited).await.unwrap_or_else(|_| panic!("waited in vain: {what}"))
+        tokio::time::timeout(DEADLINE, waited)
+            .await
+            .unwrap_or_else(|_| panic!("waited in vain: {what}"))
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_put_on_the_bus_is_seen_in_the_overview_and_in_the_structure() {
     let site = Site::start().await;
-    assert_eq!(site.get("/api/structures").await.json()["structures"][0]["level"], "learning");
+    assert_eq!(
+        site.get("/api/structures").await.json()["structures"][0]["level"],
+        "learning"
+    );
     site.put(5, 0.85).await;
     site.raise(AlertState::Raised).await;
-    let seen = site.wait("an alarm", |found| found["level"] == "alarm" && !found["worst"].is_null()).await;
+    let seen = site
+        .wait("an alarm", |found| {
+            found["level"] == "alarm" && !found["worst"].is_null()
+        })
+        .await;
     assert_eq!(seen["worst"]["parameter"], "storey-2");
     assert_eq!(seen["sentence"], "storey-2 <b>has lost</b> 15 %");
     let whole = site.get("/api/structures/demo").await.json();
-    assert_eq!(whole["about"]["drawing"]["members"].as_array().unwrap().len(), 5);
+    assert_eq!(
+        whole["about"]["drawing"]["members"]
+            .as_array()
+            .unwrap()
+            .len(),
+        5
+    );
     assert_eq!(whole["standing"]["parameters"]["storey-2"]["mean"], 0.85);
     assert_eq!(whole["standing"]["series"], json!(["parameter/storey-2"]));
     let alerts = site.get("/api/alerts?state=raised").await.json();
     assert_eq!(alerts["standing"][0]["parameter"], "storey-2");
-    assert!(site.get("/api/alerts?state=cleared").await.json()["standing"].as_array().unwrap().is_empty());
+    assert!(
+        site.get("/api/alerts?state=cleared").await.json()["standing"]
+            .as_array()
+            .unwrap()
+            .is_empty()
+    );
     site.end().await;
 }
 
@@ -207,13 +283,21 @@ async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
     let structure = Structure::read(&path).unwrap();
     let listen = Listen::At("127.0.0.1:0".into()).into();
     let structures = [(&structure, site.keys.clone())];
-    let late = DashboardService::start(&structures, &site.bus, &listen, name("late")).await.unwrap();
-    let client = Client { address: late.address() };
+    let late = DashboardService::start(&structures, &site.bus, &listen, name("late"))
+        .await
+        .unwrap();
+    let client = Client {
+        address: late.address(),
+    };
     let (stop, stopped) = oneshot::channel::<()>();
     let running = tokio::spawn(late.run(async {
         let _ = stopped.await;
     }));
-    client.wait("the alarm that was there before", |found| found["raised"] == 1).await;
+    client
+        .wait("the alarm that was there before", |found| {
+            found["raised"] == 1
+        })
+        .await;
     stop.send(()).unwrap();
     running.await.unwrap().unwrap();
     site.end().await;
@@ -225,13 +309,18 @@ async fn history_comes_as_json_and_as_csv() {
     for second in 1..=10 {
         site.put(second, 1.0 - 0.01 * second as f64).await;
     }
-    site.wait("all points", |found| found["time_s"] == 10.0).await;
+    site.wait("all points", |found| found["time_s"] == 10.0)
+        .await;
     let path = "/api/structures/demo/history?series=parameter/storey-2&from=3&to=5";
     let span = site.get(path).await.json();
     assert_eq!(span["series"][0]["data"][0], json!([3.0, 4.0, 5.0]));
     assert_eq!(span["kept_from_s"], 1.0);
     let csv = site.get(&format!("{path}&format=csv")).await;
-    assert!(csv.head.contains("content-type: text/csv") && csv.head.contains("filename=\"demo.csv\""), "{}", csv.head);
+    assert!(
+        csv.head.contains("content-type: text/csv") && csv.head.contains("filename=\"demo.csv\""),
+        "{}",
+        csv.head
+    );
     let lines: Vec<&str> = csv.body.lines().collect();
     assert_eq!((lines.len(), &lines[1][..7]), (4, "3,0.97,"));
     site.end().await;
@@ -240,24 +329,45 @@ async fn history_comes_as_json_and_as_csv() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
     let site = Site::start().await;
-    let heard = site.bus.subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8).await.unwrap();
+    let heard = site
+        .bus
+        .subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8)
+        .await
+        .unwrap();
     site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#)
         .await
         .expect_refused(409, "the alert of storey-2 is not known");
     site.raise(AlertState::Raised).await;
     site.wait("an alarm", |found| found["raised"] == 1).await;
-    let sent = site.acknowledge("storey-2", "", r#"{"who":" Ada ","note":"on my way"}"#).await;
-    assert_eq!((sent.status, sent.json()), (202, json!({"sent": true, "state": null})), "nobody has answered");
-    let (key, found) = tokio::time::timeout(DEADLINE, heard.messages().recv_async()).await.unwrap().unwrap();
+    let sent = site
+        .acknowledge("storey-2", "", r#"{"who":" Ada ","note":"on my way"}"#)
+        .await;
+    assert_eq!(
+        (sent.status, sent.json()),
+        (202, json!({"sent": true, "state": null})),
+        "nobody has answered"
+    );
+    let (key, found) = tokio::time::timeout(DEADLINE, heard.messages().recv_async())
+        .await
+        .unwrap()
+        .unwrap();
     assert_eq!(key, site.keys.acknowledge(&name("storey-2")));
-    assert_eq!((found.who.as_str(), found.note.as_str()), ("Ada", "on my way"));
+    assert_eq!(
+        (found.who.as_str(), found.note.as_str()),
+        ("Ada", "on my way")
+    );
     let taking = async {
         heard.messages().recv_async().await.unwrap();
         site.raise(AlertState::Acknowledged).await;
     };
     let (sent, ()) = tokio::join!(site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#), taking);
-    assert_eq!((sent.status, sent.json()), (200, json!({"sent": true, "state": "acknowledged"})));
-    site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#).await.expect_refused(409, "is acknowledged");
+    assert_eq!(
+        (sent.status, sent.json()),
+        (200, json!({"sent": true, "state": "acknowledged"}))
+    );
+    site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#)
+        .await
+        .expect_refused(409, "is acknowledged");
     assert!(heard.messages().is_empty(), "what is refused is not sent");
     site.end().await;
 }
@@ -266,7 +376,11 @@ async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
     let site = Site::start().await;
-    let heard = site.bus.subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8).await.unwrap();
+    let heard = site
+        .bus
+        .subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8)
+        .await
+        .unwrap();
     for _ in 0..5 {
         site.raise(AlertState::Raised).await;
         site.wait("an alarm", |found| found["raised"] == 1).await;
@@ -274,12 +388,22 @@ async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
             heard.messages().recv_async().await.unwrap();
             site.raise(AlertState::Acknowledged).await;
         };
-        let (sent, ()) = tokio::join!(site.acknowledge("storey-2", "", r#"{"who":"Ada","note":"seen"}"#), taking);
+        let (sent, ()) = tokio::join!(
+            site.acknowledge("storey-2", "", r#"{"who":"Ada","note":"seen"}"#),
+            taking
+        );
         assert_eq!(sent.status, 200);
         let alerts = site.get("/api/alerts").await.json();
         let standing = &alerts["standing"][0];
-        assert_eq!((&standing["state"], &standing["note"]), (&json!("acknowledged"), &json!("seen")), "{alerts}");
-        assert_eq!(site.get("/api/alerts?state=raised").await.json()["standing"], json!([]));
+        assert_eq!(
+            (&standing["state"], &standing["note"]),
+            (&json!("acknowledged"), &json!("seen")),
+            "{alerts}"
+        );
+        assert_eq!(
+            site.get("/api/alerts?state=raised").await.json()["standing"],
+            json!([])
+        );
     }
     site.end().await;
 }
@@ -289,11 +413,21 @@ async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
 async fn an_acknowledgement_that_would_be_dropped_is_refused_with_who_may() {
     let why = "role dashboard may not acknowledge; roles that may: server, operator";
     let listen = Listen::At("127.0.0.1:0".into()).into();
-    let site = Site::with(PageSettings { cannot_acknowledge: Some(why.to_owned()), ..listen }).await;
-    let heard = site.bus.subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8).await.unwrap();
+    let site = Site::with(PageSettings {
+        cannot_acknowledge: Some(why.to_owned()),
+        ..listen
+    })
+    .await;
+    let heard = site
+        .bus
+        .subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8)
+        .await
+        .unwrap();
     site.raise(AlertState::Raised).await;
     site.wait("an alarm", |found| found["raised"] == 1).await;
-    site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#).await.expect_refused(403, why);
+    site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#)
+        .await
+        .expect_refused(403, why);
     assert!(heard.messages().is_empty());
     site.end().await;
 }
@@ -303,28 +437,60 @@ async fn mistakes_are_answered_with_what_is_wrong_and_what_is_allowed() {
     let site = Site::start().await;
     site.raise(AlertState::Raised).await;
     site.wait("an alarm", |found| found["raised"] == 1).await;
-    site.get("/api/structures/tower").await.expect_refused(404, "structure `tower` is not known");
-    site.get("/api/nothing").await.expect_refused(404, "nothing is at /api/nothing");
-    site.request("POST", "/api/structures", "", "").await.expect_refused(405, "does not take POST");
+    site.get("/api/structures/tower")
+        .await
+        .expect_refused(404, "structure `tower` is not known");
+    site.get("/api/nothing")
+        .await
+        .expect_refused(404, "nothing is at /api/nothing");
+    site.request("POST", "/api/structures", "", "")
+        .await
+        .expect_refused(405, "does not take POST");
     let history = "/api/structures/demo/history";
-    site.get(&format!("{history}?points=none")).await.expect_refused(400, "points");
-    site.get(&format!("{history}?until=5")).await.expect_refused(400, "until");
-    site.get(&format!("{history}?series=parameter/roof")).await.expect_refused(400, "parameter/roof");
-    site.get("/api/alerts?state=angry").await.expect_refused(400, "angry");
-    site.get("/api/live?structure=tower").await.expect_refused(404, "tower");
+    site.get(&format!("{history}?points=none"))
+        .await
+        .expect_refused(400, "points");
+    site.get(&format!("{history}?until=5"))
+        .await
+        .expect_refused(400, "until");
+    site.get(&format!("{history}?series=parameter/roof"))
+        .await
+        .expect_refused(400, "parameter/roof");
+    site.get("/api/alerts?state=angry")
+        .await
+        .expect_refused(400, "angry");
+    site.get("/api/live?structure=tower")
+        .await
+        .expect_refused(404, "tower");
     site.get("/api/live").await.expect_refused(400, "");
-    site.acknowledge("roof", "", r#"{"who":"Ada"}"#).await.expect_refused(404, "parameter `roof`");
-    site.acknowledge("storey-2", "", r#"{"who":"  "}"#).await.expect_refused(400, "who is empty");
-    site.acknowledge("storey-2", "", r#"{"note":"x"}"#).await.expect_refused(422, "who");
-    site.acknowledge("storey-2", "", "{").await.expect_refused(400, "");
+    site.acknowledge("roof", "", r#"{"who":"Ada"}"#)
+        .await
+        .expect_refused(404, "parameter `roof`");
+    site.acknowledge("storey-2", "", r#"{"who":"  "}"#)
+        .await
+        .expect_refused(400, "who is empty");
+    site.acknowledge("storey-2", "", r#"{"note":"x"}"#)
+        .await
+        .expect_refused(422, "who");
+    site.acknowledge("storey-2", "", "{")
+        .await
+        .expect_refused(400, "");
     let long = format!(r#"{{"who":"{}"}}"#, "a".repeat(101));
-    site.acknowledge("storey-2", "", &long).await.expect_refused(400, "who is too long");
+    site.acknowledge("storey-2", "", &long)
+        .await
+        .expect_refused(400, "who is too long");
     let huge = format!(r#"{{"who":"Ada","note":"{}"}}"#, "a".repeat(20_000));
-    site.acknowledge("storey-2", "", &huge).await.expect_refused(413, "");
+    site.acknowledge("storey-2", "", &huge)
+        .await
+        .expect_refused(413, "");
     let other = "Origin: https://example.org\r\n";
-    site.acknowledge("storey-2", other, r#"{"who":"Ada"}"#).await.expect_refused(403, "another site");
+    site.acknowledge("storey-2", other, r#"{"who":"Ada"}"#)
+        .await
+        .expect_refused(403, "another site");
     let plain = "/api/structures/demo/alerts/storey-2/acknowledge";
-    site.request("POST", plain, "", r#"{"who":"Ada"}"#).await.expect_refused(415, "");
+    site.request("POST", plain, "", r#"{"who":"Ada"}"#)
+        .await
+        .expect_refused(415, "");
     site.end().await;
 }
 
@@ -334,13 +500,24 @@ async fn the_page_comes_with_a_policy_that_lets_it_load_its_own_files_only() {
     let page = site.get("/").await;
     assert_eq!(page.status, 200);
     assert!(page.body.contains("<title>Spandrel</title>"));
-    assert!(page.head.contains("content-security-policy: default-src 'none'; script-src 'self';"), "{}", page.head);
+    assert!(
+        page.head
+            .contains("content-security-policy: default-src 'none'; script-src 'self';"),
+        "{}",
+        page.head
+    );
     assert!(page.head.contains("x-content-type-options: nosniff"));
-    for (path, content) in
-        [("/app.js", "text/javascript"), ("/uplot.js", "text/javascript"), ("/style.css", "text/css")]
-    {
+    for (path, content) in [
+        ("/app.js", "text/javascript"),
+        ("/uplot.js", "text/javascript"),
+        ("/style.css", "text/css"),
+    ] {
         let file = site.get(path).await;
-        assert!(file.status == 200 && file.head.contains(content), "{path}: {}", file.head);
+        assert!(
+            file.status == 200 && file.head.contains(content),
+            "{path}: {}",
+            file.head
+        );
     }
     site.end().await;
 }
@@ -349,18 +526,29 @@ async fn the_page_comes_with_a_policy_that_lets_it_load_its_own_files_only() {
 async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
     let site = Site::start().await;
     site.put(1, 1.0).await;
-    site.wait("the first point", |found| found["time_s"] == 1.0).await;
+    site.wait("the first point", |found| found["time_s"] == 1.0)
+        .await;
     let address = format!("ws://{}/api/live?structure=demo", site.address);
     let (mut socket, _) = tokio_tungstenite::connect_async(address).await.unwrap();
     let mut next = async || -> Value {
-        let message = tokio::time::timeout(DEADLINE, socket.next()).await.unwrap().unwrap().unwrap();
+        let message = tokio::time::timeout(DEADLINE, socket.next())
+            .await
+            .unwrap()
+            .unwrap()
+            .unwrap();
         serde_json::from_str(message.to_text().unwrap()).unwrap()
     };
     let overview = next().await;
-    assert_eq!((&overview["type"], &overview["structures"][0]["name"]), (&json!("overview"), &json!("demo")));
+    assert_eq!(
+        (&overview["type"], &overview["structures"][0]["name"]),
+        (&json!("overview"), &json!("demo"))
+    );
     let standing = next().await;
     assert_eq!(
-        (&standing["type"], &standing["standing"]["parameters"]["storey-2"]["mean"]),
+        (
+            &standing["type"],
+            &standing["standing"]["parameters"]["storey-2"]["mean"]
+        ),
         (&json!("structure"), &json!(1.0))
     );
     site.put(2, 0.9).await;
@@ -371,12 +559,20 @@ async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
         }
     };
     // the point that was there before is for history
-    assert_eq!(points["series"]["parameter/storey-2"]["data"][0], json!([2.0]));
-    assert_eq!(points["series"]["parameter/storey-2"]["data"][1], json!([0.9]));
+    assert_eq!(
+        points["series"]["parameter/storey-2"]["data"][0],
+        json!([2.0])
+    );
+    assert_eq!(
+        points["series"]["parameter/storey-2"]["data"][1],
+        json!([0.9])
+    );
     site.end().await;
     // a stop of the dashboard ends the socket
     let ended = async { while let Some(Ok(_)) = socket.next().await {} };
-    tokio::time::timeout(DEADLINE, ended).await.expect("the socket ends");
+    tokio::time::timeout(DEADLINE, ended)
+        .await
+        .expect("the socket ends");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -384,7 +580,13 @@ async fn an_address_that_was_asked_for_is_that_or_an_error() {
     let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let site = Site::start().await;
-    let failed = DashboardService::start(&[], &site.bus, &Listen::At(address.clone()).into(), name("other")).await;
+    let failed = DashboardService::start(
+        &[],
+        &site.bus,
+        &Listen::At(address.clone()).into(),
+        name("other"),
+    )
+    .await;
     let told = failed.unwrap_err().to_string();
     assert!(told.contains(&address), "{told}");
     site.end().await;

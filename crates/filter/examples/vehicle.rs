@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use spandrel_filter::{
-    ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseModel, NoiseParameter, NoiseTarget,
-    ObservationModel, ProcessModel,
+    ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseModel, NoiseParameter,
+    NoiseTarget, ObservationModel, ProcessModel,
 };
 use std::f64::consts::PI;
 
@@ -107,10 +107,16 @@ fn truth(time_s: f64) -> ([f64; 2], [f64; 2]) {
     }
     if angle <= PI {
         let (sin, cos) = angle.sin_cos();
-        return ([600.0 + 100.0 * sin, -100.0 + 100.0 * cos], [speed * cos, -speed * sin]);
+        return (
+            [600.0 + 100.0 * sin, -100.0 + 100.0 * cos],
+            [speed * cos, -speed * sin],
+        );
     }
     let (sin, cos) = (angle - PI).sin_cos();
-    ([600.0 - 100.0 * sin, -300.0 + 100.0 * cos], [-speed * cos, -speed * sin])
+    (
+        [600.0 - 100.0 * sin, -300.0 + 100.0 * cos],
+        [-speed * cos, -speed * sin],
+    )
 }
 
 /// A jerk of 0.14 m/s³, and positions whose noise is to be found, from a first guess of 10 m.
@@ -132,21 +138,31 @@ fn main() -> Result<(), FilterError> {
     let mut filter = ExtendedKalmanFilter::new(Vehicle::default(), settings)?;
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut squares = [0.0; 3];
-    println!("time s   position error m   its std m   velocity error m/s   its std m/s   noise of a position m");
+    println!(
+        "time s   position error m   its std m   velocity error m/s   its std m/s   noise of a position m"
+    );
     for second in 1..=SECONDS {
         let (position, velocity) = truth(second as f64);
         let seen = position.map(|x| {
             let normal: f64 = StandardNormal.sample(&mut random);
             x + POSITION_STD * normal
         });
-        filter.step(Frame { observations: &seen, excitation: &[0.0; 2] })?;
+        filter.step(Frame {
+            observations: &seen,
+            excitation: &[0.0; 2],
+        })?;
         let (mean, covariance) = (filter.mean(), filter.covariance());
         let distance = |at: [f64; 2], of: [f64; 2]| (at[0] - of[0]).hypot(at[1] - of[1]);
-        let std =
-            |entries: [usize; 2]| (covariance[(entries[0], entries[0])] + covariance[(entries[1], entries[1])]).sqrt();
+        let std = |entries: [usize; 2]| {
+            (covariance[(entries[0], entries[0])] + covariance[(entries[1], entries[1])]).sqrt()
+        };
         let position_error = distance([mean[0], mean[3]], position);
         let velocity_error = distance([mean[1], mean[4]], velocity);
-        for (square, error) in squares.iter_mut().zip([position_error, distance(seen, position), velocity_error]) {
+        for (square, error) in
+            squares
+                .iter_mut()
+                .zip([position_error, distance(seen, position), velocity_error])
+        {
             *square += error * error;
         }
         if second % 33 == 0 {
@@ -159,6 +175,8 @@ fn main() -> Result<(), FilterError> {
         }
     }
     let [tracked, raw, velocity] = squares.map(|square| (square / SECONDS as f64).sqrt());
-    println!("rms error: position {tracked:.2} m (as observed {raw:.2} m), velocity {velocity:.2} m/s");
+    println!(
+        "rms error: position {tracked:.2} m (as observed {raw:.2} m), velocity {velocity:.2} m/s"
+    );
     Ok(())
 }

@@ -37,11 +37,19 @@ impl BandLimit {
     ) -> Result<Self, FilterError> {
         if order == 0 || order % 2 == 1 {
             let what = "order of the band limit";
-            return Err(FilterError::Setting { what, found: order as f64, allowed: "even and positive" });
+            return Err(FilterError::Setting {
+                what,
+                found: order as f64,
+                allowed: "even and positive",
+            });
         }
         if !(frequency_hz > 0.0 && frequency_hz < 0.5 * sampling_rate_hz) {
             let allowed = "between 0 and half the sampling rate";
-            return Err(FilterError::Setting { what: "frequency of the band limit", found: frequency_hz, allowed });
+            return Err(FilterError::Setting {
+                what: "frequency of the band limit",
+                found: frequency_hz,
+                allowed,
+            });
         }
         let warped = (std::f64::consts::PI * frequency_hz / sampling_rate_hz).tan();
         let sections: Vec<Section> = (0..order / 2)
@@ -61,7 +69,11 @@ impl BandLimit {
             })
             .collect();
         let memory = vec![[0.0; 2]; sections.len() * channels];
-        Ok(Self { sections, memory, last: vec![f64::NAN; channels] })
+        Ok(Self {
+            sections,
+            memory,
+            last: vec![f64::NAN; channels],
+        })
     }
 
     /// Forgets all samples: the next one is taken as the first.
@@ -126,11 +138,21 @@ mod tests {
     #[test]
     fn gain_is_that_of_a_butterworth_filter() {
         // |H|² = 1/(1 + (tan(πf/fs)/tan(πfc/fs))^(2·order)), the analytic response of the bilinear Butterworth
-        for (order, corner, frequency) in [(4, 12.0, 12.0), (4, 12.0, 6.0), (4, 6.0, 12.0), (2, 10.0, 30.0)] {
+        for (order, corner, frequency) in [
+            (4, 12.0, 12.0),
+            (4, 12.0, 6.0),
+            (4, 6.0, 12.0),
+            (2, 10.0, 30.0),
+        ] {
             let warp = |f: f64| (std::f64::consts::PI * f / 120.0).tan();
-            let expected = (1.0 + (warp(frequency) / warp(corner)).powi(2 * order)).sqrt().recip();
+            let expected = (1.0 + (warp(frequency) / warp(corner)).powi(2 * order))
+                .sqrt()
+                .recip();
             let found = gain(order as usize, corner, frequency);
-            assert!((found - expected).abs() < 1e-6, "order {order} at {frequency} Hz: {found} for {expected}");
+            assert!(
+                (found - expected).abs() < 1e-6,
+                "order {order} at {frequency} Hz: {found} for {expected}"
+            );
         }
     }
 

@@ -76,15 +76,22 @@ impl ClassPlan {
             all
         };
         let apart = |members: &[Vec<usize>]| -> Result<Vec<Grouping>, FilterError> {
-            members.iter().map(|members| Grouping::apart(members.clone(), components)).collect()
+            members
+                .iter()
+                .map(|members| Grouping::apart(members.clone(), components))
+                .collect()
         };
         Ok(match (self, level) {
             (Self::Predefined { classes }, _) => classes.clone(),
             (Self::SelfCalibrating { classes }, _) => with_baseline(classes.clone()),
-            (Self::Hierarchical { substructures }, Level::First) => with_baseline(apart(substructures.groups())?),
+            (Self::Hierarchical { substructures }, Level::First) => {
+                with_baseline(apart(substructures.groups())?)
+            }
             (Self::Hierarchical { substructures }, Level::Second { substructure }) => {
-                let single: Vec<Vec<usize>> =
-                    substructures.groups()[substructure].iter().map(|component| vec![*component]).collect();
+                let single: Vec<Vec<usize>> = substructures.groups()[substructure]
+                    .iter()
+                    .map(|component| vec![*component])
+                    .collect();
                 with_baseline(apart(&single)?)
             }
         })
@@ -96,23 +103,34 @@ impl ClassPlan {
     /// With the first thing that is wrong.
     pub fn check(&self, components: usize) -> Result<(), FilterError> {
         let groupings: Vec<&Grouping> = match self {
-            Self::Predefined { classes } | Self::SelfCalibrating { classes } => classes.iter().collect(),
+            Self::Predefined { classes } | Self::SelfCalibrating { classes } => {
+                classes.iter().collect()
+            }
             Self::Hierarchical { substructures } => vec![substructures],
         };
         if groupings.is_empty() {
             let (what, allowed) = ("number of model classes", "at least 1");
-            return Err(FilterError::Setting { what, found: 0.0, allowed });
+            return Err(FilterError::Setting {
+                what,
+                found: 0.0,
+                allowed,
+            });
         }
         for grouping in groupings {
             if grouping.components() != components {
                 let (what, found) = ("grouping of a model class", grouping.components());
-                return Err(FilterError::Dimension { what, found, expected: components });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected: components,
+                });
             }
         }
         let levels = match self {
             Self::Predefined { .. } | Self::SelfCalibrating { .. } => vec![Level::First],
             Self::Hierarchical { substructures } => {
-                let second = (0..substructures.groups().len()).map(|substructure| Level::Second { substructure });
+                let second = (0..substructures.groups().len())
+                    .map(|substructure| Level::Second { substructure });
                 [Level::First].into_iter().chain(second).collect()
             }
         };
@@ -120,10 +138,19 @@ impl ClassPlan {
             let classes = self.classes(level, components)?;
             for (class, grouping) in classes.iter().enumerate() {
                 // what cannot be told apart would take turns for ever
-                if classes[..class].iter().any(|earlier| earlier.is_same_partition(grouping)) {
-                    let (what, allowed) =
-                        ("model class", "another partition than the classes before it, 0 the baseline");
-                    return Err(FilterError::Setting { what, found: class as f64, allowed });
+                if classes[..class]
+                    .iter()
+                    .any(|earlier| earlier.is_same_partition(grouping))
+                {
+                    let (what, allowed) = (
+                        "model class",
+                        "another partition than the classes before it, 0 the baseline",
+                    );
+                    return Err(FilterError::Setting {
+                        what,
+                        found: class as f64,
+                        allowed,
+                    });
                 }
             }
         }
@@ -221,9 +248,19 @@ impl ClassSettings {
     /// No floor for predefined classes, and `P_l = 10⁻⁴` for the others.
     #[must_use]
     pub fn published(plan: ClassPlan, persistence_steps: usize) -> Self {
-        let floor = if matches!(plan, ClassPlan::Predefined { .. }) { 0.0 } else { Self::FLOOR };
+        let floor = if matches!(plan, ClassPlan::Predefined { .. }) {
+            0.0
+        } else {
+            Self::FLOOR
+        };
         let persistence_rule = PersistenceRule::Consecutive;
-        Self { plan, floor, persistence_steps, persistence_rule, reset_std: 1.0 / 3.0 }
+        Self {
+            plan,
+            floor,
+            persistence_steps,
+            persistence_rule,
+            reset_std: 1.0 / 3.0,
+        }
     }
 
     fn check(&self, components: usize) -> Result<(), FilterError> {
@@ -232,22 +269,41 @@ impl ClassSettings {
             ClassPlan::Predefined { classes } => classes.len(),
             ClassPlan::SelfCalibrating { classes } => classes.len() + 1,
             ClassPlan::Hierarchical { substructures } => {
-                let largest = substructures.groups().iter().map(Vec::len).max().unwrap_or(0);
+                let largest = substructures
+                    .groups()
+                    .iter()
+                    .map(Vec::len)
+                    .max()
+                    .unwrap_or(0);
                 largest.max(substructures.groups().len()) + 1
             }
         };
         if !(self.floor >= 0.0 && self.floor * (most as f64) < 1.0) {
-            let (what, allowed) =
-                ("floor of the plausibilities", "not negative and below 1 over the number of classes");
-            return Err(FilterError::Setting { what, found: self.floor, allowed });
+            let (what, allowed) = (
+                "floor of the plausibilities",
+                "not negative and below 1 over the number of classes",
+            );
+            return Err(FilterError::Setting {
+                what,
+                found: self.floor,
+                allowed,
+            });
         }
         if self.persistence_steps == 0 {
             let (what, allowed) = ("persistence of a leading class in steps", "at least 1");
-            return Err(FilterError::Setting { what, found: 0.0, allowed });
+            return Err(FilterError::Setting {
+                what,
+                found: 0.0,
+                allowed,
+            });
         }
         if !(self.reset_std > 0.0 && self.reset_std.is_finite()) {
             let (what, allowed) = ("standard deviation after a calibration", "positive");
-            return Err(FilterError::Setting { what, found: self.reset_std, allowed });
+            return Err(FilterError::Setting {
+                what,
+                found: self.reset_std,
+                allowed,
+            });
         }
         Ok(())
     }

@@ -37,17 +37,30 @@ impl ConstantTransition {
     ///
     /// # Errors
     /// When `A` is not square or `B` does not fit it.
-    pub fn dense(system: &DMatrix<f64>, input: &DMatrix<f64>, step_s: f64) -> Result<Self, FilterError> {
+    pub fn dense(
+        system: &DMatrix<f64>,
+        input: &DMatrix<f64>,
+        step_s: f64,
+    ) -> Result<Self, FilterError> {
         let n = system.nrows();
-        for (what, found) in
-            [("columns of the system matrix", system.ncols()), ("rows of the input matrix", input.nrows())]
-        {
+        for (what, found) in [
+            ("columns of the system matrix", system.ncols()),
+            ("rows of the input matrix", input.nrows()),
+        ] {
             if found != n {
-                return Err(FilterError::Dimension { what, found, expected: n });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected: n,
+                });
             }
         }
         let [transition, held, ramp] = exponential_blocks(system, input, step_s);
-        Ok(Self { transition: Transition::Dense(transition), held, ramp })
+        Ok(Self {
+            transition: Transition::Dense(transition),
+            held,
+            ramp,
+        })
     }
 
     /// Makes the transition of uncoupled modes, `q̈_j + c_j q̇_j + ω_j² q_j = Σ_b p_jb f_b`, for the state `[q, q̇]`.
@@ -63,13 +76,23 @@ impl ConstantTransition {
         step_s: f64,
     ) -> Result<Self, FilterError> {
         let modes = stiffness.len();
-        for (what, found) in [("modal damping", damping.len()), ("modal participation", participation.nrows())] {
+        for (what, found) in [
+            ("modal damping", damping.len()),
+            ("modal participation", participation.nrows()),
+        ] {
             if found != modes {
-                return Err(FilterError::Dimension { what, found, expected: modes });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected: modes,
+                });
             }
         }
         let inputs = participation.ncols();
-        let (mut held, mut ramp) = (DMatrix::zeros(2 * modes, inputs), DMatrix::zeros(2 * modes, inputs));
+        let (mut held, mut ramp) = (
+            DMatrix::zeros(2 * modes, inputs),
+            DMatrix::zeros(2 * modes, inputs),
+        );
         let unit = DMatrix::from_column_slice(2, 1, &[0.0, 1.0]);
         let mut blocks = Vec::with_capacity(modes);
         for j in 0..modes {
@@ -83,7 +106,11 @@ impl ConstantTransition {
                 }
             }
         }
-        Ok(Self { transition: Transition::Modal(blocks), held, ramp })
+        Ok(Self {
+            transition: Transition::Modal(blocks),
+            held,
+            ramp,
+        })
     }
 
     /// Returns `B_d` (n × N_f).
@@ -163,17 +190,27 @@ impl ConstantTransition {
                 out.transpose_mut(); // Σ A_dᵀ, because Σ is symmetric
                 self.mul_mut(out, column);
             }
-            Transition::Modal(blocks) => propagate_modal_to(blocks, covariance.as_slice(), out.as_mut_slice()),
+            Transition::Modal(blocks) => {
+                propagate_modal_to(blocks, covariance.as_slice(), out.as_mut_slice())
+            }
         }
     }
 
     pub(crate) fn check(&self, state_len: usize, excitation_len: usize) -> Result<(), FilterError> {
         for (what, found, expected) in [
             ("constant transition", self.held.nrows(), state_len),
-            ("input of the constant transition", self.held.ncols(), excitation_len),
+            (
+                "input of the constant transition",
+                self.held.ncols(),
+                excitation_len,
+            ),
         ] {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         Ok(())
@@ -181,12 +218,22 @@ impl ConstantTransition {
 }
 
 /// Reads `A_d`, `B_d` and `R` off `exp` of `[[A, B, 0], [0, 0, I/Δt], [0, 0, 0]] Δt`.
-fn exponential_blocks(system: &DMatrix<f64>, input: &DMatrix<f64>, step_s: f64) -> [DMatrix<f64>; 3] {
+fn exponential_blocks(
+    system: &DMatrix<f64>,
+    input: &DMatrix<f64>,
+    step_s: f64,
+) -> [DMatrix<f64>; 3] {
     let (n, inputs) = (system.nrows(), input.ncols());
     let mut augmented = DMatrix::zeros(n + 2 * inputs, n + 2 * inputs);
-    augmented.view_mut((0, 0), (n, n)).copy_from(&(system * step_s));
-    augmented.view_mut((0, n), (n, inputs)).copy_from(&(input * step_s));
-    augmented.view_mut((n, n + inputs), (inputs, inputs)).fill_with_identity();
+    augmented
+        .view_mut((0, 0), (n, n))
+        .copy_from(&(system * step_s));
+    augmented
+        .view_mut((0, n), (n, inputs))
+        .copy_from(&(input * step_s));
+    augmented
+        .view_mut((n, n + inputs), (inputs, inputs))
+        .fill_with_identity();
     let exponential = augmented.exp();
     [(0, n), (n, inputs), (n + inputs, inputs)]
         .map(|(start, columns)| exponential.view((0, start), (n, columns)).into_owned())
@@ -203,8 +250,14 @@ fn propagate_modal_to(blocks: &[[f64; 4]], covariance: &[f64], out: &mut [f64]) 
         let (to_q, to_rate) = (&left[column.clone()], &right[column.clone()]);
         let (q_out, rate_out) = (&mut out_left[column.clone()], &mut out_right[column]);
         for (i, [e, f, g, h]) in blocks.iter().enumerate() {
-            let upper = [e * to_q[i] + f * to_q[modes + i], e * to_rate[i] + f * to_rate[modes + i]];
-            let lower = [g * to_q[i] + h * to_q[modes + i], g * to_rate[i] + h * to_rate[modes + i]];
+            let upper = [
+                e * to_q[i] + f * to_q[modes + i],
+                e * to_rate[i] + f * to_rate[modes + i],
+            ];
+            let lower = [
+                g * to_q[i] + h * to_q[modes + i],
+                g * to_rate[i] + h * to_rate[modes + i],
+            ];
             q_out[i] = upper[0] * a + upper[1] * b;
             rate_out[i] = upper[0] * c + upper[1] * d;
             q_out[modes + i] = lower[0] * a + lower[1] * b;
@@ -232,7 +285,11 @@ impl NoiseSpread {
         symmetrise_mut(&mut datum);
         let mut state = b_c * held.transpose();
         symmetrise_mut(&mut state);
-        Self { state, cross, datum }
+        Self {
+            state,
+            cross,
+            datum,
+        }
     }
 }
 
@@ -277,19 +334,48 @@ impl DenseProducts {
         } else {
             let mut by_transition = Right::new(n, n, 1);
             by_transition.pack(&transition.transpose());
-            Factors::Large { by_transition, half_way: DMatrix::zeros(n, n) }
+            Factors::Large {
+                by_transition,
+                half_way: DMatrix::zeros(n, n),
+            }
         };
-        Self { factors, multiplier: Multiplier::new() }
+        Self {
+            factors,
+            multiplier: Multiplier::new(),
+        }
     }
 
     /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`; both triangles get the same bits.
-    fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
-        let Self { factors, multiplier } = self;
+    fn propagate_covariance_to(
+        &mut self,
+        covariance: &DMatrix<f64>,
+        fading: f64,
+        out: &mut DMatrix<f64>,
+    ) {
+        let Self {
+            factors,
+            multiplier,
+        } = self;
         match factors {
-            Factors::Small(congruence) => congruence.apply_to(multiplier.arch(), fading, covariance, out),
-            Factors::Large { by_transition, half_way } => {
-                multiplier.multiply_transposed_to(Left::new(covariance), by_transition, Sum::PLAIN, half_way);
-                multiplier.multiply_symmetric_to(Left::new(half_way), by_transition, Sum::scaled(fading), out);
+            Factors::Small(congruence) => {
+                congruence.apply_to(multiplier.arch(), fading, covariance, out)
+            }
+            Factors::Large {
+                by_transition,
+                half_way,
+            } => {
+                multiplier.multiply_transposed_to(
+                    Left::new(covariance),
+                    by_transition,
+                    Sum::PLAIN,
+                    half_way,
+                );
+                multiplier.multiply_symmetric_to(
+                    Left::new(half_way),
+                    by_transition,
+                    Sum::scaled(fading),
+                    out,
+                );
             }
         }
     }
@@ -297,11 +383,17 @@ impl DenseProducts {
 
 impl ConstantPath {
     /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`, exactly symmetric.
-    pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
+    pub(crate) fn propagate_covariance_to(
+        &mut self,
+        covariance: &DMatrix<f64>,
+        fading: f64,
+        out: &mut DMatrix<f64>,
+    ) {
         if let Some(dense) = &mut self.dense {
             dense.propagate_covariance_to(covariance, fading, out);
         } else {
-            self.transition.propagate_covariance_to(covariance, out, &mut self.column);
+            self.transition
+                .propagate_covariance_to(covariance, out, &mut self.column);
             *out *= fading;
             symmetrise_mut(out);
         }
@@ -315,15 +407,21 @@ impl ConstantPath {
         ramp: Option<&DVector<f64>>,
     ) {
         let small = match &self.dense {
-            Some(DenseProducts { factors: Factors::Small(congruence), multiplier }) => {
-                Some((multiplier.arch(), congruence))
-            }
+            Some(DenseProducts {
+                factors: Factors::Small(congruence),
+                multiplier,
+            }) => Some((multiplier.arch(), congruence)),
             _ => None,
         };
-        self.transition.predict_mean_mut(mean, held, ramp, &mut self.column, small);
+        self.transition
+            .predict_mean_mut(mean, held, ramp, &mut self.column, small);
     }
 
-    pub(crate) fn new(transition: ConstantTransition, model: &impl ObservationModel, noise: &NoiseModel) -> Self {
+    pub(crate) fn new(
+        transition: ConstantTransition,
+        model: &impl ObservationModel,
+        noise: &NoiseModel,
+    ) -> Self {
         let held = &transition.held;
         let mut h_b = DMatrix::zeros(model.observation_len(), held.ncols());
         model.observation_jacobian_mul(held, &mut h_b);
@@ -332,23 +430,42 @@ impl ConstantPath {
         let levels = noise
             .parameters
             .iter()
-            .map(|parameter| (parameter.target == NoiseTarget::Excitation).then(|| spread(&parameter.pattern)))
+            .map(|parameter| {
+                (parameter.target == NoiseTarget::Excitation).then(|| spread(&parameter.pattern))
+            })
             .collect();
         let column = DVector::zeros(held.nrows());
         let dense = match &transition.transition {
             Transition::Dense(a) => Some(DenseProducts::new(a)),
             Transition::Modal(_) => None,
         };
-        Self { known, levels, h_b, column, dense, transition }
+        Self {
+            known,
+            levels,
+            h_b,
+            column,
+            dense,
+            transition,
+        }
     }
 
     /// Adds to the covariance of the datum what the known part of `Σ_f` does; `missing` as in [`Self::add_noise_mut`].
-    pub(crate) fn add_known_datum_mut(&self, fading: f64, missing: &DVector<f64>, datum: &mut DMatrix<f64>) {
+    pub(crate) fn add_known_datum_mut(
+        &self,
+        fading: f64,
+        missing: &DVector<f64>,
+        datum: &mut DMatrix<f64>,
+    ) {
         if let Some(known) = &self.known {
             add_scaled_mut(datum, fading, &known.datum);
         }
         for (j, &variance) in missing.iter().enumerate() {
-            add_outer_mut(datum, fading * variance, self.h_b.column(j).as_slice(), self.h_b.column(j).as_slice());
+            add_outer_mut(
+                datum,
+                fading * variance,
+                self.h_b.column(j).as_slice(),
+                self.h_b.column(j).as_slice(),
+            );
         }
     }
 
@@ -365,7 +482,10 @@ impl ConstantPath {
         datum: &mut DMatrix<f64>,
     ) {
         let known = self.known.iter().map(|spread| (1.0, spread));
-        let levels = psi.iter().zip(&self.levels).filter_map(|(level, spread)| Some((*level, spread.as_ref()?)));
+        let levels = psi
+            .iter()
+            .zip(&self.levels)
+            .filter_map(|(level, spread)| Some((*level, spread.as_ref()?)));
         for (level, spread) in known.chain(levels) {
             add_scaled_mut(covariance, fading * level, &spread.state);
             add_scaled_mut(p_ht, fading * level, &spread.cross);

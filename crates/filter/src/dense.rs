@@ -33,7 +33,9 @@ pub(crate) fn cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), usize> {
 
 /// Returns `ln|L Lᵀ|` of a Cholesky factor.
 pub(crate) fn ln_determinant(factor: &DMatrix<f64>) -> f64 {
-    2.0 * (0..factor.nrows()).map(|i| factor[(i, i)].ln()).sum::<f64>()
+    2.0 * (0..factor.nrows())
+        .map(|i| factor[(i, i)].ln())
+        .sum::<f64>()
 }
 
 /// Replaces every column `b` (in a column-major slice) by `L⁻¹ b`.
@@ -113,7 +115,8 @@ impl SolveLowerOfRows<'_> {
             }
             for k in 0..i {
                 let weight = simd.splat_f64s(-factor[(i, k)]);
-                let (known, _) = S::as_simd_f64s(&solved[k * stride + first..k * stride + first + length]);
+                let (known, _) =
+                    S::as_simd_f64s(&solved[k * stride + first..k * stride + first + length]);
                 for (sum, known) in sums.iter_mut().zip(known) {
                     *sum = simd.mul_add_e_f64s(weight, *known, *sum);
                 }
@@ -157,7 +160,10 @@ pub(crate) fn symmetrise_mut(matrix: &mut DMatrix<f64>) {
 
 /// Writes the diagonal of a square matrix (n × n).
 pub(crate) fn diagonal_to(matrix: &DMatrix<f64>, out: &mut DVector<f64>) {
-    for (entry, value) in out.iter_mut().zip(matrix.as_slice().iter().step_by(matrix.nrows() + 1)) {
+    for (entry, value) in out
+        .iter_mut()
+        .zip(matrix.as_slice().iter().step_by(matrix.nrows() + 1))
+    {
         *entry = *value;
     }
 }
@@ -203,7 +209,12 @@ fn add_scaled(target: &mut [f64], scale: f64, x: &[f64]) {
 }
 
 /// Adds `scale · X C Xᵀ` to a symmetric matrix, with `X` (n × c) and a symmetric `C` (c × c) of few columns.
-pub(crate) fn add_quadratic_form_mut(target: &mut DMatrix<f64>, x: &DMatrix<f64>, c: &DMatrix<f64>, scale: f64) {
+pub(crate) fn add_quadratic_form_mut(
+    target: &mut DMatrix<f64>,
+    x: &DMatrix<f64>,
+    c: &DMatrix<f64>,
+    scale: f64,
+) {
     let n = x.nrows();
     for b in 0..c.ncols() {
         for a in 0..c.nrows() {
@@ -266,11 +277,21 @@ mod tests {
         solve_lower_transposed_mut(&factor, b.as_mut_slice());
         assert!((b - expected).amax() < 1e-12);
         let rows = DMatrix::from_fn(150, 7, |i, j| (i as f64 + 0.3 * j as f64).cos());
-        let expected = reference.l().solve_lower_triangular(&rows.transpose()).unwrap().transpose();
-        for (arch, count) in all_instructions().into_iter().flat_map(|arch| (1..=150).map(move |count| (arch, count))) {
+        let expected = reference
+            .l()
+            .solve_lower_triangular(&rows.transpose())
+            .unwrap()
+            .transpose();
+        for (arch, count) in all_instructions()
+            .into_iter()
+            .flat_map(|arch| (1..=150).map(move |count| (arch, count)))
+        {
             let mut solved = rows.rows(0, count).into_owned();
             solve_lower_of_rows_mut(arch, &factor, solved.as_mut_slice());
-            assert!((solved - expected.rows(0, count)).amax() < 1e-12, "{count} rows");
+            assert!(
+                (solved - expected.rows(0, count)).amax() < 1e-12,
+                "{count} rows"
+            );
         }
     }
 

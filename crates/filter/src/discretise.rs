@@ -40,7 +40,11 @@ impl Series {
     pub fn choose(rate_bound: f64, step_s: f64) -> Self {
         let reach = rate_bound * step_s;
         // A bound that is not finite is met by the check of the filtered state, which comes next.
-        let substeps = if reach.is_finite() { ((reach / LARGEST_STEP).ceil() as usize).clamp(1, 10_000) } else { 1 };
+        let substeps = if reach.is_finite() {
+            ((reach / LARGEST_STEP).ceil() as usize).clamp(1, 10_000)
+        } else {
+            1
+        };
         let short = reach / substeps as f64;
         let mut order = 2;
         let mut term = short * short / 2.0;
@@ -49,7 +53,10 @@ impl Series {
             order += 1;
             term *= short / order as f64;
         }
-        Self { substeps, order: order + 1 }
+        Self {
+            substeps,
+            order: order + 1,
+        }
     }
 }
 
@@ -72,7 +79,10 @@ impl Workspace {
         Self {
             square: [DMatrix::zeros(n, n), DMatrix::zeros(n, n)],
             narrow: [narrow(), narrow(), narrow()],
-            inputs: [DMatrix::zeros(n, excitation_len), DMatrix::zeros(n, excitation_len)],
+            inputs: [
+                DMatrix::zeros(n, excitation_len),
+                DMatrix::zeros(n, excitation_len),
+            ],
             ramp: [DMatrix::zeros(n, 1), DMatrix::zeros(n, 1)],
         }
     }

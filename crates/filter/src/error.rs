@@ -49,7 +49,9 @@ pub enum FilterError {
         index: usize,
     },
     /// A linear system has no stationary filter, or the filter in question is not stable.
-    #[error("no stationary filter: a mode is neither damped nor observed, or the gain does not make the error decay")]
+    #[error(
+        "no stationary filter: a mode is neither damped nor observed, or the gain does not make the error decay"
+    )]
     NoStationaryFilter,
     /// A variance has become negative beyond rounding; the filter must be restarted.
     #[error("variance of state {index} is {variance:e}")]

@@ -61,10 +61,25 @@ impl ExcitationCourse {
 
     /// Returns the numbers of states and components; `None` where the lengths disagree, as in a damaged checkpoint.
     pub(crate) fn shape(&self) -> Option<(usize, usize)> {
-        let Self { unbroken, before_last, last_bend, first_squares, second_squares, samples, input_matrix } = self;
+        let Self {
+            unbroken,
+            before_last,
+            last_bend,
+            first_squares,
+            second_squares,
+            samples,
+            input_matrix,
+        } = self;
         let (n, inputs) = input_matrix.shape();
-        let lists = [before_last, last_bend, first_squares, second_squares, samples];
-        (unbroken.len() == inputs && lists.iter().all(|list| list.len() == inputs)).then_some((n, inputs))
+        let lists = [
+            before_last,
+            last_bend,
+            first_squares,
+            second_squares,
+            samples,
+        ];
+        (unbroken.len() == inputs && lists.iter().all(|list| list.len() == inputs))
+            .then_some((n, inputs))
     }
 
     /// Returns what component `j` is larger, on average over the step, than on the straight line from `last` to `next`.
@@ -102,7 +117,11 @@ impl ExcitationCourse {
     /// Returns how far a component counts as smooth, 0 to 1.
     fn smooth_share(&self, j: usize) -> f64 {
         let share = (ROUGH - self.ratio(j)) / (ROUGH - SMOOTH);
-        if self.samples[j] < LEAST_SAMPLES || share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
+        if self.samples[j] < LEAST_SAMPLES || share.is_nan() {
+            0.0
+        } else {
+            share.clamp(0.0, 1.0)
+        }
     }
 
     /// Starts anew with the frame to come: what was before it tells nothing of what follows.
@@ -128,7 +147,11 @@ impl ExcitationCourse {
                 self.last_bend[j] = bend;
             }
             let is_unbroken = !last.is_nan() && !next.is_nan();
-            self.unbroken[j] = if is_unbroken { (self.unbroken[j] + 1).min(ENOUGH) } else { 0 };
+            self.unbroken[j] = if is_unbroken {
+                (self.unbroken[j] + 1).min(ENOUGH)
+            } else {
+                0
+            };
             self.before_last[j] = if is_unbroken { *last } else { 0.0 };
             if self.smooth_share(j) > 0.0 {
                 self.input_matrix.set_column(j, &input_matrix.column(j));
@@ -170,7 +193,9 @@ mod tests {
         // 10 Hz at 50 and 100 samples a second, and a second sine so that phases do not repeat
         for (rate, most_left) in [(50.0, 0.3), (100.0, 0.1)] {
             let sine = |k: f64, hz: f64| (std::f64::consts::TAU * hz * k / rate).sin();
-            let samples: Vec<f64> = (0..3000).map(|k| sine(k as f64, 10.0) + sine(k as f64, 3.7)).collect();
+            let samples: Vec<f64> = (0..3000)
+                .map(|k| sine(k as f64, 10.0) + sine(k as f64, 3.7))
+                .collect();
             let mean = |k: usize| {
                 let points = (0..50).map(|i| k as f64 + (i as f64 + 0.5) / 50.0);
                 points.map(|k| sine(k, 10.0) + sine(k, 3.7)).sum::<f64>() / 50.0
@@ -178,14 +203,19 @@ mod tests {
             let (with, without) = errors(&samples, mean);
             let left = (with / without).sqrt();
             println!("{rate} samples a second: {left:.3} of the error is left");
-            assert!(left < most_left, "{rate} samples a second: {left} of the error is left");
+            assert!(
+                left < most_left,
+                "{rate} samples a second: {left} of the error is left"
+            );
         }
     }
 
     #[test]
     fn independent_samples_are_left_alone() {
         let mut random = ChaCha8Rng::seed_from_u64(1);
-        let samples: Vec<f64> = (0..20_000).map(|_| StandardNormal.sample(&mut random)).collect();
+        let samples: Vec<f64> = (0..20_000)
+            .map(|_| StandardNormal.sample(&mut random))
+            .collect();
         let (with, without) = errors(&samples, |k| 0.5 * (samples[k] + samples[k + 1]));
         assert_eq!((with, without), (0.0, 0.0));
     }

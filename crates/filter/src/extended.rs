@@ -98,7 +98,13 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         settings.check(&model)?;
         let work = Workspace::new(&model, &settings)?;
         let state = FilterState::start(&model, &settings);
-        Ok(Self { model, settings, state, work, follows: false })
+        Ok(Self {
+            model,
+            settings,
+            state,
+            work,
+            follows: false,
+        })
     }
 
     /// Goes back to the prior: what a diverged filter is left with.
@@ -111,8 +117,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         for (j, mean_square) in motion_mean_square.iter().enumerate() {
             self.state.covariance[(j, j)] += mean_square;
         }
-        (self.state.motion_mean_square, self.state.excitation_mean_square) =
-            (motion_mean_square, excitation_mean_square);
+        (
+            self.state.motion_mean_square,
+            self.state.excitation_mean_square,
+        ) = (motion_mean_square, excitation_mean_square);
     }
 
     /// Forgets the motion and keeps the parameters and noise levels: after a gap too long to be bridged.
@@ -121,13 +129,21 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// the structure need not have come to rest. The next frame updates it without a prediction.
     pub fn forget_motion(&mut self) {
         let moving = self.model.state_len() - self.model.parameter_len();
-        let FilterState { mean, covariance, last_excitation, posterior, fresh, motion_mean_square, .. } =
-            &mut self.state;
+        let FilterState {
+            mean,
+            covariance,
+            last_excitation,
+            posterior,
+            fresh,
+            motion_mean_square,
+            ..
+        } = &mut self.state;
         for j in 0..moving {
             mean[j] = self.settings.prior_mean[j];
             covariance.row_mut(j).fill(0.0);
             covariance.column_mut(j).fill(0.0);
-            covariance[(j, j)] = self.settings.prior_std[j] * self.settings.prior_std[j] + motion_mean_square[j];
+            covariance[(j, j)] =
+                self.settings.prior_std[j] * self.settings.prior_std[j] + motion_mean_square[j];
         }
         last_excitation.fill(0.0);
         if let Some(posterior) = posterior {
@@ -152,7 +168,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let used = update::leave_out_missing(&mut self.work.update, &mut self.work.p_ht);
         let evidence = update::factorise(&mut self.work.update, used)?;
         if !evidence.log_evidence.is_finite() {
-            return Err(FilterError::NotFinite { what: "normalised innovation", index: 0 });
+            return Err(FilterError::NotFinite {
+                what: "normalised innovation",
+                index: 0,
+            });
         }
         let is_fresh = self.excitation_is_fresh();
         let Self { model, work, .. } = self;
@@ -160,7 +179,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             model,
             &mut work.mean,
             &mut work.covariance,
-            is_fresh.then_some(ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
+            is_fresh.then_some(ExcitationSpread {
+                input: &work.input_matrix,
+                scaled: &work.input_spread,
+            }),
             &mut work.p_ht,
             &work.sensors,
             &mut work.update,
@@ -195,11 +217,19 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     pub fn set_noise_parameters(&mut self, psi: &[f64]) -> Result<(), FilterError> {
         let (found, expected) = (psi.len(), self.state.noise.mean.len());
         if found != expected {
-            return Err(FilterError::Dimension { what: "noise parameters", found, expected });
+            return Err(FilterError::Dimension {
+                what: "noise parameters",
+                found,
+                expected,
+            });
         }
         for &level in psi {
             if !(level > 0.0 && level.is_finite()) {
-                return Err(FilterError::Setting { what: "noise parameter", found: level, allowed: "positive" });
+                return Err(FilterError::Setting {
+                    what: "noise parameter",
+                    found: level,
+                    allowed: "positive",
+                });
             }
         }
         self.state.noise.mean.copy_from_slice(psi);
@@ -238,7 +268,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Returns the verdict on the fit after the last step.
     pub fn fit(&self) -> Fit {
-        self.state.fit.as_ref().map(FitState::fit).unwrap_or_default()
+        self.state
+            .fit
+            .as_ref()
+            .map(FitState::fit)
+            .unwrap_or_default()
     }
 
     /// Returns the measures of fit of each channel (N_0); empty where they are not taken.
@@ -252,11 +286,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     pub fn parameter_covariance(&self, i: usize, j: usize) -> f64 {
         let first = self.model.state_len() - self.model.parameter_len();
         let own = self.state.covariance[(first + i, first + j)];
-        let scaled = self
-            .state
-            .misfit
-            .as_ref()
-            .map_or(own, |misfit| own * (misfit.variance_scale(i) * misfit.variance_scale(j)).sqrt());
+        let scaled = self.state.misfit.as_ref().map_or(own, |misfit| {
+            own * (misfit.variance_scale(i) * misfit.variance_scale(j)).sqrt()
+        });
         scaled + self.settings.considered_std[first + i] * self.settings.considered_std[first + j]
     }
 
@@ -278,7 +310,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Returns the number of terms by which the last prediction moved a row of the covariance, for models that have a
     /// [`ProportionalForm`](crate::ProportionalForm): what a step costs follows from it.
     pub fn transition_term_count(&self) -> Option<usize> {
-        self.work.proportional.as_ref().map(proportional::Transition::term_count)
+        self.work
+            .proportional
+            .as_ref()
+            .map(proportional::Transition::term_count)
     }
 
     /// Returns the number of frames taken.
@@ -307,21 +342,50 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// When the state does not fit the model.
     pub fn restore(&mut self, state: FilterState) -> Result<(), FilterError> {
         let n = self.model.state_len();
-        let [(states, inputs), (own_states, own_inputs)] = [&state, &self.state].map(FilterState::course_shape);
+        let [(states, inputs), (own_states, own_inputs)] =
+            [&state, &self.state].map(FilterState::course_shape);
         let sizes = [
             ("mean of a checkpoint", state.mean.len(), n),
             ("covariance of a checkpoint", state.covariance.len(), n * n),
-            ("excitation of a checkpoint", state.last_excitation.len(), self.model.excitation_len()),
-            ("screened channels of a checkpoint", state.screened(), self.state.screened()),
-            ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
-            ("misfit of a checkpoint", state.misfit_len(), self.state.misfit_len()),
+            (
+                "excitation of a checkpoint",
+                state.last_excitation.len(),
+                self.model.excitation_len(),
+            ),
+            (
+                "screened channels of a checkpoint",
+                state.screened(),
+                self.state.screened(),
+            ),
+            (
+                "noise parameters of a checkpoint",
+                state.noise.mean.len(),
+                self.settings.noise.parameters.len(),
+            ),
+            (
+                "misfit of a checkpoint",
+                state.misfit_len(),
+                self.state.misfit_len(),
+            ),
             ("fit of a checkpoint", state.fit_len(), self.state.fit_len()),
-            ("states that the excitation of a checkpoint drives", states, own_states),
-            ("course of the excitation of a checkpoint", inputs, own_inputs),
+            (
+                "states that the excitation of a checkpoint drives",
+                states,
+                own_states,
+            ),
+            (
+                "course of the excitation of a checkpoint",
+                inputs,
+                own_inputs,
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         self.state = state;
@@ -329,12 +393,20 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     /// At its prior, takes the motion to be as large as another filter has seen it.
-    pub(crate) fn expect_motion_of<N>(&mut self, other: &ExtendedKalmanFilter<N>, motion_len: usize) {
+    pub(crate) fn expect_motion_of<N>(
+        &mut self,
+        other: &ExtendedKalmanFilter<N>,
+        motion_len: usize,
+    ) {
         for j in 0..motion_len {
             self.state.covariance[(j, j)] += other.state.motion_mean_square[j];
         }
-        self.state.motion_mean_square.copy_from(&other.state.motion_mean_square);
-        self.state.excitation_mean_square.copy_from(&other.state.excitation_mean_square);
+        self.state
+            .motion_mean_square
+            .copy_from(&other.state.motion_mean_square);
+        self.state
+            .excitation_mean_square
+            .copy_from(&other.state.excitation_mean_square);
     }
 
     /// From now on the noise levels are `psi` (N_ψ), and no outliers are screened: another filter of the same frames does
@@ -366,7 +438,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 origin(row).map_or(0.0, |row| known.cross[(row, input)])
             });
         }
-        state.excitation_course = state.excitation_course.map(|course| course.of_states(mean.len()));
+        state.excitation_course = state
+            .excitation_course
+            .map(|course| course.of_states(mean.len()));
         (state.mean, state.covariance) = (mean, covariance);
         self.state = state;
     }
@@ -379,12 +453,24 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     pub(crate) fn check_frame(&self, frame: Frame<'_>) -> Result<(), FilterError> {
         let sizes = [
-            ("observations of a frame", frame.observations.len(), self.model.observation_len()),
-            ("excitation of a frame", frame.excitation.len(), self.model.excitation_len()),
+            (
+                "observations of a frame",
+                frame.observations.len(),
+                self.model.observation_len(),
+            ),
+            (
+                "excitation of a frame",
+                frame.excitation.len(),
+                self.model.excitation_len(),
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         Ok(())
@@ -398,20 +484,34 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             work.older[j] = if older.is_nan() { 0.0 } else { older };
             work.newer[j] = if newer.is_nan() { 0.0 } else { newer };
             let course = state.excitation_course.as_ref();
-            work.above_the_line[j] = course.map_or(0.0, |course| course.above_the_line(j, older, newer));
+            work.above_the_line[j] =
+                course.map_or(0.0, |course| course.above_the_line(j, older, newer));
             if let Some(course) = course {
                 course.make_up(j, older, newer, &mut state.mean);
             }
-            work.missing[j] = if older.is_nan() { state.excitation_mean_square[j] } else { 0.0 };
+            work.missing[j] = if older.is_nan() {
+                state.excitation_mean_square[j]
+            } else {
+                0.0
+            };
         }
     }
 
     /// Writes `Σ_f` of the coming step and of the frame, and `Σ_n`, for the noise parameters as they now are.
     fn write_noise_covariances(&mut self, frame: Frame<'_>) {
-        let Self { settings, state, work, .. } = self;
+        let Self {
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         let psi = &state.noise.mean;
-        settings.noise.covariance_to(NoiseTarget::Sensors, psi, &mut work.sensors);
-        settings.noise.covariance_to(NoiseTarget::Excitation, psi, &mut work.step_excitation);
+        settings
+            .noise
+            .covariance_to(NoiseTarget::Sensors, psi, &mut work.sensors);
+        settings
+            .noise
+            .covariance_to(NoiseTarget::Excitation, psi, &mut work.step_excitation);
         work.frame_excitation.copy_from(&work.step_excitation);
         for j in 0..work.older.len() {
             // a missing sample of a measured excitation is as uncertain as the excitation itself is large
@@ -424,7 +524,13 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Writes mean, `λ A Σ Aᵀ` and `B` of the coming instant; the first frame finds the prior.
     fn predict(&mut self) {
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         work.mean.copy_from(&state.mean);
         if state.fresh {
             work.covariance.copy_from(&state.covariance);
@@ -438,7 +544,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         work.older += &work.above_the_line;
         if let Some(constant) = &mut work.constant {
-            constant.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
+            constant.propagate_covariance_to(
+                &state.covariance,
+                settings.fading.value(),
+                &mut work.covariance,
+            );
             let held = &work.older;
             let ramp = (settings.input_hold == InputHold::First).then(|| {
                 work.newer_less_older.copy_from(&work.newer);
@@ -447,7 +557,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 &work.newer_less_older
             });
             constant.predict_mean_mut(&mut work.mean, held, ramp);
-            let ConstantPath { transition, column, .. } = constant;
+            let ConstantPath {
+                transition, column, ..
+            } = constant;
             if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
                 work.cross.copy_from(cross);
                 transition.mul_mut(&mut work.cross, column);
@@ -463,7 +575,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let ramp = (settings.input_hold == InputHold::First).then(|| {
             work.older.axpy(1.0, &work.newer, -1.0); // the slope, per step
             work.older += &work.above_the_line;
-            work.ramp.gemv(1.0 / settings.step_s, &work.input_matrix, &work.older, 0.0);
+            work.ramp
+                .gemv(1.0 / settings.step_s, &work.input_matrix, &work.older, 0.0);
             work.ramp.as_slice()
         });
         let cross = state.posterior.as_ref().map(|posterior| {
@@ -471,16 +584,28 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             &mut work.cross
         });
         let (step_s, rate_bound) = (settings.step_s, model.rate_bound());
-        if let Some((transition, form)) = work.proportional.as_mut().zip(model.proportional_form()) {
+        if let Some((transition, form)) = work.proportional.as_mut().zip(model.proportional_form())
+        {
             transition.discretise(&form, step_s, rate_bound, &mut work.inputs, ramp);
-            transition.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
+            transition.propagate_covariance_to(
+                &state.covariance,
+                settings.fading.value(),
+                &mut work.covariance,
+            );
             if let Some(cross) = cross {
                 transition.mul_mut(cross);
             }
         } else {
             let (series, scratch) = (Series::choose(rate_bound, step_s), &mut work.discretise);
             discretise::integrate_inputs(model, step_s, series, &mut work.inputs, ramp, scratch);
-            discretise::propagate_covariance(model, step_s, series, &state.covariance, &mut work.covariance, scratch);
+            discretise::propagate_covariance(
+                model,
+                step_s,
+                series,
+                &state.covariance,
+                &mut work.covariance,
+                scratch,
+            );
             work.covariance *= settings.fading.value();
             symmetrise_mut(&mut work.covariance);
             if let Some(cross) = cross {
@@ -490,13 +615,20 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         for (mean, increment) in work.mean.iter_mut().zip(&work.inputs.as_slice()[..n]) {
             *mean += increment; // y ← y + Γ g                                      (2.67)
         }
-        work.input_matrix.as_mut_slice().copy_from_slice(&work.inputs.as_slice()[n..]); // B = Γ B_y
+        work.input_matrix
+            .as_mut_slice()
+            .copy_from_slice(&work.inputs.as_slice()[n..]); // B = Γ B_y
         self.finish_prediction();
     }
 
     /// Adds what the frame before has told of the excitation, given `A C` in the scratch space.
     fn finish_prediction(&mut self) {
-        let Self { settings, state, work, .. } = self;
+        let Self {
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         let Some(ExcitationPosterior { covariance, .. }) = &state.posterior else {
             return;
         };
@@ -504,16 +636,25 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         // goes to each of the two before, so that many forces cost no more than the state is long
         let inputs = work.cross.ncols();
         for b in 0..inputs {
-            work.cross.column_mut(b).gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
+            work.cross
+                .column_mut(b)
+                .gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
         }
         work.pair.columns_mut(0, inputs).copy_from(&work.cross);
-        work.pair.columns_mut(inputs, inputs).copy_from(&work.input_matrix);
-        work.swapped_pair.rows_mut(0, inputs).tr_copy_from(&work.input_matrix);
-        work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
+        work.pair
+            .columns_mut(inputs, inputs)
+            .copy_from(&work.input_matrix);
+        work.swapped_pair
+            .rows_mut(0, inputs)
+            .tr_copy_from(&work.input_matrix);
+        work.swapped_pair
+            .rows_mut(inputs, inputs)
+            .tr_copy_from(&work.cross);
         work.by_pair.pack(&work.swapped_pair);
         work.pair *= settings.fading.value();
         let (left, variances) = (Left::new(&work.pair), work.update.variances.as_mut_slice());
-        work.multiplier.add_symmetric_mut(left, &work.by_pair, &mut work.covariance, variances);
+        work.multiplier
+            .add_symmetric_mut(left, &work.by_pair, &mut work.covariance, variances);
     }
 
     /// Writes innovation, `S`, `P Hᵀ` and `P`; screens outliers and moves the noise parameters in between.
@@ -530,10 +671,21 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 work.by_h_t.repack_sparse(&work.h_t);
             }
             if work.mean.len() <= small::MOST_ROWS {
-                small::multiply_to(work.multiplier.arch(), &work.covariance, &work.h_t, &mut work.p_ht);
+                small::multiply_to(
+                    work.multiplier.arch(),
+                    &work.covariance,
+                    &work.h_t,
+                    &mut work.p_ht,
+                );
             } else {
                 let left = Left::new(&work.covariance);
-                work.multiplier.multiply_to(left, &work.by_h_t, Extent::Full, Sum::PLAIN, &mut work.p_ht);
+                work.multiplier.multiply_to(
+                    left,
+                    &work.by_h_t,
+                    Extent::Full,
+                    Sum::PLAIN,
+                    &mut work.p_ht,
+                );
             }
         } else {
             model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
@@ -559,9 +711,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         self.write_noise_covariances(frame);
         let annealing = self.annealing();
-        let was_annealed = self.annealing_at(self.state.steps.saturating_sub(1)) > LARGEST_SCREENED_ANNEALING;
-        let Self { model, settings, state, work, .. } = self;
-        let (Some(outlier_settings), Some(outliers)) = (&settings.outliers, &mut state.outliers) else {
+        let was_annealed =
+            self.annealing_at(self.state.steps.saturating_sub(1)) > LARGEST_SCREENED_ANNEALING;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
+        let (Some(outlier_settings), Some(outliers)) = (&settings.outliers, &mut state.outliers)
+        else {
             return 0;
         };
         let felt = state.posterior.is_some() && !state.fresh;
@@ -589,7 +749,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             outliers.rescale(&mut work.sorted);
         }
         let residuals = work.update.innovation.as_mut_slice();
-        outliers.screen(outlier_settings, residuals, work.variances.as_slice(), &mut work.sorted)
+        outliers.screen(
+            outlier_settings,
+            residuals,
+            work.variances.as_slice(),
+            &mut work.sorted,
+        )
     }
 
     /// Returns the factor by which the start-up aid raises the noise of the sensors at this step.
@@ -598,19 +763,33 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     fn annealing_at(&self, step: u64) -> f64 {
-        self.settings.annealing.map_or(1.0, |Annealing { amount, time_constant_s }| {
-            let elapsed_s = step.saturating_sub(self.state.annealed_from) as f64 * self.settings.step_s;
-            1.0 + amount * (-elapsed_s / time_constant_s).exp()
-        })
+        self.settings.annealing.map_or(
+            1.0,
+            |Annealing {
+                 amount,
+                 time_constant_s,
+             }| {
+                let elapsed_s =
+                    step.saturating_sub(self.state.annealed_from) as f64 * self.settings.step_s;
+                1.0 + amount * (-elapsed_s / time_constant_s).exp()
+            },
+        )
     }
 
     /// Moves the noise parameters by what this frame says of them.
     fn update_noise(&mut self, frame: Frame<'_>) -> NoiseEvents {
-        let fixed = self.settings.noise.parameters.is_empty() || self.settings.noise_settings.rule == NoiseRule::Fixed;
+        let fixed = self.settings.noise.parameters.is_empty()
+            || self.settings.noise_settings.rule == NoiseRule::Fixed;
         if self.follows || fixed {
             return NoiseEvents::default();
         }
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         if state.fresh && frame.observations.iter().all(|datum| datum.is_nan()) {
             return NoiseEvents::default(); // the prior is for this very instant: nothing has aged
         }
@@ -637,7 +816,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             }
         }
         match (path, &work.constant) {
-            (ExcitationPath::Input(h_b), _) => add_quadratic_form_mut(known, h_b, &work.step_excitation, lambda),
+            (ExcitationPath::Input(h_b), _) => {
+                add_quadratic_form_mut(known, h_b, &work.step_excitation, lambda)
+            }
             (ExcitationPath::Constant(_), Some(constant)) => {
                 constant.add_known_datum_mut(lambda, &work.missing, known);
             }
@@ -646,8 +827,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(direct) = model.feedthrough() {
             add_quadratic_form_mut(known, direct, &work.frame_excitation, 1.0);
         }
-        objective.set_frame(&settings.noise, known, path, model.feedthrough(), lambda, &work.update.innovation);
-        state.noise.update(&settings.noise, &settings.noise_settings, objective)
+        objective.set_frame(
+            &settings.noise,
+            known,
+            path,
+            model.feedthrough(),
+            lambda,
+            &work.update.innovation,
+        );
+        state
+            .noise
+            .update(&settings.noise, &settings.noise_settings, objective)
     }
 
     /// Tells whether the unknown excitation of the coming step adds to the predicted covariance by its matrix `B`.
@@ -661,7 +851,13 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Adds the noises to `P Hᵀ` and `S`, and to `P` where the model is constant.
     fn add_noises(&mut self) {
         let annealing = self.annealing();
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         let lambda = settings.fading.value();
         let felt = state.posterior.is_some() && !state.fresh;
         let innovation_covariance = &mut work.update.innovation_covariance;
@@ -678,9 +874,19 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 );
             }
         } else if !felt {
-            add_quadratic_form_mut(innovation_covariance, &work.h_b, &work.step_excitation, lambda);
+            add_quadratic_form_mut(
+                innovation_covariance,
+                &work.h_b,
+                &work.step_excitation,
+                lambda,
+            );
             for (b, mut spread) in work.input_spread.column_iter_mut().enumerate() {
-                spread.gemv(lambda, &work.input_matrix, &work.step_excitation.column(b), 0.0); // λ B Σ_f
+                spread.gemv(
+                    lambda,
+                    &work.input_matrix,
+                    &work.step_excitation.column(b),
+                    0.0,
+                ); // λ B Σ_f
                 for (channel, mut p_ht) in work.p_ht.column_iter_mut().enumerate() {
                     p_ht.axpy(work.h_b[(channel, b)], &spread, 1.0); // + B Σ_f Bᵀ Hᵀ
                 }
@@ -698,15 +904,40 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Measures what the misfit does to the parameters, tempers what this step taught of them, and follows jumps.
     fn answer_misfit(&mut self, normalised_innovation_squared: f64) {
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         let (Some(misfit_settings), Some(misfit)) = (&settings.misfit, &mut state.misfit) else {
             return;
         };
-        let Workspace { misfit: scratch, mean, covariance, p_ht, update, .. } = work;
+        let Workspace {
+            misfit: scratch,
+            mean,
+            covariance,
+            p_ht,
+            update,
+            ..
+        } = work;
         scratch.read(&update.variances, p_ht, update.whitened());
         let is_excitation_known = !state.last_excitation.iter().any(|sample| sample.is_nan());
-        let jumped = misfit.take(misfit_settings, scratch, normalised_innovation_squared, is_excitation_known);
-        scratch.temper(misfit, misfit_settings, settings.fading.value(), &settings.prior_std, mean, covariance);
+        let jumped = misfit.take(
+            misfit_settings,
+            scratch,
+            normalised_innovation_squared,
+            is_excitation_known,
+        );
+        scratch.temper(
+            misfit,
+            misfit_settings,
+            settings.fading.value(),
+            &settings.prior_std,
+            mean,
+            covariance,
+        );
         if jumped {
             let first = mean.len() - model.parameter_len();
             for j in first..mean.len() {
@@ -720,9 +951,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Judges how well the model explains the data so far.
     fn judge_fit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64, at_bound: bool) {
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         let first = work.mean.len() - model.parameter_len();
-        let (Some(misfit_settings), Some(misfit), Some(fit)) = (&settings.misfit, &state.misfit, &mut state.fit) else {
+        let (Some(misfit_settings), Some(misfit), Some(fit)) =
+            (&settings.misfit, &state.misfit, &mut state.fit)
+        else {
             return;
         };
         fit.take(
@@ -751,9 +990,20 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     ///
     /// Returns how many were beyond them, and whether the data put one of them there: its interval excludes the prior mean.
     fn limit_state(&mut self) -> (usize, bool) {
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         let first = work.mean.len() - model.parameter_len();
-        let widening = |j: usize| state.misfit.as_ref().map_or(1.0, |misfit| misfit.variance_scale(j - first));
+        let widening = |j: usize| {
+            state
+                .misfit
+                .as_ref()
+                .map_or(1.0, |misfit| misfit.variance_scale(j - first))
+        };
         let (mut limited, mut rests_on_bound) = (0, false);
         for j in 0..work.mean.len() {
             let inside = work.mean[j].clamp(settings.lower[j], settings.upper[j]);
@@ -775,7 +1025,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     fn bound_variances(&mut self) -> usize {
         let Self { settings, work, .. } = self;
         let (variances, bounds) = (&mut work.update.variances, &settings.variance_bound);
-        if variances.iter().zip(bounds).all(|(variance, bound)| variance <= bound) {
+        if variances
+            .iter()
+            .zip(bounds)
+            .all(|(variance, bound)| variance <= bound)
+        {
             return 0; // without a look at the covariance: its diagonal is as far apart as its columns are long
         }
         let bounded = bound_variances_mut(&mut work.covariance, bounds);
@@ -784,17 +1038,32 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     fn check_result(&mut self) -> Result<(), FilterError> {
-        if let Some(index) = self.state.noise.mean.iter().position(|level| !level.is_finite()) {
-            return Err(FilterError::NotFinite { what: "noise level", index });
+        if let Some(index) = self
+            .state
+            .noise
+            .mean
+            .iter()
+            .position(|level| !level.is_finite())
+        {
+            return Err(FilterError::NotFinite {
+                what: "noise level",
+                index,
+            });
         }
         let work = &mut self.work;
         for index in 0..work.mean.len() {
             if !work.mean[index].is_finite() {
-                return Err(FilterError::NotFinite { what: "mean of state", index });
+                return Err(FilterError::NotFinite {
+                    what: "mean of state",
+                    index,
+                });
             }
             let variance = work.update.variances[index];
             if !variance.is_finite() {
-                return Err(FilterError::NotFinite { what: "variance of state", index });
+                return Err(FilterError::NotFinite {
+                    what: "variance of state",
+                    index,
+                });
             }
             if variance < 0.0 {
                 let largest = work.update.variances.max();
@@ -809,23 +1078,38 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Makes the result of the step the state.
     fn commit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64) {
-        let Self { model, settings, state, work, .. } = self;
+        let Self {
+            model,
+            settings,
+            state,
+            work,
+            ..
+        } = self;
         if let (Some(direct), Some(posterior)) = (model.feedthrough(), &mut state.posterior) {
-            update::infer_excitation(direct, &work.frame_excitation, &work.p_ht, &work.update, posterior);
+            update::infer_excitation(
+                direct,
+                &work.frame_excitation,
+                &work.p_ht,
+                &work.update,
+                posterior,
+            );
         }
         std::mem::swap(&mut state.mean, &mut work.mean);
         std::mem::swap(&mut state.covariance, &mut work.covariance);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
         match &mut state.excitation_course {
             Some(course) if state.fresh => course.interrupt(),
-            Some(course) => course.take(&state.last_excitation, frame.excitation, &work.input_matrix),
+            Some(course) => {
+                course.take(&state.last_excitation, frame.excitation, &work.input_matrix)
+            }
             None => {}
         }
         for j in 0..state.last_excitation.len() {
             let known = frame.excitation[j];
             state.last_excitation[j] = known;
             if !known.is_nan() {
-                state.excitation_mean_square[j] += weight * (known * known - state.excitation_mean_square[j]);
+                state.excitation_mean_square[j] +=
+                    weight * (known * known - state.excitation_mean_square[j]);
             }
         }
         // a filter that diverges tells nothing of how large the motion is

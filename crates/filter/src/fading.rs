@@ -23,7 +23,11 @@ impl FadingFactor {
         if value.is_finite() && value >= 1.0 {
             Ok(Self(value))
         } else {
-            Err(FilterError::Setting { what: "fading factor", found: value, allowed: "at least 1 and finite" })
+            Err(FilterError::Setting {
+                what: "fading factor",
+                found: value,
+                allowed: "at least 1 and finite",
+            })
         }
     }
 
@@ -37,7 +41,11 @@ impl FadingFactor {
         if half_life_steps > 0.0 {
             Self::new(2f64.powf(2.0 / half_life_steps))
         } else {
-            Err(FilterError::Setting { what: "half-life in steps", found: half_life_steps, allowed: "positive" })
+            Err(FilterError::Setting {
+                what: "half-life in steps",
+                found: half_life_steps,
+                allowed: "positive",
+            })
         }
     }
 

@@ -74,7 +74,9 @@ impl Fit {
     /// Returns the reasons for a verdict other than [`FitVerdict::Supported`].
     pub fn reasons(&self) -> impl Iterator<Item = FitReason> {
         let reasons = self.reasons;
-        FitReason::ALL.into_iter().filter(move |reason| reasons & reason.bit() != 0)
+        FitReason::ALL
+            .into_iter()
+            .filter(move |reason| reasons & reason.bit() != 0)
     }
 
     /// Returns `true` while the filter follows a sudden change: the estimates are still moving.
@@ -113,7 +115,10 @@ struct Limits {
 impl Limits {
     /// Returns limits beyond which there is doubt, and never a contradiction.
     fn for_doubt(self) -> Self {
-        Self { contradicted: f64::INFINITY, ..self }
+        Self {
+            contradicted: f64::INFINITY,
+            ..self
+        }
     }
 }
 
@@ -121,27 +126,54 @@ impl Limits {
 /// prior.
 const WELL_EXPLAINED: f64 = 0.5;
 /// Ratio of the long-run variance of the scores to their information: the intervals are widened by it.
-const WANDERING: Limits = Limits { doubtful: 3.0, contradicted: f64::INFINITY };
+const WANDERING: Limits = Limits {
+    doubtful: 3.0,
+    contradicted: f64::INFINITY,
+};
 /// Noise found over noise stated, as standard deviations. What matters is its share of the motion.
-const NOISE: Limits = Limits { doubtful: 3.0, contradicted: f64::INFINITY };
+const NOISE: Limits = Limits {
+    doubtful: 3.0,
+    contradicted: f64::INFINITY,
+};
 /// Share of the variance of a channel that is left in its innovations, beyond the stated noise. Models of real bridges leave a third and
 /// more, and follow their stiffness nonetheless.
-const UNEXPLAINED: Limits = Limits { doubtful: 0.1, contradicted: 0.9 };
+const UNEXPLAINED: Limits = Limits {
+    doubtful: 0.1,
+    contradicted: 0.9,
+};
 /// Autocorrelation of the innovations. A band limit alone correlates the noise, and the intervals are widened for it.
-const CORRELATION: Limits = Limits { doubtful: 0.3, contradicted: f64::INFINITY };
+const CORRELATION: Limits = Limits {
+    doubtful: 0.3,
+    contradicted: f64::INFINITY,
+};
 /// Correlation of the innovations with the excitation: the intervals are widened for what it does to the parameters.
-const WITH_EXCITATION: Limits = Limits { doubtful: 0.3, contradicted: f64::INFINITY };
+const WITH_EXCITATION: Limits = Limits {
+    doubtful: 0.3,
+    contradicted: f64::INFINITY,
+};
 /// Prior deviations by which a parameter exceeds its prior mean: no event stiffens a structure so. Where the motion is well
 /// explained, the number of the file is wrong.
-const STIFFER: Limits = Limits { doubtful: 3.0, contradicted: 4.0 };
+const STIFFER: Limits = Limits {
+    doubtful: 3.0,
+    contradicted: 4.0,
+};
 /// Factor by which a parameter falls below its prior mean, if it also leaves the standard deviation of its prior. Severe damage
 /// reaches six; ten is a mistake of units. Where the motion is well explained, a loss against a reference has a meaning in
 /// both cases.
-const SOFTER: Limits = Limits { doubtful: 4.0, contradicted: 8.0 };
+const SOFTER: Limits = Limits {
+    doubtful: 4.0,
+    contradicted: 8.0,
+};
 /// Normalised innovation squared per channel, over a period.
-const BURST: Limits = Limits { doubtful: 4.0, contradicted: 16.0 };
+const BURST: Limits = Limits {
+    doubtful: 4.0,
+    contradicted: 16.0,
+};
 /// Share of the time at which a parameter was brought back to its bound.
-const AT_BOUND: Limits = Limits { doubtful: 0.01, contradicted: 0.2 };
+const AT_BOUND: Limits = Limits {
+    doubtful: 0.01,
+    contradicted: 0.2,
+};
 
 /// The lags at which innovations are compared: powers of two.
 const LAGS: [usize; 8] = [1, 2, 4, 8, 16, 32, 64, 128];
@@ -208,7 +240,11 @@ struct ChannelState {
 
 impl FitState {
     /// Starts without knowledge; `stated_noise` is the variance of the noise of each channel as stated (N_0).
-    pub(crate) fn new(settings: &MisfitSettings, stated_noise: impl Iterator<Item = f64>, inputs: usize) -> Self {
+    pub(crate) fn new(
+        settings: &MisfitSettings,
+        stated_noise: impl Iterator<Item = f64>,
+        inputs: usize,
+    ) -> Self {
         let lags = lags(settings);
         let channels: Vec<ChannelState> = stated_noise
             .map(|stated_noise| ChannelState {
@@ -250,15 +286,28 @@ impl FitState {
     /// Returns the number of values remembered; 0 where the lengths disagree, as in a damaged checkpoint.
     pub(crate) fn remembered_len(&self) -> usize {
         let (channels, inputs) = (self.channels.len(), self.excitation_square.len());
-        let lags = self.channels.first().map_or(0, |channel| channel.lagged.len());
-        let agrees =
-            |channel: &ChannelState| channel.lagged.len() == lags && channel.with_excitation.len() == lags * inputs;
+        let lags = self
+            .channels
+            .first()
+            .map_or(0, |channel| channel.lagged.len());
+        let agrees = |channel: &ChannelState| {
+            channel.lagged.len() == lags && channel.with_excitation.len() == lags * inputs
+        };
         let whole = self.fits.len() == channels && self.channels.iter().all(agrees);
-        if whole { self.history.len() + channels * (1 + lags) + inputs } else { 0 }
+        if whole {
+            self.history.len() + channels * (1 + lags) + inputs
+        } else {
+            0
+        }
     }
 
     /// Takes one step.
-    pub(crate) fn take(&mut self, settings: &MisfitSettings, misfit: &MisfitState, shown: Shown<'_>) {
+    pub(crate) fn take(
+        &mut self,
+        settings: &MisfitSettings,
+        misfit: &MisfitState,
+        shown: Shown<'_>,
+    ) {
         let lags = lags(settings);
         let (channels, inputs) = (self.channels.len(), shown.excitation.len());
         let width = channels + inputs;
@@ -294,7 +343,11 @@ impl FitState {
                 fade * channel.observation_square + (observation - channel.observation).powi(2);
             channel.square = fade * channel.square + innovation * innovation;
             // no model predicts an excitation that nobody measures
-            let from_excitation = if settings.excitation_is_measured { 0.0 } else { shown.predicted_variances[c] };
+            let from_excitation = if settings.excitation_is_measured {
+                0.0
+            } else {
+                shown.predicted_variances[c]
+            };
             channel.from_excitation = fade * channel.from_excitation + from_excitation;
             for (k, lag) in lags.iter().enumerate() {
                 let past = (row + (rows - lag) * width) % (rows * width);
@@ -305,30 +358,73 @@ impl FitState {
                 }
             }
         }
-        if self.channels.iter().any(|channel| channel.is_judged(settings)) {
+        if self
+            .channels
+            .iter()
+            .any(|channel| channel.is_judged(settings))
+        {
             self.judge(misfit, &shown);
         }
     }
 
     fn judge(&mut self, misfit: &MisfitState, shown: &Shown<'_>) {
-        let mut fit = Fit { verdict: Some(FitVerdict::Supported), ..Fit::default() };
+        let mut fit = Fit {
+            verdict: Some(FitVerdict::Supported),
+            ..Fit::default()
+        };
         for (c, (channel, measures)) in self.channels.iter().zip(&mut self.fits).enumerate() {
             *measures = channel.measures(shown.noise[(c, c)], &self.excitation_square);
-            fit.judge(FitReason::CorrelatedInnovations, measures.largest_autocorrelation, CORRELATION);
-            fit.judge(FitReason::ExcitationInInnovations, measures.excitation_correlation.abs(), WITH_EXCITATION);
-            fit.judge(FitReason::LittleExplained, 1.0 - measures.explained_share, UNEXPLAINED);
+            fit.judge(
+                FitReason::CorrelatedInnovations,
+                measures.largest_autocorrelation,
+                CORRELATION,
+            );
+            fit.judge(
+                FitReason::ExcitationInInnovations,
+                measures.excitation_correlation.abs(),
+                WITH_EXCITATION,
+            );
+            fit.judge(
+                FitReason::LittleExplained,
+                1.0 - measures.explained_share,
+                UNEXPLAINED,
+            );
             fit.judge(FitReason::ExcessNoise, measures.noise_ratio, NOISE);
         }
-        let ShownParameters { means, variances, prior_means, prior_stds, considered_stds } = shown.parameters;
+        let ShownParameters {
+            means,
+            variances,
+            prior_means,
+            prior_stds,
+            considered_stds,
+        } = shown.parameters;
         for j in 0..misfit.parameter_len() {
             // a considered error covers a part of the wandering
             let uncovered = variances[j] / (variances[j] + considered_stds[j].powi(2));
-            fit.judge(FitReason::WanderingParameters, misfit.variance_ratio(j) * uncovered, WANDERING);
+            fit.judge(
+                FitReason::WanderingParameters,
+                misfit.variance_ratio(j) * uncovered,
+                WANDERING,
+            );
         }
-        let explained = self.fits.iter().map(|measures| measures.explained_share).fold(1.0, f64::min);
-        let far = |limits: Limits| if explained >= WELL_EXPLAINED { limits.for_doubt() } else { limits };
+        let explained = self
+            .fits
+            .iter()
+            .map(|measures| measures.explained_share)
+            .fold(1.0, f64::min);
+        let far = |limits: Limits| {
+            if explained >= WELL_EXPLAINED {
+                limits.for_doubt()
+            } else {
+                limits
+            }
+        };
         for ((mean, prior_mean), prior_std) in means.iter().zip(prior_means).zip(prior_stds) {
-            fit.judge(FitReason::FarFromPrior, (mean - prior_mean) / prior_std, far(STIFFER));
+            fit.judge(
+                FitReason::FarFromPrior,
+                (mean - prior_mean) / prior_std,
+                far(STIFFER),
+            );
             if prior_mean - mean > *prior_std {
                 fit.judge(FitReason::FarFromPrior, prior_mean / mean, far(SOFTER));
             }
@@ -341,7 +437,10 @@ impl FitState {
 
 /// Returns the lags of these settings: up to one fundamental period, and at least one.
 fn lags(settings: &MisfitSettings) -> &'static [usize] {
-    let count = LAGS.iter().filter(|lag| **lag <= settings.lag_steps).count();
+    let count = LAGS
+        .iter()
+        .filter(|lag| **lag <= settings.lag_steps)
+        .count();
     &LAGS[..count.max(1)]
 }
 
@@ -361,18 +460,38 @@ impl ChannelState {
         };
         let correlations = self.lagged.iter().map(|product| of(*product, own_square));
         let inputs = excitation_square.len();
-        let excitation =
-            self.with_excitation.iter().enumerate().map(|(at, product)| of(*product, excitation_square[at % inputs]));
-        let variance = if self.weight > 0.0 { self.observation_square / self.weight } else { 0.0 };
+        let excitation = self
+            .with_excitation
+            .iter()
+            .enumerate()
+            .map(|(at, product)| of(*product, excitation_square[at % inputs]));
+        let variance = if self.weight > 0.0 {
+            self.observation_square / self.weight
+        } else {
+            0.0
+        };
         let largest = variance.max(self.stated_noise); // below the stated noise there is no motion to explain
         // innovations and motion have the same memory; the noise level has another
-        let innovation = if self.weight > 0.0 { (self.square - self.from_excitation) / self.weight } else { 0.0 };
-        let unexplained = if largest > 0.0 { (innovation - self.stated_noise) / largest } else { 0.0 };
+        let innovation = if self.weight > 0.0 {
+            (self.square - self.from_excitation) / self.weight
+        } else {
+            0.0
+        };
+        let unexplained = if largest > 0.0 {
+            (innovation - self.stated_noise) / largest
+        } else {
+            0.0
+        };
         ChannelFit {
             largest_autocorrelation: correlations.map(f64::abs).fold(0.0, f64::max),
             explained_share: 1.0 - unexplained.clamp(0.0, 1.0),
-            excitation_correlation: excitation.fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a }),
-            noise_ratio: if self.stated_noise > 0.0 { (noise / self.stated_noise).sqrt() } else { 1.0 },
+            excitation_correlation: excitation
+                .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a }),
+            noise_ratio: if self.stated_noise > 0.0 {
+                (noise / self.stated_noise).sqrt()
+            } else {
+                1.0
+            },
         }
     }
 }
@@ -392,7 +511,12 @@ pub struct ChannelFit {
 
 impl Default for ChannelFit {
     fn default() -> Self {
-        Self { largest_autocorrelation: 0.0, explained_share: 1.0, excitation_correlation: 0.0, noise_ratio: 1.0 }
+        Self {
+            largest_autocorrelation: 0.0,
+            explained_share: 1.0,
+            excitation_correlation: 0.0,
+            noise_ratio: 1.0,
+        }
     }
 }
 
@@ -447,8 +571,16 @@ mod tests {
         for (left, verdict) in [(0.1, FitVerdict::Doubtful), (0.9, FitVerdict::Contradicted)] {
             let mut fit = started();
             take(&mut fit, 0..300, left, 0.1);
-            assert_eq!(fit.fit().verdict(), Some(verdict), "{left} of the motion left");
-            assert!(fit.fit().reasons().any(|reason| reason == FitReason::FarFromPrior));
+            assert_eq!(
+                fit.fit().verdict(),
+                Some(verdict),
+                "{left} of the motion left"
+            );
+            assert!(
+                fit.fit()
+                    .reasons()
+                    .any(|reason| reason == FitReason::FarFromPrior)
+            );
         }
     }
 }

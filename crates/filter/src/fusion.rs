@@ -24,9 +24,15 @@ pub mod local;
 pub mod samples;
 pub mod station;
 
-pub use compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange, Responses, Weights};
+pub use compression::{
+    CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange, Responses, Weights,
+};
 pub use detector::{GlobalDetector, NodeDistance, Weighting};
 pub use gaussian::{Gaussian, Information, product};
-pub use local::{Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, LocalState, NodeSettings, Taken};
+pub use local::{
+    Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, LocalState, NodeSettings, Taken,
+};
 pub use samples::{SampleExchange, unit_exponent};
-pub use station::{Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings, StationState};
+pub use station::{
+    Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings, StationState,
+};

@@ -3,7 +3,9 @@
 //! Source: Huang & Yuen (2023), §2.2 and §2.3, equations (2.17) to (2.35). Dense, for small systems and as the second,
 //! independent route that the extended filter is compared with.
 
-use crate::dense::{cholesky_mut, ln_determinant, solve_lower_mut, subtract_gram_mut, symmetrise_mut};
+use crate::dense::{
+    cholesky_mut, ln_determinant, solve_lower_mut, subtract_gram_mut, symmetrise_mut,
+};
 use crate::error::FilterError;
 use nalgebra::{DMatrix, DVector};
 
@@ -27,13 +29,24 @@ impl LinearModel {
     ///
     /// Both are read off one exponential of the augmented matrix, which needs no inverse of `A_u`; equations (2.8), (2.9).
     #[must_use]
-    pub fn discretise(system: &DMatrix<f64>, input: &DMatrix<f64>, step_s: f64) -> (DMatrix<f64>, DMatrix<f64>) {
+    pub fn discretise(
+        system: &DMatrix<f64>,
+        input: &DMatrix<f64>,
+        step_s: f64,
+    ) -> (DMatrix<f64>, DMatrix<f64>) {
         let (n, inputs) = (system.nrows(), input.ncols());
         let mut augmented = DMatrix::zeros(n + inputs, n + inputs);
-        augmented.view_mut((0, 0), (n, n)).copy_from(&(system * step_s));
-        augmented.view_mut((0, n), (n, inputs)).copy_from(&(input * step_s));
+        augmented
+            .view_mut((0, 0), (n, n))
+            .copy_from(&(system * step_s));
+        augmented
+            .view_mut((0, n), (n, inputs))
+            .copy_from(&(input * step_s));
         let exponential = augmented.exp();
-        (exponential.view((0, 0), (n, n)).into_owned(), exponential.view((0, n), (n, inputs)).into_owned())
+        (
+            exponential.view((0, 0), (n, n)).into_owned(),
+            exponential.view((0, n), (n, inputs)).into_owned(),
+        )
     }
 
     pub(crate) fn check(&self) -> Result<(), FilterError> {
@@ -43,12 +56,24 @@ impl LinearModel {
             ("transition matrix", self.transition.len(), n * n),
             ("input matrix", self.input.nrows(), n),
             ("observation matrix", self.observation.ncols(), n),
-            ("excitation covariance", self.excitation_covariance.len(), inputs * inputs),
-            ("sensor covariance", self.sensor_covariance.len(), channels * channels),
+            (
+                "excitation covariance",
+                self.excitation_covariance.len(),
+                inputs * inputs,
+            ),
+            (
+                "sensor covariance",
+                self.sensor_covariance.len(),
+                channels * channels,
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         Ok(())
@@ -84,12 +109,23 @@ impl KalmanFilter {
     ///
     /// # Errors
     /// When a size does not fit.
-    pub fn new(model: LinearModel, mean: DVector<f64>, covariance: DMatrix<f64>) -> Result<Self, FilterError> {
+    pub fn new(
+        model: LinearModel,
+        mean: DVector<f64>,
+        covariance: DMatrix<f64>,
+    ) -> Result<Self, FilterError> {
         model.check()?;
         let (n, channels) = (model.transition.nrows(), model.observation.nrows());
-        for (what, found, expected) in [("mean", mean.len(), n), ("covariance", covariance.len(), n * n)] {
+        for (what, found, expected) in [
+            ("mean", mean.len(), n),
+            ("covariance", covariance.len(), n * n),
+        ] {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         let process_noise = &model.input * &model.excitation_covariance * model.input.transpose();
@@ -108,14 +144,18 @@ impl KalmanFilter {
 
     /// Moves mean and covariance by one step, with `input` the known part of the excitation (N_f).
     pub fn predict(&mut self, input: &[f64]) {
-        self.next_mean.gemv(1.0, &self.model.transition, &self.mean, 0.0); // A u           (2.17)
+        self.next_mean
+            .gemv(1.0, &self.model.transition, &self.mean, 0.0); // A u           (2.17)
         for (b, known) in input.iter().enumerate() {
-            self.next_mean.axpy(*known, &self.model.input.column(b), 1.0);
+            self.next_mean
+                .axpy(*known, &self.model.input.column(b), 1.0);
         }
         self.mean.copy_from(&self.next_mean);
-        self.product.gemm(1.0, &self.model.transition, &self.covariance, 0.0); // A Σ
+        self.product
+            .gemm(1.0, &self.model.transition, &self.covariance, 0.0); // A Σ
         self.product.transpose_mut();
-        self.covariance.gemm(1.0, &self.model.transition, &self.product, 0.0); // A Σ Aᵀ
+        self.covariance
+            .gemm(1.0, &self.model.transition, &self.product, 0.0); // A Σ Aᵀ
         self.covariance += &self.process_noise; // + B Σ_f Bᵀ                               (2.21)
         symmetrise_mut(&mut self.covariance);
     }
@@ -127,12 +167,16 @@ impl KalmanFilter {
     pub fn update(&mut self, datum: &[f64]) -> Result<KalmanStep, FilterError> {
         let model = &self.model;
         self.innovation.copy_from_slice(datum);
-        self.innovation.gemv(-1.0, &model.observation, &self.mean, 1.0); // ν = z − H u
-        self.h_p.gemm(1.0, &model.observation, &self.covariance, 0.0);
+        self.innovation
+            .gemv(-1.0, &model.observation, &self.mean, 1.0); // ν = z − H u
+        self.h_p
+            .gemm(1.0, &model.observation, &self.covariance, 0.0);
         self.factor.copy_from(&model.sensor_covariance);
-        self.factor.gemm(1.0, &self.h_p, &model.observation.transpose(), 1.0); // S         (2.34)
+        self.factor
+            .gemm(1.0, &self.h_p, &model.observation.transpose(), 1.0); // S         (2.34)
         symmetrise_mut(&mut self.factor);
-        cholesky_mut(&mut self.factor).map_err(|pivot| FilterError::InnovationCovariance { pivot })?;
+        cholesky_mut(&mut self.factor)
+            .map_err(|pivot| FilterError::InnovationCovariance { pivot })?;
         solve_lower_mut(&self.factor, self.innovation.as_mut_slice());
         solve_lower_mut(&self.factor, self.h_p.as_mut_slice());
         self.mean.gemv_tr(1.0, &self.h_p, &self.innovation, 1.0); // (2.33)
@@ -142,7 +186,10 @@ impl KalmanFilter {
             * (datum.len() as f64 * std::f64::consts::TAU.ln()
                 + ln_determinant(&self.factor)
                 + normalised_innovation_squared);
-        Ok(KalmanStep { normalised_innovation_squared, log_evidence })
+        Ok(KalmanStep {
+            normalised_innovation_squared,
+            log_evidence,
+        })
     }
 
     /// Returns the mean of the state (n).

@@ -55,8 +55,8 @@ pub mod update;
 
 pub use band_limit::BandLimit;
 pub use classes::{
-    ClassBank, ClassBankState, ClassEvent, ClassId, ClassPlan, ClassSettings, ComponentSystem, Grouping,
-    PersistenceRule, Plausibilities,
+    ClassBank, ClassBankState, ClassEvent, ClassId, ClassPlan, ClassSettings, ComponentSystem,
+    Grouping, PersistenceRule, Plausibilities,
 };
 pub use constant::ConstantTransition;
 pub use discretise::InputHold;
@@ -68,12 +68,16 @@ pub use kalman::{KalmanFilter, LinearModel};
 pub use linear::{DirectTerm, ModalModel, StateSpace};
 pub use misfit::{MisfitSettings, MisfitState};
 pub use model::{ObservationModel, ProcessModel};
-pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
-pub use outlier::{ChannelScreen, OutlierChange, OutlierSettings, OutlierState, OutlierTraining, Verdict};
+pub use noise::{
+    NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget,
+};
+pub use outlier::{
+    ChannelScreen, OutlierChange, OutlierSettings, OutlierState, OutlierTraining, Verdict,
+};
 pub use particle::{
-    ContinuousSystem, DifferenceWorkspace, Drifting, ExcitedSystem, GaussianStart, ImportanceDensity, IncrementTime,
-    Interval, ParticleFilter, ParticleModel, ParticleSettings, ParticleState, ParticleStep, Resampling, WarmStartState,
-    WarmStartedParticleFilter,
+    ContinuousSystem, DifferenceWorkspace, Drifting, ExcitedSystem, GaussianStart,
+    ImportanceDensity, IncrementTime, Interval, ParticleFilter, ParticleModel, ParticleSettings,
+    ParticleState, ParticleStep, Resampling, WarmStartState, WarmStartedParticleFilter,
 };
 pub use proportional::ProportionalForm;
 pub use update::CovarianceForm;

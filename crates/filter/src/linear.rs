@@ -46,7 +46,12 @@ struct LinearObservation {
 }
 
 impl LinearObservation {
-    fn new(matrix: DMatrix<f64>, direct: DirectTerm, n: usize, inputs: usize) -> Result<Self, FilterError> {
+    fn new(
+        matrix: DMatrix<f64>,
+        direct: DirectTerm,
+        n: usize,
+        inputs: usize,
+    ) -> Result<Self, FilterError> {
         check_len("columns of the observation matrix", matrix.ncols(), n)?;
         if let Some(direct) = direct.matrix() {
             check_len("rows of the direct term", direct.nrows(), matrix.nrows())?;
@@ -71,7 +76,9 @@ impl LinearObservation {
         }
         if let Some(direct) = self.direct.matrix() {
             for (column, known) in direct.column_iter().zip(self.excitation.iter()) {
-                out.iter_mut().zip(column.iter()).for_each(|(entry, weight)| *entry += weight * known);
+                out.iter_mut()
+                    .zip(column.iter())
+                    .for_each(|(entry, weight)| *entry += weight * known);
             }
         }
     }
@@ -97,13 +104,23 @@ fn mul_to(x: &DMatrix<f64>, v: &[f64], out: &mut [f64]) {
     out.fill(0.0);
     for (column, weight) in x.column_iter().zip(v) {
         if *weight != 0.0 {
-            out.iter_mut().zip(column.iter()).for_each(|(entry, value)| *entry += value * weight);
+            out.iter_mut()
+                .zip(column.iter())
+                .for_each(|(entry, value)| *entry += value * weight);
         }
     }
 }
 
 fn check_len(what: &'static str, found: usize, expected: usize) -> Result<(), FilterError> {
-    if found == expected { Ok(()) } else { Err(FilterError::Dimension { what, found, expected }) }
+    if found == expected {
+        Ok(())
+    } else {
+        Err(FilterError::Dimension {
+            what,
+            found,
+            expected,
+        })
+    }
 }
 
 /// A linear time-invariant model in any coordinates.
@@ -136,7 +153,13 @@ impl StateSpace {
         check_len("rows of the input matrix", input.nrows(), n)?;
         let observation = LinearObservation::new(observation, direct, n, inputs)?;
         let rate_bound = spectral_radius_bound(&system);
-        Ok(Self { system, input, rate_bound, process: [DVector::zeros(n), DVector::zeros(inputs)], observation })
+        Ok(Self {
+            system,
+            input,
+            rate_bound,
+            process: [DVector::zeros(n), DVector::zeros(inputs)],
+            observation,
+        })
     }
 
     /// Makes the model of `M ẍ + L ẋ + K x = T f` with the state `[x, ẋ]`.
@@ -154,11 +177,19 @@ impl StateSpace {
         let free = check_second_order([mass, damping, stiffness], distribution)?;
         let factor = Cholesky::new(mass.clone()).ok_or(NO_MASS)?;
         let mut system = DMatrix::zeros(2 * free, 2 * free);
-        system.view_mut((0, free), (free, free)).fill_with_identity();
-        system.view_mut((free, 0), (free, free)).copy_from(&-factor.solve(stiffness));
-        system.view_mut((free, free), (free, free)).copy_from(&-factor.solve(damping));
+        system
+            .view_mut((0, free), (free, free))
+            .fill_with_identity();
+        system
+            .view_mut((free, 0), (free, free))
+            .copy_from(&-factor.solve(stiffness));
+        system
+            .view_mut((free, free), (free, free))
+            .copy_from(&-factor.solve(damping));
         let mut input = DMatrix::zeros(2 * free, distribution.ncols());
-        input.rows_mut(free, free).copy_from(&factor.solve(distribution));
+        input
+            .rows_mut(free, free)
+            .copy_from(&factor.solve(distribution));
         Self::new(system, input, observation, direct)
     }
 
@@ -193,12 +224,21 @@ fn spectral_radius_bound(system: &DMatrix<f64>) -> f64 {
     logarithm.exp()
 }
 
-const NO_MASS: FilterError =
-    FilterError::Setting { what: "smallest pivot of the mass matrix", found: 0.0, allowed: "positive" };
+const NO_MASS: FilterError = FilterError::Setting {
+    what: "smallest pivot of the mass matrix",
+    found: 0.0,
+    allowed: "positive",
+};
 
-fn check_second_order(matrices: [&DMatrix<f64>; 3], distribution: &DMatrix<f64>) -> Result<usize, FilterError> {
+fn check_second_order(
+    matrices: [&DMatrix<f64>; 3],
+    distribution: &DMatrix<f64>,
+) -> Result<usize, FilterError> {
     let free = distribution.nrows();
-    for (what, matrix) in ["mass matrix", "damping matrix", "stiffness matrix"].into_iter().zip(matrices) {
+    for (what, matrix) in ["mass matrix", "damping matrix", "stiffness matrix"]
+        .into_iter()
+        .zip(matrices)
+    {
         check_len(what, matrix.nrows(), free)?;
         check_len(what, matrix.ncols(), free)?;
     }
@@ -228,13 +268,19 @@ impl ProcessModel for StateSpace {
         let [y, f] = &self.process;
         mul_to(&self.system, y.as_slice(), out);
         for (column, known) in self.input.column_iter().zip(f.iter()) {
-            out.iter_mut().zip(column.iter()).for_each(|(entry, weight)| *entry += weight * known);
+            out.iter_mut()
+                .zip(column.iter())
+                .for_each(|(entry, weight)| *entry += weight * known);
         }
     }
 
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
         let n = self.system.nrows();
-        for (column, target) in columns.as_slice().chunks_exact(n).zip(out.as_mut_slice().chunks_exact_mut(n)) {
+        for (column, target) in columns
+            .as_slice()
+            .chunks_exact(n)
+            .zip(out.as_mut_slice().chunks_exact_mut(n))
+        {
             mul_to(&self.system, column, target);
         }
     }
@@ -285,7 +331,11 @@ impl ModalModel {
         direct: DirectTerm,
     ) -> Result<Self, FilterError> {
         let free = check_second_order([mass, damping, stiffness], distribution)?;
-        check_len("columns of the observation matrix", observation.ncols(), 2 * free)?;
+        check_len(
+            "columns of the observation matrix",
+            observation.ncols(),
+            2 * free,
+        )?;
         let factor = Cholesky::new(mass.clone()).ok_or(NO_MASS)?.unpack();
         let from_left = |x: &DMatrix<f64>| factor.solve_lower_triangular(x).ok_or(NO_MASS);
         let mut normalised = from_left(&from_left(stiffness)?.transpose())?; // L⁻¹ K L⁻ᵀ
@@ -299,15 +349,29 @@ impl ModalModel {
         for &square in &squares {
             if !(square >= -UNCOUPLED * largest && square.is_finite()) {
                 let what = "eigenvalue of the stiffness matrix";
-                return Err(FilterError::Setting { what, found: square, allowed: "not negative" });
+                return Err(FilterError::Setting {
+                    what,
+                    found: square,
+                    allowed: "not negative",
+                });
             }
         }
         let shapes = factor.tr_solve_lower_triangular(&vectors).ok_or(NO_MASS)?; // Φ = L⁻ᵀ V
         let modal_damping = shapes.transpose() * damping * &shapes;
-        let coupling = DMatrix::from_fn(free, free, |i, j| if i == j { 0.0 } else { modal_damping[(i, j)] }).amax();
+        let coupling =
+            DMatrix::from_fn(
+                free,
+                free,
+                |i, j| if i == j { 0.0 } else { modal_damping[(i, j)] },
+            )
+            .amax();
         if coupling > UNCOUPLED * modal_damping.amax() {
             let what = "coupling of the modes by the damping matrix (1/s)";
-            return Err(FilterError::Setting { what, found: coupling, allowed: "zero: damping must be classical" });
+            return Err(FilterError::Setting {
+                what,
+                found: coupling,
+                allowed: "zero: damping must be classical",
+            });
         }
         let mut modal_observation = DMatrix::zeros(observation.nrows(), 2 * free);
         for half in [0, free] {
@@ -341,7 +405,9 @@ impl ModalModel {
     /// Returns `ζ` (N_d); not a number for a mode without stiffness.
     #[must_use]
     pub fn damping_ratios(&self) -> DVector<f64> {
-        self.damping.zip_map(&self.stiffness, |damping, square| damping / (2.0 * square.sqrt()))
+        self.damping.zip_map(&self.stiffness, |damping, square| {
+            damping / (2.0 * square.sqrt())
+        })
     }
 
     /// Returns the matrix that gives `[x, ẋ]` from `[q, q̇]` (2 N_d × 2 N_d).
@@ -390,7 +456,13 @@ impl ProcessModel for ModalModel {
         let [y, f] = &self.process;
         let modes = self.stiffness.len();
         for j in 0..modes {
-            let force: f64 = self.participation.row(j).iter().zip(f.iter()).map(|(share, known)| share * known).sum();
+            let force: f64 = self
+                .participation
+                .row(j)
+                .iter()
+                .zip(f.iter())
+                .map(|(share, known)| share * known)
+                .sum();
             out[j] = y[modes + j];
             out[modes + j] = force - self.stiffness[j] * y[j] - self.damping[j] * y[modes + j];
         }
@@ -415,7 +487,11 @@ impl ProcessModel for ModalModel {
 
     fn rate_bound(&self) -> f64 {
         // |λ| = ω below critical damping, below c above it
-        self.stiffness.iter().zip(self.damping.iter()).map(|(square, c)| square.sqrt().max(c.abs())).fold(0.0, f64::max)
+        self.stiffness
+            .iter()
+            .zip(self.damping.iter())
+            .map(|(square, c)| square.sqrt().max(c.abs()))
+            .fold(0.0, f64::max)
     }
 
     fn constant_transition(&self, step_s: f64) -> Option<ConstantTransition> {

@@ -103,18 +103,30 @@ impl Sum {
 
     /// Returns the long-run variance over the information, at least 1.
     fn ratio(&self) -> f64 {
-        if self.expected > 0.0 { (self.squares / self.expected).max(1.0) } else { 1.0 }
+        if self.expected > 0.0 {
+            (self.squares / self.expected).max(1.0)
+        } else {
+            1.0
+        }
     }
 
     /// Returns the same, and [`FIRST_RATIO`] where nearly all information is that of the last `steps`.
     fn cautious_ratio(&self, steps: f64) -> f64 {
         let (recent, known) = (steps * self.variance, self.expected);
-        if known > 0.0 { ((self.squares + FIRST_RATIO * recent) / (known + recent)).max(1.0) } else { 1.0 }
+        if known > 0.0 {
+            ((self.squares + FIRST_RATIO * recent) / (known + recent)).max(1.0)
+        } else {
+            1.0
+        }
     }
 
     /// Returns the square of the sum in units of its usual variance.
     fn standardised_square(&self) -> f64 {
-        if self.variance > 0.0 { self.value * self.value / (self.variance * self.ratio()) } else { 0.0 }
+        if self.variance > 0.0 {
+            self.value * self.value / (self.variance * self.ratio())
+        } else {
+            0.0
+        }
     }
 }
 
@@ -131,8 +143,16 @@ pub struct MisfitState {
 
 impl MisfitState {
     pub(crate) fn new(parameters: usize) -> Self {
-        let parameter = ParameterMisfit { scale: 1.0, ..ParameterMisfit::default() };
-        Self { parameters: vec![parameter; parameters], steps: 0, since_jump: None, innovation_square: 1.0 }
+        let parameter = ParameterMisfit {
+            scale: 1.0,
+            ..ParameterMisfit::default()
+        };
+        Self {
+            parameters: vec![parameter; parameters],
+            steps: 0,
+            since_jump: None,
+            innovation_square: 1.0,
+        }
     }
 
     /// Returns the number of parameters.
@@ -143,7 +163,11 @@ impl MisfitState {
     /// Returns the long-run variance of the scores of parameter `j` over their information: 1 when the model is right.
     #[must_use]
     pub fn variance_ratio(&self, j: usize) -> f64 {
-        self.parameters[j].sums.iter().map(Sum::ratio).fold(1.0, f64::max)
+        self.parameters[j]
+            .sums
+            .iter()
+            .map(Sum::ratio)
+            .fold(1.0, f64::max)
     }
 
     /// Returns the factor from the filter's own variance of parameter `j` to the published one.
@@ -161,7 +185,8 @@ impl MisfitState {
     /// Returns `true` while the filter follows a jump.
     #[must_use]
     pub fn follows_jump(&self, settings: &MisfitSettings) -> bool {
-        self.since_jump.is_some_and(|since| since < settings.jump_steps)
+        self.since_jump
+            .is_some_and(|since| since < settings.jump_steps)
     }
 
     /// Takes the scores of one step and `νᵀ S⁻¹ ν` per used channel; returns `true` if the parameters have jumped.
@@ -185,17 +210,25 @@ impl MisfitState {
             for (sum, fade) in parameter.sums.iter_mut().zip(fades) {
                 sum.add(fade, scratch.scores[j], scratch.information[j]);
             }
-            let explained = parameter.sums.iter().all(|sum| sum.ratio() <= LARGEST_RATIO_OF_JUMP);
+            let explained = parameter
+                .sums
+                .iter()
+                .all(|sum| sum.ratio() <= LARGEST_RATIO_OF_JUMP);
             for sum in parameter.sums[..JUMP_SCALES].iter().filter(|_| explained) {
                 largest = largest.max(sum.standardised_square());
             }
             if settled {
-                parameter.sums.iter_mut().for_each(|sum| sum.remember(memory));
+                parameter
+                    .sums
+                    .iter_mut()
+                    .for_each(|sum| sum.remember(memory));
             }
         }
         self.steps += 1;
         self.since_jump = self.since_jump.map(|since| since + 1);
-        settled && is_excitation_known && largest > settings.jump_threshold * settings.jump_threshold
+        settled
+            && is_excitation_known
+            && largest > settings.jump_threshold * settings.jump_threshold
     }
 
     /// Begins to follow a jump after which the parameters have these variances (N_θ).
@@ -214,17 +247,30 @@ impl MisfitState {
     ///
     /// Where the sandwich variance would exceed that of the prior (`prior`), the data teach less than was known before:
     /// the correction is reduced to what they do teach.
-    fn weigh(&mut self, j: usize, settings: &MisfitSettings, fading: f64, prior: f64, step: (f64, f64)) -> f64 {
+    fn weigh(
+        &mut self,
+        j: usize,
+        settings: &MisfitSettings,
+        fading: f64,
+        prior: f64,
+        step: (f64, f64),
+    ) -> f64 {
         let (before, information) = step;
         let cautious = self.parameters[j].sums[0].cautious_ratio(settings.block_steps[0]);
         let ratio = self.variance_ratio(j).max(cautious);
-        let ratio = if ratio <= EXPLAINED_BY_CHANCE { 1.0 } else { BEYOND_THE_LONGEST * ratio };
+        let ratio = if ratio <= EXPLAINED_BY_CHANCE {
+            1.0
+        } else {
+            BEYOND_THE_LONGEST * ratio
+        };
         let parameter = &mut self.parameters[j];
         if parameter.information == 0.0 {
-            (parameter.information, parameter.squared_information) = (before.recip(), before.recip());
+            (parameter.information, parameter.squared_information) =
+                (before.recip(), before.recip());
         }
         parameter.information = parameter.information / fading + information;
-        parameter.squared_information = parameter.squared_information / (fading * fading) + information;
+        parameter.squared_information =
+            parameter.squared_information / (fading * fading) + information;
         let after_fading = parameter.squared_information / parameter.information;
         let limit = (prior / before).max(after_fading);
         parameter.scale = (ratio * after_fading).min(limit);
@@ -247,18 +293,34 @@ pub(crate) struct Workspace {
 impl Workspace {
     pub(crate) fn new(parameters: usize) -> Self {
         let zeros = || DVector::zeros(parameters);
-        Self { scores: zeros(), information: zeros(), corrections: zeros(), gains: zeros() }
+        Self {
+            scores: zeros(),
+            information: zeros(),
+            corrections: zeros(),
+            gains: zeros(),
+        }
     }
 
     /// Reads scores and information of this step from the variances (n) after it, `Vᵀ` (n × N_0) and `ν̃` (N_0).
-    pub(crate) fn read(&mut self, variances: &DVector<f64>, v_transposed: &DMatrix<f64>, whitened: &DVector<f64>) {
+    pub(crate) fn read(
+        &mut self,
+        variances: &DVector<f64>,
+        v_transposed: &DMatrix<f64>,
+        whitened: &DVector<f64>,
+    ) {
         let parameters = self.scores.len();
         let first = variances.len() - parameters;
         self.corrections.fill(0.0);
         self.gains.fill(0.0);
-        for (column, innovation) in v_transposed.as_slice().chunks_exact(variances.len()).zip(whitened.iter()) {
-            for ((gain, correction), total) in
-                column[first..].iter().zip(self.corrections.iter_mut()).zip(self.gains.iter_mut())
+        for (column, innovation) in v_transposed
+            .as_slice()
+            .chunks_exact(variances.len())
+            .zip(whitened.iter())
+        {
+            for ((gain, correction), total) in column[first..]
+                .iter()
+                .zip(self.corrections.iter_mut())
+                .zip(self.gains.iter_mut())
             {
                 *correction += gain * innovation;
                 *total += gain * gain;
@@ -267,8 +329,16 @@ impl Workspace {
         for j in 0..parameters {
             let before = variances[first + j] + self.gains[j];
             let known = before > 0.0;
-            self.scores[j] = if known { self.corrections[j] / before } else { 0.0 };
-            self.information[j] = if known { self.gains[j] / (before * before) } else { 0.0 };
+            self.scores[j] = if known {
+                self.corrections[j] / before
+            } else {
+                0.0
+            };
+            self.information[j] = if known {
+                self.gains[j] / (before * before)
+            } else {
+                0.0
+            };
         }
     }
 

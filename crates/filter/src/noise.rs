@@ -59,12 +59,28 @@ impl NoiseModel {
     /// Makes a model of known noises.
     #[must_use]
     pub fn known(excitation: DMatrix<f64>, sensors: DMatrix<f64>) -> Self {
-        Self { excitation, sensors, parameters: Vec::new() }
+        Self {
+            excitation,
+            sensors,
+            parameters: Vec::new(),
+        }
     }
 
-    pub(crate) fn check(&self, excitation_len: usize, observation_len: usize) -> Result<(), FilterError> {
-        check_square("noise covariance of the excitation", &self.excitation, excitation_len)?;
-        check_square("noise covariance of the sensors", &self.sensors, observation_len)?;
+    pub(crate) fn check(
+        &self,
+        excitation_len: usize,
+        observation_len: usize,
+    ) -> Result<(), FilterError> {
+        check_square(
+            "noise covariance of the excitation",
+            &self.excitation,
+            excitation_len,
+        )?;
+        check_square(
+            "noise covariance of the sensors",
+            &self.sensors,
+            observation_len,
+        )?;
         for parameter in &self.parameters {
             let expected = match parameter.target {
                 NoiseTarget::Excitation => excitation_len,
@@ -73,13 +89,21 @@ impl NoiseModel {
             check_square("pattern of a noise parameter", &parameter.pattern, expected)?;
             // a start of zero could never move: candidates and steps are multiplicative
             check_positive("start of a noise parameter", parameter.start)?;
-            check_positive("standard deviation of a noise parameter", parameter.start_std)?;
+            check_positive(
+                "standard deviation of a noise parameter",
+                parameter.start_std,
+            )?;
         }
         Ok(())
     }
 
     /// Writes a whole covariance for the noise parameters `psi`.
-    pub(crate) fn covariance_to(&self, target: NoiseTarget, psi: &DVector<f64>, out: &mut DMatrix<f64>) {
+    pub(crate) fn covariance_to(
+        &self,
+        target: NoiseTarget,
+        psi: &DVector<f64>,
+        out: &mut DMatrix<f64>,
+    ) {
         out.copy_from(match target {
             NoiseTarget::Excitation => &self.excitation,
             NoiseTarget::Sensors => &self.sensors,
@@ -94,10 +118,18 @@ impl NoiseModel {
     }
 }
 
-fn check_square(what: &'static str, matrix: &DMatrix<f64>, expected: usize) -> Result<(), FilterError> {
+fn check_square(
+    what: &'static str,
+    matrix: &DMatrix<f64>,
+    expected: usize,
+) -> Result<(), FilterError> {
     for found in [matrix.nrows(), matrix.ncols()] {
         if found != expected {
-            return Err(FilterError::Dimension { what, found, expected });
+            return Err(FilterError::Dimension {
+                what,
+                found,
+                expected,
+            });
         }
     }
     Ok(())
@@ -107,7 +139,11 @@ fn check_positive(what: &'static str, found: f64) -> Result<(), FilterError> {
     if found > 0.0 && found.is_finite() {
         Ok(())
     } else {
-        Err(FilterError::Setting { what, found, allowed: "positive" })
+        Err(FilterError::Setting {
+            what,
+            found,
+            allowed: "positive",
+        })
     }
 }
 
@@ -168,11 +204,19 @@ impl NoiseSettings {
         FadingFactor::new(self.fading)?;
         if self.positivity_guard <= 1.0 || self.positivity_guard.is_nan() {
             let what = "positivity guard of the noise parameters";
-            return Err(FilterError::Setting { what, found: self.positivity_guard, allowed: "above 1" });
+            return Err(FilterError::Setting {
+                what,
+                found: self.positivity_guard,
+                allowed: "above 1",
+            });
         }
         if self.rule == NoiseRule::HalfOrDouble && parameters > MOST_PARAMETERS {
             let what = "number of noise parameters under the rule half-or-double";
-            return Err(FilterError::Setting { what, found: parameters as f64, allowed: "at most 5" });
+            return Err(FilterError::Setting {
+                what,
+                found: parameters as f64,
+                allowed: "at most 5",
+            });
         }
         Ok(())
     }
@@ -270,7 +314,10 @@ impl NoiseState {
             training_step: 0,
             unchanged: 0,
             floored: false,
-            misfit: Misfit { mean: 1.0, steps: 0 },
+            misfit: Misfit {
+                mean: 1.0,
+                steps: 0,
+            },
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
         };
         for (l, parameter) in model.parameters.iter().enumerate() {
@@ -288,7 +335,11 @@ impl NoiseState {
         (0..self.mean.len())
             .map(|l| {
                 let variance = self.covariance[(l, l)];
-                if variance > 0.0 { variance.sqrt() / self.mean[l] } else { f64::INFINITY }
+                if variance > 0.0 {
+                    variance.sqrt() / self.mean[l]
+                } else {
+                    f64::INFINITY
+                }
             })
             .fold(0.0, f64::max)
     }
@@ -322,7 +373,10 @@ impl NoiseState {
                 self.watch_misfit(LEAST_WINDOW_STEPS, objective);
                 if self.training_is_over(settings) {
                     self.phase = NoisePhase::Working;
-                    self.misfit = Misfit { mean: 1.0, steps: 0 };
+                    self.misfit = Misfit {
+                        mean: 1.0,
+                        steps: 0,
+                    };
                     events.training_ended = true;
                 } else {
                     let limit = settings.training_limit_steps;
@@ -351,7 +405,8 @@ impl NoiseState {
     fn training_is_over(&self, settings: &NoiseSettings) -> bool {
         let settled = match settings.rule {
             NoiseRule::HalfOrDouble => {
-                return self.training_step >= settings.training_steps && self.unchanged >= UNCHANGED_STEPS;
+                return self.training_step >= settings.training_steps
+                    && self.unchanged >= UNCHANGED_STEPS;
             }
             // The scoring step is right from any start near the level; waiting for the draws to lose ten times in a row
             // can take for ever with one parameter and few channels.
@@ -369,7 +424,11 @@ impl NoiseState {
         (waited || late) && known || settled_late
     }
 
-    fn innovations_keep_disagreeing(&mut self, settings: &NoiseSettings, objective: &mut Objective) -> bool {
+    fn innovations_keep_disagreeing(
+        &mut self,
+        settings: &NoiseSettings,
+        objective: &mut Objective,
+    ) -> bool {
         let window = settings.training_steps.max(LEAST_WINDOW_STEPS);
         self.watch_misfit(window, objective);
         let (low, high) = MISFIT_RANGE;
@@ -396,7 +455,12 @@ impl NoiseState {
     }
 
     /// Keeps every level above its floor, and notes when all of them lie on it: smaller innovations are no misfit then.
-    fn apply_floor(&mut self, psi: &mut DVector<f64>, model: &NoiseModel, settings: &NoiseSettings) {
+    fn apply_floor(
+        &mut self,
+        psi: &mut DVector<f64>,
+        model: &NoiseModel,
+        settings: &NoiseSettings,
+    ) {
         self.floored = true;
         for (level, parameter) in psi.iter_mut().zip(&model.parameters) {
             let floor = settings.floor * parameter.start;
@@ -417,7 +481,10 @@ impl NoiseState {
         self.phase = NoisePhase::Training;
         self.training_step = 0;
         self.unchanged = 0;
-        self.misfit = Misfit { mean: 1.0, steps: 0 };
+        self.misfit = Misfit {
+            mean: 1.0,
+            steps: 0,
+        };
         self.covariance.fill(0.0);
         for (l, parameter) in model.parameters.iter().enumerate() {
             let std = self.mean[l] * parameter.start_std / parameter.start;

@@ -86,18 +86,40 @@ impl OutlierSettings {
     }
 
     pub(crate) fn check(&self) -> Result<(), FilterError> {
-        let refuse = |what, found, allowed| Err(FilterError::Setting { what, found, allowed });
+        let refuse = |what, found, allowed| {
+            Err(FilterError::Setting {
+                what,
+                found,
+                allowed,
+            })
+        };
         if self.window < 3 {
-            return refuse("window of the outlier screening", self.window as f64, "at least 3");
+            return refuse(
+                "window of the outlier screening",
+                self.window as f64,
+                "at least 3",
+            );
         }
         if self.training_steps < 3 {
-            return refuse("training of the outlier screening", self.training_steps as f64, "at least 3 samples");
+            return refuse(
+                "training of the outlier screening",
+                self.training_steps as f64,
+                "at least 3 samples",
+            );
         }
         if self.fault_window < 1 {
-            return refuse("fault window of the outlier screening", self.fault_window as f64, "at least 1");
+            return refuse(
+                "fault window of the outlier screening",
+                self.fault_window as f64,
+                "at least 1",
+            );
         }
         if !(self.lower >= 0.0 && self.lower <= self.upper) {
-            return refuse("lower bound of the outlier screening", self.lower, "from 0 to the upper bound");
+            return refuse(
+                "lower bound of the outlier screening",
+                self.lower,
+                "from 0 to the upper bound",
+            );
         }
         if let OutlierTraining::Gated(gate) = self.training
             && (gate.is_nan() || gate <= 0.0)
@@ -105,7 +127,11 @@ impl OutlierSettings {
             return refuse("gate of the outlier training", gate, "positive");
         }
         if !(self.fault_share > 0.0 && self.fault_share < 1.0) {
-            return refuse("fault share of the outlier screening", self.fault_share, "between 0 and 1");
+            return refuse(
+                "fault share of the outlier screening",
+                self.fault_share,
+                "between 0 and 1",
+            );
         }
         Ok(())
     }
@@ -276,7 +302,11 @@ pub struct OutlierState {
 impl OutlierState {
     pub(crate) fn new(settings: &OutlierSettings, channels: usize) -> Self {
         // one by one: a clone would not keep the reserved room
-        Self { channels: (0..channels).map(|_| ChannelScreen::new(settings)).collect() }
+        Self {
+            channels: (0..channels)
+                .map(|_| ChannelScreen::new(settings))
+                .collect(),
+        }
     }
 
     /// The channels, in the order of the observations.
@@ -292,7 +322,11 @@ impl OutlierState {
 
     /// Takes the scales of the recent residuals: while the noise was annealed, residuals were larger. `sorted` is scratch.
     pub(crate) fn rescale(&mut self, sorted: &mut Vec<f64>) {
-        for channel in self.channels.iter_mut().filter(|channel| channel.trained && !channel.faulty) {
+        for channel in self
+            .channels
+            .iter_mut()
+            .filter(|channel| channel.trained && !channel.faulty)
+        {
             let scale = channel.recent.percentile(ONE_SIGMA, sorted);
             if scale > 0.0 {
                 channel.rescale(scale);
@@ -311,7 +345,12 @@ impl OutlierState {
         sorted: &mut Vec<f64>,
     ) -> usize {
         let mut rejected = 0;
-        for ((channel, residual), variance) in self.channels.iter_mut().zip(residuals.iter_mut()).zip(variances) {
+        for ((channel, residual), variance) in self
+            .channels
+            .iter_mut()
+            .zip(residuals.iter_mut())
+            .zip(variances)
+        {
             channel.change = None;
             channel.residual = *residual;
             if !residual.is_finite() {
@@ -331,7 +370,9 @@ impl OutlierState {
                 Verdict::Regular
             };
             let dropped = channel.verdict != Verdict::Regular;
-            channel.recent.push(residual.abs(), dropped && channel.trained);
+            channel
+                .recent
+                .push(residual.abs(), dropped && channel.trained);
             if dropped {
                 *residual = f64::NAN;
                 channel.rejected += 1;
@@ -345,20 +386,29 @@ impl OutlierState {
     /// Looks into the channels of which too much was rejected, and into the faulty ones.
     fn look_into(&mut self, settings: &OutlierSettings, variances: &[f64], sorted: &mut Vec<f64>) {
         let suspicious = |channel: &ChannelScreen| {
-            channel.trained && channel.recent.is_full() && channel.recent.rejected_share() > settings.fault_share
+            channel.trained
+                && channel.recent.is_full()
+                && channel.recent.rejected_share() > settings.fault_share
         };
         if !self.channels.iter().any(suspicious) {
             return;
         }
         // with one or two channels nobody can tell whether the sensors or the motion have changed
-        let count = self.channels.iter().filter(|channel| suspicious(channel)).count();
+        let count = self
+            .channels
+            .iter()
+            .filter(|channel| suspicious(channel))
+            .count();
         let motion_changed = self.channels.len() > 2 && 2 * count > self.channels.len();
         for (channel, variance) in self.channels.iter_mut().zip(variances) {
             if !suspicious(channel) || !channel.recent.is_due(settings.fault_window) {
                 continue;
             }
             let deviation = variance.max(0.0).sqrt();
-            let scale = channel.recent.percentile(ONE_SIGMA, sorted).max(LEAST_SCALE * deviation);
+            let scale = channel
+                .recent
+                .percentile(ONE_SIGMA, sorted)
+                .max(LEAST_SCALE * deviation);
             if channel.faulty {
                 if scale <= RECOVERY_FACTOR * deviation || motion_changed {
                     channel.faulty = false;
@@ -377,10 +427,18 @@ impl OutlierState {
 }
 
 /// Takes one sample of the training, §4.4.1, and says whether it may be used.
-fn train(channel: &mut ChannelScreen, settings: &OutlierSettings, deviation: f64, sorted: &mut Vec<f64>) -> Verdict {
+fn train(
+    channel: &mut ChannelScreen,
+    settings: &OutlierSettings,
+    deviation: f64,
+    sorted: &mut Vec<f64>,
+) -> Verdict {
     let residual = channel.residual.abs();
     if channel.recent.taken() + 1 >= settings.training_steps as u64 {
-        channel.scale = channel.recent.percentile(ONE_SIGMA, sorted).max(LEAST_SCALE * deviation);
+        channel.scale = channel
+            .recent
+            .percentile(ONE_SIGMA, sorted)
+            .max(LEAST_SCALE * deviation);
         channel.trained = true;
         channel.change = Some(OutlierChange::Trained);
     }

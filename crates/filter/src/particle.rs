@@ -102,7 +102,13 @@ pub struct ParticleState {
 }
 
 /// A worker with its particles, their weights and their predictions, and its number.
-type Share<'a, M> = (usize, (((&'a mut Worker<M>, &'a mut [f64]), &'a mut [f64]), &'a mut [f64]));
+type Share<'a, M> = (
+    usize,
+    (
+        ((&'a mut Worker<M>, &'a mut [f64]), &'a mut [f64]),
+        &'a mut [f64],
+    ),
+);
 
 /// What a stream of random numbers is for.
 #[derive(Debug, Clone, Copy)]
@@ -143,16 +149,28 @@ impl<M: ParticleModel> ParticleFilter<M> {
     ///
     /// # Errors
     /// When a setting lies outside its range, or a size does not fit the model.
-    pub fn new(model: M, settings: ParticleSettings, start: GaussianStart) -> Result<Self, FilterError> {
+    pub fn new(
+        model: M,
+        settings: ParticleSettings,
+        start: GaussianStart,
+    ) -> Result<Self, FilterError> {
         settings.check()?;
         let (n, p, count) = (model.state_len(), model.input_len(), settings.particles);
         if n == 0 {
-            return Err(FilterError::Dimension { what: "state of a particle", found: 0, expected: 1 });
+            return Err(FilterError::Dimension {
+                what: "state of a particle",
+                found: 0,
+                expected: 1,
+            });
         }
         check_start(&start, n, p)?;
         let pool = if settings.threads > 1 {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build();
-            Some(Arc::new(pool.map_err(|error| FilterError::Threads { reason: error.to_string() })?))
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(settings.threads)
+                .build();
+            Some(Arc::new(pool.map_err(|error| FilterError::Threads {
+                reason: error.to_string(),
+            })?))
         } else {
             None
         };
@@ -191,7 +209,14 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Draws the particles from the start again: what a filter is left with that has lost them all.
     pub fn restart(&mut self) {
-        let Self { settings, start, state, workers, root, .. } = self;
+        let Self {
+            settings,
+            start,
+            state,
+            workers,
+            root,
+            ..
+        } = self;
         root.factorise(&start.covariance);
         let n = start.mean.len();
         state.steps = 0;
@@ -232,12 +257,24 @@ impl<M: ParticleModel> ParticleFilter<M> {
     /// and the filter must be restarted.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<ParticleStep, FilterError> {
         let sizes = [
-            ("observations of a frame", frame.observations.len(), self.model().observation_len()),
-            ("excitation of a frame", frame.excitation.len(), self.model().input_len()),
+            (
+                "observations of a frame",
+                frame.observations.len(),
+                self.model().observation_len(),
+            ),
+            (
+                "excitation of a frame",
+                frame.excitation.len(),
+                self.model().input_len(),
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         let resampled = self.coefficient_of_variation() > self.settings.resampling_threshold;
@@ -247,18 +284,32 @@ impl<M: ParticleModel> ParticleFilter<M> {
         self.innovation.begin(&self.state.log_weights);
         self.advance(frame);
         let (model, mean) = (&mut self.workers[0].model, &self.mean);
-        self.innovation.compare(frame.observations, |out| model.sensor_covariance(mean.as_slice(), out));
+        self.innovation.compare(frame.observations, |out| {
+            model.sensor_covariance(mean.as_slice(), out)
+        });
         let log_evidence = self.normalise()?;
         self.state.log_evidence += log_evidence;
         self.remember_input(frame);
         self.state.steps += 1;
         self.summarise();
-        if let Some(index) = self.mean.iter().zip(&self.std).position(|(m, s)| !(m.is_finite() && s.is_finite())) {
-            return Err(FilterError::NotFinite { what: "mean or variance of state", index });
+        if let Some(index) = self
+            .mean
+            .iter()
+            .zip(&self.std)
+            .position(|(m, s)| !(m.is_finite() && s.is_finite()))
+        {
+            return Err(FilterError::NotFinite {
+                what: "mean or variance of state",
+                index,
+            });
         }
         Ok(ParticleStep {
             log_evidence,
-            used_channels: frame.observations.iter().filter(|value| !value.is_nan()).count(),
+            used_channels: frame
+                .observations
+                .iter()
+                .filter(|value| !value.is_nan())
+                .count(),
             normalised_innovation_squared: self.innovation.squared(),
             effective_size: self.effective_size(),
             coefficient_of_variation: self.coefficient_of_variation(),
@@ -308,17 +359,29 @@ impl<M: ParticleModel> ParticleFilter<M> {
     /// # Errors
     /// When the state does not fit the model or the settings, which leaves the filter as it was.
     pub fn restore(&mut self, state: ParticleState) -> Result<(), FilterError> {
-        let (n, p, count) = (self.mean.len(), self.model().input_len(), self.settings.particles);
+        let (n, p, count) = (
+            self.mean.len(),
+            self.model().input_len(),
+            self.settings.particles,
+        );
         let sizes = [
             ("particles of a checkpoint", state.states.len(), n * count),
             ("weights of a checkpoint", state.log_weights.len(), count),
             ("ancestors of a checkpoint", state.ancestors.len(), count),
             ("input of a checkpoint", state.previous_input.len(), p),
-            ("mean square of the input of a checkpoint", state.input_mean_square.len(), p),
+            (
+                "mean square of the input of a checkpoint",
+                state.input_mean_square.len(),
+                p,
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         self.state = state;
@@ -328,8 +391,25 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Moves every particle to the frame, and adds the logarithm of its weight's factor.
     fn advance(&mut self, frame: Frame<'_>) {
-        let Self { settings, state, workers, pool, mean, innovation, .. } = self;
-        let ParticleState { states, log_weights, steps, seed, fresh, previous_input, input_mean_square, .. } = state;
+        let Self {
+            settings,
+            state,
+            workers,
+            pool,
+            mean,
+            innovation,
+            ..
+        } = self;
+        let ParticleState {
+            states,
+            log_weights,
+            steps,
+            seed,
+            fresh,
+            previous_input,
+            input_mean_square,
+            ..
+        } = state;
         let interval = Interval {
             previous: (!*fresh).then_some(previous_input.as_slice()),
             current: frame.excitation,
@@ -344,7 +424,14 @@ impl<M: ParticleModel> ParticleFilter<M> {
                 if *log_weight > f64::NEG_INFINITY {
                     let mut rng = stream(seed, step, part * share + i, Purpose::Disturbance);
                     let predicted = &mut predicted[i * q..(i + 1) * q];
-                    *log_weight += worker.advance(density, interval, frame.observations, &mut rng, particle, predicted);
+                    *log_weight += worker.advance(
+                        density,
+                        interval,
+                        frame.observations,
+                        &mut rng,
+                        particle,
+                        predicted,
+                    );
                 }
             }
         };
@@ -371,11 +458,18 @@ impl<M: ParticleModel> ParticleFilter<M> {
     /// Normalises the weights and returns the logarithm of their sum.
     fn normalise(&mut self) -> Result<f64, FilterError> {
         let log_weights = &mut self.state.log_weights;
-        let largest = log_weights.iter().fold(f64::NEG_INFINITY, |largest, value| largest.max(*value));
+        let largest = log_weights
+            .iter()
+            .fold(f64::NEG_INFINITY, |largest, value| largest.max(*value));
         if !largest.is_finite() {
-            return Err(FilterError::Depleted { particles: log_weights.len() });
+            return Err(FilterError::Depleted {
+                particles: log_weights.len(),
+            });
         }
-        let sum: f64 = log_weights.iter().map(|value| (value - largest).exp()).sum();
+        let sum: f64 = log_weights
+            .iter()
+            .map(|value| (value - largest).exp())
+            .sum();
         let log_sum = largest + sum.ln();
         for value in log_weights {
             *value -= log_sum;
@@ -385,7 +479,13 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Keeps what the next step needs of this frame's input.
     fn remember_input(&mut self, frame: Frame<'_>) {
-        let ParticleState { fresh, previous_input, input_mean_square, steps, .. } = &mut self.state;
+        let ParticleState {
+            fresh,
+            previous_input,
+            input_mean_square,
+            steps,
+            ..
+        } = &mut self.state;
         let weight = 1.0 / (*steps as f64 + 1.0);
         for (mean_square, value) in input_mean_square.iter_mut().zip(frame.excitation) {
             if !value.is_nan() {
@@ -398,7 +498,13 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Writes weights, mean and deviation for the particles as they are.
     fn summarise(&mut self) {
-        let Self { state, weights, mean, std, .. } = self;
+        let Self {
+            state,
+            weights,
+            mean,
+            std,
+            ..
+        } = self;
         for (weight, value) in weights.iter_mut().zip(&state.log_weights) {
             *weight = value.exp();
         }
@@ -409,18 +515,34 @@ impl<M: ParticleModel> ParticleFilter<M> {
     fn resample(&mut self) {
         let kernel = self.settings.kernel;
         if kernel < 1.0 {
-            moments::covariance_to(&self.state.states, &self.weights, &self.mean, &mut self.covariance);
+            moments::covariance_to(
+                &self.state.states,
+                &self.weights,
+                &self.mean,
+                &mut self.covariance,
+            );
             self.root.factorise(&self.covariance);
         }
-        let Self { settings, state, workers, weights, mean, spare_states, spare_ancestors, order, cumulative, .. } =
-            self;
+        let Self {
+            settings,
+            state,
+            workers,
+            weights,
+            mean,
+            spare_states,
+            spare_ancestors,
+            order,
+            cumulative,
+            ..
+        } = self;
         let step = state.steps + 1;
         let mut rng = stream(state.seed, step, 0, Purpose::Resampling);
         resampling::draw_indices(settings.resampling, weights, &mut rng, cumulative, order);
         let n = mean.len();
         for (i, index) in order.iter().enumerate() {
             let from = *index as usize;
-            spare_states[i * n..(i + 1) * n].copy_from_slice(&state.states[from * n..(from + 1) * n]);
+            spare_states[i * n..(i + 1) * n]
+                .copy_from_slice(&state.states[from * n..(from + 1) * n]);
             spare_ancestors[i] = state.ancestors[from];
         }
         std::mem::swap(spare_states, &mut state.states);
@@ -452,20 +574,42 @@ fn stream(seed: u64, step: u64, particle: usize, purpose: Purpose) -> ChaCha8Rng
 fn check_start(start: &GaussianStart, n: usize, inputs: usize) -> Result<(), FilterError> {
     let sizes = [
         ("mean of the start", start.mean.len(), n),
-        ("rows of the covariance of the start", start.covariance.nrows(), n),
-        ("columns of the covariance of the start", start.covariance.ncols(), n),
-        ("input before the start", start.previous_input.as_ref().map_or(inputs, DVector::len), inputs),
+        (
+            "rows of the covariance of the start",
+            start.covariance.nrows(),
+            n,
+        ),
+        (
+            "columns of the covariance of the start",
+            start.covariance.ncols(),
+            n,
+        ),
+        (
+            "input before the start",
+            start.previous_input.as_ref().map_or(inputs, DVector::len),
+            inputs,
+        ),
     ];
     for (what, found, expected) in sizes {
         if found != expected {
-            return Err(FilterError::Dimension { what, found, expected });
+            return Err(FilterError::Dimension {
+                what,
+                found,
+                expected,
+            });
         }
     }
     if let Some(index) = start.mean.iter().position(|value| !value.is_finite()) {
-        return Err(FilterError::NotFinite { what: "mean of the start", index });
+        return Err(FilterError::NotFinite {
+            what: "mean of the start",
+            index,
+        });
     }
     if let Some(index) = start.covariance.iter().position(|value| !value.is_finite()) {
-        return Err(FilterError::NotFinite { what: "entry of the covariance of the start", index });
+        return Err(FilterError::NotFinite {
+            what: "entry of the covariance of the start",
+            index,
+        });
     }
     Ok(())
 }

@@ -54,7 +54,11 @@ impl<'m> Piece<'m> {
     /// The columns of a matrix from `column` on.
     pub(crate) fn after(matrix: &'m DMatrix<f64>, column: usize) -> Self {
         let stride = matrix.nrows();
-        Self { entries: &matrix.as_slice()[column * stride..], stride, first_row: 0 }
+        Self {
+            entries: &matrix.as_slice()[column * stride..],
+            stride,
+            first_row: 0,
+        }
     }
 }
 
@@ -73,12 +77,20 @@ impl<'m> Left<'m> {
     }
 
     pub(crate) fn whole(piece: Piece<'m>) -> Self {
-        Self { first: piece, second_from: usize::MAX, second: piece }
+        Self {
+            first: piece,
+            second_from: usize::MAX,
+            second: piece,
+        }
     }
 
     /// Joins the first `columns` columns of one piece and all of another.
     pub(crate) fn joined(first: Piece<'m>, columns: usize, second: Piece<'m>) -> Self {
-        Self { first, second_from: columns, second }
+        Self {
+            first,
+            second_from: columns,
+            second,
+        }
     }
 }
 
@@ -107,7 +119,10 @@ impl Sum<'_> {
 
     /// The product times a number.
     pub(crate) const fn scaled(factor: f64) -> Self {
-        Self { factor, start: None }
+        Self {
+            factor,
+            start: None,
+        }
     }
 }
 
@@ -121,7 +136,10 @@ pub(crate) struct Target<'m> {
 impl<'m> Target<'m> {
     pub(crate) fn new(matrix: &'m mut DMatrix<f64>) -> Self {
         let stride = matrix.nrows();
-        Self { entries: matrix.as_mut_slice(), stride }
+        Self {
+            entries: matrix.as_mut_slice(),
+            stride,
+        }
     }
 }
 
@@ -129,11 +147,18 @@ impl<'m> Target<'m> {
 #[derive(Debug)]
 pub(crate) enum Store<'m> {
     /// As it is; the row `first_row` of the left factor is the first one.
-    Plain { target: Target<'m>, first_row: usize },
+    Plain {
+        target: Target<'m>,
+        first_row: usize,
+    },
     /// And its mirror on the other side of the diagonal, for the columns before the rows asked for.
     Mirrored(Target<'m>),
     /// Transposed where the row is before `split`; the other rows as they are and their mirror, elsewhere.
-    Split { transposed: Target<'m>, split: usize, mirrored: Target<'m> },
+    Split {
+        transposed: Target<'m>,
+        split: usize,
+        mirrored: Target<'m>,
+    },
 }
 
 /// A product of some rows of the left factor.
@@ -179,25 +204,77 @@ impl Multiplier {
 
     /// Writes a product.
     pub(crate) fn run(self, product: Product<'_>) {
-        let Product { left, rows, right, first_column, extent, sum: Sum { factor, start }, store } = product;
-        let order = Order { left, rows, right, first_column, extent, factor };
+        let Product {
+            left,
+            rows,
+            right,
+            first_column,
+            extent,
+            sum: Sum { factor, start },
+            store,
+        } = product;
+        let order = Order {
+            left,
+            rows,
+            right,
+            first_column,
+            extent,
+            factor,
+        };
         // each pair has instructions of its own: what is decided here is not decided for every block
         match (store, start) {
-            (Store::Plain { target, first_row }, None) => self.sum(order, Nothing, Plain { target, first_row }),
-            (Store::Plain { target, first_row }, Some(start)) => self.sum(order, start, Plain { target, first_row }),
+            (Store::Plain { target, first_row }, None) => {
+                self.sum(order, Nothing, Plain { target, first_row })
+            }
+            (Store::Plain { target, first_row }, Some(start)) => {
+                self.sum(order, start, Plain { target, first_row })
+            }
             (Store::Mirrored(target), None) => self.sum(order, Nothing, Mirrored(target)),
             (Store::Mirrored(target), Some(start)) => self.sum(order, start, Mirrored(target)),
-            (Store::Split { transposed, split, mirrored }, None) => {
-                self.sum(order, Nothing, Split { transposed, split, mirrored });
+            (
+                Store::Split {
+                    transposed,
+                    split,
+                    mirrored,
+                },
+                None,
+            ) => {
+                self.sum(
+                    order,
+                    Nothing,
+                    Split {
+                        transposed,
+                        split,
+                        mirrored,
+                    },
+                );
             }
-            (Store::Split { transposed, split, mirrored }, Some(start)) => {
-                self.sum(order, start, Split { transposed, split, mirrored });
+            (
+                Store::Split {
+                    transposed,
+                    split,
+                    mirrored,
+                },
+                Some(start),
+            ) => {
+                self.sum(
+                    order,
+                    start,
+                    Split {
+                        transposed,
+                        split,
+                        mirrored,
+                    },
+                );
             }
         }
     }
 
     fn sum(self, order: Order<'_>, start: impl Start, keep: impl Keep) {
-        self.0.dispatch(Strips { order, place: Between { start, keep } });
+        self.0.dispatch(Strips {
+            order,
+            place: Between { start, keep },
+        });
     }
 
     /// Writes the product of `left` (m × k) and `right` (k × c) into the first columns of `out` (m rows).
@@ -211,24 +288,70 @@ impl Multiplier {
     ) {
         let rows = 0..out.nrows();
         debug_assert!(out.ncols() >= right.columns);
-        let store = Store::Plain { target: Target::new(out), first_row: 0 };
-        self.run(Product { left, rows, right, first_column: 0, extent, sum, store });
+        let store = Store::Plain {
+            target: Target::new(out),
+            first_row: 0,
+        };
+        self.run(Product {
+            left,
+            rows,
+            right,
+            first_column: 0,
+            extent,
+            sum,
+            store,
+        });
     }
 
     /// Writes the transpose of the product of `left` (m × k) and `right` (k × c) into the first rows of `out`, of m columns.
-    pub(crate) fn multiply_transposed_to(self, left: Left<'_>, right: &Right, sum: Sum<'_>, out: &mut DMatrix<f64>) {
+    pub(crate) fn multiply_transposed_to(
+        self,
+        left: Left<'_>,
+        right: &Right,
+        sum: Sum<'_>,
+        out: &mut DMatrix<f64>,
+    ) {
         let split = out.ncols();
-        let nothing = Target { entries: &mut [], stride: 0 };
-        let store = Store::Split { transposed: Target::new(out), split, mirrored: nothing };
-        self.run(Product { left, rows: 0..split, right, first_column: 0, extent: Extent::Full, sum, store });
+        let nothing = Target {
+            entries: &mut [],
+            stride: 0,
+        };
+        let store = Store::Split {
+            transposed: Target::new(out),
+            split,
+            mirrored: nothing,
+        };
+        self.run(Product {
+            left,
+            rows: 0..split,
+            right,
+            first_column: 0,
+            extent: Extent::Full,
+            sum,
+            store,
+        });
     }
 
     /// Writes a symmetric product of `left` (m × k) and `right` (k × m) into the first rows and columns of `out`; both triangles
     /// get the same bits.
-    pub(crate) fn multiply_symmetric_to(self, left: Left<'_>, right: &Right, sum: Sum<'_>, out: &mut DMatrix<f64>) {
+    pub(crate) fn multiply_symmetric_to(
+        self,
+        left: Left<'_>,
+        right: &Right,
+        sum: Sum<'_>,
+        out: &mut DMatrix<f64>,
+    ) {
         for rows in strips(right.columns) {
             let (extent, store) = (Extent::Before(rows.end), Store::Mirrored(Target::new(out)));
-            self.run(Product { left, rows: rows.clone(), right, first_column: 0, extent, sum, store });
+            self.run(Product {
+                left,
+                rows: rows.clone(),
+                right,
+                first_column: 0,
+                extent,
+                sum,
+                store,
+            });
             self.mirror_square_mut(rows, &mut Target::new(out));
         }
     }
@@ -245,11 +368,23 @@ impl Multiplier {
         let n = matrix.nrows();
         let odd = n % MOST_LANES;
         // no row may be summed twice: those that fill no register come first, one by one, where fewest columns stand before them
-        let whole = (odd..n).step_by(STRIP).map(|first| first..(first + STRIP).min(n));
+        let whole = (odd..n)
+            .step_by(STRIP)
+            .map(|first| first..(first + STRIP).min(n));
         for rows in (0..odd).map(|row| row..row + 1).chain(whole) {
             let extent = Extent::Before(rows.end);
-            let order = Order { left, rows: rows.clone(), right, first_column: 0, extent, factor: 1.0 };
-            self.0.dispatch(Strips { order, place: InPlace(Mirrored(Target::new(matrix))) });
+            let order = Order {
+                left,
+                rows: rows.clone(),
+                right,
+                first_column: 0,
+                extent,
+                factor: 1.0,
+            };
+            self.0.dispatch(Strips {
+                order,
+                place: InPlace(Mirrored(Target::new(matrix))),
+            });
             self.mirror_square_mut(rows.clone(), &mut Target::new(matrix));
             for row in rows {
                 diagonal[row] = matrix[(row, row)];
@@ -276,7 +411,12 @@ struct Order<'m> {
 
 /// What the sums of a block start from.
 trait Start: Copy {
-    fn sums<S: Simd, const R: usize>(self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS];
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        first: usize,
+        columns: &Range<usize>,
+    ) -> [[S::f64s; R]; COLUMNS];
 }
 
 /// From zero.
@@ -285,14 +425,24 @@ struct Nothing;
 
 impl Start for Nothing {
     #[inline(always)]
-    fn sums<S: Simd, const R: usize>(self, simd: S, _: usize, _: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        _: usize,
+        _: &Range<usize>,
+    ) -> [[S::f64s; R]; COLUMNS] {
         [[simd.splat_f64s(0.0); R]; COLUMNS]
     }
 }
 
 impl Start for Piece<'_> {
     #[inline(always)]
-    fn sums<S: Simd, const R: usize>(self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        first: usize,
+        columns: &Range<usize>,
+    ) -> [[S::f64s; R]; COLUMNS] {
         let mut sums = [[simd.splat_f64s(0.0); R]; COLUMNS];
         let mut rest = &self.entries[columns.start * self.stride + first - self.first_row..];
         for (lane, sums) in sums.iter_mut().enumerate() {
@@ -338,7 +488,8 @@ impl Keep for Plain<'_> {
         columns: Range<usize>,
         block: &[[F; R]; COLUMNS],
     ) {
-        self.target.store(rows.start - self.first_row, columns, block);
+        self.target
+            .store(rows.start - self.first_row, columns, block);
     }
 
     fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>) {
@@ -363,7 +514,8 @@ impl Keep for Mirrored<'_> {
         self.0.store(rows.start, columns.clone(), block);
         if columns.start < before {
             // what is beside the diagonal is mirrored with it, once all of it is there
-            self.0.scatter(rows, columns.start..columns.end.min(before), block);
+            self.0
+                .scatter(rows, columns.start..columns.end.min(before), block);
         }
     }
 
@@ -386,7 +538,8 @@ impl Keep for Split<'_> {
         block: &[[F; R]; COLUMNS],
     ) {
         if rows.start < self.split {
-            self.transposed.scatter(rows.start..rows.end.min(self.split), columns.clone(), block);
+            self.transposed
+                .scatter(rows.start..rows.end.min(self.split), columns.clone(), block);
         }
         if rows.end > self.split {
             self.mirrored.store(rows.start, columns.clone(), block);
@@ -401,7 +554,12 @@ impl Keep for Split<'_> {
 trait Place {
     type Keep: Keep;
 
-    fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS];
+    fn sums<S: Simd, const R: usize>(
+        &self,
+        simd: S,
+        first: usize,
+        columns: &Range<usize>,
+    ) -> [[S::f64s; R]; COLUMNS];
 
     fn keep_mut(&mut self) -> &mut Self::Keep;
 }
@@ -416,7 +574,12 @@ impl<B: Start, K: Keep> Place for Between<B, K> {
     type Keep = K;
 
     #[inline(always)]
-    fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+    fn sums<S: Simd, const R: usize>(
+        &self,
+        simd: S,
+        first: usize,
+        columns: &Range<usize>,
+    ) -> [[S::f64s; R]; COLUMNS] {
         self.start.sums::<S, R>(simd, first, columns)
     }
 
@@ -433,9 +596,19 @@ impl<'m> Place for InPlace<'m> {
     type Keep = Mirrored<'m>;
 
     #[inline(always)]
-    fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+    fn sums<S: Simd, const R: usize>(
+        &self,
+        simd: S,
+        first: usize,
+        columns: &Range<usize>,
+    ) -> [[S::f64s; R]; COLUMNS] {
         let Target { entries, stride } = &self.0.0;
-        Piece { entries, stride: *stride, first_row: 0 }.sums::<S, R>(simd, first, columns)
+        Piece {
+            entries,
+            stride: *stride,
+            first_row: 0,
+        }
+        .sums::<S, R>(simd, first, columns)
     }
 
     #[inline(always)]
@@ -462,7 +635,11 @@ impl<P: Place> WithSimd for Strips<'_, P> {
             return;
         }
         // sixteen registers hold three times four sums beside what they are made of
-        let most = if lanes > 4 { MOST_REGISTERS } else { MOST_REGISTERS - 1 };
+        let most = if lanes > 4 {
+            MOST_REGISTERS
+        } else {
+            MOST_REGISTERS - 1
+        };
         let mut done = rows.start;
         while done < rows.end {
             // the last strip is moved up until it is full: what is summed twice has the same bits
@@ -484,24 +661,41 @@ impl<P: Place> Strips<'_, P> {
     /// Writes `R` registers of rows from row `first` on.
     #[inline(always)]
     fn strip<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
-        let Order { left, rows: Range { start: before, .. }, right, first_column, extent, factor } = self.order;
+        let Order {
+            left,
+            rows: Range { start: before, .. },
+            right,
+            first_column,
+            extent,
+            factor,
+        } = self.order;
         let rows = first..first + R * S::F64_LANES;
         let (mut first_run, mut first_value, mut first_of_group) = (0, 0, 0);
         for &(run_end, value_end) in &right.ends {
-            let (runs, values) = (&right.runs[first_run..run_end], &right.values[first_value..value_end]);
+            let (runs, values) = (
+                &right.runs[first_run..run_end],
+                &right.values[first_value..value_end],
+            );
             let columns = first_of_group..(first_of_group + COLUMNS).min(right.columns);
             (first_run, first_value, first_of_group) = (run_end, value_end, columns.end);
             let target = columns.start + first_column..columns.end + first_column;
             match extent {
                 Extent::Before(end) if target.start >= end => return,
-                Extent::Band(half) if rows.end + half <= target.start || target.end + half <= rows.start => {
+                Extent::Band(half)
+                    if rows.end + half <= target.start || target.end + half <= rows.start =>
+                {
                     self.place.keep_mut().clear(&rows, target);
                     continue;
                 }
                 _ => {}
             }
-            let mut sums =
-                left.add_to::<S, R>(simd, first, runs, values, self.place.sums::<S, R>(simd, first, &columns));
+            let mut sums = left.add_to::<S, R>(
+                simd,
+                first,
+                runs,
+                values,
+                self.place.sums::<S, R>(simd, first, &columns),
+            );
             if factor != 1.0 {
                 let factor = simd.splat_f64s(factor);
                 for sums in &mut sums {
@@ -510,7 +704,9 @@ impl<P: Place> Strips<'_, P> {
                     }
                 }
             }
-            self.place.keep_mut().keep(before, rows.clone(), target, &sums);
+            self.place
+                .keep_mut()
+                .keep(before, rows.clone(), target, &sums);
         }
     }
 }
@@ -529,7 +725,14 @@ impl Left<'_> {
         for run in runs {
             let (of_run, rest) = values.split_at(run.len());
             values = rest;
-            let (Piece { entries, stride, first_row }, start) = match run.start.checked_sub(self.second_from) {
+            let (
+                Piece {
+                    entries,
+                    stride,
+                    first_row,
+                },
+                start,
+            ) = match run.start.checked_sub(self.second_from) {
                 Some(start) => (self.second, start),
                 None => (self.first, run.start),
             };

@@ -81,7 +81,11 @@ impl Transition {
 
     /// Returns the number of terms by which a row of the covariance moves.
     pub(crate) fn term_count(&self) -> usize {
-        if self.through_accelerations { self.accelerations.term_count() } else { self.blocks.term_count() }
+        if self.through_accelerations {
+            self.accelerations.term_count()
+        } else {
+            self.blocks.term_count()
+        }
     }
 
     /// Discretises a step of `step_s` (s); replaces `[g, B_y]` in `inputs` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`.
@@ -105,19 +109,28 @@ impl Transition {
         let damping = [-form.alpha_per_s * h, form.beta_s / h];
         let polynomials = Polynomials::new(damping, rate_bound * h, form.stiffness_bound * h * h);
         let slope = ramp.map(|ramp| &ramp[free..2 * free]);
-        self.through_accelerations = doublings == 0 && Accelerations::are_shorter(form, &polynomials);
+        self.through_accelerations =
+            doublings == 0 && Accelerations::are_shorter(form, &polynomials);
         if self.through_accelerations {
             self.accelerations.set(form, h, &polynomials);
-            self.accelerations.integrate_inputs(damping, &polynomials, inputs, slope);
+            self.accelerations
+                .integrate_inputs(damping, &polynomials, inputs, slope);
         } else {
-            self.blocks.discretise(form, (h, doublings), damping, &polynomials, inputs, slope);
+            self.blocks
+                .discretise(form, (h, doublings), damping, &polynomials, inputs, slope);
         }
     }
 
     /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, without process noise, equation (2.61); both triangles get the same bits.
-    pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
+    pub(crate) fn propagate_covariance_to(
+        &mut self,
+        covariance: &DMatrix<f64>,
+        fading: f64,
+        out: &mut DMatrix<f64>,
+    ) {
         if self.through_accelerations {
-            self.accelerations.propagate_covariance_to(covariance, fading, out);
+            self.accelerations
+                .propagate_covariance_to(covariance, fading, out);
         } else {
             self.blocks.propagate_covariance_to(covariance, fading, out);
         }
@@ -139,7 +152,12 @@ fn near(columns: &Range<usize>, half_bandwidth: usize, n: usize) -> Range<usize>
 }
 
 /// Adds runs, from row `first` on, of the parameters that reach one of `rows`.
-fn extend_by_reached(runs: &mut Vec<Range<usize>>, first: usize, reach: &[Range<usize>], rows: &Range<usize>) {
+fn extend_by_reached(
+    runs: &mut Vec<Range<usize>>,
+    first: usize,
+    reach: &[Range<usize>],
+    rows: &Range<usize>,
+) {
     let mut last = 0..0;
     for (parameter, reach) in reach.iter().enumerate() {
         if reach.start < rows.end && reach.end > rows.start && !reach.is_empty() {

@@ -27,9 +27,17 @@ impl Congruence {
     pub(crate) fn new(a: &DMatrix<f64>) -> Self {
         let n = a.nrows();
         debug_assert!(n <= MOST_ROWS);
-        let entry = |row: usize, column: usize| if row < n && column < n { a[(row, column)] } else { 0.0 };
+        let entry = |row: usize, column: usize| {
+            if row < n && column < n {
+                a[(row, column)]
+            } else {
+                0.0
+            }
+        };
         let columns = |entry: &dyn Fn(usize, usize) -> f64| -> Box<Columns> {
-            Box::new(std::array::from_fn(|column| std::array::from_fn(|row| entry(row, column))))
+            Box::new(std::array::from_fn(|column| {
+                std::array::from_fn(|row| entry(row, column))
+            }))
         };
         Self {
             columns: columns(&entry),
@@ -41,12 +49,28 @@ impl Congruence {
 
     /// Writes `A y` (n) into `out`.
     pub(crate) fn mul_to(&self, arch: Arch, y: &[f64], out: &mut [f64]) {
-        arch.dispatch(Multiply { columns: &self.columns[..], y, out });
+        arch.dispatch(Multiply {
+            columns: &self.columns[..],
+            y,
+            out,
+        });
     }
 
     /// Writes `factor · A X Aᵀ` into `out` (n × n); both triangles get the same bits.
-    pub(crate) fn apply_to(&mut self, arch: Arch, factor: f64, x: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        arch.dispatch(Apply { congruence: self, factor, x: x.as_slice(), out: out.as_mut_slice(), n: x.nrows() });
+    pub(crate) fn apply_to(
+        &mut self,
+        arch: Arch,
+        factor: f64,
+        x: &DMatrix<f64>,
+        out: &mut DMatrix<f64>,
+    ) {
+        arch.dispatch(Apply {
+            congruence: self,
+            factor,
+            x: x.as_slice(),
+            out: out.as_mut_slice(),
+            n: x.nrows(),
+        });
     }
 }
 
@@ -64,7 +88,10 @@ impl WithSimd for Multiply<'_> {
         let mut sums = [0.0; MOST_ROWS];
         let (of_sums, _) = S::as_mut_simd_f64s(sums.as_mut_slice());
         for (column, weight) in self.columns.iter().zip(self.y) {
-            let (column, weight) = (S::as_simd_f64s(column.as_slice()).0, simd.splat_f64s(*weight));
+            let (column, weight) = (
+                S::as_simd_f64s(column.as_slice()).0,
+                simd.splat_f64s(*weight),
+            );
             for (sum, entry) in of_sums.iter_mut().zip(column) {
                 *sum = simd.mul_add_e_f64s(*entry, weight, *sum);
             }
@@ -105,7 +132,19 @@ impl Apply<'_> {
     /// With `R` registers for a column, and `C` columns at a time.
     #[inline(always)]
     fn run<S: Simd, const R: usize, const C: usize>(self, simd: S) {
-        let Self { congruence: Congruence { columns, rows, half_way, result }, factor, x, out, n } = self;
+        let Self {
+            congruence:
+                Congruence {
+                    columns,
+                    rows,
+                    half_way,
+                    result,
+                },
+            factor,
+            x,
+            out,
+            n,
+        } = self;
         let n = n.min(MOST_ROWS); // which it is: no entry below needs to be looked for beyond its column
         // column j of A X is made of those of A, by the entries of column j of X
         for first in (0..n).step_by(C) {
@@ -170,14 +209,26 @@ pub(crate) fn subtract_outer_mut(arch: Arch, p: &mut DMatrix<f64>, v: &DMatrix<f
     let n = p.nrows();
     // the same for both triangles, because factors commute
     let weight = |column: usize, k: usize| -v.as_slice()[k * n + column];
-    arch.dispatch(Combine { adds: true, left: v.as_slice(), weight, out: p.as_mut_slice(), n });
+    arch.dispatch(Combine {
+        adds: true,
+        left: v.as_slice(),
+        weight,
+        out: p.as_mut_slice(),
+        n,
+    });
 }
 
 /// Writes `P X` with `P` (n × n) and `X` (n × c) into `out`.
 pub(crate) fn multiply_to(arch: Arch, p: &DMatrix<f64>, x: &DMatrix<f64>, out: &mut DMatrix<f64>) {
     let n = p.nrows();
     let weight = |column: usize, k: usize| x.as_slice()[column * n + k];
-    arch.dispatch(Combine { adds: false, left: p.as_slice(), weight, out: out.as_mut_slice(), n });
+    arch.dispatch(Combine {
+        adds: false,
+        left: p.as_slice(),
+        weight,
+        out: out.as_mut_slice(),
+        n,
+    });
 }
 
 /// Makes each column of `out` of all of `left`, by their weights.
@@ -210,7 +261,13 @@ impl<W: Fn(usize, usize) -> f64> Combine<'_, W> {
     /// With up to `R` registers for a column, the last one moved up until it is full: what is made twice has the same bits.
     #[inline(always)]
     fn run<S: Simd, const R: usize>(self, simd: S) {
-        let Self { adds, left, weight, out, n } = self;
+        let Self {
+            adds,
+            left,
+            weight,
+            out,
+            n,
+        } = self;
         let lanes = S::F64_LANES;
         let registers = n.div_ceil(lanes);
         for (column, out) in out.chunks_exact_mut(n).enumerate() {
@@ -225,7 +282,11 @@ impl<W: Fn(usize, usize) -> f64> Combine<'_, W> {
                 let weight = simd.splat_f64s(weight(column, k));
                 for (register, sum) in sums.iter_mut().enumerate().take(registers) {
                     let first = (register * lanes).min(n - lanes);
-                    *sum = simd.mul_add_e_f64s(S::as_simd_f64s(&left[first..first + lanes]).0[0], weight, *sum);
+                    *sum = simd.mul_add_e_f64s(
+                        S::as_simd_f64s(&left[first..first + lanes]).0[0],
+                        weight,
+                        *sum,
+                    );
                 }
             }
             for (register, sum) in sums.iter().enumerate().take(registers) {
@@ -247,7 +308,9 @@ mod tests {
 
     #[test]
     fn congruence_is_that_of_nalgebra_and_symmetric_to_the_bit() {
-        for (n, arch) in (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
+        for (n, arch) in
+            (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
+        {
             let (a, root) = (matrix(n, n), matrix(n, n));
             let mut x = &root * root.transpose();
             x.fill_upper_triangle_with_lower_triangle();
@@ -264,7 +327,9 @@ mod tests {
 
     #[test]
     fn outer_products_are_subtracted_alike_from_both_triangles() {
-        for (n, arch) in (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
+        for (n, arch) in
+            (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
+        {
             let columns = 1 + n % 3;
             let (v, root) = (matrix(n, columns), matrix(n, n));
             let mut p = &root * root.transpose();

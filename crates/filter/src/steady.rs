@@ -40,16 +40,22 @@ pub fn stationary_gain(model: &LinearModel) -> Result<StationaryGain, FilterErro
     let factor = Cholesky::new(sensors.clone()).ok_or(FilterError::NoStationaryFilter)?;
     let information = h.transpose() * factor.solve(h); // Hᵀ Σ_n⁻¹ H
     let process_noise = b * &model.excitation_covariance * b.transpose();
-    let predicted =
-        riccati_by_doubling(a.transpose(), information, process_noise).ok_or(FilterError::NoStationaryFilter)?;
+    let predicted = riccati_by_doubling(a.transpose(), information, process_noise)
+        .ok_or(FilterError::NoStationaryFilter)?;
     let h_p = h * &predicted;
     let mut innovation_covariance = &h_p * h.transpose() + sensors;
     symmetrise_mut(&mut innovation_covariance);
-    let factor = Cholesky::new(innovation_covariance.clone()).ok_or(FilterError::NoStationaryFilter)?;
+    let factor =
+        Cholesky::new(innovation_covariance.clone()).ok_or(FilterError::NoStationaryFilter)?;
     let gain = factor.solve(&h_p).transpose();
     let mut filtered = &predicted - &gain * &h_p;
     symmetrise_mut(&mut filtered);
-    Ok(StationaryGain { gain, predicted, filtered, innovation_covariance })
+    Ok(StationaryGain {
+        gain,
+        predicted,
+        filtered,
+        innovation_covariance,
+    })
 }
 
 /// Returns the covariance of the error of the filtered state (n × n) of any stable filter with a constant gain `G` (n × N_0).
@@ -59,25 +65,39 @@ pub fn stationary_gain(model: &LinearModel) -> Result<StationaryGain, FilterErro
 ///
 /// # Errors
 /// When a size does not fit or the filter is not stable.
-pub fn stationary_error_covariance(model: &LinearModel, gain: &DMatrix<f64>) -> Result<DMatrix<f64>, FilterError> {
+pub fn stationary_error_covariance(
+    model: &LinearModel,
+    gain: &DMatrix<f64>,
+) -> Result<DMatrix<f64>, FilterError> {
     model.check()?;
     let (n, channels) = (model.transition.nrows(), model.observation.nrows());
-    for (what, found, expected) in
-        [("rows of the gain", gain.nrows(), n), ("columns of the gain", gain.ncols(), channels)]
-    {
+    for (what, found, expected) in [
+        ("rows of the gain", gain.nrows(), n),
+        ("columns of the gain", gain.ncols(), channels),
+    ] {
         if found != expected {
-            return Err(FilterError::Dimension { what, found, expected });
+            return Err(FilterError::Dimension {
+                what,
+                found,
+                expected,
+            });
         }
     }
     let correction = DMatrix::identity(n, n) - gain * &model.observation; // I − G H
     let b = &correction * &model.input;
-    let noise = &b * &model.excitation_covariance * b.transpose() + gain * &model.sensor_covariance * gain.transpose();
-    lyapunov_by_doubling(correction * &model.transition, noise).ok_or(FilterError::NoStationaryFilter)
+    let noise = &b * &model.excitation_covariance * b.transpose()
+        + gain * &model.sensor_covariance * gain.transpose();
+    lyapunov_by_doubling(correction * &model.transition, noise)
+        .ok_or(FilterError::NoStationaryFilter)
 }
 
 /// Solves `X = Aᵀ X (I + G X)⁻¹ A + Q` for symmetric `G`, `Q` (all n × n); `None` if the doubling does not settle.
 #[must_use]
-pub fn riccati_by_doubling(mut a: DMatrix<f64>, mut g: DMatrix<f64>, mut q: DMatrix<f64>) -> Option<DMatrix<f64>> {
+pub fn riccati_by_doubling(
+    mut a: DMatrix<f64>,
+    mut g: DMatrix<f64>,
+    mut q: DMatrix<f64>,
+) -> Option<DMatrix<f64>> {
     let n = a.nrows();
     for _ in 0..LARGEST_DOUBLINGS {
         let factor = (DMatrix::identity(n, n) + &g * &q).lu();
@@ -129,7 +149,9 @@ mod tests {
     fn model(excitation: f64, sensors: f64) -> LinearModel {
         let mut system = DMatrix::zeros(4, 4);
         system.view_mut((0, 2), (2, 2)).fill_with_identity();
-        system.view_mut((2, 0), (2, 4)).copy_from_slice(&[-8.0, 4.0, 4.0, -4.0, -0.2, 0.1, 0.1, -0.1]);
+        system
+            .view_mut((2, 0), (2, 4))
+            .copy_from_slice(&[-8.0, 4.0, 4.0, -4.0, -0.2, 0.1, 0.1, -0.1]);
         let input = DMatrix::from_column_slice(4, 1, &[0.0, 0.0, 0.0, 1.0]);
         let (transition, input) = LinearModel::discretise(&system, &input, 0.05);
         LinearModel {
@@ -153,7 +175,8 @@ mod tests {
     fn stationary_filter_is_what_a_long_recursion_ends_in() {
         let model = model(2.0, 1e-3);
         let found = stationary_gain(&model).unwrap();
-        let mut filter = KalmanFilter::new(model.clone(), DVector::zeros(4), DMatrix::identity(4, 4)).unwrap();
+        let mut filter =
+            KalmanFilter::new(model.clone(), DVector::zeros(4), DMatrix::identity(4, 4)).unwrap();
         for _ in 0..3000 {
             filter.predict(&[0.0]);
             filter.update(&[0.0, 0.0]).unwrap();
@@ -178,12 +201,15 @@ mod tests {
         for _ in 0..3000 {
             let predicted = &truth.transition * &error * truth.transition.transpose()
                 + &truth.input * &truth.excitation_covariance * truth.input.transpose();
-            error =
-                &correction * predicted * correction.transpose() + &gain * &truth.sensor_covariance * gain.transpose();
+            error = &correction * predicted * correction.transpose()
+                + &gain * &truth.sensor_covariance * gain.transpose();
         }
         assert!((&error - &found).amax() < 1e-11 * found.amax());
         let best = stationary_gain(&truth).unwrap().filtered;
-        assert!(found.trace() > 1.05 * best.trace(), "a wrong gain costs something");
+        assert!(
+            found.trace() > 1.05 * best.trace(),
+            "a wrong gain costs something"
+        );
     }
 
     #[test]
@@ -191,7 +217,10 @@ mod tests {
         let mut growing = model(1.0, 1.0);
         growing.transition *= 2.0;
         let no_gain = DMatrix::zeros(4, 2);
-        assert_eq!(stationary_error_covariance(&growing, &no_gain), Err(FilterError::NoStationaryFilter));
+        assert_eq!(
+            stationary_error_covariance(&growing, &no_gain),
+            Err(FilterError::NoStationaryFilter)
+        );
         assert!(stationary_error_covariance(&growing, &DMatrix::zeros(3, 2)).is_err());
     }
 }

@@ -5,8 +5,8 @@
 //! itself is never formed, and both triangles get the same bits. `P Hᵀ` and `Vᵀ` are kept, whose columns are long.
 
 use crate::dense::{
-    cholesky_mut, diagonal_to, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut,
-    subtract_gram_mut,
+    cholesky_mut, diagonal_to, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut,
+    solve_lower_transposed_mut, subtract_gram_mut,
 };
 use crate::error::FilterError;
 use crate::model::ObservationModel;
@@ -121,7 +121,8 @@ pub(crate) fn factorise(work: &mut Workspace, used: usize) -> Result<Evidence, F
             work.innovation_covariance[(j, j)] += jitter;
         }
         work.factor.copy_from(&work.innovation_covariance);
-        cholesky_mut(&mut work.factor).map_err(|pivot| FilterError::InnovationCovariance { pivot })?;
+        cholesky_mut(&mut work.factor)
+            .map_err(|pivot| FilterError::InnovationCovariance { pivot })?;
     }
     for j in 0..channels {
         let innovation = work.innovation[j];
@@ -130,8 +131,13 @@ pub(crate) fn factorise(work: &mut Workspace, used: usize) -> Result<Evidence, F
     solve_lower_mut(&work.factor, work.whitened.as_mut_slice());
     let normalised_innovation_squared = work.whitened.norm_squared();
     let log_evidence = -0.5
-        * (used as f64 * std::f64::consts::TAU.ln() + ln_determinant(&work.factor) + normalised_innovation_squared);
-    Ok(Evidence { normalised_innovation_squared, log_evidence })
+        * (used as f64 * std::f64::consts::TAU.ln()
+            + ln_determinant(&work.factor)
+            + normalised_innovation_squared);
+    Ok(Evidence {
+        normalised_innovation_squared,
+        log_evidence,
+    })
 }
 
 /// What the unknown excitation of a step adds to the predicted covariance, `λ B Σ_f Bᵀ`, in its factors.
@@ -156,7 +162,14 @@ pub(crate) fn correct(
     sensors: &DMatrix<f64>,
     work: &mut Workspace,
 ) {
-    let Workspace { factor, whitened, right, multiplier, variances, .. } = work;
+    let Workspace {
+        factor,
+        whitened,
+        right,
+        multiplier,
+        variances,
+        ..
+    } = work;
     solve_lower_of_rows_mut(multiplier.arch(), factor, p_ht.as_mut_slice()); // Vᵀ = P Hᵀ L⁻ᵀ
     mean.gemv(1.0, p_ht, whitened, 1.0); // y ← y + Vᵀ ν̃                            (2.68)
     if covariance.nrows() <= small::MOST_ROWS && spread.is_none() {
@@ -165,7 +178,12 @@ pub(crate) fn correct(
     } else {
         subtract_by_strips(covariance, spread, p_ht, right, *multiplier, variances);
     }
-    let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
+    let Some(JosephWorkspace {
+        gain_transposed,
+        h_x,
+        noise_gain,
+    }) = &mut work.joseph
+    else {
         return;
     };
     gain_transposed.tr_copy_from(p_ht);
@@ -198,7 +216,11 @@ fn subtract_by_strips(
     let (n, channels) = p_ht.shape();
     let inputs = spread.map_or(0, |spread| spread.input.ncols());
     let of_group = |_: Range<usize>, runs: &mut Vec<Range<usize>>| {
-        runs.extend([0..channels, channels..channels + inputs].into_iter().filter(|run| !run.is_empty()));
+        runs.extend(
+            [0..channels, channels..channels + inputs]
+                .into_iter()
+                .filter(|run| !run.is_empty()),
+        );
     };
     right.pack_with(n, of_group, |columns, run, values| {
         let (sign, entries) = match spread {
@@ -212,7 +234,11 @@ fn subtract_by_strips(
         }
     });
     let v_transposed = Piece::new(p_ht);
-    let left = Left::joined(v_transposed, channels, spread.map_or(v_transposed, |spread| Piece::new(spread.scaled)));
+    let left = Left::joined(
+        v_transposed,
+        channels,
+        spread.map_or(v_transposed, |spread| Piece::new(spread.scaled)),
+    );
     multiplier.add_symmetric_mut(left, right, covariance, variances.as_mut_slice());
 }
 
@@ -228,7 +254,12 @@ pub(crate) fn infer_excitation(
     work: &Workspace,
     posterior: &mut ExcitationPosterior,
 ) {
-    let ExcitationPosterior { mean, covariance, cross, whitened_gain } = posterior;
+    let ExcitationPosterior {
+        mean,
+        covariance,
+        cross,
+        whitened_gain,
+    } = posterior;
     // R = L⁻¹ D Σ_f, with the rows of missing channels zero
     whitened_gain.fill(0.0);
     for b in 0..excitation.ncols() {

@@ -1,14 +1,20 @@
 //! A step allocates nothing, in any phase and with any stage switched on.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, BandLimit, CovarianceForm, DirectTerm, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame,
-    InputHold, ModalModel, NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
-    ObservationModel, OutlierSettings, ProcessModel, StateSpace,
+    Annealing, BandLimit, CovarianceForm, DirectTerm, ExtendedKalmanFilter, FadingFactor,
+    FilterSettings, Frame, InputHold, ModalModel, NoiseModel, NoiseParameter, NoisePhase,
+    NoiseRule, NoiseSettings, NoiseTarget, ObservationModel, OutlierSettings, ProcessModel,
+    StateSpace,
 };
 use systems::{Chain, Normal};
 
@@ -35,19 +41,31 @@ fn filter(rule: NoiseRule, form: CovarianceForm) -> ExtendedKalmanFilter<Chain> 
     }
     let mut settings = FilterSettings::new(0.0025, mean, std, noise);
     settings.fading = FadingFactor::from_half_life(1000.0).unwrap();
-    settings.annealing = Some(Annealing { amount: 10.0, time_constant_s: 0.1 });
+    settings.annealing = Some(Annealing {
+        amount: 10.0,
+        time_constant_s: 0.1,
+    });
     settings.input_hold = InputHold::First;
     settings.covariance_form = form;
     settings.outliers = Some(OutlierSettings::for_period(30.0));
     settings.variance_bound = DVector::repeat(n, 1.0);
-    settings.noise_settings =
-        NoiseSettings { rule, training_steps: 200, training_limit_steps: 400, ..NoiseSettings::default() };
+    settings.noise_settings = NoiseSettings {
+        rule,
+        training_steps: 200,
+        training_limit_steps: 400,
+        ..NoiseSettings::default()
+    };
     ExtendedKalmanFilter::new(Chain::new(MASSES, 5000.0), settings).unwrap()
 }
 
 #[test]
 fn step_allocates_nothing() {
-    for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher, NoiseRule::HalfOrDouble] {
+    for rule in [
+        NoiseRule::Fixed,
+        NoiseRule::Published,
+        NoiseRule::Fisher,
+        NoiseRule::HalfOrDouble,
+    ] {
         for form in [CovarianceForm::Symmetric, CovarianceForm::Joseph] {
             let mut filter = filter(rule, form);
             let mut normal = Normal::seeded(3);
@@ -62,13 +80,24 @@ fn step_allocates_nothing() {
                         datum[2] = f64::NAN; // a channel that drops out now and then
                     }
                     let excitation = [if k % 11 == 0 { f64::NAN } else { 0.1 }];
-                    let step = filter.step(Frame { observations: &datum, excitation: &excitation }).unwrap();
+                    let step = filter
+                        .step(Frame {
+                            observations: &datum,
+                            excitation: &excitation,
+                        })
+                        .unwrap();
                     phases[usize::from(step.noise_phase == NoisePhase::Working)] += 1;
                 }
             });
             assert_eq!(counted.count_total, 0, "{rule:?}, {form:?}");
-            assert!(phases[1] > 0, "{rule:?}: the working phase was never reached");
-            assert!(rule == NoiseRule::Fixed || phases[0] > 0, "{rule:?}: the training phase was never seen");
+            assert!(
+                phases[1] > 0,
+                "{rule:?}: the working phase was never reached"
+            );
+            assert!(
+                rule == NoiseRule::Fixed || phases[0] > 0,
+                "{rule:?}: the training phase was never seen"
+            );
         }
     }
 }
@@ -83,11 +112,21 @@ fn linear_step_allocates_nothing<M: ProcessModel + ObservationModel>(model: M) {
         start,
         start_std: start / 3.0,
     };
-    let mut noise = NoiseModel::known(DMatrix::zeros(MASSES, MASSES), DMatrix::zeros(MASSES, MASSES));
-    noise.parameters = vec![parameter(NoiseTarget::Excitation, 10.0), parameter(NoiseTarget::Sensors, 10.0)];
-    let mut settings = FilterSettings::new(0.0025, DVector::zeros(n), DVector::repeat(n, 1e-2), noise);
-    settings.noise_settings =
-        NoiseSettings { rule: NoiseRule::HalfOrDouble, training_steps: 50, ..NoiseSettings::default() };
+    let mut noise = NoiseModel::known(
+        DMatrix::zeros(MASSES, MASSES),
+        DMatrix::zeros(MASSES, MASSES),
+    );
+    noise.parameters = vec![
+        parameter(NoiseTarget::Excitation, 10.0),
+        parameter(NoiseTarget::Sensors, 10.0),
+    ];
+    let mut settings =
+        FilterSettings::new(0.0025, DVector::zeros(n), DVector::repeat(n, 1e-2), noise);
+    settings.noise_settings = NoiseSettings {
+        rule: NoiseRule::HalfOrDouble,
+        training_steps: 50,
+        ..NoiseSettings::default()
+    };
     settings.input_hold = InputHold::First;
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
     let mut normal = Normal::seeded(3);
@@ -103,7 +142,12 @@ fn linear_step_allocates_nothing<M: ProcessModel + ObservationModel>(model: M) {
                 datum.fill(f64::NAN);
             }
             force[1] = if k % 11 == 0 { f64::NAN } else { 0.1 };
-            let step = filter.step(Frame { observations: &datum, excitation: &force }).unwrap();
+            let step = filter
+                .step(Frame {
+                    observations: &datum,
+                    excitation: &force,
+                })
+                .unwrap();
             phases[usize::from(step.noise_phase == NoisePhase::Working)] += 1;
         }
     });
@@ -118,10 +162,17 @@ fn step_of_a_linear_model_allocates_nothing() {
     let damping = &mass * 0.3 + &stiffness * 2.5e-4;
     let mut observation = DMatrix::zeros(MASSES, 2 * MASSES);
     observation.columns_mut(0, MASSES).copy_from(&-&stiffness);
-    observation.columns_mut(MASSES, MASSES).copy_from(&-&damping);
-    for direct in [DirectTerm::None, DirectTerm::Known(mass.clone()), DirectTerm::Whole(mass.clone())] {
+    observation
+        .columns_mut(MASSES, MASSES)
+        .copy_from(&-&damping);
+    for direct in [
+        DirectTerm::None,
+        DirectTerm::Known(mass.clone()),
+        DirectTerm::Whole(mass.clone()),
+    ] {
         let of = [&mass, &damping, &stiffness];
-        let physical = StateSpace::second_order(of, &mass, observation.clone(), direct.clone()).unwrap();
+        let physical =
+            StateSpace::second_order(of, &mass, observation.clone(), direct.clone()).unwrap();
         linear_step_allocates_nothing(physical);
         linear_step_allocates_nothing(ModalModel::new(of, &mass, &observation, direct).unwrap());
     }

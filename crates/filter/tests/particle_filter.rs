@@ -1,13 +1,19 @@
 //! The particle filter of systems that Kalman filters know, its checkpoints, its threads and its memory.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    ExcitedSystem, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, GaussianStart, ImportanceDensity,
-    InputHold, NoiseModel, ObservationModel, ParticleFilter, ParticleSettings, ProcessModel, WarmStartedParticleFilter,
+    ExcitedSystem, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, GaussianStart,
+    ImportanceDensity, InputHold, NoiseModel, ObservationModel, ParticleFilter, ParticleSettings,
+    ProcessModel, WarmStartedParticleFilter,
 };
 use systems::{Normal, Oscillator, hysteretic, rms};
 
@@ -27,7 +33,12 @@ struct Felt {
 impl Felt {
     fn new() -> Self {
         let direct = DMatrix::from_row_slice(2, 1, &[0.0, 1.0]);
-        Self { process: [0.0; 2], observed: [0.0; 2], force: [0.0; 2], direct }
+        Self {
+            process: [0.0; 2],
+            observed: [0.0; 2],
+            force: [0.0; 2],
+            direct,
+        }
     }
 }
 
@@ -109,20 +120,27 @@ fn simulate(seed: u64, steps: usize) -> Motion {
                 let h = STEP_S / f64::from(substeps);
                 for _ in 0..substeps {
                     // midpoint rule
-                    let slope = |[x, v]: [f64; 2]| [v, known[k - 1] + unknown[k - 1] - restoring(x, v)];
+                    let slope =
+                        |[x, v]: [f64; 2]| [v, known[k - 1] + unknown[k - 1] - restoring(x, v)];
                     let first = slope(state);
-                    let second = slope([state[0] + 0.5 * h * first[0], state[1] + 0.5 * h * first[1]]);
+                    let second =
+                        slope([state[0] + 0.5 * h * first[0], state[1] + 0.5 * h * first[1]]);
                     state = [state[0] + h * second[0], state[1] + h * second[1]];
                 }
             }
             state
         })
         .collect();
-    Motion { known, unknown, states }
+    Motion {
+        known,
+        unknown,
+        states,
+    }
 }
 
 fn noises(sensor_std: [f64; 2]) -> NoiseModel {
-    let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(&sensor_std.map(|std| std * std)));
+    let sensors =
+        DMatrix::from_diagonal(&DVector::from_row_slice(&sensor_std.map(|std| std * std)));
     NoiseModel::known(DMatrix::identity(1, 1), sensors)
 }
 
@@ -149,13 +167,25 @@ fn compare<M: ProcessModel + ObservationModel + Clone + Send>(
     let (mut errors, mut ratios, mut log_evidence) = (Vec::new(), Vec::new(), 0.0);
     let mut misfits = [0.0; 2];
     for (observations, excitation) in frames {
-        let frame = Frame { observations, excitation };
-        let (of_kalman, of_particles) = (kalman.step(frame).unwrap(), particles.step(frame).unwrap());
+        let frame = Frame {
+            observations,
+            excitation,
+        };
+        let (of_kalman, of_particles) =
+            (kalman.step(frame).unwrap(), particles.step(frame).unwrap());
         log_evidence += of_particles.log_evidence - of_kalman.log_evidence;
         misfits[0] += of_particles.normalised_innovation_squared;
         misfits[1] += of_kalman.normalised_innovation_squared;
-        let missing = |innovation: &[f64]| innovation.iter().map(|value| value.is_nan()).collect::<Vec<_>>();
-        assert_eq!(missing(particles.innovation()), missing(kalman.innovation().as_slice()));
+        let missing = |innovation: &[f64]| {
+            innovation
+                .iter()
+                .map(|value| value.is_nan())
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(
+            missing(particles.innovation()),
+            missing(kalman.innovation().as_slice())
+        );
         for j in 0..2 {
             let deviation = kalman.covariance()[(j, j)].sqrt();
             errors.push((particles.mean()[j] - kalman.mean()[j]) / deviation);
@@ -163,7 +193,12 @@ fn compare<M: ProcessModel + ObservationModel + Clone + Send>(
         }
     }
     let ratio = ratios.iter().sum::<f64>() / ratios.len() as f64;
-    Comparison { mean: rms(errors.into_iter()), ratio, log_evidence, misfit: misfits[0] / misfits[1] }
+    Comparison {
+        mean: rms(errors.into_iter()),
+        ratio,
+        log_evidence,
+        misfit: misfits[0] / misfits[1],
+    }
 }
 
 fn with_gaps(mut frames: Vec<([f64; 2], [f64; 1])>) -> Vec<([f64; 2], [f64; 1])> {
@@ -190,24 +225,56 @@ fn known_linear_system_gives_the_extended_kalman_filter() {
         let frames: Vec<_> = (0..200)
             .map(|k| {
                 let state = motion.states[k];
-                ([0, 1].map(|j| state[j] + sensor_std[j] * normal.draw()), [motion.known[k]])
+                (
+                    [0, 1].map(|j| state[j] + sensor_std[j] * normal.draw()),
+                    [motion.known[k]],
+                )
             })
             .collect();
         let prior = DVector::from_row_slice(&[0.0, 0.0, FREQUENCY, DAMPING]);
         let std = DVector::from_row_slice(&[0.2, 0.6, 0.0, 0.0]);
-        for (hold, frames) in [(InputHold::Zero, frames.clone()), (InputHold::First, with_gaps(frames))] {
-            let mut settings = FilterSettings::new(STEP_S, prior.clone(), std.clone(), noises(sensor_std));
+        for (hold, frames) in [
+            (InputHold::Zero, frames.clone()),
+            (InputHold::First, with_gaps(frames)),
+        ] {
+            let mut settings =
+                FilterSettings::new(STEP_S, prior.clone(), std.clone(), noises(sensor_std));
             settings.input_hold = hold;
             for density in [ImportanceDensity::Optimal, ImportanceDensity::Prior] {
-                let particle_settings = ParticleSettings { density, seed, ..ParticleSettings::default() };
-                let found = compare(Oscillator::default(), settings.clone(), particle_settings, &frames);
-                let Comparison { mean, ratio, log_evidence, misfit } = found;
-                println!("seed {seed}, {hold:?}, {density:?}: {mean:.3}, {ratio:.3}, {log_evidence:.2}");
+                let particle_settings = ParticleSettings {
+                    density,
+                    seed,
+                    ..ParticleSettings::default()
+                };
+                let found = compare(
+                    Oscillator::default(),
+                    settings.clone(),
+                    particle_settings,
+                    &frames,
+                );
+                let Comparison {
+                    mean,
+                    ratio,
+                    log_evidence,
+                    misfit,
+                } = found;
+                println!(
+                    "seed {seed}, {hold:?}, {density:?}: {mean:.3}, {ratio:.3}, {log_evidence:.2}"
+                );
                 assert!(mean <= 0.12, "seed {seed}, {hold:?}, {density:?}: {mean}");
-                assert!((0.97..1.03).contains(&ratio), "seed {seed}, {hold:?}, {density:?}: {ratio}");
-                assert!(log_evidence.abs() <= 1.0, "seed {seed}, {hold:?}, {density:?}: {log_evidence}");
+                assert!(
+                    (0.97..1.03).contains(&ratio),
+                    "seed {seed}, {hold:?}, {density:?}: {ratio}"
+                );
+                assert!(
+                    log_evidence.abs() <= 1.0,
+                    "seed {seed}, {hold:?}, {density:?}: {log_evidence}"
+                );
                 // the covariance of the predictions is that of a few hundred effective draws
-                assert!((misfit - 1.0).abs() <= 0.03, "seed {seed}, {hold:?}, {density:?}: {misfit}");
+                assert!(
+                    (misfit - 1.0).abs() <= 0.03,
+                    "seed {seed}, {hold:?}, {density:?}: {misfit}"
+                );
             }
         }
     }
@@ -229,20 +296,38 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
                 .map(|k| {
                     let [x, v] = motion.states[k];
                     let clean = [x, motion.known[k] + motion.unknown[k] - restoring(x, v)];
-                    ([0, 1].map(|j| clean[j] + sensor_std[j] * normal.draw()), [motion.known[k]])
+                    (
+                        [0, 1].map(|j| clean[j] + sensor_std[j] * normal.draw()),
+                        [motion.known[k]],
+                    )
                 })
                 .collect();
             for frames in [frames.clone(), with_gaps(frames)] {
                 let std = DVector::from_row_slice(&[0.2, 0.6]);
-                let settings = FilterSettings::new(STEP_S, DVector::zeros(2), std, noises(sensor_std));
-                let particle_settings = ParticleSettings { particles, density, seed, threads: 2, ..Default::default() };
+                let settings =
+                    FilterSettings::new(STEP_S, DVector::zeros(2), std, noises(sensor_std));
+                let particle_settings = ParticleSettings {
+                    particles,
+                    density,
+                    seed,
+                    threads: 2,
+                    ..Default::default()
+                };
                 let found = compare(Felt::new(), settings, particle_settings, &frames);
-                let Comparison { mean, ratio, log_evidence, misfit } = found;
+                let Comparison {
+                    mean,
+                    ratio,
+                    log_evidence,
+                    misfit,
+                } = found;
                 let name = format!("seed {seed}, {density:?}, {sensor_std:?}");
                 println!("{name}: {mean:.3}, {ratio:.3}, {log_evidence:.2}");
                 assert!(mean <= allowed, "{name}: {mean}");
                 assert!((0.97..1.03).contains(&ratio), "{name}: {ratio}");
-                assert!(log_evidence.abs() <= allowed_evidence, "{name}: {log_evidence}");
+                assert!(
+                    log_evidence.abs() <= allowed_evidence,
+                    "{name}: {log_evidence}"
+                );
                 assert!((misfit - 1.0).abs() <= 0.03, "{name}: {misfit}");
             }
         }
@@ -250,14 +335,31 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
 }
 
 /// An oscillator whose frequency the filter has to find, after a Kalman filter over the first 40 frames.
-fn warm_started(particles: usize, seed: u64, threads: usize) -> WarmStartedParticleFilter<Oscillator> {
+fn warm_started(
+    particles: usize,
+    seed: u64,
+    threads: usize,
+) -> WarmStartedParticleFilter<Oscillator> {
     let prior = DVector::from_row_slice(&[0.0, 0.0, 1.15 * FREQUENCY, 2.0 * DAMPING]);
     let std = DVector::from_row_slice(&[0.2, 0.6, 0.5, 0.05]);
     let mut settings = FilterSettings::new(STEP_S, prior, std, noises([0.02, 0.1]));
     settings.lower = DVector::from_row_slice(&[f64::NEG_INFINITY, f64::NEG_INFINITY, 0.1, 1e-3]);
-    let particle_settings = ParticleSettings { particles, seed, threads, kernel: 0.98, ..Default::default() };
+    let particle_settings = ParticleSettings {
+        particles,
+        seed,
+        threads,
+        kernel: 0.98,
+        ..Default::default()
+    };
     let drift = DVector::from_row_slice(&[0.003, 0.0005]);
-    WarmStartedParticleFilter::new(Oscillator::default(), settings, drift, particle_settings, 40).unwrap()
+    WarmStartedParticleFilter::new(
+        Oscillator::default(),
+        settings,
+        drift,
+        particle_settings,
+        40,
+    )
+    .unwrap()
 }
 
 fn oscillator_frames(seed: u64, steps: usize) -> Vec<([f64; 2], [f64; 1])> {
@@ -265,7 +367,13 @@ fn oscillator_frames(seed: u64, steps: usize) -> Vec<([f64; 2], [f64; 1])> {
     let mut normal = Normal::seeded(50 + seed);
     let frames = (0..steps).map(|k| {
         let state = motion.states[k];
-        ([state[0] + 0.02 * normal.draw(), state[1] + 0.1 * normal.draw()], [motion.known[k]])
+        (
+            [
+                state[0] + 0.02 * normal.draw(),
+                state[1] + 0.1 * normal.draw(),
+            ],
+            [motion.known[k]],
+        )
     });
     frames.collect()
 }
@@ -275,13 +383,31 @@ fn unknown_frequency_is_found_after_a_warm_start() {
     for seed in [1, 2, 3] {
         let mut filter = warm_started(2000, seed, 2);
         for (observations, excitation) in with_gaps(oscillator_frames(seed, 600)) {
-            filter.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+            filter
+                .step(Frame {
+                    observations: &observations,
+                    excitation: &excitation,
+                })
+                .unwrap();
         }
         let (mean, std) = (filter.mean()[2], filter.std(2).unwrap());
-        let (low, high) = filter.particles().unwrap().credible_interval(2, 0.95).unwrap();
-        println!("seed {seed}: ω {mean:.3} ± {std:.3} [{low:.3}, {high:.3}], ζ {:.3}", filter.mean()[3]);
-        assert!((mean - FREQUENCY).abs() < 3.0 * std && std < 0.2, "seed {seed}: {mean} ± {std}");
-        assert!(low < mean && mean < high && high - low < 5.0 * std, "seed {seed}: [{low}, {high}]");
+        let (low, high) = filter
+            .particles()
+            .unwrap()
+            .credible_interval(2, 0.95)
+            .unwrap();
+        println!(
+            "seed {seed}: ω {mean:.3} ± {std:.3} [{low:.3}, {high:.3}], ζ {:.3}",
+            filter.mean()[3]
+        );
+        assert!(
+            (mean - FREQUENCY).abs() < 3.0 * std && std < 0.2,
+            "seed {seed}: {mean} ± {std}"
+        );
+        assert!(
+            low < mean && mean < high && high - low < 5.0 * std,
+            "seed {seed}: [{low}, {high}]"
+        );
     }
 }
 
@@ -289,8 +415,17 @@ fn unknown_frequency_is_found_after_a_warm_start() {
 fn resumed_filter_gives_the_same_bits_with_any_number_of_threads() {
     let frames = with_gaps(oscillator_frames(2, 300));
     let run = |filter: &mut WarmStartedParticleFilter<Oscillator>, part: std::ops::Range<usize>| {
-        let steps = part.map(|k| filter.step(Frame { observations: &frames[k].0, excitation: &frames[k].1 }).unwrap());
-        steps.map(|step| step.log_evidence.to_bits()).collect::<Vec<_>>()
+        let steps = part.map(|k| {
+            filter
+                .step(Frame {
+                    observations: &frames[k].0,
+                    excitation: &frames[k].1,
+                })
+                .unwrap()
+        });
+        steps
+            .map(|step| step.log_evidence.to_bits())
+            .collect::<Vec<_>>()
     };
     let mut straight = warm_started(300, 2, 1);
     let expected = run(&mut straight, 0..300);
@@ -302,7 +437,9 @@ fn resumed_filter_gives_the_same_bits_with_any_number_of_threads() {
         if stop < 40 {
             second = warm_started(300, 2, 1);
         }
-        second.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+        second
+            .restore(postcard::from_bytes(&bytes).unwrap())
+            .unwrap();
         found.extend(run(&mut second, stop..300));
         assert_eq!(found, expected, "{threads} threads, stopped after {stop}");
         assert_eq!(second.mean(), straight.mean());
@@ -315,23 +452,50 @@ fn step_allocates_nothing() {
     for density in [ImportanceDensity::Optimal, ImportanceDensity::Prior] {
         let record = hysteretic::Record::simulate(1, 200);
         let (mean, covariance) = record.prior();
-        let start = GaussianStart { mean, covariance, previous_input: None };
-        let settings = ParticleSettings { particles: 200, density, kernel: 0.95, ..ParticleSettings::default() };
+        let start = GaussianStart {
+            mean,
+            covariance,
+            previous_input: None,
+        };
+        let settings = ParticleSettings {
+            particles: 200,
+            density,
+            kernel: 0.95,
+            ..ParticleSettings::default()
+        };
         let mut filter = ParticleFilter::new(record.model().unwrap(), settings, start).unwrap();
         let frames = with_gaps(oscillator_frames(1, 200));
         let mut excited = warm_started(300, 1, 1);
         for (observations, excitation) in &frames[..40] {
-            excited.step(Frame { observations, excitation }).unwrap();
+            excited
+                .step(Frame {
+                    observations,
+                    excitation,
+                })
+                .unwrap();
         }
         let mut resampled = 0;
         let counted = allocation_counter::measure(|| {
             for (datum, input) in record.data.iter().zip(&record.input) {
-                let step = filter.step(Frame { observations: &[*datum], excitation: &[*input] }).unwrap();
+                let step = filter
+                    .step(Frame {
+                        observations: &[*datum],
+                        excitation: &[*input],
+                    })
+                    .unwrap();
                 filter.credible_interval(3, 0.95).unwrap();
                 resampled += usize::from(step.resampled);
             }
             for (observations, excitation) in &frames[40..] {
-                resampled += usize::from(excited.step(Frame { observations, excitation }).unwrap().resampled);
+                resampled += usize::from(
+                    excited
+                        .step(Frame {
+                            observations,
+                            excitation,
+                        })
+                        .unwrap()
+                        .resampled,
+                );
             }
         });
         assert_eq!(counted.count_total, 0, "{density:?}");
@@ -343,18 +507,53 @@ fn step_allocates_nothing() {
 fn impossible_datum_is_an_error_and_a_restart_gives_the_first_bits_again() {
     let record = hysteretic::Record::simulate(3, 20);
     let (mean, covariance) = record.prior();
-    let start = GaussianStart { mean, covariance, previous_input: None };
-    let settings = ParticleSettings { particles: 100, ..ParticleSettings::default() };
+    let start = GaussianStart {
+        mean,
+        covariance,
+        previous_input: None,
+    };
+    let settings = ParticleSettings {
+        particles: 100,
+        ..ParticleSettings::default()
+    };
     let mut filter = ParticleFilter::new(record.model().unwrap(), settings, start).unwrap();
-    let frame = Frame { observations: &[record.data[0]], excitation: &[record.input[0]] };
+    let frame = Frame {
+        observations: &[record.data[0]],
+        excitation: &[record.input[0]],
+    };
     let first = filter.step(frame).unwrap();
-    let missing = filter.step(Frame { observations: &[f64::NAN], excitation: &[f64::NAN] }).unwrap();
+    let missing = filter
+        .step(Frame {
+            observations: &[f64::NAN],
+            excitation: &[f64::NAN],
+        })
+        .unwrap();
     assert_eq!(missing.used_channels, 0);
-    assert!(missing.log_evidence.abs() < 1e-12, "a frame without data says nothing: {}", missing.log_evidence);
-    let wrong = Frame { observations: &[1.0, 2.0], excitation: &[0.0] };
-    assert!(matches!(filter.step(wrong), Err(FilterError::Dimension { found: 2, expected: 1, .. })));
-    let impossible = Frame { observations: &[f64::INFINITY], excitation: &[0.0] };
-    assert!(matches!(filter.step(impossible), Err(FilterError::Depleted { particles: 100 })));
+    assert!(
+        missing.log_evidence.abs() < 1e-12,
+        "a frame without data says nothing: {}",
+        missing.log_evidence
+    );
+    let wrong = Frame {
+        observations: &[1.0, 2.0],
+        excitation: &[0.0],
+    };
+    assert!(matches!(
+        filter.step(wrong),
+        Err(FilterError::Dimension {
+            found: 2,
+            expected: 1,
+            ..
+        })
+    ));
+    let impossible = Frame {
+        observations: &[f64::INFINITY],
+        excitation: &[0.0],
+    };
+    assert!(matches!(
+        filter.step(impossible),
+        Err(FilterError::Depleted { particles: 100 })
+    ));
     filter.restart();
     assert_eq!(filter.step(frame).unwrap(), first);
 }

@@ -1,6 +1,11 @@
 //! Huang & Yuen (2023), §2.3.2: Kalman filter of a sixty-storey shear building, ground motion unknown.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
@@ -30,12 +35,20 @@ fn building() -> LinearModel {
     let stiffness = Chain::new(FLOORS, 1632.0).matrix();
     let damping = DMatrix::identity(FLOORS, FLOORS) * 0.0157 + &stiffness * 0.0048;
     let mut system = DMatrix::zeros(2 * FLOORS, 2 * FLOORS);
-    system.view_mut((0, FLOORS), (FLOORS, FLOORS)).fill_with_identity();
-    system.view_mut((FLOORS, 0), (FLOORS, FLOORS)).copy_from(&-&stiffness);
-    system.view_mut((FLOORS, FLOORS), (FLOORS, FLOORS)).copy_from(&-&damping);
+    system
+        .view_mut((0, FLOORS), (FLOORS, FLOORS))
+        .fill_with_identity();
+    system
+        .view_mut((FLOORS, 0), (FLOORS, FLOORS))
+        .copy_from(&-&stiffness);
+    system
+        .view_mut((FLOORS, FLOORS), (FLOORS, FLOORS))
+        .copy_from(&-&damping);
     let input = DMatrix::from_fn(2 * FLOORS, 1, |i, _| if i < FLOORS { 0.0 } else { -1.0 });
     let (transition, held) = LinearModel::discretise(&system, &input, STEP_S);
-    let observation = DMatrix::from_fn(SENSED.len(), 2 * FLOORS, |c, j| system[(FLOORS + SENSED[c] - 1, j)]);
+    let observation = DMatrix::from_fn(SENSED.len(), 2 * FLOORS, |c, j| {
+        system[(FLOORS + SENSED[c] - 1, j)]
+    });
     let variance = 2.0 * std::f64::consts::PI * 1.6e-5 / STEP_S;
     LinearModel {
         transition,
@@ -49,7 +62,12 @@ fn building() -> LinearModel {
 /// The filter of the source: it knows nothing of the start.
 fn filter(mut model: LinearModel, noise_std: &DVector<f64>) -> KalmanFilter {
     model.sensor_covariance = DMatrix::from_diagonal(&noise_std.map(|std| std * std));
-    KalmanFilter::new(model, DVector::zeros(2 * FLOORS), DMatrix::identity(2 * FLOORS, 2 * FLOORS)).unwrap()
+    KalmanFilter::new(
+        model,
+        DVector::zeros(2 * FLOORS),
+        DMatrix::identity(2 * FLOORS, 2 * FLOORS),
+    )
+    .unwrap()
 }
 
 /// Deviations of displacement and velocity of floors 1, 30, 60.
@@ -83,7 +101,9 @@ fn run(seed: u64) -> Errors {
         filter.predict(&[0.0]);
         let step = filter.update(datum.as_slice()).unwrap();
         if i == 0 {
-            errors.first_displacement_std = [1, 30, 60].map(|f| filter.covariance()[(f - 1, f - 1)].sqrt()).to_vec();
+            errors.first_displacement_std = [1, 30, 60]
+                .map(|f| filter.covariance()[(f - 1, f - 1)].sqrt())
+                .to_vec();
         }
         if i < 4_000 {
             continue; // 20 s
@@ -117,30 +137,56 @@ fn sixty_storeys_reach_the_published_accuracy() {
         let relative = |j: usize| (errors.sums[j][0] / errors.sums[j][1]).sqrt();
         for (mean, floor) in relative_velocity.iter_mut().zip([1, 10, 30, 60]) {
             let displacement = relative(floor - 1);
-            assert!(displacement <= 0.005, "seed {seed} floor {floor}: displacement off by {displacement}");
+            assert!(
+                displacement <= 0.005,
+                "seed {seed} floor {floor}: displacement off by {displacement}"
+            );
             *mean += relative(FLOORS + floor - 1) / seeds.len() as f64;
             let velocity = (errors.sums[FLOORS + floor - 1][0] / errors.count).sqrt();
-            assert!((2.05e-4..2.85e-4).contains(&velocity), "seed {seed} floor {floor}: velocity off by {velocity}");
+            assert!(
+                (2.05e-4..2.85e-4).contains(&velocity),
+                "seed {seed} floor {floor}: velocity off by {velocity}"
+            );
         }
         let states = errors.sums.len() as f64;
-        let normalised = (errors.sums.iter().map(|s| s[2]).sum::<f64>() / errors.count / states).sqrt();
+        let normalised =
+            (errors.sums.iter().map(|s| s[2]).sum::<f64>() / errors.count / states).sqrt();
         let inside = errors.sums.iter().map(|s| s[3]).sum::<f64>() / errors.count / states;
         let chi_squared = errors.chi_squared / errors.count / 7.0;
-        println!("seed {seed}: normalised error {normalised:.4}, inside 3 sd {inside:.4}, mean χ²/7 {chi_squared:.4}");
-        assert!((0.97..=1.03).contains(&normalised), "seed {seed}: normalised error {normalised}");
+        println!(
+            "seed {seed}: normalised error {normalised:.4}, inside 3 sd {inside:.4}, mean χ²/7 {chi_squared:.4}"
+        );
+        assert!(
+            (0.97..=1.03).contains(&normalised),
+            "seed {seed}: normalised error {normalised}"
+        );
         assert!(inside >= 0.995, "seed {seed}: inside 3 sd {inside}");
-        assert!((chi_squared - 1.0).abs() <= 0.02, "seed {seed}: mean innovation χ²/7 {chi_squared}");
+        assert!(
+            (chi_squared - 1.0).abs() <= 0.02,
+            "seed {seed}: mean innovation χ²/7 {chi_squared}"
+        );
         for (mean, [_, velocity]) in velocity_std.iter_mut().zip(errors.floors_std) {
             *mean += velocity / seeds.len() as f64;
         }
         for std in &errors.first_displacement_std {
-            assert!((0.35..=0.75).contains(std), "seed {seed}: displacement sd after one sample {std}");
+            assert!(
+                (0.35..=0.75).contains(std),
+                "seed {seed}: displacement sd after one sample {std}"
+            );
         }
     }
-    println!("relative rms error of the velocities of floors 1, 10, 30, 60: {relative_velocity:.4?}");
-    assert!(relative_velocity.iter().all(|&velocity| velocity <= 0.10), "velocities off by {relative_velocity:?}");
+    println!(
+        "relative rms error of the velocities of floors 1, 10, 30, 60: {relative_velocity:.4?}"
+    );
+    assert!(
+        relative_velocity.iter().all(|&velocity| velocity <= 0.10),
+        "velocities off by {relative_velocity:?}"
+    );
     for (found, [_, expected]) in velocity_std.iter().zip(REFERENCE) {
-        assert!((found / expected - 1.0).abs() <= 0.05, "velocity sd {found:e}, expected {expected:e}");
+        assert!(
+            (found / expected - 1.0).abs() <= 0.05,
+            "velocity sd {found:e}, expected {expected:e}"
+        );
     }
 }
 
@@ -168,14 +214,20 @@ fn one_strength_of_the_first_mode_gives_all_six_deviations() {
     let shape = modes.eigenvectors.column(modes.eigenvalues.imin());
     let onto_shape = shape * shape.transpose();
     let mut projection = DMatrix::zeros(2 * FLOORS, 2 * FLOORS);
-    projection.view_mut((0, 0), (FLOORS, FLOORS)).copy_from(&onto_shape);
-    projection.view_mut((FLOORS, FLOORS), (FLOORS, FLOORS)).copy_from(&onto_shape);
+    projection
+        .view_mut((0, 0), (FLOORS, FLOORS))
+        .copy_from(&onto_shape);
+    projection
+        .view_mut((FLOORS, FLOORS), (FLOORS, FLOORS))
+        .copy_from(&onto_shape);
     let first_mode = &projection * &covariance * &projection;
-    let shown =
-        |covariance: &DMatrix<f64>| (&model.observation * covariance * model.observation.transpose()).diagonal();
+    let shown = |covariance: &DMatrix<f64>| {
+        (&model.observation * covariance * model.observation.transpose()).diagonal()
+    };
     let (all, first) = (shown(&covariance), shown(&first_mode));
     let steady = |strength: f64| {
-        let noise_std = (&all + &first * (strength * strength - 1.0)).map(|variance| 0.05 * variance.sqrt());
+        let noise_std =
+            (&all + &first * (strength * strength - 1.0)).map(|variance| 0.05 * variance.sqrt());
         let mut filter = filter(model.clone(), &noise_std);
         for _ in 0..2_000 {
             filter.predict(&[0.0]);
@@ -187,13 +239,23 @@ fn one_strength_of_the_first_mode_gives_all_six_deviations() {
     let (mut weak, mut strong) = (0.8, 1.6);
     for _ in 0..8 {
         let middle = 0.5 * (weak + strong);
-        (weak, strong) = if steady(middle)[2][0] < roof { (middle, strong) } else { (weak, middle) };
+        (weak, strong) = if steady(middle)[2][0] < roof {
+            (middle, strong)
+        } else {
+            (weak, middle)
+        };
     }
     let found = steady(weak);
-    println!("strength {weak:.3}: {found:?}; of the stationary response {:?}", steady(1.0));
+    println!(
+        "strength {weak:.3}: {found:?}; of the stationary response {:?}",
+        steady(1.0)
+    );
     // as records of 200 s scatter
     assert!((0.8..=1.5).contains(&weak), "strength {weak}");
     for (found, expected) in found.iter().flatten().zip(REFERENCE.iter().flatten()) {
-        assert!((found / expected - 1.0).abs() <= 0.05, "{found:e}, expected {expected:e}");
+        assert!(
+            (found / expected - 1.0).abs() <= 0.05,
+            "{found:e}, expected {expected:e}"
+        );
     }
 }

@@ -1,19 +1,28 @@
 //! Huang & Yuen (2023), §2.4: what happens to a filter without its guards, as the negative controls of the method.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel, ProcessModel,
+    Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel,
+    ProcessModel,
 };
 use systems::bouc_wen::{self, BoucWen, Displacements, MASSES};
 use systems::bridge::{self, Bridge};
 use systems::{Normal, rms};
 
 fn diagonal(std: &[f64]) -> DMatrix<f64> {
-    DMatrix::from_diagonal(&DVector::from_iterator(std.len(), std.iter().map(|std| std * std)))
+    DMatrix::from_diagonal(&DVector::from_iterator(
+        std.len(),
+        std.iter().map(|std| std * std),
+    ))
 }
 
 /// Runs 150 000 steps of the Bouc-Wen chain; returns the filter and how its first standard deviation grew.
@@ -22,7 +31,9 @@ fn hysteresis(displacements: Displacements) -> (ExtendedKalmanFilter<BoucWen>, f
     let excitation = (2.0 * std::f64::consts::PI * 5e-3_f64 / step_s).sqrt();
     let mut normal = Normal::seeded(11);
     let clean = bouc_wen::simulate(&mut normal, 150_000, step_s, excitation);
-    let noise: Vec<f64> = (0..5).map(|c| 0.05 * rms(clean.iter().map(|z| z[c]))).collect();
+    let noise: Vec<f64> = (0..5)
+        .map(|c| 0.05 * rms(clean.iter().map(|z| z[c])))
+        .collect();
     let model = BoucWen::new(displacements);
     let n = model.state_len();
     let first = model.first_velocity();
@@ -31,14 +42,23 @@ fn hysteresis(displacements: Displacements) -> (ExtendedKalmanFilter<BoucWen>, f
     for j in first..first + MASSES {
         std[j] = 1e-4;
     }
-    for (j, sign) in [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0].into_iter().enumerate() {
+    for (j, sign) in [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0]
+        .into_iter()
+        .enumerate()
+    {
         mean[first + 2 * MASSES + j] = 1.0 + 0.2 * sign;
         std[first + 2 * MASSES + j] = 0.2;
     }
-    let noises = NoiseModel::known(DMatrix::from_element(1, 1, excitation * excitation), diagonal(&noise));
+    let noises = NoiseModel::known(
+        DMatrix::from_element(1, 1, excitation * excitation),
+        diagonal(&noise),
+    );
     let mut settings = FilterSettings::new(step_s, mean, std, noises);
     settings.fading = FadingFactor::from_half_life(2000.0).unwrap();
-    settings.annealing = Some(Annealing { amount: 100.0, time_constant_s: 2.0 });
+    settings.annealing = Some(Annealing {
+        amount: 100.0,
+        time_constant_s: 2.0,
+    });
     for j in first + 2 * MASSES..n {
         settings.lower[j] = 0.05;
         settings.upper[j] = 5.0;
@@ -46,8 +66,17 @@ fn hysteresis(displacements: Displacements) -> (ExtendedKalmanFilter<BoucWen>, f
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
     let mut start = 0.0;
     for (k, z) in clean.iter().enumerate() {
-        let datum: Vec<f64> = z.iter().zip(&noise).map(|(z, std)| z + std * normal.draw()).collect();
-        filter.step(Frame { observations: &datum, excitation: &[0.0] }).unwrap();
+        let datum: Vec<f64> = z
+            .iter()
+            .zip(&noise)
+            .map(|(z, std)| z + std * normal.draw())
+            .collect();
+        filter
+            .step(Frame {
+                observations: &datum,
+                excitation: &[0.0],
+            })
+            .unwrap();
         if k == 0 {
             start = filter.covariance()[(0, 0)].sqrt();
         }
@@ -71,7 +100,10 @@ fn displacements_that_nothing_observes_wind_up_alone() {
     for p in 0..11 {
         let (a, b) = (with.mean()[n - 11 + p], without.mean()[m - 11 + p]);
         let std = without.covariance()[(m - 11 + p, m - 11 + p)].sqrt();
-        assert!((a - b).abs() < 0.05 * std, "parameter {p}: {a} with displacements, {b} ± {std} without");
+        assert!(
+            (a - b).abs() < 0.05 * std,
+            "parameter {p}: {a} with displacements, {b} ± {std} without"
+        );
         assert!((b - 1.0).abs() < 5.0 * std, "parameter {p}: {b} ± {std}");
     }
 }
@@ -93,7 +125,9 @@ fn start_of_the_bridge(identity_prior: bool) -> (Vec<f64>, Vec<f64>) {
             &rows * &u
         })
         .collect();
-    let noise: Vec<f64> = (0..8).map(|c| 0.05 * rms(clean.iter().map(|z| z[c]))).collect();
+    let noise: Vec<f64> = (0..8)
+        .map(|c| 0.05 * rms(clean.iter().map(|z| z[c])))
+        .collect();
     let mut mean = DVector::zeros(2 * n + bridge::GROUPS + 2);
     let mut prior = DVector::repeat(mean.len(), 1e-5);
     for j in 0..n {
@@ -102,7 +136,10 @@ fn start_of_the_bridge(identity_prior: bool) -> (Vec<f64>, Vec<f64>) {
     if identity_prior {
         prior.fill(1.0);
     }
-    for (j, sign) in [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
+    for (j, sign) in [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
+        .into_iter()
+        .enumerate()
+    {
         mean[2 * n + j] = 1.0 + 0.3 * sign;
         prior[2 * n + j] = 0.3;
     }
@@ -113,17 +150,30 @@ fn start_of_the_bridge(identity_prior: bool) -> (Vec<f64>, Vec<f64>) {
     let noises = NoiseModel::known(diagonal(&std), diagonal(&noise));
     let mut settings = FilterSettings::new(step_s, mean, prior, noises);
     settings.fading = FadingFactor::from_half_life(2000.0).unwrap();
-    settings.annealing = (!identity_prior).then_some(Annealing { amount: 100.0, time_constant_s: 2.0 });
+    settings.annealing = (!identity_prior).then_some(Annealing {
+        amount: 100.0,
+        time_constant_s: 2.0,
+    });
     for j in 2 * n..2 * n + bridge::GROUPS + 2 {
         settings.lower[j] = 0.05;
         settings.upper[j] = 20.0;
     }
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
     for z in &clean {
-        let datum: Vec<f64> = z.iter().zip(&noise).map(|(z, std)| z + std * normal.draw()).collect();
-        filter.step(Frame { observations: &datum, excitation: &[0.0, 0.0] }).unwrap();
+        let datum: Vec<f64> = z
+            .iter()
+            .zip(&noise)
+            .map(|(z, std)| z + std * normal.draw())
+            .collect();
+        filter
+            .step(Frame {
+                observations: &datum,
+                excitation: &[0.0, 0.0],
+            })
+            .unwrap();
     }
-    let factors = (2 * n..2 * n + bridge::GROUPS).map(|j| (filter.mean()[j], filter.covariance()[(j, j)].sqrt()));
+    let factors = (2 * n..2 * n + bridge::GROUPS)
+        .map(|j| (filter.mean()[j], filter.covariance()[(j, j)].sqrt()));
     factors.unzip()
 }
 
@@ -138,10 +188,27 @@ fn wide_prior_of_the_motion_locks_the_bridge_at_wrong_factors() {
     });
     println!("identity prior: {:.3?} ± {:.4?}", locked.0, locked.1);
     println!("at rest, annealed: {:.4?} ± {:.4?}", guarded.0, guarded.1);
-    let worst = |factors: &[f64]| factors.iter().map(|factor| (factor - 1.0).abs()).fold(0.0, f64::max);
-    assert!(worst(&locked.0) > 0.1, "the wide prior did not lock: {:?}", locked.0);
-    assert!(locked.1.iter().all(|std| *std < 0.01), "and is not sure of it: {:?}", locked.1);
-    assert!(worst(&guarded.0) < 0.008, "the guarded start is off: {:?}", guarded.0);
+    let worst = |factors: &[f64]| {
+        factors
+            .iter()
+            .map(|factor| (factor - 1.0).abs())
+            .fold(0.0, f64::max)
+    };
+    assert!(
+        worst(&locked.0) > 0.1,
+        "the wide prior did not lock: {:?}",
+        locked.0
+    );
+    assert!(
+        locked.1.iter().all(|std| *std < 0.01),
+        "and is not sure of it: {:?}",
+        locked.1
+    );
+    assert!(
+        worst(&guarded.0) < 0.008,
+        "the guarded start is off: {:?}",
+        guarded.0
+    );
 }
 
 #[test]
@@ -154,8 +221,14 @@ fn bridge_has_the_published_frequencies() {
     let standard = lower.solve_lower_triangular(&half.transpose()).unwrap();
     let mut eigenvalues: Vec<f64> = standard.symmetric_eigenvalues().iter().copied().collect();
     eigenvalues.sort_by(f64::total_cmp);
-    let found: Vec<f64> = eigenvalues[..5].iter().map(|value| value.sqrt() / std::f64::consts::TAU).collect();
+    let found: Vec<f64> = eigenvalues[..5]
+        .iter()
+        .map(|value| value.sqrt() / std::f64::consts::TAU)
+        .collect();
     for (found, published) in found.iter().zip([0.466, 0.531, 0.699, 0.890, 1.332]) {
-        assert!((found - published).abs() < 0.001, "{found} Hz, published {published}");
+        assert!(
+            (found - published).abs() < 0.001,
+            "{found} Hz, published {published}"
+        );
     }
 }

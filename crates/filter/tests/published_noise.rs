@@ -1,13 +1,18 @@
 //! Huang & Yuen (2023), §3.1 and §3.2: what wrong noise levels do to a filter, and how they are identified.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel, NoiseParameter,
-    NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
+    Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel,
+    NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
 };
 use systems::{Chain, Normal, rms};
 
@@ -30,10 +35,20 @@ fn simulate(seed: u64, seconds: f64) -> Record {
     let stiffness = Chain::new(MASSES, 5000.0).matrix();
     let damping = DMatrix::identity(MASSES, MASSES) * ALPHA + &stiffness * BETA;
     let mut system = DMatrix::zeros(2 * MASSES, 2 * MASSES);
-    system.view_mut((0, MASSES), (MASSES, MASSES)).fill_with_identity();
-    system.view_mut((MASSES, 0), (MASSES, MASSES)).copy_from(&-&stiffness);
-    system.view_mut((MASSES, MASSES), (MASSES, MASSES)).copy_from(&-&damping);
-    let input = DMatrix::from_fn(2 * MASSES, 1, |i, _| if i + 1 == 2 * MASSES { 1.0 } else { 0.0 });
+    system
+        .view_mut((0, MASSES), (MASSES, MASSES))
+        .fill_with_identity();
+    system
+        .view_mut((MASSES, 0), (MASSES, MASSES))
+        .copy_from(&-&stiffness);
+    system
+        .view_mut((MASSES, MASSES), (MASSES, MASSES))
+        .copy_from(&-&damping);
+    let input = DMatrix::from_fn(
+        2 * MASSES,
+        1,
+        |i, _| if i + 1 == 2 * MASSES { 1.0 } else { 0.0 },
+    );
     let (transition, held) = LinearModel::discretise(&system, &input, STEP_S);
     let observation = system.rows(MASSES, MASSES).into_owned();
     let mut normal = Normal::seeded(seed);
@@ -46,9 +61,13 @@ fn simulate(seed: u64, seconds: f64) -> Record {
         .collect();
     let noise_std = 0.05 * rms(data.iter().map(|z| z[MASSES - 1]));
     for z in &mut data {
-        z.iter_mut().for_each(|value| *value += noise_std * normal.draw());
+        z.iter_mut()
+            .for_each(|value| *value += noise_std * normal.draw());
     }
-    Record { data, noise_variance: noise_std * noise_std }
+    Record {
+        data,
+        noise_variance: noise_std * noise_std,
+    }
 }
 
 fn settings(noise: NoiseModel) -> FilterSettings {
@@ -58,14 +77,20 @@ fn settings(noise: NoiseModel) -> FilterSettings {
     for j in 0..MASSES {
         std[MASSES + j] = 1e-1;
     }
-    for (j, (mean, deviation)) in [(0.5, 0.3), (1.0, 0.3), (1e-3, 1e-3)].into_iter().enumerate() {
+    for (j, (mean, deviation)) in [(0.5, 0.3), (1.0, 0.3), (1e-3, 1e-3)]
+        .into_iter()
+        .enumerate()
+    {
         prior[2 * MASSES + j] = mean;
         std[2 * MASSES + j] = deviation;
     }
     let mut settings = FilterSettings::new(STEP_S, prior, std, noise);
     settings.fading = FadingFactor::from_half_life(2000.0).unwrap();
     // The start-up aid of ch2 §3.6: without it one record in three locks the filter at wrong parameters.
-    settings.annealing = Some(Annealing { amount: 100.0, time_constant_s: 1.0 });
+    settings.annealing = Some(Annealing {
+        amount: 100.0,
+        time_constant_s: 1.0,
+    });
     for j in 2 * MASSES..2 * MASSES + 3 {
         settings.lower[j] = 0.05 * settings.prior_mean[j];
     }
@@ -82,11 +107,20 @@ struct Outcome {
 }
 
 fn run_fixed(record: &Record, excitation: f64, sensors: f64) -> Outcome {
-    let noise = NoiseModel::known(DMatrix::from_element(1, 1, excitation), DMatrix::identity(MASSES, MASSES) * sensors);
-    let mut filter = ExtendedKalmanFilter::new(Chain::new(MASSES, 5000.0), settings(noise)).unwrap();
+    let noise = NoiseModel::known(
+        DMatrix::from_element(1, 1, excitation),
+        DMatrix::identity(MASSES, MASSES) * sensors,
+    );
+    let mut filter =
+        ExtendedKalmanFilter::new(Chain::new(MASSES, 5000.0), settings(noise)).unwrap();
     let (mut misfit, mut std, mut inside, mut count) = (0.0, 0.0, [0.0; 2], 0.0);
     for (i, datum) in record.data.iter().enumerate() {
-        let step = filter.step(Frame { observations: datum.as_slice(), excitation: &[0.0] }).unwrap();
+        let step = filter
+            .step(Frame {
+                observations: datum.as_slice(),
+                excitation: &[0.0],
+            })
+            .unwrap();
         if i < 4000 {
             continue;
         }
@@ -94,18 +128,31 @@ fn run_fixed(record: &Record, excitation: f64, sensors: f64) -> Outcome {
         misfit += step.normalised_innovation_squared / MASSES as f64;
         let deviation = |j: usize| filter.covariance()[(j, j)].sqrt();
         std += deviation(2 * MASSES);
-        for (share, (j, truth)) in inside.iter_mut().zip([(2 * MASSES, 1.0), (2 * MASSES + 2, BETA)]) {
-            *share += f64::from(u8::from((filter.mean()[j] - truth).abs() <= 3.0 * deviation(j)));
+        for (share, (j, truth)) in inside
+            .iter_mut()
+            .zip([(2 * MASSES, 1.0), (2 * MASSES + 2, BETA)])
+        {
+            *share += f64::from(u8::from(
+                (filter.mean()[j] - truth).abs() <= 3.0 * deviation(j),
+            ));
         }
     }
-    Outcome { misfit: misfit / count, stiffness_std: std / count, coverage: inside.map(|share| share / count) }
+    Outcome {
+        misfit: misfit / count,
+        stiffness_std: std / count,
+        coverage: inside.map(|share| share / count),
+    }
 }
 
 #[test]
 fn white_noise_intensity_becomes_the_tabulated_variance() {
     // ch3 §5 A1, table 3.1: 0.126
     assert!((excitation_variance() - 0.12566).abs() < 1e-5);
-    let omega = Chain::new(MASSES, 5000.0).matrix().symmetric_eigenvalues().min().sqrt();
+    let omega = Chain::new(MASSES, 5000.0)
+        .matrix()
+        .symmetric_eigenvalues()
+        .min()
+        .sqrt();
     assert!((omega / std::f64::consts::TAU - 3.203).abs() < 1e-3);
 }
 
@@ -125,12 +172,31 @@ fn wrong_noise_levels_show_in_the_innovations_and_the_intervals() {
             noisy.stiffness_std / right.stiffness_std,
             weak.coverage
         );
-        assert!((right.misfit - 1.0).abs() <= 0.05, "seed {seed}: case 1 has a misfit of {}", right.misfit);
-        assert!(weak.misfit > 3.0, "seed {seed}: case 2 has a misfit of {}", weak.misfit);
-        assert!(noisy.misfit < 0.2, "seed {seed}: case 3 has a misfit of {}", noisy.misfit);
+        assert!(
+            (right.misfit - 1.0).abs() <= 0.05,
+            "seed {seed}: case 1 has a misfit of {}",
+            right.misfit
+        );
+        assert!(
+            weak.misfit > 3.0,
+            "seed {seed}: case 2 has a misfit of {}",
+            weak.misfit
+        );
+        assert!(
+            noisy.misfit < 0.2,
+            "seed {seed}: case 3 has a misfit of {}",
+            noisy.misfit
+        );
         let ratio = noisy.stiffness_std / right.stiffness_std;
-        assert!((2.0..=3.5).contains(&ratio), "seed {seed}: sd of θ grows by {ratio}");
-        assert!(weak.coverage[1] < 0.5, "seed {seed}: case 2 covers β {} of the time", weak.coverage[1]);
+        assert!(
+            (2.0..=3.5).contains(&ratio),
+            "seed {seed}: sd of θ grows by {ratio}"
+        );
+        assert!(
+            weak.coverage[1] < 0.5,
+            "seed {seed}: case 2 covers β {} of the time",
+            weak.coverage[1]
+        );
     }
 }
 
@@ -157,7 +223,10 @@ fn scaling_all_noises_scales_the_covariances_and_not_the_estimates() {
     };
     let (mut plain, mut scaled) = (filter(1.0), filter(rho));
     for datum in &record.data {
-        let frame = Frame { observations: datum.as_slice(), excitation: &[0.0] };
+        let frame = Frame {
+            observations: datum.as_slice(),
+            excitation: &[0.0],
+        };
         plain.step(frame).unwrap();
         scaled.step(frame).unwrap();
     }
@@ -166,16 +235,25 @@ fn scaling_all_noises_scales_the_covariances_and_not_the_estimates() {
         for i in 0..n {
             let (small, large) = (plain.covariance()[(i, j)], scaled.covariance()[(i, j)]);
             let scale = (plain.covariance()[(i, i)] * plain.covariance()[(j, j)]).sqrt();
-            assert!((large - rho * small).abs() < 1e-9 * rho * scale, "covariance ({i}, {j})");
+            assert!(
+                (large - rho * small).abs() < 1e-9 * rho * scale,
+                "covariance ({i}, {j})"
+            );
         }
         assert!((plain.mean()[j] - scaled.mean()[j]).abs() < 1e-9 * plain.mean().rows(0, n).amax());
     }
 }
 
 /// Identifies noise levels of the chain from ψ = 1 as in the source, with all sensors equal; the force if asked.
-fn identify(record: &Record, rule: NoiseRule, targets: &[NoiseTarget]) -> ExtendedKalmanFilter<Chain> {
-    let mut noise =
-        NoiseModel::known(DMatrix::from_element(1, 1, excitation_variance()), DMatrix::zeros(MASSES, MASSES));
+fn identify(
+    record: &Record,
+    rule: NoiseRule,
+    targets: &[NoiseTarget],
+) -> ExtendedKalmanFilter<Chain> {
+    let mut noise = NoiseModel::known(
+        DMatrix::from_element(1, 1, excitation_variance()),
+        DMatrix::zeros(MASSES, MASSES),
+    );
     for &target in targets {
         let size = match target {
             NoiseTarget::Excitation => 1,
@@ -202,7 +280,12 @@ fn identify(record: &Record, rule: NoiseRule, targets: &[NoiseTarget]) -> Extend
     };
     let mut filter = ExtendedKalmanFilter::new(Chain::new(MASSES, 5000.0), settings).unwrap();
     for datum in &record.data {
-        filter.step(Frame { observations: datum.as_slice(), excitation: &[0.0] }).unwrap();
+        filter
+            .step(Frame {
+                observations: datum.as_slice(),
+                excitation: &[0.0],
+            })
+            .unwrap();
     }
     filter
 }
@@ -225,8 +308,15 @@ fn working_phase_needs_no_fallback_and_no_shortened_step() {
                 noise.largest_relative_std(),
             );
             assert_eq!(noise.phase, NoisePhase::Working, "{rule:?} seed {seed}");
-            assert_eq!((noise.working_fallbacks, noise.limited), (0, 0), "{rule:?} seed {seed}");
-            assert!((ratio - 1.0).abs() < 0.1, "{rule:?} seed {seed}: sensors {ratio} of the truth");
+            assert_eq!(
+                (noise.working_fallbacks, noise.limited),
+                (0, 0),
+                "{rule:?} seed {seed}"
+            );
+            assert!(
+                (ratio - 1.0).abs() < 0.1,
+                "{rule:?} seed {seed}: sensors {ratio} of the truth"
+            );
         }
     }
 }
@@ -242,9 +332,16 @@ fn level_that_the_data_hardly_inform_stays_uncertain() {
         (NoiseRule::Fisher, 20.0, NoisePhase::Working),
     ] {
         let record = simulate(1, seconds);
-        let filter = identify(&record, rule, &[NoiseTarget::Excitation, NoiseTarget::Sensors]);
+        let filter = identify(
+            &record,
+            rule,
+            &[NoiseTarget::Excitation, NoiseTarget::Sensors],
+        );
         let noise = filter.noise();
-        println!("{rule:?}, {seconds} s: relative sd {:.3}", noise.largest_relative_std());
+        println!(
+            "{rule:?}, {seconds} s: relative sd {:.3}",
+            noise.largest_relative_std()
+        );
         assert_eq!(noise.phase, phase, "{rule:?}, {seconds} s");
         assert!(noise.largest_relative_std() > 0.1, "{rule:?}, {seconds} s");
     }

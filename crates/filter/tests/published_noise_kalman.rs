@@ -1,15 +1,21 @@
 //! Yuen, Liang & Kuok (2013): the noise parameters of a linear Kalman filter, estimated online in two stages.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
 use spandrel_filter::steady::{lyapunov_by_doubling, stationary_error_covariance, stationary_gain};
 use spandrel_filter::{ExtendedKalmanFilter, Frame, NoisePhase};
 use systems::tall_building::{
-    Case, ErrorStatistics, FLOORS, GROUND_INTENSITY, Levels, PRINTED_SENSOR_VARIANCE, PRIOR_VARIANCE, Record, Run,
-    SENSED, STEP_S, TABULATED, Tabulated, discrete_model, filter_settings, held_variance, mean_wind, modal_model,
-    physical_model, simulate, tabulated, tabulated_name,
+    Case, ErrorStatistics, FLOORS, GROUND_INTENSITY, Levels, PRINTED_SENSOR_VARIANCE,
+    PRIOR_VARIANCE, Record, Run, SENSED, STEP_S, TABULATED, Tabulated, discrete_model,
+    filter_settings, held_variance, mean_wind, modal_model, physical_model, simulate, tabulated,
+    tabulated_name,
 };
 
 const SEEDS: [u64; 3] = [1, 2, 3];
@@ -41,7 +47,11 @@ fn worst_difference(found: &Tabulated, reference: &Tabulated) -> (f64, String) {
 /// Smallest and largest ratio between two sets.
 fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
     let ratio = |k: usize| found[k] / reference[k];
-    (0..found.len()).map(ratio).fold((f64::INFINITY, 0.0), |(low, high), r| (low.min(r), f64::max(high, r)))
+    (0..found.len())
+        .map(ratio)
+        .fold((f64::INFINITY, 0.0), |(low, high), r| {
+            (low.min(r), f64::max(high, r))
+        })
 }
 
 /// Errors of one filter over a record.
@@ -110,7 +120,16 @@ fn estimate(record: &Record, half_life: f64) -> Estimation {
 
 impl Estimation {
     fn print(&self, label: &str) {
-        let Self { training_steps, fallbacks, limited, mean, scatter, stated, coverage, .. } = self;
+        let Self {
+            training_steps,
+            fallbacks,
+            limited,
+            mean,
+            scatter,
+            stated,
+            coverage,
+            ..
+        } = self;
         println!(
             "{label}: training {training_steps} steps, fallbacks {fallbacks:?}, clips {limited}, estimate/actual \
              {mean:.3?}, scatter {scatter:.3?}, stated {stated:.4?}, coverage {coverage:.3?}"
@@ -127,10 +146,20 @@ fn check_case(case: Case, seed: u64, tolerance: f64) -> Estimation {
     let constant = errors(&record, Levels::Constant(START));
     let (low, high) = ratios(&constant.rms(), &actual.rms());
     found.print(&format!("{case:?} seed {seed}"));
-    println!("  online against actual {:.4} % at {name}; [10, 10] {low:.2} to {high:.2} times", 100.0 * worst);
-    assert!(worst <= tolerance, "{case:?} seed {seed}: {name} off by {worst}");
+    println!(
+        "  online against actual {:.4} % at {name}; [10, 10] {low:.2} to {high:.2} times",
+        100.0 * worst
+    );
+    assert!(
+        worst <= tolerance,
+        "{case:?} seed {seed}: {name} off by {worst}"
+    );
     assert_eq!(found.training_steps, 500, "{case:?} seed {seed}");
-    assert_eq!((found.fallbacks[1], found.limited), (0, 0), "{case:?} seed {seed}");
+    assert_eq!(
+        (found.fallbacks[1], found.limited),
+        (0, 0),
+        "{case:?} seed {seed}"
+    );
     found
 }
 
@@ -140,13 +169,30 @@ fn building_and_intensity_are_the_published_ones() {
     assert!((held_variance(GROUND_INTENSITY, STEP_S) / 0.075_398_2 - 1.0).abs() < 1e-5);
     let model = modal_model(Case::Ground).unwrap();
     let frequencies = model.angular_frequencies() / std::f64::consts::TAU;
-    assert!((frequencies[0] / 0.199_997 - 1.0).abs() < 1e-5, "{}", frequencies[0]);
-    for (mode, printed, digits) in [(1, 0.5998, 5e-5), (2, 0.9990, 5e-5), (FLOORS - 1, 12.854, 5e-4)] {
-        assert!((frequencies[mode] - printed).abs() <= digits, "mode {}: {} Hz", mode + 1, frequencies[mode]);
+    assert!(
+        (frequencies[0] / 0.199_997 - 1.0).abs() < 1e-5,
+        "{}",
+        frequencies[0]
+    );
+    for (mode, printed, digits) in [
+        (1, 0.5998, 5e-5),
+        (2, 0.9990, 5e-5),
+        (FLOORS - 1, 12.854, 5e-4),
+    ] {
+        assert!(
+            (frequencies[mode] - printed).abs() <= digits,
+            "mode {}: {} Hz",
+            mode + 1,
+            frequencies[mode]
+        );
     }
     for (mode, printed) in [0.010_000, 0.010_000, 0.013_993].into_iter().enumerate() {
         let ratio = model.damping_ratios()[mode];
-        assert!((ratio - printed).abs() <= 1e-6, "mode {}: damping {ratio}", mode + 1);
+        assert!(
+            (ratio - printed).abs() <= 1e-6,
+            "mode {}: damping {ratio}",
+            mode + 1
+        );
     }
     // §4.4: 27 718 N at the top
     assert!((mean_wind()[FLOORS - 1] - 27_718.0).abs() < 0.5);
@@ -155,7 +201,12 @@ fn building_and_intensity_are_the_published_ones() {
 #[test]
 fn top_floor_has_the_derived_root_mean_square() {
     // §6: 0.2518 m/s² for the absolute acceleration, which the 5 % rule for the sensor noise takes
-    let model = discrete_model(Case::Ground, held_variance(GROUND_INTENSITY, STEP_S), PRINTED_SENSOR_VARIANCE).unwrap();
+    let model = discrete_model(
+        Case::Ground,
+        held_variance(GROUND_INTENSITY, STEP_S),
+        PRINTED_SENSOR_VARIANCE,
+    )
+    .unwrap();
     let noise = &model.input * &model.excitation_covariance * model.input.transpose();
     let covariance = lyapunov_by_doubling(model.transition, noise).unwrap();
     let top = model.observation.row(SENSED.len() - 1);
@@ -167,8 +218,10 @@ fn top_floor_has_the_derived_root_mean_square() {
 fn closed_form(case: Case, levels: [f64; 2]) -> [Tabulated; 2] {
     let truth = discrete_model(case, levels[0], levels[1]).unwrap();
     let believed = discrete_model(case, START[0], START[1]).unwrap();
-    let wrong = stationary_error_covariance(&truth, &stationary_gain(&believed).unwrap().gain).unwrap();
-    let right = stationary_error_covariance(&truth, &stationary_gain(&truth).unwrap().gain).unwrap();
+    let wrong =
+        stationary_error_covariance(&truth, &stationary_gain(&believed).unwrap().gain).unwrap();
+    let right =
+        stationary_error_covariance(&truth, &stationary_gain(&truth).unwrap().gain).unwrap();
     [right, wrong].map(|covariance| tabulated(|j| covariance[(j, j)].sqrt()))
 }
 
@@ -181,7 +234,13 @@ fn stationary_errors_of_the_right_and_the_wrong_filter_are_the_derived_ones() {
         [1.0453e-3, 1.8608e-3, 2.5237e-3, 3.0716e-3, 3.5226e-3, 3.8894e-3, 4.1781e-3, 4.3916e-3, 4.5273e-3, 4.5802e-3,
          5.4968e-3, 7.2851e-3, 8.1818e-3, 8.8855e-3, 9.3788e-3, 9.7797e-3, 1.0105e-2, 1.0383e-2, 1.0613e-2, 1.0789e-2],
     ];
-    let found = closed_form(Case::Ground, [held_variance(GROUND_INTENSITY, STEP_S), PRINTED_SENSOR_VARIANCE]);
+    let found = closed_form(
+        Case::Ground,
+        [
+            held_variance(GROUND_INTENSITY, STEP_S),
+            PRINTED_SENSOR_VARIANCE,
+        ],
+    );
     for (found, derived) in found.iter().zip(&derived) {
         let (worst, name) = worst_difference(found, derived);
         println!("worst of 20: {:.4} % at {name}", 100.0 * worst);
@@ -197,7 +256,10 @@ fn stationary_errors_under_wind_are_those_of_table_5() {
         2.776e-4, 4.026e-4, 5.484e-4, 6.282e-4, 7.499e-4, 7.955e-4, 9.030e-4, 9.364e-4, 1.017e-3, 1.138e-3,
     ];
     // both levels follow A_f², whose mean over 100 to 1000 s is 2.458; 1.08e-6 is the ensemble value of the 5 % rule
-    let mean: f64 = (0..90_000).map(|k| Case::Wind.modulation(100.0 + 0.01 * f64::from(k)).powi(2)).sum::<f64>() / 9e4;
+    let mean: f64 = (0..90_000)
+        .map(|k| Case::Wind.modulation(100.0 + 0.01 * f64::from(k)).powi(2))
+        .sum::<f64>()
+        / 9e4;
     assert!((mean - 2.458).abs() < 1e-3, "{mean}");
     let [right, _] = closed_form(Case::Wind, [mean, 1.08e-6 * mean]);
     let (worst, name) = worst_difference(&right, &printed);
@@ -209,10 +271,22 @@ fn stationary_errors_under_wind_are_those_of_table_5() {
 fn online_levels_are_as_good_as_the_actual_ones_under_ground_motion() {
     for seed in SEEDS {
         let found = check_case(Case::Ground, seed, 1e-3);
-        assert!((17..=26).contains(&found.fallbacks[0]), "seed {seed}: {} replaced Hessians", found.fallbacks[0]);
+        assert!(
+            (17..=26).contains(&found.fallbacks[0]),
+            "seed {seed}: {} replaced Hessians",
+            found.fallbacks[0]
+        );
         for l in 0..2 {
-            assert!(found.coverage[l] >= 0.99, "seed {seed}: level {l} covered {}", found.coverage[l]);
-            assert!((found.stated[l] / [0.079, 0.0244][l] - 1.0).abs() <= 0.15, "seed {seed}: {:?}", found.stated);
+            assert!(
+                found.coverage[l] >= 0.99,
+                "seed {seed}: level {l} covered {}",
+                found.coverage[l]
+            );
+            assert!(
+                (found.stated[l] / [0.079, 0.0244][l] - 1.0).abs() <= 0.15,
+                "seed {seed}: {:?}",
+                found.stated
+            );
         }
     }
 }
@@ -228,7 +302,11 @@ fn online_levels_are_as_good_as_the_actual_ones_under_modulated_ground_motion() 
 fn online_levels_are_as_good_as_the_actual_ones_under_wind() {
     for seed in SEEDS {
         let found = check_case(Case::Wind, seed, 1.5e-3);
-        assert!(found.coverage.iter().all(|&share| share >= 0.99), "seed {seed}: {:?}", found.coverage);
+        assert!(
+            found.coverage.iter().all(|&share| share >= 0.99),
+            "seed {seed}: {:?}",
+            found.coverage
+        );
     }
 }
 
@@ -238,8 +316,15 @@ fn estimates_of_five_starts_meet() {
     let actual = held_variance(GROUND_INTENSITY, STEP_S);
     for seed in SEEDS {
         let record = simulate(Case::Ground, seed, RECORD_S).unwrap();
-        let starts = [[actual, record.sensor_variance], START, [10.0, 1e-5], [1e-3, 10.0], [1e-3, 1e-5]];
-        let mut runs = starts.map(|start| Run::new(&record, Levels::Online(start), HALF_LIFE).unwrap());
+        let starts = [
+            [actual, record.sensor_variance],
+            START,
+            [10.0, 1e-5],
+            [1e-3, 10.0],
+            [1e-3, 1e-5],
+        ];
+        let mut runs =
+            starts.map(|start| Run::new(&record, Levels::Online(start), HALF_LIFE).unwrap());
         let (mut apart_until_s, mut all_apart_until_s) = ([0.0; 5], 0.0);
         for k in 0..record.data.len() {
             let estimates = runs.each_mut().map(|run| {
@@ -249,7 +334,11 @@ fn estimates_of_five_starts_meet() {
             let spread = |trials: &[[f64; 2]]| {
                 let ratio = |l: usize| {
                     let largest = trials.iter().map(|trial| trial[l]).fold(0.0, f64::max);
-                    largest / trials.iter().map(|trial| trial[l]).fold(f64::INFINITY, f64::min)
+                    largest
+                        / trials
+                            .iter()
+                            .map(|trial| trial[l])
+                            .fold(f64::INFINITY, f64::min)
                 };
                 ratio(0).max(ratio(1)) - 1.0
             };
@@ -268,8 +357,14 @@ fn estimates_of_five_starts_meet() {
             &apart_until_s[1..]
         );
         assert!(all_apart_until_s < 150.0 - STEP_S, "seed {seed}");
-        assert!((2..5).all(|trial| apart_until_s[trial] > apart_until_s[1]), "seed {seed}: trial 2 is not the fastest");
-        assert!((1..4).all(|trial| apart_until_s[trial] < apart_until_s[4]), "seed {seed}: trial 5 is not the slowest");
+        assert!(
+            (2..5).all(|trial| apart_until_s[trial] > apart_until_s[1]),
+            "seed {seed}: trial 2 is not the fastest"
+        );
+        assert!(
+            (1..4).all(|trial| apart_until_s[trial] < apart_until_s[4]),
+            "seed {seed}: trial 5 is not the slowest"
+        );
     }
 }
 
@@ -277,7 +372,8 @@ fn estimates_of_five_starts_meet() {
 fn levels_of_the_same_ratio_give_the_same_state() {
     // acceptance 10: state errors after 100 s identical to 1e-12
     let record = simulate(Case::Ground, 1, 120.0).unwrap();
-    let mut runs = [[10.0, 10.0], [0.1, 0.1]].map(|l| Run::new(&record, Levels::Constant(l), HALF_LIFE).unwrap());
+    let mut runs = [[10.0, 10.0], [0.1, 0.1]]
+        .map(|l| Run::new(&record, Levels::Constant(l), HALF_LIFE).unwrap());
     let mut worst = 0.0_f64;
     for k in 0..record.data.len() {
         let [large, small] = runs.each_mut().map(|run| {
@@ -285,7 +381,11 @@ fn levels_of_the_same_ratio_give_the_same_state() {
             run.errors(k)
         });
         if k >= steps(100.0) {
-            worst = large.iter().zip(small).map(|(a, b)| (a - b).abs()).fold(worst, f64::max);
+            worst = large
+                .iter()
+                .zip(small)
+                .map(|(a, b)| (a - b).abs())
+                .fold(worst, f64::max);
         }
     }
     println!("largest difference after 100 s: {worst:e}");
@@ -300,9 +400,15 @@ fn modal_and_physical_coordinates_give_the_same_estimates() {
         let mut settings = modal.filter.settings().clone();
         settings.prior_mean = modal.filter.model().physical_from_modal() * &settings.prior_mean;
         settings.prior_std.fill(PRIOR_VARIANCE.sqrt());
-        let mut physical = ExtendedKalmanFilter::new(physical_model(case).unwrap(), settings).unwrap();
+        let mut physical =
+            ExtendedKalmanFilter::new(physical_model(case).unwrap(), settings).unwrap();
         let known = case.known_excitation();
-        let mut step = |datum: &[f64]| physical.step(Frame { observations: datum, excitation: known.as_slice() });
+        let mut step = |datum: &[f64]| {
+            physical.step(Frame {
+                observations: datum,
+                excitation: known.as_slice(),
+            })
+        };
         step(&[f64::NAN; SENSED.len()]).unwrap();
         for (k, datum) in record.data.iter().enumerate() {
             modal.step(k).unwrap();
@@ -313,12 +419,21 @@ fn modal_and_physical_coordinates_give_the_same_estimates() {
         let found = tabulated(|j| physical.mean()[j]);
         let difference = |k: usize| (found[k] - (errors[k] + truth[k])).abs();
         let worst = (0..TABULATED.len()).map(difference).fold(0.0, f64::max);
-        let level = truth[..TABULATED.len()].iter().fold(0.0, |level: f64, x| level.max(x.abs()));
+        let level = truth[..TABULATED.len()]
+            .iter()
+            .fold(0.0, |level: f64, x| level.max(x.abs()));
         let noise = [modal.filter.noise(), physical.noise()].map(|noise| noise.mean.clone());
-        let levels_differ = (noise[0].component_div(&noise[1])).map(|r| (r - 1.0).abs()).max();
-        println!("{case:?}: {worst:e} m at a level of {level:.3} m; noise levels {levels_differ:e}");
+        let levels_differ = (noise[0].component_div(&noise[1]))
+            .map(|r| (r - 1.0).abs())
+            .max();
+        println!(
+            "{case:?}: {worst:e} m at a level of {level:.3} m; noise levels {levels_differ:e}"
+        );
         assert!(worst < 1e-10 * level.max(0.01), "{case:?}: {worst:e} m");
-        assert!(levels_differ < 1e-8, "{case:?}: noise levels {levels_differ:e}");
+        assert!(
+            levels_differ < 1e-8,
+            "{case:?}: noise levels {levels_differ:e}"
+        );
     }
 }
 
@@ -353,8 +468,16 @@ fn short_half_life_needs_the_positivity_guard() {
                 noise.limited, noise.fallbacks, noise.working_fallbacks
             );
             assert_eq!(broken_at, None, "seed {seed}, half-life {half_life}");
-            assert_eq!(negative_at.is_some(), needs_guard, "seed {seed}, half-life {half_life}");
-            assert_eq!(noise.limited > 0, needs_guard, "seed {seed}, half-life {half_life}");
+            assert_eq!(
+                negative_at.is_some(),
+                needs_guard,
+                "seed {seed}, half-life {half_life}"
+            );
+            assert_eq!(
+                noise.limited > 0,
+                needs_guard,
+                "seed {seed}, half-life {half_life}"
+            );
         }
     }
 }
@@ -368,7 +491,10 @@ fn checkpoint_in_either_stage_gives_the_same_bits() {
         if [250, 600].contains(&k) {
             let bytes = postcard::to_allocvec(broken.filter.state()).unwrap();
             broken = Run::new(&record, Levels::Online(START), HALF_LIFE).unwrap();
-            broken.filter.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+            broken
+                .filter
+                .restore(postcard::from_bytes(&bytes).unwrap())
+                .unwrap();
         }
         unbroken.step(k).unwrap();
         broken.step(k).unwrap();
@@ -386,10 +512,17 @@ fn gap_ages_the_levels_and_nothing_else() {
     }
     let before = run.filter.noise().clone();
     for _ in 0..500 {
-        run.filter.step(Frame { observations: &[f64::NAN; SENSED.len()], excitation: &[0.0] }).unwrap();
+        run.filter
+            .step(Frame {
+                observations: &[f64::NAN; SENSED.len()],
+                excitation: &[0.0],
+            })
+            .unwrap();
     }
     // λ^(N_s/2) = 2
     let after = run.filter.noise();
     assert_eq!(after.mean, before.mean);
-    assert!((&after.covariance - &before.covariance * 2.0).amax() < 1e-10 * before.covariance.amax());
+    assert!(
+        (&after.covariance - &before.covariance * 2.0).amax() < 1e-10 * before.covariance.amax()
+    );
 }

@@ -1,11 +1,18 @@
 //! Huang & Yuen (2023), §2.4.1: the oscillator whose frequency and damping start far off.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 mod systems;
 
 use nalgebra::{DMatrix, DVector};
-use spandrel_filter::{ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel};
+use spandrel_filter::{
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel,
+};
 use systems::{Normal, Oscillator, rms};
 
 const STEP_S: f64 = 0.005;
@@ -23,8 +30,13 @@ struct Record {
 
 fn simulate(seed: u64, steps: usize) -> Record {
     let excitation_variance = 2.0 * std::f64::consts::PI * 1e-4 / STEP_S;
-    let system = DMatrix::from_row_slice(2, 2, &[0.0, 1.0, -FREQUENCY * FREQUENCY, -2.0 * DAMPING * FREQUENCY]);
-    let (a, b) = LinearModel::discretise(&system, &DMatrix::from_row_slice(2, 1, &[0.0, 1.0]), STEP_S);
+    let system = DMatrix::from_row_slice(
+        2,
+        2,
+        &[0.0, 1.0, -FREQUENCY * FREQUENCY, -2.0 * DAMPING * FREQUENCY],
+    );
+    let (a, b) =
+        LinearModel::discretise(&system, &DMatrix::from_row_slice(2, 1, &[0.0, 1.0]), STEP_S);
     let mut normal = Normal::seeded(seed);
     let mut u = DVector::zeros(2);
     let truth: Vec<[f64; 2]> = (0..steps)
@@ -34,14 +46,24 @@ fn simulate(seed: u64, steps: usize) -> Record {
         })
         .collect();
     let noise_std = [0, 1].map(|j| 0.05 * rms(truth.iter().map(|u| u[j])));
-    let data = truth.iter().map(|u| [0, 1].map(|j| u[j] + noise_std[j] * normal.draw())).collect();
-    Record { truth, data, noise_std, excitation_variance }
+    let data = truth
+        .iter()
+        .map(|u| [0, 1].map(|j| u[j] + noise_std[j] * normal.draw()))
+        .collect();
+    Record {
+        truth,
+        data,
+        noise_std,
+        excitation_variance,
+    }
 }
 
 fn filter(record: &Record, half_life_steps: Option<f64>) -> ExtendedKalmanFilter<Oscillator> {
     let noise = NoiseModel::known(
         DMatrix::from_element(1, 1, record.excitation_variance),
-        DMatrix::from_diagonal(&DVector::from_row_slice(&record.noise_std.map(|std| std * std))),
+        DMatrix::from_diagonal(&DVector::from_row_slice(
+            &record.noise_std.map(|std| std * std),
+        )),
     );
     let prior = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
     let mut settings = FilterSettings::new(STEP_S, prior, DVector::repeat(4, 1.0), noise);
@@ -58,9 +80,17 @@ fn run(record: &Record, half_life_steps: Option<f64>) -> Vec<([f64; 4], [f64; 4]
         .data
         .iter()
         .map(|datum| {
-            filter.step(Frame { observations: datum, excitation: &[0.0] }).unwrap();
+            filter
+                .step(Frame {
+                    observations: datum,
+                    excitation: &[0.0],
+                })
+                .unwrap();
             let std = |j| filter.covariance()[(j, j)].max(0.0).sqrt();
-            ([0, 1, 2, 3].map(|j| filter.mean()[j]), [0, 1, 2, 3].map(std))
+            (
+                [0, 1, 2, 3].map(|j| filter.mean()[j]),
+                [0, 1, 2, 3].map(std),
+            )
         })
         .collect()
 }
@@ -79,22 +109,43 @@ fn responses_and_parameters_reach_the_published_accuracy() {
         for (j, name, allowed) in [(0, "displacement", 0.004), (1, "velocity", 0.04)] {
             let error = rms(late.clone().map(|i| estimates[i].0[j] - record.truth[i][j]));
             let relative = error / rms(late.clone().map(|i| record.truth[i][j]));
-            assert!(relative <= allowed, "seed {seed}: relative rms error of {name} is {relative}, allowed {allowed}");
+            assert!(
+                relative <= allowed,
+                "seed {seed}: relative rms error of {name} is {relative}, allowed {allowed}"
+            );
         }
         for (j, name, truth) in [(2, "frequency", FREQUENCY), (3, "damping", DAMPING)] {
-            let inside = late.clone().filter(|&i| (estimates[i].0[j] - truth).abs() <= 3.0 * estimates[i].1[j]).count();
-            assert!(inside as f64 >= 0.99 * 30_000.0, "seed {seed}: {name} inside 3 sd {inside} times of 30000");
+            let inside = late
+                .clone()
+                .filter(|&i| (estimates[i].0[j] - truth).abs() <= 3.0 * estimates[i].1[j])
+                .count();
+            assert!(
+                inside as f64 >= 0.99 * 30_000.0,
+                "seed {seed}: {name} inside 3 sd {inside} times of 30000"
+            );
             let mean_std = late.clone().map(|i| estimates[i].1[j]).sum::<f64>() / 30_000.0;
             // The information bound that the check states, from the record itself.
             let power = rms(late.clone().map(|i| record.truth[i][j - 2])).powi(2);
-            let bound = (record.excitation_variance * 2f64.powf(1e-3).ln() / power).sqrt() / (2.0 * FREQUENCY);
+            let bound = (record.excitation_variance * 2f64.powf(1e-3).ln() / power).sqrt()
+                / (2.0 * FREQUENCY);
             let ratio = mean_std / bound;
-            assert!((0.8..2.0).contains(&ratio), "seed {seed}: sd of {name} {mean_std}, bound {bound}");
+            assert!(
+                (0.8..2.0).contains(&ratio),
+                "seed {seed}: sd of {name} {mean_std}, bound {bound}"
+            );
             mean_stds[j - 2] += mean_std / SEEDS.count() as f64;
         }
     }
-    assert!((0.05..=0.08).contains(&mean_stds[0]), "mean sd of frequency {}", mean_stds[0]);
-    assert!((0.07..=0.12).contains(&mean_stds[1]), "mean sd of damping {}", mean_stds[1]);
+    assert!(
+        (0.05..=0.08).contains(&mean_stds[0]),
+        "mean sd of frequency {}",
+        mean_stds[0]
+    );
+    assert!(
+        (0.07..=0.12).contains(&mean_stds[1]),
+        "mean sd of damping {}",
+        mean_stds[1]
+    );
 }
 
 #[test]
@@ -104,10 +155,28 @@ fn without_fading_the_parameters_are_sharp() {
         let record = simulate(seed, 40_000);
         let estimates = run(&record, None);
         let (mean, std) = estimates[39_999];
-        assert!((0.006..0.024).contains(&std[2]), "seed {seed}: sd of frequency {}", std[2]);
-        assert!((0.008..0.034).contains(&std[3]), "seed {seed}: sd of damping {}", std[3]);
-        assert!((mean[2] - FREQUENCY).abs() < 4.0 * std[2], "seed {seed}: frequency {} ± {}", mean[2], std[2]);
-        assert!((mean[3] - DAMPING).abs() < 4.0 * std[3], "seed {seed}: damping {} ± {}", mean[3], std[3]);
+        assert!(
+            (0.006..0.024).contains(&std[2]),
+            "seed {seed}: sd of frequency {}",
+            std[2]
+        );
+        assert!(
+            (0.008..0.034).contains(&std[3]),
+            "seed {seed}: sd of damping {}",
+            std[3]
+        );
+        assert!(
+            (mean[2] - FREQUENCY).abs() < 4.0 * std[2],
+            "seed {seed}: frequency {} ± {}",
+            mean[2],
+            std[2]
+        );
+        assert!(
+            (mean[3] - DAMPING).abs() < 4.0 * std[3],
+            "seed {seed}: damping {} ± {}",
+            mean[3],
+            std[3]
+        );
     }
 }
 
@@ -116,7 +185,9 @@ fn run_dense(record: &Record) -> Vec<[f64; 4]> {
     let mut y = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
     let mut sigma = DMatrix::<f64>::identity(4, 4);
     let observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
-    let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(&record.noise_std.map(|std| std * std)));
+    let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(
+        &record.noise_std.map(|std| std * std),
+    ));
     let mut estimates = Vec::new();
     for (i, datum) in record.data.iter().enumerate() {
         if i > 0 {
@@ -124,17 +195,24 @@ fn run_dense(record: &Record) -> Vec<[f64; 4]> {
             // [A_y B_y g; 0], whose exponential holds A_i, Γ B_y and Γ g
             let mut augmented = DMatrix::zeros(6, 6);
             augmented[(0, 1)] = 1.0;
-            let row = [-omega * omega, -2.0 * zeta * omega, -2.0 * omega * x - 2.0 * zeta * v, -2.0 * omega * v, 1.0];
+            let row = [
+                -omega * omega,
+                -2.0 * zeta * omega,
+                -2.0 * omega * x - 2.0 * zeta * v,
+                -2.0 * omega * v,
+                1.0,
+            ];
             for (j, entry) in row.into_iter().enumerate() {
                 augmented[(1, j)] = entry;
             }
-            (augmented[(0, 5)], augmented[(1, 5)]) = (v, -2.0 * zeta * omega * v - omega * omega * x);
+            (augmented[(0, 5)], augmented[(1, 5)]) =
+                (v, -2.0 * zeta * omega * v - omega * omega * x);
             let exponential = (augmented * STEP_S).exp();
             let transition = exponential.view((0, 0), (4, 4)).into_owned();
             let input = exponential.view((0, 4), (4, 1)).into_owned();
             y += exponential.view((0, 5), (4, 1)).column(0);
-            sigma =
-                &transition * sigma * transition.transpose() + &input * record.excitation_variance * input.transpose();
+            sigma = &transition * sigma * transition.transpose()
+                + &input * record.excitation_variance * input.transpose();
         }
         let s = &observation * &sigma * observation.transpose() + &sensors;
         let gain = &sigma * observation.transpose() * s.try_inverse().unwrap();
@@ -155,7 +233,10 @@ fn without_fading_it_is_the_plain_extended_filter() {
         for (i, ((mean, _), expected)) in run(&record, None).iter().zip(&dense).enumerate() {
             for j in 0..4 {
                 let error = (mean[j] - expected[j]).abs();
-                assert!(error < 1e-8 * (1.0 + expected[j].abs()), "seed {seed}, step {i}, state {j}: {error:e}");
+                assert!(
+                    error < 1e-8 * (1.0 + expected[j].abs()),
+                    "seed {seed}, step {i}, state {j}: {error:e}"
+                );
             }
         }
     }
@@ -167,7 +248,9 @@ fn run_as_misprinted(record: &Record) -> Vec<[f64; 2]> {
     let mut y = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
     let mut sigma = DMatrix::<f64>::identity(4, 4);
     let observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
-    let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(&record.noise_std.map(|std| std * std)));
+    let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(
+        &record.noise_std.map(|std| std * std),
+    ));
     record
         .data
         .iter()
@@ -179,7 +262,12 @@ fn run_as_misprinted(record: &Record) -> Vec<[f64; 2]> {
             a_y[(1, 1)] = -2.0 * zeta * omega;
             a_y[(1, 2)] = -2.0 * omega * x - 2.0 * zeta * v;
             a_y[(1, 3)] = -2.0 * omega * v;
-            let g = DVector::from_row_slice(&[v, -2.0 * zeta * omega * v - omega * omega * x, 0.0, 0.0]);
+            let g = DVector::from_row_slice(&[
+                v,
+                -2.0 * zeta * omega * v - omega * omega * x,
+                0.0,
+                0.0,
+            ]);
             let transition = (&a_y * STEP_S).exp();
             let misprint = &a_y * (&transition - DMatrix::identity(4, 4));
             let input = &misprint * DVector::from_row_slice(&[0.0, 1.0, 0.0, 0.0]);
@@ -205,9 +293,16 @@ fn misprinted_discretisation_moves_the_parameters() {
         let right = run(&record, Some(2000.0));
         let wrong = run_as_misprinted(&record);
         let moved = (4_500..9_000)
-            .map(|i| (right[i].0[2] - wrong[i][0]).abs().max((right[i].0[3] - wrong[i][1]).abs()))
+            .map(|i| {
+                (right[i].0[2] - wrong[i][0])
+                    .abs()
+                    .max((right[i].0[3] - wrong[i][1]).abs())
+            })
             .fold(0.0, f64::max);
         println!("seed {seed}: moved by {moved}");
-        assert!(moved > 0.4, "seed {seed}: the misprint moves the parameters by {moved} only");
+        assert!(
+            moved > 0.4,
+            "seed {seed}: the misprint moves the parameters by {moved} only"
+        );
     }
 }

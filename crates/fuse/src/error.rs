@@ -10,7 +10,9 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum FuseError {
     /// The structure file does not ask for distributed identification.
-    #[error("structure {structure} is not identified by its nodes; see identification = \"distributed\"")]
+    #[error(
+        "structure {structure} is not identified by its nodes; see identification = \"distributed\""
+    )]
     NotDistributed {
         /// The structure.
         structure: String,

@@ -7,8 +7,9 @@
 use crate::error::FuseError;
 use crate::node::{Node, SILENT_FUSIONS};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header, LocalMessage, MotionNumbers,
-    Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, StreamState, ToldMotion,
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header,
+    LocalMessage, MotionNumbers, Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay,
+    StreamState, ToldMotion,
 };
 use spandrel_filter::fusion::{CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, Station};
 use spandrel_structure::Structure;
@@ -105,14 +106,30 @@ impl Fusion {
     ///
     /// # Errors
     /// When identification is not distributed, or the station refuses its settings.
-    pub fn new(structure: &Structure, source: impl Into<String>, epoch: u64) -> Result<Self, FuseError> {
+    pub fn new(
+        structure: &Structure,
+        source: impl Into<String>,
+        epoch: u64,
+    ) -> Result<Self, FuseError> {
         let name = || structure.name().to_owned();
-        let plan = structure.fusion().ok_or_else(|| FuseError::NotDistributed { structure: name() })?;
-        let station = structure.station().ok_or_else(|| FuseError::NotDistributed { structure: name() })?;
-        let named = |text: &str| Name::new(text).map_err(|source| FuseError::Name { structure: name(), source });
+        let plan = structure
+            .fusion()
+            .ok_or_else(|| FuseError::NotDistributed { structure: name() })?;
+        let station = structure
+            .station()
+            .ok_or_else(|| FuseError::NotDistributed { structure: name() })?;
+        let named = |text: &str| {
+            Name::new(text).map_err(|source| FuseError::Name {
+                structure: name(),
+                source,
+            })
+        };
         let node = |node: &spandrel_structure::Node| {
             let channels = screened_channels(structure, node).into_iter().map(named);
-            Ok(Node::new(named(node.name())?, channels.collect::<Result<_, FuseError>>()?))
+            Ok(Node::new(
+                named(node.name())?,
+                channels.collect::<Result<_, FuseError>>()?,
+            ))
         };
         let parameter = |(index, parameter): (usize, &spandrel_structure::Parameter)| {
             Ok((named(parameter.name())?, structure.displayed_loss(index)))
@@ -121,11 +138,25 @@ impl Fusion {
             structure: named(structure.name())?,
             source: source.into(),
             epoch,
-            station: station.map_err(|source| FuseError::Station { structure: name(), source })?,
-            nodes: structure.nodes().iter().map(node).collect::<Result<_, FuseError>>()?,
-            parameters: structure.parameters().iter().enumerate().map(parameter).collect::<Result<_, FuseError>>()?,
+            station: station.map_err(|source| FuseError::Station {
+                structure: name(),
+                source,
+            })?,
+            nodes: structure
+                .nodes()
+                .iter()
+                .map(node)
+                .collect::<Result<_, FuseError>>()?,
+            parameters: structure
+                .parameters()
+                .iter()
+                .enumerate()
+                .map(parameter)
+                .collect::<Result<_, FuseError>>()?,
             rate_hz: plan.rate_hz(),
-            distance_limit: plan.detector().map(|detector| detector.limit(structure.parameters().len())),
+            distance_limit: plan
+                .detector()
+                .map(|detector| detector.limit(structure.parameters().len())),
             t0_ns: None,
             begun_ns: None,
             due_ns: None,
@@ -140,36 +171,54 @@ impl Fusion {
             healthy: true,
             without: 0,
             variances: plan.sends_variances(),
-            told_units: (0..structure.nodes().len()).map(|node| structure.told_units(node)).collect(),
+            told_units: (0..structure.nodes().len())
+                .map(|node| structure.told_units(node))
+                .collect(),
         })
     }
 
     /// Takes one input and appends what follows from it.
     pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
         match input {
-            Input::Local { node, message, bytes, arrived_ns } => {
+            Input::Local {
+                node,
+                message,
+                bytes,
+                arrived_ns,
+            } => {
                 self.take(node, *message, bytes, arrived_ns, outputs);
             }
             Input::Present(present) => self.note_presence(&present, outputs),
             Input::Tick(now_ns) => {
                 self.follow_clock(now_ns);
                 // what would be fused after the end is nothing but older
-                if !self.ended && self.is_live() && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
+                if !self.ended
+                    && self.is_live()
+                    && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns)
+                {
                     let periods = self.periods(now_ns);
                     self.fuse(periods, now_ns, outputs);
                     // a station that was held up goes on with the next period of its clock
                     let next_s = (periods.floor() + 1.0) / self.rate_hz;
-                    self.due_ns = self.begun_ns.map(|begun_ns| begun_ns + (next_s * 1e9) as i64);
+                    self.due_ns = self
+                        .begun_ns
+                        .map(|begun_ns| begun_ns + (next_s * 1e9) as i64);
                 }
             }
         }
         while let Some(index) = self.complete_index() {
             self.next_index = index.checked_add(1);
-            let times = self.nodes.iter().filter_map(|node| node.last.filter(|(at, _)| *at >= index));
+            let times = self
+                .nodes
+                .iter()
+                .filter_map(|node| node.last.filter(|(at, _)| *at >= index));
             let time_ns = times.map(|(_, time_ns)| time_ns).max().unwrap_or(0);
             self.fuse(self.since_origin(index), time_ns, outputs);
         }
-        if !self.ended && self.nodes.iter().any(|node| node.ended) && self.nodes.iter().all(Node::is_over) {
+        if !self.ended
+            && self.nodes.iter().any(|node| node.ended)
+            && self.nodes.iter().all(Node::is_over)
+        {
             self.end(outputs);
         }
     }
@@ -192,7 +241,11 @@ impl Fusion {
         if !self.ended {
             return self.last_ns;
         }
-        self.nodes.iter().filter_map(|node| node.last.map(|(_, time_ns)| time_ns)).max().max(self.last_ns)
+        self.nodes
+            .iter()
+            .filter_map(|node| node.last.map(|(_, time_ns)| time_ns))
+            .max()
+            .max(self.last_ns)
     }
 
     /// Returns the names of the parameters, in the order of the estimates.
@@ -229,7 +282,9 @@ impl Fusion {
 
     /// Time on the station's clock, in fusion periods since its first message.
     fn periods(&self, now_ns: i64) -> f64 {
-        self.begun_ns.map_or(0.0, |begun| now_ns.saturating_sub(begun).max(0) as f64 * 1e-9 * self.rate_hz)
+        self.begun_ns.map_or(0.0, |begun| {
+            now_ns.saturating_sub(begun).max(0) as f64 * 1e-9 * self.rate_hz
+        })
     }
 
     /// Number of a fusion period of measurement time, of which a message with this time is the last.
@@ -246,11 +301,16 @@ impl Fusion {
     /// Goes on from where it was when the clock has been set: back by more than a period, or forward.
     fn follow_clock(&mut self, now_ns: i64) {
         let looked_ns = self.looked_ns.replace(now_ns);
-        let Some((begun_ns, due_ns)) = self.begun_ns.as_mut().zip(self.due_ns.as_mut()) else { return };
+        let Some((begun_ns, due_ns)) = self.begun_ns.as_mut().zip(self.due_ns.as_mut()) else {
+            return;
+        };
         let since_ns = looked_ns.map_or(0, |looked_ns| now_ns.saturating_sub(looked_ns));
         if since_ns as f64 * 1e-9 * self.rate_hz > LONGEST_LOOK {
             let beyond_ns = since_ns.saturating_sub((1e9 / self.rate_hz) as i64);
-            (*begun_ns, *due_ns) = (begun_ns.saturating_add(beyond_ns), due_ns.saturating_add(beyond_ns));
+            (*begun_ns, *due_ns) = (
+                begun_ns.saturating_add(beyond_ns),
+                due_ns.saturating_add(beyond_ns),
+            );
         }
         let ahead_ns = due_ns.saturating_sub(now_ns);
         if ahead_ns as f64 * 1e-9 * self.rate_hz > 1.0 {
@@ -262,14 +322,24 @@ impl Fusion {
     /// Whether fusions follow the station's clock: a single node that measures does not wait for those that replay, so that no
     /// message of one node can hold up the others.
     fn is_live(&self) -> bool {
-        let heard = |pace| self.nodes.iter().filter(move |node| node.heard_ever && node.pace == pace);
+        let heard = |pace| {
+            self.nodes
+                .iter()
+                .filter(move |node| node.heard_ever && node.pace == pace)
+        };
         heard(Pace::Live).any(|node| !node.is_over()) || heard(Pace::Replayed).next().is_none()
     }
 
     /// Whether what the nodes send comes as it is measured; none before the first message.
     pub fn pace(&self) -> Option<Pace> {
         let is_heard = self.nodes.iter().any(|node| node.heard_ever);
-        is_heard.then(|| if self.is_live() { Pace::Live } else { Pace::Replayed })
+        is_heard.then(|| {
+            if self.is_live() {
+                Pace::Live
+            } else {
+                Pace::Replayed
+            }
+        })
     }
 
     /// Returns the period that all replaying nodes that are there have reached, if it is a new one.
@@ -281,10 +351,22 @@ impl Fusion {
             return None;
         }
         let next = self.next_index?;
-        let reached = |node: &Node| node.last.map(|(index, _)| index).filter(|index| *index >= next);
+        let reached = |node: &Node| {
+            node.last
+                .map(|(index, _)| index)
+                .filter(|index| *index >= next)
+        };
         let waited_for = |node: &&Node| !node.ended && (node.present || !node.heard_ever);
-        let all_are_there = self.nodes.iter().filter(waited_for).all(|node| reached(node).is_some());
-        self.nodes.iter().filter_map(reached).min().filter(|_| all_are_there)
+        let all_are_there = self
+            .nodes
+            .iter()
+            .filter(waited_for)
+            .all(|node| reached(node).is_some());
+        self.nodes
+            .iter()
+            .filter_map(reached)
+            .min()
+            .filter(|_| all_are_there)
     }
 
     /// Takes which nodes are there; that none is any more is told at once, because no fusion may follow.
@@ -299,8 +381,18 @@ impl Fusion {
             return;
         }
         if let Some(time_ns) = self.done_ns() {
-            let (what, why) = ("no node is there any more", "the liveliness tokens of all workers of nodes are gone");
-            self.tell(EventKind::NodeSilent, "fuse", what, why.to_owned(), time_ns, outputs);
+            let (what, why) = (
+                "no node is there any more",
+                "the liveliness tokens of all workers of nodes are gone",
+            );
+            self.tell(
+                EventKind::NodeSilent,
+                "fuse",
+                what,
+                why.to_owned(),
+                time_ns,
+                outputs,
+            );
             self.show_nodes(time_ns, outputs);
         }
     }
@@ -319,7 +411,9 @@ impl Fusion {
             self.origin.get_or_insert(number.saturating_sub(1));
         }
         let since_origin = self.since_origin(number);
-        let Some(node) = self.nodes.get_mut(position) else { return };
+        let Some(node) = self.nodes.get_mut(position) else {
+            return;
+        };
         node.bytes_received += bytes;
         if node.heard_ever && message.header.epoch < node.epoch {
             *node.refused.entry("stale-epoch").or_default() += 1;
@@ -338,22 +432,37 @@ impl Fusion {
         });
         let (index, time_ns) = (message.header.sequence, message.header.time_ns);
         if let Some(density) = message.density.take() {
-            let lineage = density.lineage.map(|lineage| Lineage { own: lineage.own, answers: lineage.answers });
+            let lineage = density.lineage.map(|lineage| Lineage {
+                own: lineage.own,
+                answers: lineage.answers,
+            });
             // checked when it was decoded; a hand-made message may still be none
-            let Some(parameters) = Gaussian::from_triangle(&density.mean, &density.covariance) else {
+            let Some(parameters) = Gaussian::from_triangle(&density.mean, &density.covariance)
+            else {
                 *node.refused.entry("dimension").or_default() += 1;
                 return;
             };
             let motion = density.motion.map(|told| {
                 let (mean, variance) = told.into_numbers();
-                CompressedMotion { mean: mean.into(), variance: variance.into() }
+                CompressedMotion {
+                    mean: mean.into(),
+                    variance: variance.into(),
+                }
             });
             let at = match message.pace {
                 Pace::Replayed => since_origin,
-                Pace::Live => arrived_ns.saturating_sub(begun_ns).max(0) as f64 * 1e-9 * self.rate_hz,
+                Pace::Live => {
+                    arrived_ns.saturating_sub(begun_ns).max(0) as f64 * 1e-9 * self.rate_hz
+                }
             };
             let instant = (time_ns as f64 * 1e-9) * self.rate_hz;
-            let estimate = LocalEstimate { index, parameters, lineage, motion, instant };
+            let estimate = LocalEstimate {
+                index,
+                parameters,
+                lineage,
+                motion,
+                instant,
+            };
             if let Err(refusal) = self.station.receive(position, estimate, at) {
                 *node.refused.entry(refusal.as_str()).or_default() += 1;
                 return;
@@ -392,13 +501,30 @@ impl Fusion {
             normalised_innovation_squared: 0.0,
             log_evidence: 0.0,
             used_channels: 0,
-            flags: EstimateFlags { prediction_only: fused.used == 0, ..EstimateFlags::working() },
+            flags: EstimateFlags {
+                prediction_only: fused.used == 0,
+                ..EstimateFlags::working()
+            },
         };
-        outputs.push(Output::Estimates(self.block(number, t0_ns, time_ns, vec![estimate], StreamState::Running)));
+        outputs.push(Output::Estimates(self.block(
+            number,
+            t0_ns,
+            time_ns,
+            vec![estimate],
+            StreamState::Running,
+        )));
         for (index, (name, asked)) in self.parameters.iter().enumerate() {
-            let (mean, variance) = (fused.parameters.mean[index], fused.parameters.covariance[(index, index)]);
+            let (mean, variance) = (
+                fused.parameters.mean[index],
+                fused.parameters.covariance[(index, index)],
+            );
             let names = (&self.structure, name);
-            outputs.push(Output::Parameter(ParameterDisplay::of_gaussian(names, time_ns, (mean, variance), *asked)));
+            outputs.push(Output::Parameter(ParameterDisplay::of_gaussian(
+                names,
+                time_ns,
+                (mean, variance),
+                *asked,
+            )));
         }
         self.answer(&fused, number, time_ns, outputs);
         self.tell_nodes(&fused, time_ns, outputs);
@@ -410,13 +536,22 @@ impl Fusion {
             variance: motion.variance.as_slice().to_vec(),
         };
         let told = |motion: &CompressedMotion, node: usize| {
-            ToldMotion::new(motion.mean.as_slice(), motion.variance.as_slice(), &self.told_units[node])
+            ToldMotion::new(
+                motion.mean.as_slice(),
+                motion.variance.as_slice(),
+                &self.told_units[node],
+            )
         };
         for (position, feedback) in fused.feedback.iter().enumerate() {
             let Some(feedback) = feedback else { continue };
             let responses = feedback.responses.iter().enumerate();
             let message = FeedbackMessage {
-                header: Header { source: self.source.clone(), epoch: self.epoch, sequence: number, time_ns },
+                header: Header {
+                    source: self.source.clone(),
+                    epoch: self.epoch,
+                    sequence: number,
+                    time_ns,
+                },
                 node_epoch: self.nodes[position].epoch,
                 answers: feedback.answers,
                 nodes: feedback.nodes as u16,
@@ -428,7 +563,12 @@ impl Fusion {
                 motion: feedback.motion.as_ref().map(numbers),
                 // a node knows its own
                 responses: responses
-                    .map(|(node, motion)| motion.as_ref().filter(|_| node != position).map(|motion| told(motion, node)))
+                    .map(|(node, motion)| {
+                        motion
+                            .as_ref()
+                            .filter(|_| node != position)
+                            .map(|motion| told(motion, node))
+                    })
                     .collect(),
             };
             outputs.push(Output::Feedback(position, message));
@@ -444,7 +584,9 @@ impl Fusion {
             let distance = report.distance.zip(self.distance_limit);
             events.extend(news.into_iter().map(|(kind, what, mut why)| {
                 if let Some((distance, limit)) = distance {
-                    why.push_str(&format!("; distance {distance:.1}, regular up to {limit:.1}"));
+                    why.push_str(&format!(
+                        "; distance {distance:.1}, regular up to {limit:.1}"
+                    ));
                 }
                 (kind, node.name.to_string(), what, why)
             }));
@@ -455,20 +597,42 @@ impl Fusion {
         self.show_nodes(time_ns, outputs);
         if fused.started_anew {
             let why = "a fused parameter was outside of what is sound".to_owned();
-            self.tell(EventKind::Restart, "fuse", "the station begins anew from the prior", why, time_ns, outputs);
+            self.tell(
+                EventKind::Restart,
+                "fuse",
+                "the station begins anew from the prior",
+                why,
+                time_ns,
+                outputs,
+            );
         }
         if fused.adopted {
-            let (what, why) =
-                ("the station takes over what the nodes know", "they have been fused by a station before this one");
-            self.tell(EventKind::Restart, "fuse", what, why.to_owned(), time_ns, outputs);
+            let (what, why) = (
+                "the station takes over what the nodes know",
+                "they have been fused by a station before this one",
+            );
+            self.tell(
+                EventKind::Restart,
+                "fuse",
+                what,
+                why.to_owned(),
+                time_ns,
+                outputs,
+            );
         }
         // as of a node: messages that come a period late, all of them, are no gap
         self.without = if fused.used > 0 { 0 } else { self.without + 1 };
         let told = match (self.healthy, self.without) {
-            (true, SILENT_FUSIONS..) => {
-                Some((EventKind::Gap, "nothing to fuse", "no node has sent anything that could be used"))
-            }
-            (false, 0) => Some((EventKind::NodeBack, "nodes are fused again", "something has come that can be used")),
+            (true, SILENT_FUSIONS..) => Some((
+                EventKind::Gap,
+                "nothing to fuse",
+                "no node has sent anything that could be used",
+            )),
+            (false, 0) => Some((
+                EventKind::NodeBack,
+                "nodes are fused again",
+                "something has come that can be used",
+            )),
             (true, _) | (false, _) => None,
         };
         if let Some((kind, what, why)) = told {
@@ -478,14 +642,26 @@ impl Fusion {
     }
 
     fn show_nodes(&self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let displays = self
-            .nodes
-            .iter()
-            .map(|node| node.display(&self.structure, time_ns, node.ended || self.deserted, self.distance_limit));
+        let displays = self.nodes.iter().map(|node| {
+            node.display(
+                &self.structure,
+                time_ns,
+                node.ended || self.deserted,
+                self.distance_limit,
+            )
+        });
         outputs.extend(displays.map(Output::Node));
     }
 
-    fn tell(&self, kind: EventKind, subject: &str, what: &str, why: String, time_ns: i64, outputs: &mut Vec<Output>) {
+    fn tell(
+        &self,
+        kind: EventKind,
+        subject: &str,
+        what: &str,
+        why: String,
+        time_ns: i64,
+        outputs: &mut Vec<Output>,
+    ) {
         outputs.push(Output::Event(Event {
             structure: self.structure.clone(),
             time_ns,
@@ -499,7 +675,13 @@ impl Fusion {
     fn end(&mut self, outputs: &mut Vec<Output>) {
         self.ended = true;
         if let (Some(t0_ns), Some(last_ns)) = (self.t0_ns, self.last_ns) {
-            outputs.push(Output::Estimates(self.block(self.done, t0_ns, last_ns, Vec::new(), StreamState::Ended)));
+            outputs.push(Output::Estimates(self.block(
+                self.done,
+                t0_ns,
+                last_ns,
+                Vec::new(),
+                StreamState::Ended,
+            )));
         }
         // the last nodes ended after the last fusion
         if let Some(done_ns) = self.done_ns() {
@@ -516,7 +698,12 @@ impl Fusion {
         state: StreamState,
     ) -> EstimateBlock {
         EstimateBlock {
-            header: Header { source: self.source.clone(), epoch: self.epoch, sequence: number, time_ns },
+            header: Header {
+                source: self.source.clone(),
+                epoch: self.epoch,
+                sequence: number,
+                time_ns,
+            },
             term: 0,
             t0_ns,
             sampling_rate_hz: self.rate_hz,
@@ -530,9 +717,20 @@ impl Fusion {
 }
 
 /// The names of the channels of a node whose outliers are screened, in the order in which it tells of them.
-fn screened_channels<'s>(structure: &Structure, node: &'s spandrel_structure::Node) -> Vec<&'s str> {
-    let Some(own) = structure.of_node(node.name()).filter(Structure::screens_outliers) else { return Vec::new() };
-    own.observation_channels().iter().map(|channel| node.channels()[*channel].name()).collect()
+fn screened_channels<'s>(
+    structure: &Structure,
+    node: &'s spandrel_structure::Node,
+) -> Vec<&'s str> {
+    let Some(own) = structure
+        .of_node(node.name())
+        .filter(Structure::screens_outliers)
+    else {
+        return Vec::new();
+    };
+    own.observation_channels()
+        .iter()
+        .map(|channel| node.channels()[*channel].name())
+        .collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
 //! A node in the eyes of the station: what it sent, whether it is heard and agrees, and what of that is worth an event.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{EventKind, LocalMessage, MaskedSpan, Name, NodeDisplay, NodeHealth, OutlierDisplay, Pace};
+use spandrel_bus::{
+    EventKind, LocalMessage, MaskedSpan, Name, NodeDisplay, NodeHealth, OutlierDisplay, Pace,
+};
 use spandrel_filter::fusion::NodeReport;
 use std::collections::BTreeMap;
 
@@ -85,7 +87,14 @@ impl Node {
             bytes_sent: 0,
             refused: BTreeMap::new(),
             restarts: 0,
-            channels: channels.into_iter().map(|name| Channel { name, told: 0, masked: None }).collect(),
+            channels: channels
+                .into_iter()
+                .map(|name| Channel {
+                    name,
+                    told: 0,
+                    masked: None,
+                })
+                .collect(),
             heard_ns: None,
             samples: 0,
             report: NodeReport::default(),
@@ -121,43 +130,64 @@ impl Node {
     }
 
     /// Takes what a message says of outliers; nothing when it is not of the channels of this node.
-    pub(crate) fn screened(&mut self, structure: &Name, message: &LocalMessage) -> Vec<OutlierDisplay> {
+    pub(crate) fn screened(
+        &mut self,
+        structure: &Name,
+        message: &LocalMessage,
+    ) -> Vec<OutlierDisplay> {
         if message.screening.len() != self.channels.len() {
             if !message.screening.is_empty() {
                 *self.refused.entry("screening").or_default() += 1;
             }
             return Vec::new();
         }
-        let displays = self.channels.iter_mut().zip(&message.screening).map(|(channel, screened)| {
-            channel.masked = screened.masked.or(channel.masked);
-            // a filter that began anew counts from zero
-            let flagged = screened.rejected.checked_sub(channel.told).unwrap_or(screened.rejected);
-            channel.told = screened.rejected;
-            OutlierDisplay {
-                structure: structure.clone(),
-                channel: channel.name.clone(),
-                time_ns: message.header.time_ns,
-                state: screened.state,
-                flagged,
-                rejected: screened.rejected,
-                screened: screened.screened,
-                recent_share: f64::from(screened.recent_share),
-                scale: f64::from(screened.scale),
-                masked: channel.masked,
-            }
-        });
+        let displays =
+            self.channels
+                .iter_mut()
+                .zip(&message.screening)
+                .map(|(channel, screened)| {
+                    channel.masked = screened.masked.or(channel.masked);
+                    // a filter that began anew counts from zero
+                    let flagged = screened
+                        .rejected
+                        .checked_sub(channel.told)
+                        .unwrap_or(screened.rejected);
+                    channel.told = screened.rejected;
+                    OutlierDisplay {
+                        structure: structure.clone(),
+                        channel: channel.name.clone(),
+                        time_ns: message.header.time_ns,
+                        state: screened.state,
+                        flagged,
+                        rejected: screened.rejected,
+                        screened: screened.screened,
+                        recent_share: f64::from(screened.recent_share),
+                        scale: f64::from(screened.scale),
+                        masked: channel.masked,
+                    }
+                });
         displays.collect()
     }
 
     /// Takes what a fusion found of it; `is_over` says that nobody expects anything more of it. What is worth an event is added.
-    pub(crate) fn judge(&mut self, report: NodeReport, is_over: bool, time_ns: i64, news: &mut Vec<News>) {
+    pub(crate) fn judge(
+        &mut self,
+        report: NodeReport,
+        is_over: bool,
+        time_ns: i64,
+        news: &mut Vec<News>,
+    ) {
         if report.out_of_step {
             *self.refused.entry("motion-out-of-step").or_default() += 1;
         }
         if report.heard {
             let excluded = f64::from(u8::from(report.excluded));
             self.excluded_share += (excluded - self.excluded_share) / SHARE_MEMORY;
-            self.excluded_since_ns = if report.excluded { self.excluded_since_ns.or(Some(time_ns)) } else { None };
+            self.excluded_since_ns = if report.excluded {
+                self.excluded_since_ns.or(Some(time_ns))
+            } else {
+                None
+            };
         }
         let has_samples = std::mem::take(&mut self.samples) > 0;
         self.report = report;
@@ -176,7 +206,11 @@ impl Node {
             self.quiet.fusions += 1;
             if self.quiet.fusions >= SILENT_FUSIONS && !self.quiet.is_told {
                 self.quiet.is_told = true;
-                news.push((EventKind::NodeSilent, "the node is silent", self.why_silent(report.heard).to_owned()));
+                news.push((
+                    EventKind::NodeSilent,
+                    "the node is silent",
+                    self.why_silent(report.heard).to_owned(),
+                ));
             }
         }
         news.extend(self.exclusion());
@@ -202,10 +236,17 @@ impl Node {
         }
         self.often_excluded = often;
         let (kind, what) = match often {
-            true => (EventKind::NodeExcluded, "the node disagrees with the others and is left out"),
+            true => (
+                EventKind::NodeExcluded,
+                "the node disagrees with the others and is left out",
+            ),
             false => (EventKind::NodeBack, "the node agrees with the others again"),
         };
-        Some((kind, what, format!("left out in {:.0} % of late", self.excluded_share * 100.0)))
+        Some((
+            kind,
+            what,
+            format!("left out in {:.0} % of late", self.excluded_share * 100.0),
+        ))
     }
 
     /// How it stands after the last fusion; `is_over` as when it was judged.
@@ -237,7 +278,11 @@ impl Node {
             messages: self.messages,
             bytes_received: self.bytes_received,
             bytes_sent: self.bytes_sent,
-            refused: self.refused.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect(),
+            refused: self
+                .refused
+                .iter()
+                .map(|(reason, count)| ((*reason).to_owned(), *count))
+                .collect(),
             restarts: self.restarts,
         }
     }

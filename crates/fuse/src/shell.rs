@@ -3,9 +3,10 @@
 use crate::error::FuseError;
 use crate::fusion::{Fusion, FusionState, Input, Output};
 use spandrel_bus::{
-    BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keep, Keys,
-    LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream,
-    OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Status, StreamState, Subscription,
+    BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event,
+    FeedbackMessage, Keep, Keys, LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message,
+    Name, NodeDisplay, NumberedPublisher, NumberedStream, OutlierDisplay, ParameterDisplay,
+    ProgressPublisher, Service, Status, StreamState, Subscription,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_filter::fusion::compression::MISSED_MASS;
@@ -71,7 +72,9 @@ impl FuseService {
     ) -> BoxedFuture<'a, Result<Self, FuseError>> {
         Box::pin(async move {
             let mut core = Fusion::new(structure, id.as_str(), epoch)?;
-            let keeper = remembering.map(|remembering| recall(&mut core, structure, remembering)).transpose()?;
+            let keeper = remembering
+                .map(|remembering| recall(&mut core, structure, remembering))
+                .transpose()?;
             let estimates = bus
                 .publish_numbered(NumberedStream {
                     key: keys.estimates(),
@@ -85,9 +88,13 @@ impl FuseService {
                 .await?;
             let mut parameters = BTreeMap::new();
             for name in core.parameter_names() {
-                parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
+                parameters.insert(
+                    name.clone(),
+                    bus.publish_display(keys.parameter(name)).await?,
+                );
             }
-            let (mut feedback, mut nodes, mut positions) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+            let (mut feedback, mut nodes, mut positions) =
+                (Vec::new(), BTreeMap::new(), BTreeMap::new());
             let mut tokens = Vec::new();
             for (position, name) in core.node_names().enumerate() {
                 feedback.push(bus.publish_display(keys.feedback(name)).await?);
@@ -97,14 +104,23 @@ impl FuseService {
             }
             let mut outliers = BTreeMap::new();
             for channel in core.screened_channels().flatten() {
-                outliers.insert(channel.clone(), bus.publish_display(keys.outlier(channel)).await?);
+                outliers.insert(
+                    channel.clone(),
+                    bus.publish_display(keys.outlier(channel)).await?,
+                );
             }
             let description = bus.publish_latest(keys.description()).await?;
             description
-                .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
+                .put(&Description {
+                    structure: keys.structure().clone(),
+                    text: structure.text().to_owned(),
+                })
                 .await?;
             let named = |text: &str| {
-                Name::new(text).map_err(|source| FuseError::Name { structure: structure.name().to_owned(), source })
+                Name::new(text).map_err(|source| FuseError::Name {
+                    structure: structure.name().to_owned(),
+                    source,
+                })
             };
             let service = Self {
                 messages: bus.subscribe(keys.all_local(), MESSAGES_WAITING).await?,
@@ -118,7 +134,9 @@ impl FuseService {
                 tokens,
                 events: bus.publish_display(keys.event()).await?,
                 _description: description,
-                progress: bus.publish_progress(keys.progress(Service::Fuse), id.to_string()).await?,
+                progress: bus
+                    .publish_progress(keys.progress(Service::Fuse), id.to_string())
+                    .await?,
                 status: bus.publish_display(keys.status(Service::Fuse, &id)).await?,
                 service: named(Service::Fuse.as_str())?,
                 token: Some(bus.announce(keys.live(Service::Fuse, &id)).await?),
@@ -127,8 +145,15 @@ impl FuseService {
                 keys,
                 id,
             };
-            info!(structure = structure.name(), nodes = service.feedback.len(), "station ready");
-            if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
+            info!(
+                structure = structure.name(),
+                nodes = service.feedback.len(),
+                "station ready"
+            );
+            if let Some((modes, missed)) = structure
+                .sent_modes()
+                .filter(|(_, missed)| *missed > MISSED_MASS)
+            {
                 warn!(
                     structure = structure.name(),
                     modes, missed, "the modes that nodes send miss a share of the mass"
@@ -142,11 +167,17 @@ impl FuseService {
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), FuseError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), FuseError>> {
         self.run_until(Box::pin(stop))
     }
 
-    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), FuseError>> {
+    fn run_until(
+        mut self,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), FuseError>> {
         Box::pin(async move {
             let mut clock = tokio::time::interval(TICK);
             let messages = self.messages.messages().clone();
@@ -171,7 +202,8 @@ impl FuseService {
             }
             let deadline = Instant::now() + LAST_MESSAGES_IN_ALL;
             while Instant::now() < deadline
-                && let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await
+                && let Ok(Ok((key, message))) =
+                    tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await
             {
                 self.take(&key, message).await?;
             }
@@ -188,17 +220,32 @@ impl FuseService {
 
     async fn note_presence(&mut self) -> Result<(), FuseError> {
         let present = self.presence.present();
-        self.handle(Input::Present(self.tokens.iter().map(|token| present.contains(token)).collect())).await
+        self.handle(Input::Present(
+            self.tokens
+                .iter()
+                .map(|token| present.contains(token))
+                .collect(),
+        ))
+        .await
     }
 
     async fn take(&mut self, key: &str, message: LocalMessage) -> Result<(), FuseError> {
         let Some(node) = self.positions.get(key).copied() else {
-            warn!(key, "message of a node that the structure file does not have");
+            warn!(
+                key,
+                "message of a node that the structure file does not have"
+            );
             return Ok(());
         };
         let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
         let pace = self.core.pace();
-        self.handle(Input::Local { node, message: Box::new(message), bytes, arrived_ns: now_ns() }).await?;
+        self.handle(Input::Local {
+            node,
+            message: Box::new(message),
+            bytes,
+            arrived_ns: now_ns(),
+        })
+        .await?;
         if self.core.pace() != pace {
             self.put_status().await?; // people see no value of it for long without knowing what it is
         }
@@ -213,7 +260,8 @@ impl FuseService {
             self.put(output).await?;
         }
         if let Some(done_ns) = self.core.done_ns() {
-            self.progress.set(self.core.epoch(), self.core.done(), done_ns);
+            self.progress
+                .set(self.core.epoch(), self.core.done(), done_ns);
         }
         // after a fusion nothing waits that a checkpoint would lose
         if self.core.done() != before && self.keeper.as_ref().is_some_and(Keeper::is_due) {
@@ -224,7 +272,10 @@ impl FuseService {
 
     /// Keeps what is known, once there was a fusion.
     async fn keep(&mut self) {
-        let place = Place { epoch: self.core.epoch(), sequence: self.core.done() };
+        let place = Place {
+            epoch: self.core.epoch(),
+            sequence: self.core.done(),
+        };
         if let Some(keeper) = self.keeper.as_mut().filter(|_| place.sequence > 0) {
             keeper.keep(place, self.core.state(), None).await;
         }
@@ -275,13 +326,20 @@ impl FuseService {
         for (reason, count) in self.messages.refused() {
             *drops.entry(format!("refused-{reason}")).or_default() += count;
         }
-        drops.extend(self.keeper.as_ref().and_then(|keeper| keeper.failures().drops()));
+        drops.extend(
+            self.keeper
+                .as_ref()
+                .and_then(|keeper| keeper.failures().drops()),
+        );
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
-            lag_s: self.core.done_ns().map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
+            lag_s: self
+                .core
+                .done_ns()
+                .map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
             pace: self.core.pace(),
             load: None,
             frames_behind: None,
@@ -298,7 +356,11 @@ impl FuseService {
 }
 
 /// Has the station go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones.
-fn recall(core: &mut Fusion, structure: &Structure, remembering: &Remembering) -> Result<Keeper, FuseError> {
+fn recall(
+    core: &mut Fusion,
+    structure: &Structure,
+    remembering: &Remembering,
+) -> Result<Keeper, FuseError> {
     let identity = Identity {
         kind: "fuse",
         version: FusionState::VERSION,
@@ -329,7 +391,11 @@ async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Resul
 }
 
 fn now_ns() -> i64 {
-    #[expect(clippy::disallowed_methods, reason = "the station fuses on its own clock")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "the station fuses on its own clock"
+    )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }

@@ -27,7 +27,13 @@ impl Default for Backlog {
 
 impl Backlog {
     pub(crate) fn new(most_rows: usize) -> Self {
-        Self { batches: VecDeque::new(), rows: 0, most_rows, dropped_points: 0, dropped_rows: 0 }
+        Self {
+            batches: VecDeque::new(),
+            rows: 0,
+            most_rows,
+            dropped_points: 0,
+            dropped_rows: 0,
+        }
     }
 
     /// Rows that wait.
@@ -48,7 +54,9 @@ impl Backlog {
             place += 1;
         }
         while self.rows > self.most_rows {
-            let Some(batch) = self.batches.pop_front() else { return };
+            let Some(batch) = self.batches.pop_front() else {
+                return;
+            };
             self.rows -= batch.rows();
             self.dropped_rows += batch.rows() as u64;
         }
@@ -86,10 +94,21 @@ mod tests {
 
     /// Ten values and the minute that they belong to.
     fn batch(number: i64) -> Batch {
-        let series = Series { kind: Kind::Parameter, name: "storey-1".to_owned() };
-        let points = (0..10).map(|k| (series.clone(), number * 10 + k, [1.0, 0.1, 0.0])).collect();
+        let series = Series {
+            kind: Kind::Parameter,
+            name: "storey-1".to_owned(),
+        };
+        let points = (0..10)
+            .map(|k| (series.clone(), number * 10 + k, [1.0, 0.1, 0.0]))
+            .collect();
         let buckets = BTreeMap::from([((series, 60, number), Sums::of(number, [1.0, 0.1, 0.0]))]);
-        Batch { structure: "spandrel/tower".to_owned(), number, points, buckets, happened: Vec::new() }
+        Batch {
+            structure: "spandrel/tower".to_owned(),
+            number,
+            points,
+            buckets,
+            happened: Vec::new(),
+        }
     }
 
     #[test]
@@ -97,12 +116,22 @@ mod tests {
         let mut backlog = Backlog::new(100);
         (1..=1_000).for_each(|number| backlog.push(batch(number)));
         assert!(backlog.rows() <= 100);
-        let kept: usize = backlog.oldest(usize::MAX).iter().map(|batch| batch.rows()).sum();
+        let kept: usize = backlog
+            .oldest(usize::MAX)
+            .iter()
+            .map(|batch| batch.rows())
+            .sum();
         assert_eq!(kept, backlog.rows());
-        assert_eq!(kept as u64 + backlog.dropped_points + backlog.dropped_rows, 11_000);
+        assert_eq!(
+            kept as u64 + backlog.dropped_points + backlog.dropped_rows,
+            11_000
+        );
         // values go before the minutes that they are part of
         assert!(backlog.dropped_rows < backlog.dropped_points / 9);
-        assert_eq!(backlog.oldest(usize::MAX).last().map(|batch| batch.number), Some(1_000));
+        assert_eq!(
+            backlog.oldest(usize::MAX).last().map(|batch| batch.number),
+            Some(1_000)
+        );
     }
 
     #[test]
@@ -112,7 +141,14 @@ mod tests {
         assert_eq!(backlog.oldest(1).len(), 1);
         assert_eq!(backlog.oldest(12).len(), 2);
         backlog.written(3);
-        assert_eq!(backlog.oldest(usize::MAX).iter().map(|batch| batch.number).collect::<Vec<_>>(), [4, 5]);
+        assert_eq!(
+            backlog
+                .oldest(usize::MAX)
+                .iter()
+                .map(|batch| batch.number)
+                .collect::<Vec<_>>(),
+            [4, 5]
+        );
         assert_eq!(backlog.rows(), 22);
     }
 }

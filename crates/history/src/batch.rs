@@ -2,8 +2,8 @@
 
 use crate::sums::Sums;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Event, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay,
+    Acknowledgement, AlertMessage, Event, ModelClassDisplay, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay,
 };
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,7 +31,13 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 5] = [Self::Parameter, Self::Noise, Self::Outlier, Self::Class, Self::Node];
+    pub(crate) const ALL: [Self; 5] = [
+        Self::Parameter,
+        Self::Noise,
+        Self::Outlier,
+        Self::Class,
+        Self::Node,
+    ];
 
     /// The word in queries and in the database.
     pub(crate) fn as_str(self) -> &'static str {
@@ -111,15 +117,31 @@ pub(crate) struct Collector {
 
 impl Collector {
     pub(crate) fn new(structure: &Structure, root: &str) -> Self {
-        let series = |kind, name: &str| Series { kind, name: name.to_owned() };
-        let parameters = structure.parameters().iter().map(|parameter| series(Kind::Parameter, parameter.name()));
-        let nodes = structure.nodes().iter().map(|node| series(Kind::Node, node.name()));
+        let series = |kind, name: &str| Series {
+            kind,
+            name: name.to_owned(),
+        };
+        let parameters = structure
+            .parameters()
+            .iter()
+            .map(|parameter| series(Kind::Parameter, parameter.name()));
+        let nodes = structure
+            .nodes()
+            .iter()
+            .map(|node| series(Kind::Node, node.name()));
         let channels = structure.nodes().iter().flat_map(|node| node.channels());
         let channels = channels.map(|channel| series(Kind::Outlier, channel.name()));
-        let levels = structure.noise_levels().iter().map(|level| series(Kind::Noise, level.name()));
+        let levels = structure
+            .noise_levels()
+            .iter()
+            .map(|level| series(Kind::Noise, level.name()));
         Self {
             structure: format!("{root}/{}", structure.name()),
-            known: parameters.chain(levels).chain(nodes).chain(channels).collect(),
+            known: parameters
+                .chain(levels)
+                .chain(nodes)
+                .chain(channels)
+                .collect(),
             others: BTreeSet::new(),
             points: Vec::new(),
             happened: Vec::new(),
@@ -137,13 +159,33 @@ impl Collector {
     pub(crate) fn handle(&mut self, input: Input) {
         match input {
             Input::Parameter(m) => {
-                self.push(Kind::Parameter, m.parameter.as_str(), m.time_ns, [m.mean, m.std, m.probability_of_loss]);
+                self.push(
+                    Kind::Parameter,
+                    m.parameter.as_str(),
+                    m.time_ns,
+                    [m.mean, m.std, m.probability_of_loss],
+                );
             }
-            Input::Noise(m) => self.push(Kind::Noise, m.name.as_str(), m.time_ns, [m.mean, m.std, 0.0]),
-            Input::Outlier(m) => self.push(Kind::Outlier, m.channel.as_str(), m.time_ns, [m.recent_share, 0.0, 0.0]),
+            Input::Noise(m) => self.push(
+                Kind::Noise,
+                m.name.as_str(),
+                m.time_ns,
+                [m.mean, m.std, 0.0],
+            ),
+            Input::Outlier(m) => self.push(
+                Kind::Outlier,
+                m.channel.as_str(),
+                m.time_ns,
+                [m.recent_share, 0.0, 0.0],
+            ),
             Input::Classes(m) => {
                 for class in &m.classes {
-                    self.push(Kind::Class, &class.class, m.time_ns, [class.plausibility, 0.0, 0.0]);
+                    self.push(
+                        Kind::Class,
+                        &class.class,
+                        m.time_ns,
+                        [class.plausibility, 0.0, 0.0],
+                    );
                 }
             }
             Input::Node(m) => {
@@ -152,15 +194,21 @@ impl Collector {
                 }
             }
             Input::Alert(alert) => self.happened.push(Happened::Alert(Box::new(alert))),
-            Input::Acknowledgement(acknowledgement) => self.happened.push(Happened::Acknowledgement(acknowledgement)),
+            Input::Acknowledgement(acknowledgement) => self
+                .happened
+                .push(Happened::Acknowledgement(acknowledgement)),
             Input::Event(event) => self.happened.push(Happened::Event(event)),
         }
     }
 
     fn push(&mut self, kind: Kind, name: &str, time_ns: i64, values: [f64; 3]) {
-        let series = Series { kind, name: name.to_owned() };
+        let series = Series {
+            kind,
+            name: name.to_owned(),
+        };
         if !self.known.contains(&series) && !self.others.contains(&series) {
-            let may_come = matches!(kind, Kind::Noise | Kind::Class) && self.others.len() < OTHER_SERIES;
+            let may_come =
+                matches!(kind, Kind::Noise | Kind::Class) && self.others.len() < OTHER_SERIES;
             if !may_come {
                 self.unknown += 1;
                 return;
@@ -173,7 +221,10 @@ impl Collector {
 
     /// What has been gathered since the last time; `None` if nothing has.
     pub(crate) fn take(&mut self, number: i64) -> Option<Batch> {
-        let (points, happened) = (std::mem::take(&mut self.points), std::mem::take(&mut self.happened));
+        let (points, happened) = (
+            std::mem::take(&mut self.points),
+            std::mem::take(&mut self.happened),
+        );
         if points.is_empty() && happened.is_empty() {
             return None;
         }
@@ -186,6 +237,12 @@ impl Collector {
                 bucket.and_modify(|sums| sums.add(&value)).or_insert(value);
             }
         }
-        Some(Batch { structure: self.structure.clone(), number, points, buckets, happened })
+        Some(Batch {
+            structure: self.structure.clone(),
+            number,
+            points,
+            buckets,
+            happened,
+        })
     }
 }

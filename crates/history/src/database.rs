@@ -6,7 +6,9 @@ use crate::batch::{Batch, Kind, RESOLUTIONS_S, Series};
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use crate::sums::{Sums, rows};
-use spandrel_bus::{Acknowledgement, AlertMessage, Event, HistoryLog, HistorySpan, Name, SpanQuery};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, Event, HistoryLog, HistorySpan, Name, SpanQuery,
+};
 use sqlx::any::{AnyPoolOptions, AnyRow, install_default_drivers};
 use sqlx::migrate::{MigrateError, Migration, MigrationType, Migrator};
 use sqlx::{AnyPool, AssertSqlSafe, Executor, Row, SqlSafeStr};
@@ -48,8 +50,10 @@ impl Database {
     pub(crate) fn new(address: &Address) -> Result<Self, HistoryError> {
         install_default_drivers();
         let is_file = matches!(address, Address::Sqlite(_));
-        let options = AnyPoolOptions::new().max_connections(CONNECTIONS).acquire_timeout(CONNECT_WITHIN).after_connect(
-            move |connection, _| {
+        let options = AnyPoolOptions::new()
+            .max_connections(CONNECTIONS)
+            .acquire_timeout(CONNECT_WITHIN)
+            .after_connect(move |connection, _| {
                 Box::pin(async move {
                     if is_file {
                         connection.execute("PRAGMA busy_timeout = 5000").await?;
@@ -59,9 +63,10 @@ impl Database {
                     }
                     Ok(())
                 })
-            },
-        );
-        let pool = options.connect_lazy(&address.url()).map_err(|source| database_error(address, source))?;
+            });
+        let pool = options
+            .connect_lazy(&address.url())
+            .map_err(|source| database_error(address, source))?;
         Ok(Self {
             pool,
             address: address.clone(),
@@ -77,7 +82,10 @@ impl Database {
 
     /// Brings the tables to the version of this program, once.
     pub(crate) async fn ready(&self) -> Result<(), HistoryError> {
-        self.migrated.get_or_try_init(|| self.migrate()).await.copied()
+        self.migrated
+            .get_or_try_init(|| self.migrate())
+            .await
+            .copied()
     }
 
     async fn migrate(&self) -> Result<(), HistoryError> {
@@ -86,31 +94,52 @@ impl Database {
                 make_file(path)?;
                 // stays in the file: readers see the last written state while the next one is written; a crash of the machine may
                 // lose the last seconds, never the file
-                let journal = sqlx::query("PRAGMA journal_mode = WAL").execute(&self.pool).await;
+                let journal = sqlx::query("PRAGMA journal_mode = WAL")
+                    .execute(&self.pool)
+                    .await;
                 journal.map_err(|source| self.error(source))?;
                 include_str!("../migrations/sqlite-1.sql")
             }
             Address::Postgres(_) => include_str!("../migrations/postgres-1.sql"),
         };
-        let first = Migration::new(1, Cow::Borrowed("history"), MigrationType::Simple, sql.into_sql_str(), false);
+        let first = Migration::new(
+            1,
+            Cow::Borrowed("history"),
+            MigrationType::Simple,
+            sql.into_sql_str(),
+            false,
+        );
         let migrated = Migrator::with_migrations(vec![first]).run(&self.pool).await;
         migrated.map_err(|source| match source {
-            MigrateError::Execute(source) | MigrateError::ExecuteMigration(source, _) => self.error(source),
-            source => HistoryError::Version { database: self.address.to_string(), source },
+            MigrateError::Execute(source) | MigrateError::ExecuteMigration(source, _) => {
+                self.error(source)
+            }
+            source => HistoryError::Version {
+                database: self.address.to_string(),
+                source,
+            },
         })
     }
 
     /// Writes batches, all or none; what an earlier attempt of the same life has written is left out. A row that the database will
     /// never take is set aside, counted and told: it must not keep all that come after it.
-    pub(crate) async fn write(&self, life: &str, batches: &[Arc<Batch>]) -> Result<(), HistoryError> {
+    pub(crate) async fn write(
+        &self,
+        life: &str,
+        batches: &[Arc<Batch>],
+    ) -> Result<(), HistoryError> {
         if batches.is_empty() {
             return Ok(());
         }
         self.ready().await?;
         let mut numbers = self.numbers.lock().await;
-        let written = match self.write_once(life, batches, &mut numbers, Care::ManyRowsAtOnce).await {
+        let written = match self
+            .write_once(life, batches, &mut numbers, Care::ManyRowsAtOnce)
+            .await
+        {
             Err(failed) if failed.is_of_the_rows(&self.address) => {
-                self.write_once(life, batches, &mut numbers, Care::SettingAside).await
+                self.write_once(life, batches, &mut numbers, Care::SettingAside)
+                    .await
             }
             written => written,
         };
@@ -144,7 +173,10 @@ impl Database {
                 // a value that no sum can hold comes again with every second: told each time the count has doubled
                 let has_doubled = before == 0 || total.ilog2() > before.ilog2();
                 if let Some(reason) = reason.filter(|_| has_doubled) {
-                    warn!(rows = total, reason, "the history database can never take some rows, they are left out");
+                    warn!(
+                        rows = total,
+                        reason, "the history database can never take some rows, they are left out"
+                    );
                 }
                 Ok(())
             }
@@ -171,7 +203,10 @@ impl Database {
         query: &SpanQuery,
     ) -> Result<HistorySpan, HistoryError> {
         self.ready().await?;
-        let read = self.read_span(structure, of, query).await.map_err(|source| self.error(source))?;
+        let read = self
+            .read_span(structure, of, query)
+            .await
+            .map_err(|source| self.error(source))?;
         let (resolution_s, kept_from_s, values) = read.unwrap_or((None, None, Vec::new()));
         Ok(HistorySpan {
             structure: name.clone(),
@@ -190,15 +225,19 @@ impl Database {
         of: &Series,
         query: &SpanQuery,
     ) -> Result<Option<(Option<u32>, Option<f64>, Vec<Sums>)>, sqlx::Error> {
-        let found = sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3")
-            .bind(structure.to_owned())
-            .bind(of.kind.as_str())
-            .bind(of.name.clone())
-            .fetch_optional(&self.pool)
-            .await?;
-        let Some(id) = found.map(|row| row.try_get::<i64, _>(0)).transpose()? else { return Ok(None) };
+        let found =
+            sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3")
+                .bind(structure.to_owned())
+                .bind(of.kind.as_str())
+                .bind(of.name.clone())
+                .fetch_optional(&self.pool)
+                .await?;
+        let Some(id) = found.map(|row| row.try_get::<i64, _>(0)).transpose()? else {
+            return Ok(None);
+        };
         let points_from = first(
-            sqlx::query("SELECT time_ns FROM point WHERE series = $1 ORDER BY time_ns LIMIT 1").bind(id),
+            sqlx::query("SELECT time_ns FROM point WHERE series = $1 ORDER BY time_ns LIMIT 1")
+                .bind(id),
             &self.pool,
         )
         .await?;
@@ -206,32 +245,55 @@ impl Database {
         let mut kept = Vec::new();
         kept.extend(points_from.map(|from_ns| (DISPLAY_NS, from_ns, None)));
         for resolution_s in RESOLUTIONS_S {
-            let statement =
-                "SELECT first_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
-            let first_ns = first(sqlx::query(statement).bind(id).bind(resolution_s), &self.pool).await?;
-            kept.extend(first_ns.map(|first_ns| (resolution_s * SECOND_NS, first_ns, Some(resolution_s))));
+            let statement = "SELECT first_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
+            let first_ns = first(
+                sqlx::query(statement).bind(id).bind(resolution_s),
+                &self.pool,
+            )
+            .await?;
+            kept.extend(
+                first_ns.map(|first_ns| (resolution_s * SECOND_NS, first_ns, Some(resolution_s))),
+            );
         }
-        let Some(oldest) = kept.iter().min_by_key(|(_, from_ns, _)| *from_ns).copied() else { return Ok(None) };
-        let last_ns = self.newest_ns(id).await?.unwrap_or(i64::MAX).min(query.to_ns);
+        let Some(oldest) = kept.iter().min_by_key(|(_, from_ns, _)| *from_ns).copied() else {
+            return Ok(None);
+        };
+        let last_ns = self
+            .newest_ns(id)
+            .await?
+            .unwrap_or(i64::MAX)
+            .min(query.to_ns);
         let wanted_ns = query.from_ns.max(oldest.1);
         let fits = |(step_ns, from_ns, _): &&(i64, i64, Option<i64>)| {
             let rows = last_ns.saturating_sub(wanted_ns.max(*from_ns)) / step_ns;
             *from_ns <= wanted_ns.saturating_add(*step_ns) && rows <= MOST_ROWS
         };
-        let (_, _, resolution_s) = *kept.iter().find(fits).unwrap_or(kept.last().unwrap_or(&oldest));
+        let (_, _, resolution_s) = *kept
+            .iter()
+            .find(fits)
+            .unwrap_or(kept.last().unwrap_or(&oldest));
         let values = match resolution_s {
             None => self.read_points(id, query).await?,
             Some(resolution_s) => self.read_buckets(id, resolution_s, query).await?,
         };
         let kept_from_s = (oldest.1 as f64) / 1e9;
-        Ok(Some((resolution_s.and_then(|s| u32::try_from(s).ok()), Some(kept_from_s), values)))
+        Ok(Some((
+            resolution_s.and_then(|s| u32::try_from(s).ok()),
+            Some(kept_from_s),
+            values,
+        )))
     }
 
     /// Time of the newest value of a series (ns).
     async fn newest_ns(&self, id: i64) -> Result<Option<i64>, sqlx::Error> {
-        let statement =
-            "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s DESC LIMIT 1";
-        first(sqlx::query(statement).bind(id).bind(RESOLUTIONS_S[RESOLUTIONS_S.len() - 1]), &self.pool).await
+        let statement = "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s DESC LIMIT 1";
+        first(
+            sqlx::query(statement)
+                .bind(id)
+                .bind(RESOLUTIONS_S[RESOLUTIONS_S.len() - 1]),
+            &self.pool,
+        )
+        .await
     }
 
     async fn read_points(&self, id: i64, query: &SpanQuery) -> Result<Vec<Sums>, sqlx::Error> {
@@ -245,12 +307,20 @@ impl Database {
             .fetch_all(&self.pool)
             .await?;
         let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
-            Ok(Sums::of(row.try_get(0)?, [row.try_get(1)?, row.try_get(2)?, row.try_get(3)?]))
+            Ok(Sums::of(
+                row.try_get(0)?,
+                [row.try_get(1)?, row.try_get(2)?, row.try_get(3)?],
+            ))
         };
         found.iter().map(sums).collect()
     }
 
-    async fn read_buckets(&self, id: i64, resolution_s: i64, query: &SpanQuery) -> Result<Vec<Sums>, sqlx::Error> {
+    async fn read_buckets(
+        &self,
+        id: i64,
+        resolution_s: i64,
+        query: &SpanQuery,
+    ) -> Result<Vec<Sums>, sqlx::Error> {
         let statement = "SELECT first_ns, last_ns, count, mean_sum, square_sum, variance_sum, least, largest, low, high, probability \
                          FROM bucket WHERE series = $1 AND resolution_s = $2 AND start_s > $3 AND start_s <= $4 \
                          ORDER BY start_s LIMIT $5";
@@ -306,21 +376,34 @@ impl Database {
             events: Vec::new(),
         };
         for row in found.iter().rev() {
-            let text = |column: usize| row.try_get::<String, _>(column).map_err(|source| self.error(source));
+            let text = |column: usize| {
+                row.try_get::<String, _>(column)
+                    .map_err(|source| self.error(source))
+            };
             let (kind, message) = (text(0)?, text(1)?);
             match kind.as_str() {
-                "alert" => log.alerts.push(serde_json::from_str::<AlertMessage>(&message)?.legible()),
+                "alert" => log
+                    .alerts
+                    .push(serde_json::from_str::<AlertMessage>(&message)?.legible()),
                 "acknowledgement" => {
-                    log.acknowledgements.push(serde_json::from_str::<Acknowledgement>(&message)?.legible());
+                    log.acknowledgements
+                        .push(serde_json::from_str::<Acknowledgement>(&message)?.legible());
                 }
-                _ => log.events.push(serde_json::from_str::<Event>(&message)?.legible()),
+                _ => log
+                    .events
+                    .push(serde_json::from_str::<Event>(&message)?.legible()),
             }
         }
         Ok(log)
     }
 
     /// Forgets what is older than its resolution is kept, as seen from the newest value of a structure.
-    pub(crate) async fn prune(&self, structure: &str, newest_ns: i64, keep: &Keep) -> Result<(), HistoryError> {
+    pub(crate) async fn prune(
+        &self,
+        structure: &str,
+        newest_ns: i64,
+        keep: &Keep,
+    ) -> Result<(), HistoryError> {
         self.ready().await?;
         let before = |keep_s: Option<u64>| {
             let keep_ns = i64::try_from(keep_s?).ok()?.checked_mul(SECOND_NS)?;
@@ -329,20 +412,41 @@ impl Database {
         let of_structure = "series IN (SELECT id FROM series WHERE structure = $1)";
         if let Some(before_ns) = before(keep.display_s) {
             let statement = format!("DELETE FROM point WHERE {of_structure} AND time_ns < $2");
-            let delete = sqlx::query(AssertSqlSafe(statement)).bind(structure.to_owned()).bind(before_ns);
-            delete.execute(&self.pool).await.map_err(|source| self.error(source))?;
+            let delete = sqlx::query(AssertSqlSafe(statement))
+                .bind(structure.to_owned())
+                .bind(before_ns);
+            delete
+                .execute(&self.pool)
+                .await
+                .map_err(|source| self.error(source))?;
         }
-        for (resolution_s, keep_s) in RESOLUTIONS_S.into_iter().zip([keep.minute_s, keep.hour_s, keep.day_s]) {
-            let Some(before_ns) = before(keep_s) else { continue };
-            let statement = format!("DELETE FROM bucket WHERE {of_structure} AND resolution_s = $2 AND start_s < $3");
-            let delete = sqlx::query(AssertSqlSafe(statement)).bind(structure.to_owned()).bind(resolution_s);
+        for (resolution_s, keep_s) in
+            RESOLUTIONS_S
+                .into_iter()
+                .zip([keep.minute_s, keep.hour_s, keep.day_s])
+        {
+            let Some(before_ns) = before(keep_s) else {
+                continue;
+            };
+            let statement = format!(
+                "DELETE FROM bucket WHERE {of_structure} AND resolution_s = $2 AND start_s < $3"
+            );
+            let delete = sqlx::query(AssertSqlSafe(statement))
+                .bind(structure.to_owned())
+                .bind(resolution_s);
             let delete = delete.bind(before_ns.div_euclid(SECOND_NS));
-            delete.execute(&self.pool).await.map_err(|source| self.error(source))?;
+            delete
+                .execute(&self.pool)
+                .await
+                .map_err(|source| self.error(source))?;
         }
         if let Some(before_ns) = before(keep.log_s) {
             let delete = sqlx::query("DELETE FROM happened WHERE structure = $1 AND time_ns < $2");
             let delete = delete.bind(structure.to_owned()).bind(before_ns);
-            delete.execute(&self.pool).await.map_err(|source| self.error(source))?;
+            delete
+                .execute(&self.pool)
+                .await
+                .map_err(|source| self.error(source))?;
         }
         Ok(())
     }
@@ -355,16 +459,28 @@ impl Database {
 
 /// Makes the file and its folder where they are not there yet: the system says more of why it cannot than SQLite.
 fn make_file(path: &Path) -> Result<(), HistoryError> {
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+    if let Some(folder) = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+    {
         let made = std::fs::create_dir_all(folder);
-        made.map_err(|source| HistoryError::Folder { path: folder.to_owned(), source })?;
+        made.map_err(|source| HistoryError::Folder {
+            path: folder.to_owned(),
+            source,
+        })?;
     }
     let opened = OpenOptions::new().append(true).create(true).open(path);
-    opened.map(drop).map_err(|source| HistoryError::File { path: path.to_owned(), source })
+    opened.map(drop).map_err(|source| HistoryError::File {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 fn database_error(address: &Address, source: sqlx::Error) -> HistoryError {
-    HistoryError::Database { database: address.to_string(), source }
+    HistoryError::Database {
+        database: address.to_string(),
+        source,
+    }
 }
 
 /// The first column of the first row, a whole number.
@@ -372,14 +488,21 @@ async fn first<'q>(
     query: sqlx::query::Query<'q, sqlx::Any, <sqlx::Any as sqlx::Database>::Arguments>,
     pool: &AnyPool,
 ) -> Result<Option<i64>, sqlx::Error> {
-    query.fetch_optional(pool).await?.map(|row| row.try_get(0)).transpose()
+    query
+        .fetch_optional(pool)
+        .await?
+        .map(|row| row.try_get(0))
+        .transpose()
 }
 
 impl Series {
     /// The series of a query.
     pub(crate) fn asked(kind: &str, name: &Name) -> Option<Self> {
         let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind)?;
-        Some(Self { kind, name: name.to_string() })
+        Some(Self {
+            kind,
+            name: name.to_string(),
+        })
     }
 }
 

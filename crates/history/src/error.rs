@@ -9,7 +9,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
     /// The database is none of those that can be used.
-    #[error("history.database is {found:?}, must be a file, sqlite:FILE, postgres://USER@HOST/DATABASE or none")]
+    #[error(
+        "history.database is {found:?}, must be a file, sqlite:FILE, postgres://USER@HOST/DATABASE or none"
+    )]
     Address {
         /// What the configuration says, without a password.
         found: String,
@@ -76,7 +78,9 @@ impl HistoryError {
             (Self::Database { .. }, Address::Postgres(_)) => true,
             (Self::Database { source, .. }, Address::Sqlite(_)) => {
                 let code = source.as_database_error().and_then(|error| error.code());
-                let code = code.and_then(|code| code.parse::<u32>().ok()).map(|code| code & 0xff);
+                let code = code
+                    .and_then(|code| code.parse::<u32>().ok())
+                    .map(|code| code & 0xff);
                 // input or output failed, full, and cannot open: the file itself could be opened, so it is one beside it
                 matches!(code, Some(10 | 13 | 14))
             }

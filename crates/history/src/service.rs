@@ -6,9 +6,10 @@ use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, Event, HistoryLog, Keys, LiveToken,
-    LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Question,
-    Questions, Service, SpanQuery, Status, Subscription, Topic, parse_key,
+    Acknowledgement, AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, Event, HistoryLog,
+    Keys, LiveToken, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Question, Questions, Service, SpanQuery, Status, Subscription, Topic,
+    parse_key,
 };
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
@@ -138,7 +139,12 @@ impl HistoryService {
         })
     }
 
-    async fn listen(&mut self, structure: &Structure, keys: &Keys, bus: &Bus) -> Result<(), HistoryError> {
+    async fn listen(
+        &mut self,
+        structure: &Structure,
+        keys: &Keys,
+        bus: &Bus,
+    ) -> Result<(), HistoryError> {
         let spans = bus.questions(keys.all_history(), QUESTIONS_WAITING).await?;
         let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
         let source = Source {
@@ -149,22 +155,38 @@ impl HistoryService {
             classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
             nodes: bus.subscribe(keys.all_nodes(), VALUES_WAITING).await?,
             alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
-            acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
+            acknowledgements: bus
+                .subscribe(keys.all_acknowledgements(), ALERTS_WAITING)
+                .await?,
             events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
-            status: bus.publish_display(keys.status(Service::History, &self.id)).await?,
+            status: bus
+                .publish_display(keys.status(Service::History, &self.id))
+                .await?,
             // Last, because dashboards ask when they see it: who answers is there by then.
             token: bus.announce(keys.live(Service::History, &self.id)).await?,
             keys: keys.clone(),
             taken: 0,
         };
         let named = source.collector.named().clone();
-        self.answering.spawn(answer_spans(spans, self.database.clone(), keys.clone(), named));
-        self.answering.spawn(answer_log(log, self.database.clone(), keys.clone()));
+        self.answering.spawn(answer_spans(
+            spans,
+            self.database.clone(),
+            keys.clone(),
+            named,
+        ));
+        self.answering
+            .spawn(answer_log(log, self.database.clone(), keys.clone()));
         // what was decided while nobody listened: the alert service keeps its last changes, and the last state of each alert
         let tokens = bus.watch_live(keys.all_live(Service::Alert)).await?;
-        self.answering.spawn(ask_for_alerts(bus.clone(), keys.clone(), tokens, self.logged.0.clone()));
+        self.answering.spawn(ask_for_alerts(
+            bus.clone(),
+            keys.clone(),
+            tokens,
+            self.logged.0.clone(),
+        ));
         let (bus, alerts) = (bus.clone(), keys.all_alerts());
-        self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+        self.asked
+            .spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
         self.sources.push(source);
         Ok(())
     }
@@ -173,7 +195,10 @@ impl HistoryService {
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), HistoryError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), HistoryError>> {
         self.run_until(Box::pin(stop))
     }
 
@@ -181,7 +206,12 @@ impl HistoryService {
         Box::pin(async move {
             let (stopped, stopping) = watch::channel(false);
             let mut writing = JoinSet::new();
-            writing.spawn(write(self.database.clone(), self.waiting.clone(), self.life.clone(), stopping));
+            writing.spawn(write(
+                self.database.clone(),
+                self.waiting.clone(),
+                self.life.clone(),
+                stopping,
+            ));
             let mut number = 0;
             let listened = tokio::select! {
                 listened = self.gather(&mut number) => listened,
@@ -247,7 +277,8 @@ impl HistoryService {
             match answer {
                 Ok(Ok(alerts)) => {
                     for (key, alert) in alerts {
-                        let of_key = |source: &&mut Source| key == source.keys.alert(&alert.parameter);
+                        let of_key =
+                            |source: &&mut Source| key == source.keys.alert(&alert.parameter);
                         if let Some(source) = self.sources.iter_mut().find(of_key) {
                             source.collector.handle(Input::Alert(alert));
                         }
@@ -289,19 +320,28 @@ impl HistoryService {
             ("dropped-values", points),
             ("dropped-rows", rows),
             ("rows-set-aside", self.database.set_aside()),
-            ("failed-writes", self.waiting.failures.load(Ordering::Relaxed)),
+            (
+                "failed-writes",
+                self.waiting.failures.load(Ordering::Relaxed),
+            ),
         ];
         for source in &self.sources {
             let mut drops = source.refused();
             drops.extend(
-                common.iter().filter(|(_, count)| *count > 0).map(|(name, count)| ((*name).to_owned(), *count)),
+                common
+                    .iter()
+                    .filter(|(_, count)| *count > 0)
+                    .map(|(name, count)| ((*name).to_owned(), *count)),
             );
             let status = Status {
                 structure: source.keys.structure().clone(),
                 service: self.service.clone(),
                 id: self.id.clone(),
                 time_ns,
-                lag_s: source.collector.newest_ns.map(|newest_ns| time_ns.saturating_sub(newest_ns) as f64 / 1e9),
+                lag_s: source
+                    .collector
+                    .newest_ns
+                    .map(|newest_ns| time_ns.saturating_sub(newest_ns) as f64 / 1e9),
                 pace: None,
                 load: None,
                 frames_behind: None,
@@ -324,21 +364,48 @@ impl Source {
         let root = self.keys.root();
         let mut inputs = Vec::new();
         let of_parameter = |m: &ParameterDisplay| Topic::Parameter(m.parameter.clone());
-        inputs.extend(self.parameters.gather(root, |m| Some((&m.structure, of_parameter(m)))).map(Input::Parameter));
-        inputs
-            .extend(self.noise.gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone())))).map(Input::Noise));
-        let outliers = self.outliers.gather(root, |m| Some((&m.structure, Topic::Outlier(m.channel.clone()))));
+        inputs.extend(
+            self.parameters
+                .gather(root, |m| Some((&m.structure, of_parameter(m))))
+                .map(Input::Parameter),
+        );
+        inputs.extend(
+            self.noise
+                .gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone()))))
+                .map(Input::Noise),
+        );
+        let outliers = self.outliers.gather(root, |m| {
+            Some((&m.structure, Topic::Outlier(m.channel.clone())))
+        });
         inputs.extend(outliers.map(Input::Outlier));
-        inputs.extend(self.classes.gather(root, |m| Some((&m.structure, Topic::ModelClass))).map(Input::Classes));
-        inputs.extend(self.nodes.gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone())))).map(Input::Node));
-        let alerts = self.alerts.gather(root, |m| Some((&m.structure, Topic::Alert(m.parameter.clone()))));
+        inputs.extend(
+            self.classes
+                .gather(root, |m| Some((&m.structure, Topic::ModelClass)))
+                .map(Input::Classes),
+        );
+        inputs.extend(
+            self.nodes
+                .gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))))
+                .map(Input::Node),
+        );
+        let alerts = self.alerts.gather(root, |m| {
+            Some((&m.structure, Topic::Alert(m.parameter.clone())))
+        });
         inputs.extend(alerts.map(Input::Alert));
         let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
-        let seen = self.acknowledgements.gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
+        let seen = self
+            .acknowledgements
+            .gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
         inputs.extend(seen.map(Input::Acknowledgement));
-        inputs.extend(self.events.gather(root, |m| Some((&m.structure, Topic::Event))).map(Input::Event));
+        inputs.extend(
+            self.events
+                .gather(root, |m| Some((&m.structure, Topic::Event)))
+                .map(Input::Event),
+        );
         self.taken += inputs.len() as u64;
-        inputs.into_iter().for_each(|input| self.collector.handle(input));
+        inputs
+            .into_iter()
+            .for_each(|input| self.collector.handle(input));
     }
 
     /// Messages that newer ones have pushed out or that were refused, by reason.
@@ -355,7 +422,11 @@ impl Source {
         ];
         let mut sum = BTreeMap::new();
         for (reason, count) in all.into_iter().flatten() {
-            let reason = if reason == "overwritten" { reason.to_owned() } else { format!("refused-{reason}") };
+            let reason = if reason == "overwritten" {
+                reason.to_owned()
+            } else {
+                format!("refused-{reason}")
+            };
             *sum.entry(reason).or_default() += count;
         }
         if self.collector.unknown > 0 {
@@ -366,7 +437,12 @@ impl Source {
 }
 
 /// Writes what waits, oldest first, until there is nothing more and all is stopped.
-async fn write(database: Database, waiting: Arc<Waiting>, life: String, mut stopping: watch::Receiver<bool>) {
+async fn write(
+    database: Database,
+    waiting: Arc<Waiting>,
+    life: String,
+    mut stopping: watch::Receiver<bool>,
+) {
     let (mut retry_after, mut in_a_row) = (RETRY_AFTER.0, 0_u64);
     loop {
         let batches: Vec<Arc<Batch>> = waiting.backlog().oldest(ROWS_AT_ONCE);
@@ -385,7 +461,10 @@ async fn write(database: Database, waiting: Arc<Waiting>, life: String, mut stop
             Ok(()) => {
                 waiting.backlog().written(last);
                 if in_a_row > 0 {
-                    info!(failures = in_a_row, "the database of the history takes what is written again");
+                    info!(
+                        failures = in_a_row,
+                        "the database of the history takes what is written again"
+                    );
                 }
                 (retry_after, in_a_row) = (RETRY_AFTER.0, 0);
             }
@@ -425,14 +504,27 @@ async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) 
 
 /// Asks for the last changes of alerts whenever the alert service comes, or comes back: what it put while there was no link, or
 /// what this service took and could not write before it died, comes again, and is written once.
-async fn ask_for_alerts(bus: Bus, keys: Keys, mut tokens: LiveWatch, out: flume::Sender<AlertMessage>) {
+async fn ask_for_alerts(
+    bus: Bus,
+    keys: Keys,
+    mut tokens: LiveWatch,
+    out: flume::Sender<AlertMessage>,
+) {
     loop {
         if !tokens.changed().await.is_empty() {
-            match bus.ask_present::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN).await {
+            match bus
+                .ask_present::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN)
+                .await
+            {
                 Ok(answers) => {
                     let logs = answers.into_iter().map(|(_, log)| log);
-                    for alert in logs.filter(|log| log.structure == *keys.structure()).flat_map(|log| log.alerts) {
-                        if alert.structure == *keys.structure() && out.send_async(alert).await.is_err() {
+                    for alert in logs
+                        .filter(|log| log.structure == *keys.structure())
+                        .flat_map(|log| log.alerts)
+                    {
+                        if alert.structure == *keys.structure()
+                            && out.send_async(alert).await.is_err()
+                        {
                             return;
                         }
                     }
@@ -444,19 +536,34 @@ async fn ask_for_alerts(bus: Bus, keys: Keys, mut tokens: LiveWatch, out: flume:
 }
 
 /// `named`: what the structure file names. What it does not name has no answer either, unless something of it was kept.
-async fn answer_spans(questions: Questions, database: Database, keys: Keys, named: BTreeSet<Series>) {
+async fn answer_spans(
+    questions: Questions,
+    database: Database,
+    keys: Keys,
+    named: BTreeSet<Series>,
+) {
     let structure = format!("{}/{}", keys.root(), keys.structure());
     while let Some(question) = questions.next().await {
-        let Some((_, Topic::History(name))) = parse_key(keys.root(), question.key_expression()) else {
-            question.refuse("must be for one name, without wildcards").await;
+        let Some((_, Topic::History(name))) = parse_key(keys.root(), question.key_expression())
+        else {
+            question
+                .refuse("must be for one name, without wildcards")
+                .await;
             continue;
         };
-        let Some(query) = parse(&question).await else { continue };
+        let Some(query) = parse(&question).await else {
+            continue;
+        };
         let Some(series) = Series::asked(&query.kind, &name) else {
-            question.refuse("kind must be parameter, noise, outlier, class or node").await;
+            question
+                .refuse("kind must be parameter, noise, outlier, class or node")
+                .await;
             continue;
         };
-        match database.span(&structure, keys.structure(), &series, &query).await {
+        match database
+            .span(&structure, keys.structure(), &series, &query)
+            .await
+        {
             Ok(span) if span.kept_from_s.is_none() && !may_come(&named, &series) => {
                 question.refuse(&unknown(&named, &series)).await;
             }
@@ -477,16 +584,28 @@ fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
 /// Says which series of a kind there are.
 fn unknown(named: &BTreeSet<Series>, series: &Series) -> String {
     let kind = series.kind.as_str();
-    let known: Vec<&str> =
-        named.iter().filter(|known| known.kind == series.kind).map(|known| known.name.as_str()).collect();
-    let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-    format!("no {kind} is called {:?}, and nothing of it was kept; of kind {kind} there are: {known}", series.name)
+    let known: Vec<&str> = named
+        .iter()
+        .filter(|known| known.kind == series.kind)
+        .map(|known| known.name.as_str())
+        .collect();
+    let known = if known.is_empty() {
+        "none".to_owned()
+    } else {
+        known.join(", ")
+    };
+    format!(
+        "no {kind} is called {:?}, and nothing of it was kept; of kind {kind} there are: {known}",
+        series.name
+    )
 }
 
 async fn answer_log(questions: Questions, database: Database, keys: Keys) {
     let structure = format!("{}/{}", keys.root(), keys.structure());
     while let Some(question) = questions.next().await {
-        let Some(query) = parse(&question).await else { continue };
+        let Some(query) = parse(&question).await else {
+            continue;
+        };
         match database.log(&structure, keys.structure(), &query).await {
             Ok(log) => answer(&question, &keys.history_log(), &log).await,
             Err(error) => refuse(&question, &error).await,
@@ -535,7 +654,8 @@ fn now_ns() -> i64 {
         reason = "a life of the service, its lag, and what is too old go by the wall clock"
     )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 #[cfg(test)]
@@ -554,15 +674,23 @@ mod tests {
 
     #[test]
     fn a_name_that_the_structure_file_does_not_have_is_refused_with_those_that_it_has() {
-        let series = |kind, name: &str| Series { kind, name: name.to_owned() };
+        let series = |kind, name: &str| Series {
+            kind,
+            name: name.to_owned(),
+        };
         let named = BTreeSet::from([
             series(Kind::Parameter, "storey-1"),
             series(Kind::Parameter, "storey-2"),
             series(Kind::Noise, "floors"),
         ]);
         let misspelt = series(Kind::Parameter, "story-1");
-        assert!(may_come(&named, &series(Kind::Parameter, "storey-2")) && !may_come(&named, &misspelt));
-        assert!(may_come(&named, &series(Kind::Class, "baseline")), "classes come and go");
+        assert!(
+            may_come(&named, &series(Kind::Parameter, "storey-2")) && !may_come(&named, &misspelt)
+        );
+        assert!(
+            may_come(&named, &series(Kind::Class, "baseline")),
+            "classes come and go"
+        );
         let told = "no parameter is called \"story-1\", and nothing of it was kept; of kind parameter there are: storey-1, storey-2";
         assert_eq!(unknown(&named, &misspelt), told);
     }

@@ -55,10 +55,14 @@ impl Address {
         if text.starts_with("postgres://") || text.starts_with("postgresql://") {
             return Ok(Self::Postgres(text.to_owned()));
         }
-        let refused = || HistoryError::Address { found: without_password(text) };
+        let refused = || HistoryError::Address {
+            found: without_password(text),
+        };
         let path = match text.split_once(':') {
             Some(("sqlite", path)) => path.strip_prefix("//").unwrap_or(path),
-            Some((scheme, rest)) if rest.starts_with("//") || scheme.contains('=') => return Err(refused()),
+            Some((scheme, rest)) if rest.starts_with("//") || scheme.contains('=') => {
+                return Err(refused());
+            }
             Some(_) | None => text,
         };
         if path.is_empty() || path.contains(['?', '#', '%']) {
@@ -86,11 +90,19 @@ impl Address {
 
     /// Whether it is a server on another machine that need not show who it is: whoever stands in between could read along.
     pub(crate) fn believes_the_network(&self) -> bool {
-        let Self::Postgres(url) = self else { return false };
-        let Ok(options) = url.parse::<PgConnectOptions>() else { return false };
+        let Self::Postgres(url) = self else {
+            return false;
+        };
+        let Ok(options) = url.parse::<PgConnectOptions>() else {
+            return false;
+        };
         let host = options.get_host();
         let is_near = options.get_socket().is_some() || host.starts_with('/') || is_loopback(host);
-        !is_near && !matches!(options.get_ssl_mode(), PgSslMode::VerifyCa | PgSslMode::VerifyFull)
+        !is_near
+            && !matches!(
+                options.get_ssl_mode(),
+                PgSslMode::VerifyCa | PgSslMode::VerifyFull
+            )
     }
 }
 
@@ -98,7 +110,10 @@ impl Address {
 fn without_password(text: &str) -> String {
     match (text.split_once("://"), text.rsplit_once('@')) {
         (Some((scheme, _)), Some((_, host))) => {
-            format!("{scheme}://…@{}", host.split_once('?').map_or(host, |(host, _)| host))
+            format!(
+                "{scheme}://…@{}",
+                host.split_once('?').map_or(host, |(host, _)| host)
+            )
         }
         _ => text.to_owned(),
     }
@@ -128,14 +143,30 @@ mod tests {
         for (text, path) in [
             ("history.sqlite", "history.sqlite"),
             ("sqlite:history.sqlite", "history.sqlite"),
-            ("sqlite:///var/lib/spandrel/history.sqlite", "/var/lib/spandrel/history.sqlite"),
+            (
+                "sqlite:///var/lib/spandrel/history.sqlite",
+                "/var/lib/spandrel/history.sqlite",
+            ),
             ("/var/lib/a:b", "/var/lib/a:b"),
         ] {
-            assert_eq!(Address::parse(text).unwrap(), Address::Sqlite(path.into()), "{text}");
+            assert_eq!(
+                Address::parse(text).unwrap(),
+                Address::Sqlite(path.into()),
+                "{text}"
+            );
         }
         let server = "postgres://spandrel:secret@db.site:5432/history";
-        assert_eq!(Address::parse(server).unwrap(), Address::Postgres(server.to_owned()));
-        for wrong in ["", "mysql://db/history", "sqlite:", "a.sqlite?mode=ro", "host=db password=secret"] {
+        assert_eq!(
+            Address::parse(server).unwrap(),
+            Address::Postgres(server.to_owned())
+        );
+        for wrong in [
+            "",
+            "mysql://db/history",
+            "sqlite:",
+            "a.sqlite?mode=ro",
+            "host=db password=secret",
+        ] {
             let error = Address::parse(wrong);
             assert!(error.is_err() || wrong.contains("host="), "{wrong}");
         }
@@ -145,32 +176,54 @@ mod tests {
     fn passwords_are_never_written() {
         let address = Address::parse("postgres://spandrel:s3cr@t@db.site/history").unwrap();
         for text in [address.to_string(), format!("{address:?}")] {
-            assert!(!text.contains("s3cr") && text.contains("db.site/history"), "{text}");
+            assert!(
+                !text.contains("s3cr") && text.contains("db.site/history"),
+                "{text}"
+            );
         }
-        let late = Address::parse("postgres://spandrel@db.site/history?sslmode=require&password=s3cr3t").unwrap();
+        let late =
+            Address::parse("postgres://spandrel@db.site/history?sslmode=require&password=s3cr3t")
+                .unwrap();
         assert!(!late.to_string().contains("s3cr3t"), "{late}");
-        let refused = Address::parse("mysql://root:secret@db/history").unwrap_err().to_string();
-        assert!(!refused.contains("secret") && refused.contains("mysql"), "{refused}");
+        let refused = Address::parse("mysql://root:secret@db/history")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            !refused.contains("secret") && refused.contains("mysql"),
+            "{refused}"
+        );
     }
 
     #[test]
     fn a_server_elsewhere_that_need_not_show_who_it_is_is_known() {
         for (text, expected) in [
             ("postgres://spandrel@db.site/history", true),
-            ("postgres://spandrel@10.0.0.21/history?sslmode=require", true),
-            ("postgres://spandrel@10.0.0.21/history?sslmode=verify-full", false),
+            (
+                "postgres://spandrel@10.0.0.21/history?sslmode=require",
+                true,
+            ),
+            (
+                "postgres://spandrel@10.0.0.21/history?sslmode=verify-full",
+                false,
+            ),
             ("postgres://spandrel@127.0.0.1/history", false),
             ("postgres://spandrel@localhost/history", false),
             ("postgres://spandrel@%2Frun%2Fpostgresql/history", false),
             ("history.sqlite", false),
         ] {
-            assert_eq!(Address::parse(text).unwrap().believes_the_network(), expected, "{text}");
+            assert_eq!(
+                Address::parse(text).unwrap().believes_the_network(),
+                expected,
+                "{text}"
+            );
         }
     }
 
     #[test]
     fn a_relative_file_lies_beside_the_configuration() {
-        let file = Address::parse("history.sqlite").unwrap().below("/etc/spandrel".as_ref());
+        let file = Address::parse("history.sqlite")
+            .unwrap()
+            .below("/etc/spandrel".as_ref());
         assert_eq!(file, Address::Sqlite("/etc/spandrel/history.sqlite".into()));
     }
 }

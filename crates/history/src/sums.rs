@@ -64,7 +64,8 @@ impl Sums {
         rows.mean.push(mean);
         rows.std.push((self.variance_sum / count).max(0.0).sqrt());
         // rounding may leave a difference of squares below zero
-        rows.spread.push((self.square_sum / count - mean * mean).max(0.0).sqrt());
+        rows.spread
+            .push((self.square_sum / count - mean * mean).max(0.0).sqrt());
         rows.least.push(self.least);
         rows.largest.push(self.largest);
         rows.low.push(self.low);
@@ -92,7 +93,12 @@ mod tests {
     #[test]
     fn rows_have_the_moments_and_extremes_of_their_values() {
         let values: Vec<Sums> = (0..4)
-            .map(|k| Sums::of(i64::from(k) * 1_000_000_000, [f64::from(k), 0.1 * f64::from(k), 0.2 * f64::from(k)]))
+            .map(|k| {
+                Sums::of(
+                    i64::from(k) * 1_000_000_000,
+                    [f64::from(k), 0.1 * f64::from(k), 0.2 * f64::from(k)],
+                )
+            })
             .collect();
         let rows = rows(&values, 1);
         assert_eq!((rows.time_s[0], rows.count[0], rows.mean[0]), (3.0, 4, 1.5));

@@ -3,8 +3,8 @@
 use crate::identification::{Identification, Output};
 use crate::shell::log_event;
 use spandrel_bus::{
-    Bus, BusError, DisplayPublisher, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay,
+    Bus, BusError, DisplayPublisher, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay,
 };
 use std::collections::BTreeMap;
 use tracing::warn;
@@ -22,10 +22,17 @@ pub(crate) struct Displays {
 
 impl Displays {
     /// Declares the topics of what `core` identifies.
-    pub(crate) async fn declare(core: &Identification, bus: &Bus, keys: &Keys) -> Result<Self, BusError> {
+    pub(crate) async fn declare(
+        core: &Identification,
+        bus: &Bus,
+        keys: &Keys,
+    ) -> Result<Self, BusError> {
         let mut parameters = BTreeMap::new();
         for name in core.parameter_names() {
-            parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
+            parameters.insert(
+                name.clone(),
+                bus.publish_display(keys.parameter(name)).await?,
+            );
         }
         let mut noise = BTreeMap::new();
         for name in core.displayed_noise_names() {
@@ -41,7 +48,14 @@ impl Displays {
         };
         let fit = bus.publish_display(keys.fit()).await?;
         let events = bus.publish_display(keys.event()).await?;
-        Ok(Self { parameters, noise, outliers, classes, fit, events })
+        Ok(Self {
+            parameters,
+            noise,
+            outliers,
+            classes,
+            fit,
+            events,
+        })
     }
 
     /// Parameters and noise levels that are shown.
@@ -52,7 +66,9 @@ impl Displays {
     /// Puts what is for people; all else is left out.
     pub(crate) async fn put(&self, output: &Output) -> Result<(), BusError> {
         match output {
-            Output::Parameter(display) => show(self.parameters.get(&display.parameter), display).await,
+            Output::Parameter(display) => {
+                show(self.parameters.get(&display.parameter), display).await
+            }
             Output::Noise(display) => show(self.noise.get(&display.name), display).await,
             Output::Outliers(display) => show(self.outliers.get(&display.channel), display).await,
             Output::Classes(display) => show(self.classes.as_ref(), display).await,
@@ -68,8 +84,13 @@ impl Displays {
 }
 
 /// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
-async fn show<M: Message>(publisher: Option<&DisplayPublisher<M>>, message: &M) -> Result<(), BusError> {
-    let Some(publisher) = publisher else { return Ok(()) };
+async fn show<M: Message>(
+    publisher: Option<&DisplayPublisher<M>>,
+    message: &M,
+) -> Result<(), BusError> {
+    let Some(publisher) = publisher else {
+        return Ok(());
+    };
     match publisher.put(message).await {
         Err(error @ BusError::Encode { .. }) => {
             warn!(%error, "not shown");

@@ -18,7 +18,9 @@ pub enum IdentifyError {
         source: FilterError,
     },
     /// Nodes do not identify for themselves, or there is no such node.
-    #[error("structure {structure} has no such node that identifies for itself; see identification = \"distributed\"")]
+    #[error(
+        "structure {structure} has no such node that identifies for itself; see identification = \"distributed\""
+    )]
     NotDistributed {
         /// The structure.
         structure: String,

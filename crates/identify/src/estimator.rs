@@ -3,8 +3,8 @@
 use crate::particles::{ParticleMemory, ParticlePlan, Particles};
 use serde::{Deserialize, Serialize};
 use spandrel_filter::{
-    ChannelFit, ClassBank, ClassBankState, ExtendedKalmanFilter, FilterError, FilterSettings, FilterState, Fit, Frame,
-    NoiseState, OutlierState, ProcessModel, Step,
+    ChannelFit, ClassBank, ClassBankState, ExtendedKalmanFilter, FilterError, FilterSettings,
+    FilterState, Fit, Frame, NoiseState, OutlierState, ProcessModel, Step,
 };
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 
@@ -50,7 +50,8 @@ impl Estimator {
         Ok(match structure.class_bank()? {
             Some(bank) => Self::Classes(Box::new(bank)),
             None => {
-                let filter = ExtendedKalmanFilter::new(structure.model(), structure.filter_settings()?)?;
+                let filter =
+                    ExtendedKalmanFilter::new(structure.model(), structure.filter_settings()?)?;
                 Self::Filter(Box::new(filter))
             }
         })
@@ -119,10 +120,17 @@ impl Estimator {
         match (self, state) {
             (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),
             (Self::Classes(bank), EstimatorState::Classes(state)) => bank.restore(state),
-            (Self::Particles(particles), EstimatorState::Particles(state)) => particles.restore(state),
+            (Self::Particles(particles), EstimatorState::Particles(state)) => {
+                particles.restore(state)
+            }
             (Self::Filter(_) | Self::Classes(_) | Self::Particles(_), _) => {
-                let what = "kind of estimator of a checkpoint (0: another, 1: that of the structure file)";
-                Err(FilterError::Dimension { what, found: 0, expected: 1 })
+                let what =
+                    "kind of estimator of a checkpoint (0: another, 1: that of the structure file)";
+                Err(FilterError::Dimension {
+                    what,
+                    found: 0,
+                    expected: 1,
+                })
             }
         }
     }
@@ -170,9 +178,16 @@ impl Estimator {
             }
             Self::Particles(particles) => (particles.state_mean(), particles.state_covariance()),
         };
-        let value = terms.iter().map(|(entry, factor)| factor * mean[*entry]).sum();
-        let pairs = terms.iter().flat_map(|one| terms.iter().map(move |other| (one, other)));
-        let variance: f64 = pairs.map(|((i, a), (j, b))| a * b * covariance[(*i, *j)]).sum();
+        let value = terms
+            .iter()
+            .map(|(entry, factor)| factor * mean[*entry])
+            .sum();
+        let pairs = terms
+            .iter()
+            .flat_map(|one| terms.iter().map(move |other| (one, other)));
+        let variance: f64 = pairs
+            .map(|((i, a), (j, b))| a * b * covariance[(*i, *j)])
+            .sum();
         (value, variance.max(0.0).sqrt())
     }
 

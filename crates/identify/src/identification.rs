@@ -15,8 +15,9 @@ use fit::FitView;
 use hearing::Hearing;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Block, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FitDisplay, FitVerdict, FrameBlock, Header,
-    ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
+    Block, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FitDisplay, FitVerdict,
+    FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay, ParameterDisplay,
+    Phase, StreamState, TimeGrid,
 };
 use spandrel_filter::{BandLimit, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
@@ -46,7 +47,8 @@ pub use state::IdentificationState;
 
 /// Number of a frame in which the identification panics, so that tests see what becomes of it.
 #[cfg(test)]
-pub(crate) static POISONED: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(u64::MAX);
+pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
+    std::sync::atomic::AtomicU64::new(u64::MAX);
 
 /// What the core reacts to.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,7 +70,11 @@ impl Input {
     /// Frames that can no longer be had, from number `from` to before `to`.
     #[must_use]
     pub fn gap(from: u64, to: u64) -> Self {
-        Self::Gap { since: from, from, to }
+        Self::Gap {
+            since: from,
+            from,
+            to,
+        }
     }
 }
 
@@ -172,7 +178,10 @@ impl Identification {
     /// # Errors
     /// When the filter refuses its settings, or a name cannot be a key.
     pub fn new(structure: &Structure, source: impl Into<String>) -> Result<Self, IdentifyError> {
-        let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
+        let refused = |source| IdentifyError::Filter {
+            structure: structure.name().to_owned(),
+            source,
+        };
         let estimator = Estimator::new(structure).map_err(refused)?;
         Self::with_estimator(structure, source, estimator)
     }
@@ -186,23 +195,44 @@ impl Identification {
         source: impl Into<String>,
         estimator: Estimator,
     ) -> Result<Self, IdentifyError> {
-        let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
+        let refused = |source| IdentifyError::Filter {
+            structure: structure.name().to_owned(),
+            source,
+        };
         let named = |name: &str| {
-            Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
+            Name::new(name).map_err(|source| IdentifyError::Name {
+                structure: structure.name().to_owned(),
+                source,
+            })
         };
         let channels = structure.channel_count();
-        let fit = FitView::new(structure)
-            .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?;
+        let fit = FitView::new(structure).map_err(|source| IdentifyError::Name {
+            structure: structure.name().to_owned(),
+            source,
+        })?;
         let band_limit = structure
             .band_limit()
-            .map(|limit| BandLimit::low_pass(limit.order, limit.frequency_hz, structure.sampling_rate_hz(), channels))
+            .map(|limit| {
+                BandLimit::low_pass(
+                    limit.order,
+                    limit.frequency_hz,
+                    structure.sampling_rate_hz(),
+                    channels,
+                )
+            })
             .transpose()
             .map_err(refused)?;
         let parameter_views = structure
             .parameters()
             .iter()
             .enumerate()
-            .map(|(index, parameter)| Ok(ParameterView::new(named(parameter.name())?, index, structure)))
+            .map(|(index, parameter)| {
+                Ok(ParameterView::new(
+                    named(parameter.name())?,
+                    index,
+                    structure,
+                ))
+            })
             .collect::<Result<_, IdentifyError>>()?;
         let noise_names = estimator
             .settings()
@@ -213,8 +243,12 @@ impl Identification {
             .collect::<Result<_, _>>()?;
         let screening = match estimator.outliers() {
             Some(_) => {
-                let names: Vec<&str> =
-                    structure.nodes().iter().flat_map(|node| node.channels()).map(|c| c.name()).collect();
+                let names: Vec<&str> = structure
+                    .nodes()
+                    .iter()
+                    .flat_map(|node| node.channels())
+                    .map(|c| c.name())
+                    .collect();
                 let views = structure
                     .observation_channels()
                     .iter()
@@ -225,7 +259,9 @@ impl Identification {
         };
         Ok(Self {
             screening,
-            classes: estimator.classes().map(|bank| ClassView::new(structure, bank)),
+            classes: estimator
+                .classes()
+                .map(|bank| ClassView::new(structure, bank)),
             fit,
             structure: named(structure.name())?,
             source: source.into(),
@@ -250,7 +286,11 @@ impl Identification {
             stream: None,
             restarts: 0,
             unobserved: 0,
-            hearing: structure.excitation_channels().iter().map(|channel| hearing_of(structure, *channel)).collect(),
+            hearing: structure
+                .excitation_channels()
+                .iter()
+                .map(|channel| hearing_of(structure, *channel))
+                .collect(),
             last_values: vec![f64::NAN; channels],
             excitation_names: structure
                 .excitations()
@@ -285,7 +325,11 @@ impl Identification {
             }
             Input::Gap { since, from, to } => {
                 let done = self.bridge(since, from, to, outputs);
-                (done < to).then_some(Input::Gap { since, from: done, to })
+                (done < to).then_some(Input::Gap {
+                    since,
+                    from: done,
+                    to,
+                })
             }
         }
     }
@@ -356,7 +400,9 @@ impl Identification {
     #[must_use]
     pub fn has_lost_state(&self) -> bool {
         match &self.estimator {
-            Estimator::Particles(particles) => particles.health().is_some_and(|health| health.is_lost()),
+            Estimator::Particles(particles) => {
+                particles.health().is_some_and(|health| health.is_lost())
+            }
             Estimator::Filter(_) | Estimator::Classes(_) => false,
         }
     }
@@ -371,7 +417,10 @@ impl Identification {
         if usize::from(block.channels) != self.frame.len() {
             return; // of another structure: such a block is refused where it is read
         }
-        if self.stream.is_none_or(|stream| stream.epoch != block.header.epoch) {
+        if self
+            .stream
+            .is_none_or(|stream| stream.epoch != block.header.epoch)
+        {
             self.enter_epoch(block, outputs);
         }
         let Some(grid) = block.grid() else {
@@ -382,7 +431,12 @@ impl Identification {
         let mut first = block.header.sequence;
         for (number, values) in block.iter() {
             if estimates.len() == most {
-                self.publish(first, std::mem::take(&mut estimates), StreamState::Running, outputs);
+                self.publish(
+                    first,
+                    std::mem::take(&mut estimates),
+                    StreamState::Running,
+                    outputs,
+                );
                 first = number;
             }
             self.take_frame(number, values, grid, &mut estimates, outputs);
@@ -421,7 +475,8 @@ impl Identification {
         let time_ns = grid.time_ns(number);
         #[cfg(test)]
         assert!(
-            values.iter().all(|value| value.is_nan()) || number != POISONED.load(std::sync::atomic::Ordering::Relaxed),
+            values.iter().all(|value| value.is_nan())
+                || number != POISONED.load(std::sync::atomic::Ordering::Relaxed),
             "frame {number} is poisoned"
         );
         self.frame.copy_from_slice(values);
@@ -436,21 +491,29 @@ impl Identification {
             *value = channel.map_or(*mean, |channel| self.frame[channel]);
         }
         self.hear_excitations(time_ns, values, outputs);
-        let frame = Frame { observations: &self.observations, excitation: &self.excitation };
-        if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
+        let frame = Frame {
+            observations: &self.observations,
+            excitation: &self.excitation,
+        };
+        if self
+            .stream
+            .is_some_and(|stream| self.unobserved >= stream.bridged_frames())
+        {
             self.estimator.forget_motion(); // what was predicted so long is no longer known
         }
         let had_lost_state = self.has_lost_state();
         let result = self.estimator.step(frame);
         let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
         self.unobserved = if observed { 0 } else { self.unobserved + 1 };
-        let beyond_recovery =
-            matches!(&self.estimator, Estimator::Particles(particles) if particles.are_beyond_recovery());
+        let beyond_recovery = matches!(&self.estimator, Estimator::Particles(particles) if particles.are_beyond_recovery());
         let restarted = result.is_err() || beyond_recovery;
         if let Err(error) = &result {
             outputs.push(self.restart(time_ns, &error.to_string()));
         } else if beyond_recovery {
-            outputs.push(self.restart(time_ns, "the particles had lost the state, and did not find it again"));
+            outputs.push(self.restart(
+                time_ns,
+                "the particles had lost the state, and did not find it again",
+            ));
         } else {
             self.tell_particles(time_ns, had_lost_state, outputs);
         }
@@ -471,7 +534,11 @@ impl Identification {
                 true => self.shed += self.values_displayed(),
             }
         }
-        outputs.extend(self.fit.take_change(&self.structure, time_ns, &self.estimator).map(Output::Fit));
+        outputs.extend(
+            self.fit
+                .take_change(&self.structure, time_ns, &self.estimator)
+                .map(Output::Fit),
+        );
     }
 
     /// Bridges frames that are lost for good, or a part of them; returns the number of the first one that is left.
@@ -540,7 +607,8 @@ impl Identification {
     fn estimate(&mut self, step: Option<Step>, restarted: bool) -> Estimate {
         if !self.responses.is_empty() {
             let response = |response: &EstimatedResponse| self.estimator.response(response.terms());
-            self.responded.push(self.responses.iter().map(response).collect());
+            self.responded
+                .push(self.responses.iter().map(response).collect());
         }
         let parameters = self.parameter_views.len();
         let noise = self.estimator.noise();
@@ -558,7 +626,8 @@ impl Identification {
             noise_mean: noise.mean.as_slice().to_vec(),
             noise_covariance: noise.covariance.diagonal().as_slice().to_vec(),
             innovations,
-            normalised_innovation_squared: step.map_or(0.0, |step| step.normalised_innovation_squared),
+            normalised_innovation_squared: step
+                .map_or(0.0, |step| step.normalised_innovation_squared),
             log_evidence: step.map_or(0.0, |step| step.log_evidence),
             used_channels: used as u16,
             flags: self.flags(restarted, used),
@@ -571,7 +640,9 @@ impl Identification {
             phase: match self.estimator.noise().phase {
                 NoisePhase::Training => Phase::Training,
                 NoisePhase::Working if self.has_lost_state() => Phase::Training,
-                NoisePhase::Working if self.hearing.iter().any(Hearing::is_silent) => Phase::ExcitationSilent,
+                NoisePhase::Working if self.hearing.iter().any(Hearing::is_silent) => {
+                    Phase::ExcitationSilent
+                }
                 NoisePhase::Working => Phase::Working,
             },
             restarted,
@@ -582,21 +653,43 @@ impl Identification {
         }
     }
 
-    fn publish(&mut self, first: u64, estimates: Vec<Estimate>, state: StreamState, outputs: &mut Vec<Output>) {
+    fn publish(
+        &mut self,
+        first: u64,
+        estimates: Vec<Estimate>,
+        state: StreamState,
+        outputs: &mut Vec<Output>,
+    ) {
         let Some(stream) = self.stream else {
             return;
         };
-        let time_ns = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz).map_or(stream.t0_ns, |g| g.time_ns(first));
+        let time_ns = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz)
+            .map_or(stream.t0_ns, |g| g.time_ns(first));
         if !self.responded.is_empty() {
             outputs.push(Output::Responses(std::mem::take(&mut self.responded)));
         }
-        let header = Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns };
-        outputs.push(Output::Estimates(EstimateBlock { header, estimates, state, ..self.empty_block(stream) }));
+        let header = Header {
+            source: self.source.clone(),
+            epoch: stream.epoch,
+            sequence: first,
+            time_ns,
+        };
+        outputs.push(Output::Estimates(EstimateBlock {
+            header,
+            estimates,
+            state,
+            ..self.empty_block(stream)
+        }));
     }
 
     fn empty_block(&self, stream: Stream) -> EstimateBlock {
         EstimateBlock {
-            header: Header { source: String::new(), epoch: stream.epoch, sequence: 0, time_ns: 0 },
+            header: Header {
+                source: String::new(),
+                epoch: stream.epoch,
+                sequence: 0,
+                time_ns: 0,
+            },
             term: 0,
             t0_ns: stream.t0_ns,
             sampling_rate_hz: stream.sampling_rate_hz,
@@ -610,38 +703,68 @@ impl Identification {
 
     /// How many estimates have at most [`MOST_BYTES`], but at least one.
     fn most_of_a_block(&self) -> usize {
-        self.stream.map_or(1, |stream| (MOST_BYTES / self.empty_block(stream).item_bytes()).max(1))
+        self.stream.map_or(1, |stream| {
+            (MOST_BYTES / self.empty_block(stream).item_bytes()).max(1)
+        })
     }
 
     /// How many messages [`Self::display`] makes.
     fn values_displayed(&self) -> u64 {
-        let single = usize::from(self.classes.is_some()) + usize::from(self.effective_name.is_some());
+        let single =
+            usize::from(self.classes.is_some()) + usize::from(self.effective_name.is_some());
         let fit = usize::from(fit::judged(&self.estimator).is_some());
-        (self.parameter_views.len() + self.noise_names.len() + single + fit + self.screening.len()) as u64
+        (self.parameter_views.len() + self.noise_names.len() + single + fit + self.screening.len())
+            as u64
     }
 
     fn display(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
         for (index, view) in self.parameter_views.iter().enumerate() {
             let mean = self.estimator.parameter_mean()[index];
             let variance = self.estimator.parameter_covariance(index, index);
-            outputs.push(Output::Parameter(view.display(&self.structure, time_ns, mean, variance)));
+            outputs.push(Output::Parameter(view.display(
+                &self.structure,
+                time_ns,
+                mean,
+                variance,
+            )));
         }
         let noise = self.estimator.noise();
         for (l, name) in self.noise_names.iter().enumerate() {
             let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
-            outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
+            outputs.push(Output::Noise(noise_display(
+                &self.structure,
+                name,
+                time_ns,
+                mean,
+                variance,
+            )));
         }
-        if let (Estimator::Particles(particles), Some(name)) = (&self.estimator, &self.effective_name)
+        if let (Estimator::Particles(particles), Some(name)) =
+            (&self.estimator, &self.effective_name)
             && let Some(health) = particles.health()
         {
             let effective = health.effective_share() * particles.count() as f64;
-            outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, effective, 0.0)));
+            outputs.push(Output::Noise(noise_display(
+                &self.structure,
+                name,
+                time_ns,
+                effective,
+                0.0,
+            )));
         }
         outputs.extend(self.class_display(time_ns).map(Output::Classes));
-        outputs.extend(self.fit.display(&self.structure, time_ns, &self.estimator).map(Output::Fit));
+        outputs.extend(
+            self.fit
+                .display(&self.structure, time_ns, &self.estimator)
+                .map(Output::Fit),
+        );
         if let Some(outliers) = self.estimator.outliers() {
             for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
-                outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
+                outputs.push(Output::Outliers(view.display(
+                    &self.structure,
+                    time_ns,
+                    screen,
+                )));
             }
         }
     }

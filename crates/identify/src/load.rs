@@ -22,7 +22,11 @@ pub(crate) struct LoadState {
 
 impl LoadState {
     pub(crate) fn new() -> Self {
-        Self { load: Load::Normal, behind: None, most_behind: 0 }
+        Self {
+            load: Load::Normal,
+            behind: None,
+            most_behind: 0,
+        }
     }
 
     pub(crate) fn load(&self) -> Load {
@@ -76,8 +80,19 @@ mod tests {
 
     #[test]
     fn each_state_is_told_however_fast_it_comes() {
-        let all = [Load::DisplayShed, Load::Behind, Load::CatchingUp, Load::Normal];
-        assert_eq!(told(Some(Pace::Live), &[0, 20_000, 20_000, 15_001, 15_000, 257, 256, 0]), all);
+        let all = [
+            Load::DisplayShed,
+            Load::Behind,
+            Load::CatchingUp,
+            Load::Normal,
+        ];
+        assert_eq!(
+            told(
+                Some(Pace::Live),
+                &[0, 20_000, 20_000, 15_001, 15_000, 257, 256, 0]
+            ),
+            all
+        );
         assert_eq!(told(Some(Pace::Live), &[20_000, 20_000, 0, 0]), all);
     }
 
@@ -85,19 +100,36 @@ mod tests {
     fn a_source_that_waits_is_no_overload() {
         for pace in [None, Some(Pace::Replayed)] {
             assert_eq!(told(pace, &[0, 4_096, 4_224, 5_120, 4_000]), []);
-            assert_eq!(told(pace, &[5_121, 4_353, 4_352]), [Load::DisplayShed, Load::Normal]);
+            assert_eq!(
+                told(pace, &[5_121, 4_353, 4_352]),
+                [Load::DisplayShed, Load::Normal]
+            );
         }
     }
 
     #[test]
     fn what_is_shed_comes_back_only_where_it_has_caught_up() {
-        assert_eq!(told(Some(Pace::Live), &[1_024, 1_025, 300, 1_025, 257]), [Load::DisplayShed]);
-        assert_eq!(told(Some(Pace::Live), &[1_025, 256, 300]), [Load::DisplayShed, Load::Normal]);
+        assert_eq!(
+            told(Some(Pace::Live), &[1_024, 1_025, 300, 1_025, 257]),
+            [Load::DisplayShed]
+        );
+        assert_eq!(
+            told(Some(Pace::Live), &[1_025, 256, 300]),
+            [Load::DisplayShed, Load::Normal]
+        );
     }
 
     #[test]
     fn who_is_overtaken_again_is_behind_again() {
         let states = told(Some(Pace::Live), &[9_000, 10_000, 7_500, 9_999, 10_000]);
-        assert_eq!(states, [Load::DisplayShed, Load::Behind, Load::CatchingUp, Load::Behind]);
+        assert_eq!(
+            states,
+            [
+                Load::DisplayShed,
+                Load::Behind,
+                Load::CatchingUp,
+                Load::Behind
+            ]
+        );
     }
 }

@@ -40,7 +40,12 @@ impl Memory {
         alert: ProgressWatch,
     ) -> Result<Self, IdentifyError> {
         // a term outlives every change of the structure file
-        let of_term = Identity { kind: "term", version: 1, of: structure.name().to_owned(), basis: String::new() };
+        let of_term = Identity {
+            kind: "term",
+            version: 1,
+            of: structure.name().to_owned(),
+            basis: String::new(),
+        };
         let checkpoints = Checkpoints::open(&remembering.folder, identity(structure))?;
         Ok(Self {
             keeper: Keeper::new(checkpoints, remembering.every),
@@ -52,13 +57,23 @@ impl Memory {
 
     /// Returns the highest term in which this service has led, 0 before the first.
     pub(crate) fn last_term(&self) -> u64 {
-        self.terms.places().ok().and_then(|terms| terms.last().map(|term| term.epoch)).unwrap_or(0)
+        self.terms
+            .places()
+            .ok()
+            .and_then(|terms| terms.last().map(|term| term.epoch))
+            .unwrap_or(0)
     }
 
     /// Keeps the term in which the service is about to lead: on return it is on the disk, or its failure has been told.
     pub(crate) fn keep_term(&self, term: u64) {
         let keep = || {
-            self.terms.save(Place { epoch: term, sequence: 0 }, &())?;
+            self.terms.save(
+                Place {
+                    epoch: term,
+                    sequence: 0,
+                },
+                &(),
+            )?;
             self.terms.forget_before(None)
         };
         if let Err(error) = block_in_place(keep) {
@@ -95,7 +110,11 @@ impl Memory {
             };
             match core.restore(state) {
                 Ok(()) => {
-                    info!(epoch = place.epoch, frame = place.sequence, "goes on from its checkpoint");
+                    info!(
+                        epoch = place.epoch,
+                        frame = place.sequence,
+                        "goes on from its checkpoint"
+                    );
                     return Ok(core);
                 }
                 Err(error) => {
@@ -137,10 +156,24 @@ impl Memory {
         let Some((epoch, sequence)) = core.position() else {
             return;
         };
-        let heard =
-            self.alert.latest().map(|Progress { header, kept, .. }| Place { epoch: header.epoch, sequence: kept });
+        let heard = self
+            .alert
+            .latest()
+            .map(|Progress { header, kept, .. }| Place {
+                epoch: header.epoch,
+                sequence: kept,
+            });
         // An alert service that has not been heard of may need everything; without rules there is none.
-        let needed = if self.is_decided_on { heard.or(Some(Place { epoch: 0, sequence: 0 })) } else { None };
-        self.keeper.keep(Place { epoch, sequence }, core.state(), needed).await;
+        let needed = if self.is_decided_on {
+            heard.or(Some(Place {
+                epoch: 0,
+                sequence: 0,
+            }))
+        } else {
+            None
+        };
+        self.keeper
+            .keep(Place { epoch, sequence }, core.state(), needed)
+            .await;
     }
 }

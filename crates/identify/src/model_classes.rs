@@ -24,7 +24,11 @@ pub(crate) struct Told {
 impl ClassView {
     pub(crate) fn new(structure: &Structure, bank: &ClassBank<StructureClasses>) -> Self {
         let persistence_s = bank.settings().persistence_steps as f64 * structure.step_s();
-        Self { structure: structure.clone(), persistence: format!("{persistence_s:.2} s"), latest: None }
+        Self {
+            structure: structure.clone(),
+            persistence: format!("{persistence_s:.2} s"),
+            latest: None,
+        }
     }
 
     /// Returns the last calibration.
@@ -39,25 +43,46 @@ impl ClassView {
 
     /// Takes what happened to the classes at one frame; what people should know of it is returned.
     pub(crate) fn take(&mut self, time_ns: i64, bank: &ClassBank<StructureClasses>) -> Vec<Told> {
-        bank.events().iter().map(|event| self.tell(time_ns, event, bank)).collect()
+        bank.events()
+            .iter()
+            .map(|event| self.tell(time_ns, event, bank))
+            .collect()
     }
 
-    fn tell(&mut self, time_ns: i64, event: &ClassEvent, bank: &ClassBank<StructureClasses>) -> Told {
+    fn tell(
+        &mut self,
+        time_ns: i64,
+        event: &ClassEvent,
+        bank: &ClassBank<StructureClasses>,
+    ) -> Told {
         let name = |class: &ClassId| self.structure.class_name(*class).to_owned();
         match event {
             ClassEvent::Leading { from, to } => Told {
                 kind: EventKind::LeadingClass,
                 what: format!("class {} leads, before it was {}", name(to), name(from)),
-                why: format!("it has been the most plausible one for {}", self.persistence),
+                why: format!(
+                    "it has been the most plausible one for {}",
+                    self.persistence
+                ),
             },
             ClassEvent::Calibrated { by, factors } => {
-                let change = self.structure.singled_out(*by).map_or(0.0, |component| factors[component] - 1.0);
+                let change = self
+                    .structure
+                    .singled_out(*by)
+                    .map_or(0.0, |component| factors[component] - 1.0);
                 let class = name(by);
-                self.latest = Some(ClassCalibration { time_ns, class: class.clone(), change });
+                self.latest = Some(ClassCalibration {
+                    time_ns,
+                    class: class.clone(),
+                    change,
+                });
                 Told {
                     kind: EventKind::Calibration,
                     what: format!("class {class} recalibrated by {}", percent(change)),
-                    why: format!("it has been the most plausible one for {}", self.persistence),
+                    why: format!(
+                        "it has been the most plausible one for {}",
+                        self.persistence
+                    ),
                 }
             }
             ClassEvent::LevelUp { substructure } => {
@@ -74,10 +99,16 @@ impl ClassView {
                 why: "no part has to be singled out any more".to_owned(),
             },
             ClassEvent::Restarted { class } => {
-                let leader = bank.classes().nth(bank.leader()).map_or_else(String::new, |leader| name(&leader));
+                let leader = bank
+                    .classes()
+                    .nth(bank.leader())
+                    .map_or_else(String::new, |leader| name(&leader));
                 Told {
                     kind: EventKind::Restart,
-                    what: format!("the filter of class {} continues from class {leader}", name(class)),
+                    what: format!(
+                        "the filter of class {} continues from class {leader}",
+                        name(class)
+                    ),
                     why: "it had diverged".to_owned(),
                 }
             }
@@ -95,7 +126,10 @@ impl ClassView {
         let classes: Vec<ClassPlausibility> = bank
             .classes()
             .zip(bank.plausibilities().iter())
-            .map(|(class, plausibility)| ClassPlausibility { class: name(class), plausibility: plausibility.min(1.0) })
+            .map(|(class, plausibility)| ClassPlausibility {
+                class: name(class),
+                plausibility: plausibility.min(1.0),
+            })
             .collect();
         ModelClassDisplay {
             structure: structure.clone(),

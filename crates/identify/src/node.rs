@@ -9,10 +9,12 @@ use crate::error::IdentifyError;
 use crate::node_screening::NodeScreening;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, Name, NodeLineage, Pace, SampleBlock,
-    StreamState, TimeGrid, ToldMotion,
+    Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, Name, NodeLineage, Pace,
+    SampleBlock, StreamState, TimeGrid, ToldMotion,
 };
-use spandrel_filter::fusion::{CompressedMotion, Feedback, FeedbackRule, Gaussian, LocalFilter, Taken};
+use spandrel_filter::fusion::{
+    CompressedMotion, Feedback, FeedbackRule, Gaussian, LocalFilter, Taken,
+};
 use spandrel_filter::{BandLimit, Frame};
 use spandrel_structure::{Structure, StructureModel};
 use std::collections::{BTreeMap, VecDeque};
@@ -30,7 +32,8 @@ const OFF_ITS_PLACE: f64 = 0.75;
 
 /// Number of a sample of which the worker dies: how that goes on is tested.
 #[cfg(test)]
-pub(crate) static POISONED: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(u64::MAX);
+pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
+    std::sync::atomic::AtomicU64::new(u64::MAX);
 
 /// What the core reacts to.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,24 +111,48 @@ impl NodeIdentification {
     /// # Errors
     /// When identification is not distributed, there is no such node, or the filter refuses its settings.
     pub fn new(structure: &Structure, position: usize, epoch: u64) -> Result<Self, IdentifyError> {
-        let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
-        let named = |name: &str| {
-            Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
+        let refused = |source| IdentifyError::Filter {
+            structure: structure.name().to_owned(),
+            source,
         };
-        let no_node = || IdentifyError::NotDistributed { structure: structure.name().to_owned() };
-        let filter = structure.local_filter(position).ok_or_else(no_node)?.map_err(refused)?;
+        let named = |name: &str| {
+            Name::new(name).map_err(|source| IdentifyError::Name {
+                structure: structure.name().to_owned(),
+                source,
+            })
+        };
+        let no_node = || IdentifyError::NotDistributed {
+            structure: structure.name().to_owned(),
+        };
+        let filter = structure
+            .local_filter(position)
+            .ok_or_else(no_node)?
+            .map_err(refused)?;
         let plan = structure.fusion().ok_or_else(no_node)?;
         let node = structure.nodes().get(position).ok_or_else(no_node)?;
         let own = structure.of_node(node.name()).ok_or_else(no_node)?;
         let channels = own.channel_count();
         let band_limit = own
             .band_limit()
-            .map(|limit| BandLimit::low_pass(limit.order, limit.frequency_hz, own.sampling_rate_hz(), channels))
+            .map(|limit| {
+                BandLimit::low_pass(
+                    limit.order,
+                    limit.frequency_hz,
+                    own.sampling_rate_hz(),
+                    channels,
+                )
+            })
             .transpose()
             .map_err(refused)?;
-        let screened = |channel: &usize| NodeScreening::new(structure.name(), node.channels()[*channel].name());
+        let screened = |channel: &usize| {
+            NodeScreening::new(structure.name(), node.channels()[*channel].name())
+        };
         let screening = match own.screens_outliers() {
-            true => own.observation_channels().iter().map(screened).collect::<Result<_, _>>()?,
+            true => own
+                .observation_channels()
+                .iter()
+                .map(screened)
+                .collect::<Result<_, _>>()?,
             false => Vec::new(),
         };
         Ok(Self {
@@ -139,7 +166,11 @@ impl NodeIdentification {
             waiting: VecDeque::new(),
             observation_channels: own.observation_channels().to_vec(),
             excitation_channels: own.excitation_channels().to_vec(),
-            ranges: node.channels().iter().map(|channel| channel.range()).collect(),
+            ranges: node
+                .channels()
+                .iter()
+                .map(|channel| channel.range())
+                .collect(),
             sample: vec![f64::NAN; channels],
             observations: vec![f64::NAN; own.observation_channels().len()],
             excitation: vec![0.0; own.excitation_channels().len()],
@@ -165,7 +196,9 @@ impl NodeIdentification {
             NodeInput::NoAnswer => self.stop_waiting(),
         }
         while self.awaits().is_none() {
-            let Some(block) = self.waiting.pop_front() else { return };
+            let Some(block) = self.waiting.pop_front() else {
+                return;
+            };
             self.take_block(block, outputs);
         }
     }
@@ -178,7 +211,11 @@ impl NodeIdentification {
             self.take_block(block, &mut found);
             self.stop_waiting();
         }
-        outputs.extend(found.into_iter().filter(|output| matches!(output, NodeOutput::Event(_))));
+        outputs.extend(
+            found
+                .into_iter()
+                .filter(|output| matches!(output, NodeOutput::Event(_))),
+        );
     }
 
     /// Returns the epoch of its messages: higher in each life.
@@ -272,7 +309,10 @@ impl NodeIdentification {
     /// Moves on to the first sample of a block: bridges what is missing, and drops what has been there.
     fn find_place(&mut self, block: &mut SampleBlock, outputs: &mut Vec<NodeOutput>) -> bool {
         let time_ns = block.header.time_ns;
-        let Some(stream) = self.stream.filter(|stream| stream.epoch == block.header.epoch) else {
+        let Some(stream) = self
+            .stream
+            .filter(|stream| stream.epoch == block.header.epoch)
+        else {
             self.begin_stream(block, outputs);
             return true;
         };
@@ -303,7 +343,12 @@ impl NodeIdentification {
         if missing as f64 > BRIDGED_GAP_S * self.rate_hz {
             self.skip(missing);
             let why = "longer than can be bridged: parameters kept, motion forgotten";
-            outputs.push(self.event(time_ns, EventKind::Gap, &format!("{missing} samples are lost for good"), why));
+            outputs.push(self.event(
+                time_ns,
+                EventKind::Gap,
+                &format!("{missing} samples are lost for good"),
+                why,
+            ));
             return true;
         }
         let nothing = vec![f64::NAN; self.sample.len()];
@@ -326,19 +371,35 @@ impl NodeIdentification {
         let (time_ns, period) = (block.header.time_ns, self.filter.steps_per_period());
         let nearest = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.nearest(time_ns));
         match self.stream {
-            None => self.filter.begin_at(nearest.rem_euclid(period as i64).unsigned_abs()),
+            None => self
+                .filter
+                .begin_at(nearest.rem_euclid(period as i64).unsigned_abs()),
             Some(stream) => {
                 let ahead = nearest.saturating_sub(stream.number.saturating_add(1));
                 // what is measured again, or by a clock that was set back, keeps its place in the period
-                self.skip(u64::try_from(ahead).unwrap_or_else(|_| ahead.rem_euclid(period as i64).unsigned_abs()));
+                self.skip(
+                    u64::try_from(ahead)
+                        .unwrap_or_else(|_| ahead.rem_euclid(period as i64).unsigned_abs()),
+                );
                 let why = "its source of samples began a new epoch";
-                outputs.push(self.event(time_ns, EventKind::Restart, "motion forgotten, parameters kept", why));
+                outputs.push(self.event(
+                    time_ns,
+                    EventKind::Restart,
+                    "motion forgotten, parameters kept",
+                    why,
+                ));
             }
         }
         let last_ns = time_ns.saturating_sub((1e9 / self.rate_hz) as i64);
         let number = nearest.saturating_sub(1);
         let (epoch, next) = (block.header.epoch, block.header.sequence);
-        self.stream = Some(Stream { epoch, next, last_ns, number, awaits: None });
+        self.stream = Some(Stream {
+            epoch,
+            next,
+            last_ns,
+            number,
+            awaits: None,
+        });
     }
 
     /// Leaves samples out that are missing for too long, and places the next one after them.
@@ -352,7 +413,11 @@ impl NodeIdentification {
 
     fn take_sample(&mut self, sample: &[f64]) {
         for ((value, sample), range) in self.sample.iter_mut().zip(sample).zip(&self.ranges) {
-            *value = if sample.abs() <= *range { *sample } else { f64::NAN };
+            *value = if sample.abs() <= *range {
+                *sample
+            } else {
+                f64::NAN
+            };
             if !(sample.is_nan() || sample.abs() <= *range) {
                 *self.dropped.entry("absurd-samples").or_default() += 1;
             }
@@ -369,7 +434,10 @@ impl NodeIdentification {
         self.done += 1;
         self.sampled += u64::from(self.sample.iter().any(|value| !value.is_nan()));
         // the sizes are those of the model; a filter that diverges has started anew
-        let _ = self.filter.step(Frame { observations: &self.observations, excitation: &self.excitation });
+        let _ = self.filter.step(Frame {
+            observations: &self.observations,
+            excitation: &self.excitation,
+        });
     }
 
     /// Sends the local estimate; tells whether its answer is waited for.
@@ -383,10 +451,17 @@ impl NodeIdentification {
                 true => estimate.parameters.variances(),
                 false => estimate.parameters.triangle(),
             },
-            lineage: estimate.lineage.map(|lineage| NodeLineage { own: lineage.own, answers: lineage.answers }),
-            motion: estimate
-                .motion
-                .map(|motion| ToldMotion::new(motion.mean.as_slice(), motion.variance.as_slice(), &self.told_units)),
+            lineage: estimate.lineage.map(|lineage| NodeLineage {
+                own: lineage.own,
+                answers: lineage.answers,
+            }),
+            motion: estimate.motion.map(|motion| {
+                ToldMotion::new(
+                    motion.mean.as_slice(),
+                    motion.variance.as_slice(),
+                    &self.told_units,
+                )
+            }),
         };
         let message = self.message(Some(density), pace, StreamState::Running);
         outputs.push(NodeOutput::Local(message));
@@ -397,9 +472,18 @@ impl NodeIdentification {
         waits
     }
 
-    fn message(&mut self, density: Option<LocalDensity>, pace: Pace, state: StreamState) -> LocalMessage {
+    fn message(
+        &mut self,
+        density: Option<LocalDensity>,
+        pace: Pace,
+        state: StreamState,
+    ) -> LocalMessage {
         let screens = self.filter.screens();
-        let screening = self.screening.iter_mut().zip(screens).map(|(channel, screen)| channel.report(screen));
+        let screening = self
+            .screening
+            .iter_mut()
+            .zip(screens)
+            .map(|(channel, screen)| channel.report(screen));
         LocalMessage {
             header: Header {
                 source: self.node.to_string(),
@@ -425,7 +509,10 @@ impl NodeIdentification {
         if let Some(reason) = reason {
             *self.dropped.entry(reason).or_default() += 1;
         }
-        if self.awaits().is_some_and(|index| message.node_epoch == self.epoch && message.answers >= index) {
+        if self
+            .awaits()
+            .is_some_and(|index| message.node_epoch == self.epoch && message.answers >= index)
+        {
             self.stop_waiting();
         }
     }
@@ -438,7 +525,10 @@ impl NodeIdentification {
             answers: message.answers,
             parameters: Gaussian::from_triangle(&message.mean, &message.covariance)?,
             nodes: usize::from(message.nodes),
-            motion: message.motion.clone().map(|numbers| compressed((numbers.mean, numbers.variance))),
+            motion: message
+                .motion
+                .clone()
+                .map(|numbers| compressed((numbers.mean, numbers.variance))),
             responses: match self.responses {
                 true => message
                     .responses
@@ -469,14 +559,21 @@ impl NodeIdentification {
             self.restarts = self.filter.restarts();
             let time_ns = self.stream.map_or(0, |stream| stream.last_ns);
             let why = "it diverged, or left the range of sound values";
-            outputs.push(self.event(time_ns, EventKind::Restart, "filter of the node started anew", why));
+            outputs.push(self.event(
+                time_ns,
+                EventKind::Restart,
+                "filter of the node started anew",
+                why,
+            ));
         }
     }
 
     /// Tells what the last sample has changed for the screening of a channel.
     fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<NodeOutput>) {
         for (channel, screen) in self.screening.iter_mut().zip(self.filter.screens()) {
-            let Some((kind, what, why)) = channel.take(time_ns, screen) else { continue };
+            let Some((kind, what, why)) = channel.take(time_ns, screen) else {
+                continue;
+            };
             outputs.push(NodeOutput::Event(Event {
                 structure: self.structure.clone(),
                 time_ns,
@@ -501,7 +598,10 @@ impl NodeIdentification {
 }
 
 fn compressed((mean, variance): (Vec<f64>, Vec<f64>)) -> CompressedMotion {
-    CompressedMotion { mean: mean.into(), variance: variance.into() }
+    CompressedMotion {
+        mean: mean.into(),
+        variance: variance.into(),
+    }
 }
 
 #[cfg(test)]

@@ -21,8 +21,15 @@ impl NodeScreening {
     /// # Errors
     /// When its name is no chunk of a key.
     pub(crate) fn new(structure: &str, channel: &str) -> Result<Self, IdentifyError> {
-        let refused = |source| IdentifyError::Name { structure: structure.to_owned(), source };
-        Ok(Self { view: ScreeningView::new(Name::new(channel).map_err(refused)?), faulty: false, masked: None })
+        let refused = |source| IdentifyError::Name {
+            structure: structure.to_owned(),
+            source,
+        };
+        Ok(Self {
+            view: ScreeningView::new(Name::new(channel).map_err(refused)?),
+            faulty: false,
+            masked: None,
+        })
     }
 
     /// The name of the channel.
@@ -31,7 +38,11 @@ impl NodeScreening {
     }
 
     /// Takes what became of a sample; returns kind, what and why where it is worth an event.
-    pub(crate) fn take(&mut self, time_ns: i64, screen: &ChannelScreen) -> Option<(EventKind, &'static str, String)> {
+    pub(crate) fn take(
+        &mut self,
+        time_ns: i64,
+        screen: &ChannelScreen,
+    ) -> Option<(EventKind, &'static str, String)> {
         let change = self.view.take(time_ns, screen);
         if self.faulty != screen.faulty() {
             self.faulty = screen.faulty();
@@ -40,7 +51,9 @@ impl NodeScreening {
                 true => (
                     EventKind::ChannelExcluded,
                     "the sensor is faulty: its samples are not used",
-                    why.unwrap_or_else(|| "its samples are far from what the structure does".to_owned()),
+                    why.unwrap_or_else(|| {
+                        "its samples are far from what the structure does".to_owned()
+                    }),
                 ),
                 false => (
                     EventKind::ChannelBack,
@@ -50,9 +63,11 @@ impl NodeScreening {
             });
         }
         match change {
-            Some((OutlierChange::Rescaled, why)) => {
-                Some((EventKind::Calibration, "the scale of its residuals was estimated anew", why))
-            }
+            Some((OutlierChange::Rescaled, why)) => Some((
+                EventKind::Calibration,
+                "the scale of its residuals was estimated anew",
+                why,
+            )),
             Some(_) | None => None,
         }
     }

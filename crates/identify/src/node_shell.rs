@@ -7,8 +7,8 @@ use crate::pool::FilterPool;
 use crate::set_aside::{SetAside, Span};
 use crate::shell::log_event;
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, EventKind, FeedbackMessage, Keys, LiveToken,
-    LocalMessage, Name, Pace, SampleBlock, Service, Start, Status, Subscription,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, EventKind, FeedbackMessage, Keys,
+    LiveToken, LocalMessage, Name, Pace, SampleBlock, Service, Start, Status, Subscription,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_structure::Structure;
@@ -78,14 +78,26 @@ impl NodeService {
         Box::pin(async move {
             let mut core = NodeIdentification::new(structure, position, epoch)?;
             let named = |name: &str| {
-                Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
+                Name::new(name).map_err(|source| IdentifyError::Name {
+                    structure: structure.name().to_owned(),
+                    source,
+                })
             };
             let node = named(structure.nodes()[position].name())?;
-            let keeper = remembering.map(|remembering| recall(&mut core, structure, &node, remembering)).transpose()?;
+            let keeper = remembering
+                .map(|remembering| recall(&mut core, structure, &node, remembering))
+                .transpose()?;
             let position = core.position();
             let settings =
-                bus.reading(position.map_or(Start::Beginning, |(epoch, sequence)| Start::At { epoch, sequence }));
-            let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
+                bus.reading(
+                    position.map_or(Start::Beginning, |(epoch, sequence)| Start::At {
+                        epoch,
+                        sequence,
+                    }),
+                );
+            let samples = bus
+                .follow(keys.samples(&node), keys.buffer(&node), settings)
+                .await?;
             let service = Self {
                 samples: Pieces::of(samples),
                 bus: bus.clone(),
@@ -99,14 +111,20 @@ impl NodeService {
                 feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
                 local: bus.publish_display(keys.local(&node)).await?,
                 events: bus.publish_display(keys.event()).await?,
-                status: bus.publish_display(keys.status(Service::Identify, &node)).await?,
+                status: bus
+                    .publish_display(keys.status(Service::Identify, &node))
+                    .await?,
                 token: Some(bus.announce(keys.live(Service::Identify, &node)).await?),
                 structure: keys.structure().clone(),
                 service: named(Service::Identify.as_str())?,
                 node,
                 core: Some(core),
             };
-            info!(structure = structure.name(), node = service.node.as_str(), "node ready");
+            info!(
+                structure = structure.name(),
+                node = service.node.as_str(),
+                "node ready"
+            );
             Ok(service)
         })
     }
@@ -121,16 +139,25 @@ impl NodeService {
     ///
     /// # Errors
     /// When the bus is closed underneath, or the filter has panicked: another life goes on [without](Self::without) what it had at work.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IdentifyError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), IdentifyError>> {
         self.run_until(Box::pin(stop))
     }
 
-    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IdentifyError>> {
+    fn run_until(
+        mut self,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), IdentifyError>> {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
             let answers = self.feedback.messages().clone();
             loop {
-                let waits = self.core.as_ref().is_some_and(|core| core.awaits().is_some());
+                let waits = self
+                    .core
+                    .as_ref()
+                    .is_some_and(|core| core.awaits().is_some());
                 tokio::select! {
                     answer = answers.recv_async() => match answer {
                         Ok((_, feedback)) => self.take(NodeInput::Feedback(feedback)).await?,
@@ -151,7 +178,8 @@ impl NodeService {
             }
             let deadline = Instant::now() + LAST_SAMPLES_IN_ALL;
             while Instant::now() < deadline
-                && let Ok(Some(delivery)) = tokio::time::timeout(LAST_SAMPLES, self.samples.next()).await
+                && let Ok(Some(delivery)) =
+                    tokio::time::timeout(LAST_SAMPLES, self.samples.next()).await
             {
                 self.take_delivery(delivery).await?;
                 self.take(NodeInput::NoAnswer).await?;
@@ -167,12 +195,20 @@ impl NodeService {
         })
     }
 
-    async fn take_delivery(&mut self, delivery: Delivery<SampleBlock>) -> Result<(), IdentifyError> {
+    async fn take_delivery(
+        &mut self,
+        delivery: Delivery<SampleBlock>,
+    ) -> Result<(), IdentifyError> {
         let block = match delivery {
             Delivery::Block(block) => block,
             // the next block tells by its time how much is missing
             Delivery::Gap(gap) => {
-                debug!(node = self.node.as_str(), from = gap.from, to = gap.to, "samples lost");
+                debug!(
+                    node = self.node.as_str(),
+                    from = gap.from,
+                    to = gap.to,
+                    "samples lost"
+                );
                 return Ok(());
             }
         };
@@ -198,16 +234,23 @@ impl NodeService {
         let (epoch, sequence) = match self.begins_at {
             Some(place) => place,
             None => {
-                let position = self.bus.stream_position(&self.buffer_key, POSITION_TIMEOUT).await;
+                let position = self
+                    .bus
+                    .stream_position(&self.buffer_key, POSITION_TIMEOUT)
+                    .await;
                 // a sensor that keeps no samples sends none of before
-                *self.begins_at.insert(position.map_or((0, 0), |at| (at.header.epoch, at.header.sequence)))
+                *self
+                    .begins_at
+                    .insert(position.map_or((0, 0), |at| (at.header.epoch, at.header.sequence)))
             }
         };
         block.header.epoch == epoch && block.end() <= sequence
     }
 
     async fn take(&mut self, input: NodeInput) -> Result<(), IdentifyError> {
-        let lost = || IdentifyError::ThreadLost { structure: self.structure.to_string() };
+        let lost = || IdentifyError::ThreadLost {
+            structure: self.structure.to_string(),
+        };
         let mut core = self.core.take().ok_or_else(lost)?;
         let work = self.pool.run(move || {
             let mut outputs = Vec::new();
@@ -242,20 +285,36 @@ impl NodeService {
                 time_ns: now_ns(),
                 kind: EventKind::Restart,
                 subject: self.node.to_string(),
-                what: format!("samples {from} to {} are set aside: they count as missing", to.saturating_sub(1)),
+                what: format!(
+                    "samples {from} to {} are set aside: they count as missing",
+                    to.saturating_sub(1)
+                ),
                 why: "the filter of the node has panicked in them".to_owned(),
             };
             log_event(&event, None);
             self.events.put(&event).await?;
         }
-        Err(IdentifyError::ThreadLost { structure: self.structure.to_string() })
+        Err(IdentifyError::ThreadLost {
+            structure: self.structure.to_string(),
+        })
     }
 
     /// Keeps what is known, once there was a sample.
     async fn keep(&mut self) {
-        let Some((keeper, core)) = self.keeper.as_mut().zip(self.core.as_ref()) else { return };
+        let Some((keeper, core)) = self.keeper.as_mut().zip(self.core.as_ref()) else {
+            return;
+        };
         if core.done() > 0 {
-            keeper.keep(Place { epoch: core.epoch(), sequence: core.done() }, core.state(), None).await;
+            keeper
+                .keep(
+                    Place {
+                        epoch: core.epoch(),
+                        sequence: core.done(),
+                    },
+                    core.state(),
+                    None,
+                )
+                .await;
         }
     }
 
@@ -269,13 +328,19 @@ impl NodeService {
         if self.set_aside.samples() > 0 {
             drops.insert("samples-set-aside".to_owned(), self.set_aside.samples());
         }
-        drops.extend(self.keeper.as_ref().and_then(|keeper| keeper.failures().drops()));
+        drops.extend(
+            self.keeper
+                .as_ref()
+                .and_then(|keeper| keeper.failures().drops()),
+        );
         let status = Status {
             structure: self.structure.clone(),
             service: self.service.clone(),
             id: self.node.clone(),
             time_ns: now_ns,
-            lag_s: core.and_then(NodeIdentification::last_ns).map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
+            lag_s: core
+                .and_then(NodeIdentification::last_ns)
+                .map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
             pace: None,
             load: None,
             frames_behind: None,
@@ -297,7 +362,8 @@ fn now_ns() -> i64 {
         reason = "the status tells the lag behind the wall clock, an event when it was"
     )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 /// Has the worker go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones. Nodes of one state
@@ -314,10 +380,19 @@ fn recall(
         of: format!("{}/{node}", structure.name()),
         basis: structure.identification_basis(),
     };
-    let checkpoints = Checkpoints::open(&remembering.folder.join("nodes").join(node.as_str()), identity)?;
+    let checkpoints = Checkpoints::open(
+        &remembering.folder.join("nodes").join(node.as_str()),
+        identity,
+    )?;
     if let Some((place, ())) = checkpoints.recall(|state| core.restore(state)) {
         let (structure, node) = (structure.name(), node.as_str());
-        info!(structure, node, epoch = place.epoch, samples = place.sequence, "goes on from its checkpoint");
+        info!(
+            structure,
+            node,
+            epoch = place.epoch,
+            samples = place.sequence,
+            "goes on from its checkpoint"
+        );
     }
     Ok(Keeper::new(checkpoints, remembering.every))
 }

@@ -47,9 +47,22 @@ impl ParticlePlan {
     /// Makes the plan that a structure file asks for, with one thread.
     #[must_use]
     pub fn of(keys: &ParticleKeys) -> Self {
-        let ParticleKeys { particles, density, drift_per_root_s, warm_up_s } = *keys;
-        let settings = ParticleSettings { particles, density, ..ParticleSettings::default() };
-        Self { settings, drift_per_root_s, warm_up_s }
+        let ParticleKeys {
+            particles,
+            density,
+            drift_per_root_s,
+            warm_up_s,
+        } = *keys;
+        let settings = ParticleSettings {
+            particles,
+            density,
+            ..ParticleSettings::default()
+        };
+        Self {
+            settings,
+            drift_per_root_s,
+            warm_up_s,
+        }
     }
 }
 
@@ -67,7 +80,12 @@ pub struct Health {
 }
 
 impl Health {
-    const NEW: Self = Self { share: 1.0, misfit: 1.0, frames: 0, lost: None };
+    const NEW: Self = Self {
+        share: 1.0,
+        misfit: 1.0,
+        frames: 0,
+        lost: None,
+    };
 
     /// Returns the mean effective share of the particles, 0 to 1.
     #[must_use]
@@ -95,7 +113,9 @@ impl Health {
         self.misfit += weight * (misfit.min(MOST_MISFIT) - self.misfit);
         self.lost = match self.lost {
             None => (self.misfit > LOST_MISFIT || self.share < LOST_SHARE).then_some(0),
-            Some(frames) => (self.misfit > FOUND_MISFIT || self.share < FOUND_SHARE).then_some(frames + 1),
+            Some(frames) => {
+                (self.misfit > FOUND_MISFIT || self.share < FOUND_SHARE).then_some(frames + 1)
+            }
         };
     }
 }
@@ -130,10 +150,19 @@ impl Particles {
         let model = structure.model();
         let parameters = model.parameter_len();
         let first = model.state_len() - parameters;
-        let drift_std = DVector::repeat(parameters, plan.drift_per_root_s * structure.step_s().sqrt());
+        let drift_std = DVector::repeat(
+            parameters,
+            plan.drift_per_root_s * structure.step_s().sqrt(),
+        );
         let warm_steps = (plan.warm_up_s * structure.sampling_rate_hz()).round() as u64;
         let settings = structure.filter_settings()?;
-        let filter = WarmStartedParticleFilter::new(model, settings, drift_std, plan.settings.clone(), warm_steps)?;
+        let filter = WarmStartedParticleFilter::new(
+            model,
+            settings,
+            drift_std,
+            plan.settings.clone(),
+            warm_steps,
+        )?;
         let len = filter.state_len();
         let mut particles = Self {
             first,
@@ -188,7 +217,11 @@ impl Particles {
     }
 
     pub(crate) fn state(&self) -> ParticleMemory {
-        ParticleMemory { filter: self.filter.state(), health: self.health, effective: self.effective }
+        ParticleMemory {
+            filter: self.filter.state(),
+            health: self.health,
+            effective: self.effective,
+        }
     }
 
     pub(crate) fn restore(&mut self, memory: ParticleMemory) -> Result<(), FilterError> {
@@ -213,7 +246,9 @@ impl Particles {
 
     /// Returns `true` once the particles have lost the state for so long that they must be drawn again from the prior.
     pub(crate) fn are_beyond_recovery(&self) -> bool {
-        self.health.lost.is_some_and(|frames| frames as f64 > RESTART_AFTER_S / MEMORY_S * self.memory)
+        self.health
+            .lost
+            .is_some_and(|frames| frames as f64 > RESTART_AFTER_S / MEMORY_S * self.memory)
     }
 
     /// Returns the number of particles.

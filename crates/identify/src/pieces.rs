@@ -61,11 +61,18 @@ mod tests {
 
     fn block(first: u64, count: u64) -> FrameBlock {
         FrameBlock {
-            header: Header { source: "ingest".into(), epoch: 7, sequence: first, time_ns: 10_000_000 * first as i64 },
+            header: Header {
+                source: "ingest".into(),
+                epoch: 7,
+                sequence: first,
+                time_ns: 10_000_000 * first as i64,
+            },
             t0_ns: 0,
             sampling_rate_hz: 100.0,
             channels: 2,
-            values: (2 * first..2 * (first + count)).map(|value| value as f64).collect(),
+            values: (2 * first..2 * (first + count))
+                .map(|value| value as f64)
+                .collect(),
             state: StreamState::Ended,
         }
     }
@@ -86,7 +93,10 @@ mod tests {
         let whole = block(1000, 4096);
         let pieces = pieces(whole.clone());
         assert!(pieces.iter().all(|piece| piece.count() <= MOST_ITEMS));
-        let ended = pieces.iter().filter(|piece| piece.state == StreamState::Ended).count();
+        let ended = pieces
+            .iter()
+            .filter(|piece| piece.state == StreamState::Ended)
+            .count();
         assert_eq!(ended, 1, "only the last piece ends the epoch");
         let mut pieces = pieces.into_iter();
         let mut together = pieces.next().unwrap();

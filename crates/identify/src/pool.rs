@@ -24,13 +24,15 @@ impl FilterPool {
         let (jobs, waiting) = flume::unbounded::<Job>();
         for index in 0..threads.get() {
             let waiting = waiting.clone();
-            thread::Builder::new().name(format!("filter-{index}")).spawn(move || {
-                while let Ok(job) = waiting.recv() {
-                    // What a job was working on is dropped with it, and whoever waits for it hears so: the thread goes on for
-                    // all other structures. The panic itself has been reported where it happened.
-                    drop(catch_unwind(AssertUnwindSafe(job)));
-                }
-            })?;
+            thread::Builder::new()
+                .name(format!("filter-{index}"))
+                .spawn(move || {
+                    while let Ok(job) = waiting.recv() {
+                        // What a job was working on is dropped with it, and whoever waits for it hears so: the thread goes on for
+                        // all other structures. The panic itself has been reported where it happened.
+                        drop(catch_unwind(AssertUnwindSafe(job)));
+                    }
+                })?;
         }
         Ok(Self { jobs })
     }
@@ -41,7 +43,10 @@ impl FilterPool {
     }
 
     /// Carries out `work` on one of the threads and returns what it returns; `None` when it panicked or the pool is gone.
-    pub(crate) async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Option<T> {
+    pub(crate) async fn run<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Option<T> {
         let (done, result) = tokio::sync::oneshot::channel();
         let job: Job = Box::new(move || {
             // whoever waited may have been stopped
@@ -60,7 +65,11 @@ mod tests {
     async fn a_job_that_panics_takes_nothing_with_it() {
         let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
         assert_eq!(pool.run(|| 1).await, Some(1));
-        assert_eq!(pool.run(|| if true { panic!("as it should") } else { 2 }).await, None);
+        assert_eq!(
+            pool.run(|| if true { panic!("as it should") } else { 2 })
+                .await,
+            None
+        );
         assert_eq!(pool.run(|| 3).await, Some(3));
     }
 }

@@ -17,7 +17,12 @@ pub(crate) struct ScreeningView {
 
 impl ScreeningView {
     pub(crate) fn new(channel: Name) -> Self {
-        Self { channel, told: 0, masked: None, masking: false }
+        Self {
+            channel,
+            told: 0,
+            masked: None,
+            masking: false,
+        }
     }
 
     pub(crate) fn channel(&self) -> &Name {
@@ -30,14 +35,22 @@ impl ScreeningView {
     }
 
     /// Takes what became of one sample; the words for an event are returned where it changed something for people.
-    pub(crate) fn take(&mut self, time_ns: i64, screen: &ChannelScreen) -> Option<(OutlierChange, String)> {
+    pub(crate) fn take(
+        &mut self,
+        time_ns: i64,
+        screen: &ChannelScreen,
+    ) -> Option<(OutlierChange, String)> {
         match screen.verdict() {
             Verdict::Outlier | Verdict::Faulty => {
                 let (from_ns, samples) = match self.masked {
                     Some(span) if self.masking => (span.from_ns, span.samples + 1),
                     Some(_) | None => (time_ns, 1),
                 };
-                self.masked = Some(MaskedSpan { from_ns, to_ns: time_ns, samples });
+                self.masked = Some(MaskedSpan {
+                    from_ns,
+                    to_ns: time_ns,
+                    samples,
+                });
                 self.masking = true;
             }
             Verdict::Regular => self.masking = false,
@@ -45,23 +58,37 @@ impl ScreeningView {
         }
         let share = 100.0 * screen.rejected_share();
         match screen.change()? {
-            change @ OutlierChange::FaultBegan => {
-                Some((change, format!("{share:.0} % of its recent samples are far from what the structure does")))
-            }
-            change @ OutlierChange::FaultEnded => {
-                Some((change, "its samples agree with the structure again".to_owned()))
-            }
-            change @ OutlierChange::Rescaled => {
-                Some((change, format!("too many samples were rejected; residuals now count in {:.2e}", screen.scale())))
-            }
+            change @ OutlierChange::FaultBegan => Some((
+                change,
+                format!("{share:.0} % of its recent samples are far from what the structure does"),
+            )),
+            change @ OutlierChange::FaultEnded => Some((
+                change,
+                "its samples agree with the structure again".to_owned(),
+            )),
+            change @ OutlierChange::Rescaled => Some((
+                change,
+                format!(
+                    "too many samples were rejected; residuals now count in {:.2e}",
+                    screen.scale()
+                ),
+            )),
             OutlierChange::Trained => None,
         }
     }
 
     /// Makes the message of one instant, and begins to count anew.
-    pub(crate) fn display(&mut self, structure: &Name, time_ns: i64, screen: &ChannelScreen) -> OutlierDisplay {
+    pub(crate) fn display(
+        &mut self,
+        structure: &Name,
+        time_ns: i64,
+        screen: &ChannelScreen,
+    ) -> OutlierDisplay {
         // a restarted filter counts from zero
-        let flagged = screen.rejected().checked_sub(self.told).unwrap_or(screen.rejected());
+        let flagged = screen
+            .rejected()
+            .checked_sub(self.told)
+            .unwrap_or(screen.rejected());
         self.told = screen.rejected();
         OutlierDisplay {
             structure: structure.clone(),

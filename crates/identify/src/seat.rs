@@ -2,8 +2,8 @@
 
 use crate::identification::Output;
 use spandrel_bus::{
-    Claim, Description, EstimateBlock, LatestPublisher, LiveToken, NumberedPublisher, NumberedStandby, Progress,
-    ProgressPublisher, Question, Questions, Standing,
+    Claim, Description, EstimateBlock, LatestPublisher, LiveToken, NumberedPublisher,
+    NumberedStandby, Progress, ProgressPublisher, Question, Questions, Standing,
 };
 use std::collections::VecDeque;
 
@@ -115,7 +115,9 @@ impl Held {
 /// The term in which to claim the lead: above all that has been heard of, here or in an earlier life, and by the clock on the wall where
 /// nothing has.
 pub(crate) fn next_term(clock_ns: u64, heard: u64, remembered: u64) -> u64 {
-    clock_ns.max(heard.saturating_add(1)).max(remembered.saturating_add(1))
+    clock_ns
+        .max(heard.saturating_add(1))
+        .max(remembered.saturating_add(1))
 }
 
 #[cfg(test)]
@@ -124,14 +126,24 @@ mod tests {
     use spandrel_bus::Header;
 
     fn progress(epoch: u64, done: u64) -> Progress {
-        let header = Header { source: "identify".into(), epoch, sequence: done, time_ns: 0 };
-        Progress { header, done, kept: done }
+        let header = Header {
+            source: "identify".into(),
+            epoch,
+            sequence: done,
+            time_ns: 0,
+        };
+        Progress {
+            header,
+            done,
+            kept: done,
+        }
     }
 
     fn held(ends: impl IntoIterator<Item = (u64, u64)>) -> Held {
         let mut held = Held::default();
-        ends.into_iter()
-            .for_each(|(epoch, end)| held.keep(epoch, end, Output::Responses(vec![vec![(end as f64, 0.0)]])));
+        ends.into_iter().for_each(|(epoch, end)| {
+            held.keep(epoch, end, Output::Responses(vec![vec![(end as f64, 0.0)]]))
+        });
         held
     }
 

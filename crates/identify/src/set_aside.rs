@@ -32,14 +32,20 @@ impl SetAside {
 
     /// Samples that are left out.
     pub(crate) fn samples(&self) -> u64 {
-        self.spans().iter().map(|(_, from, to)| to.saturating_sub(*from)).sum()
+        self.spans()
+            .iter()
+            .map(|(_, from, to)| to.saturating_sub(*from))
+            .sum()
     }
 
     /// What is left of a block without them.
     pub(crate) fn cut(&self, block: SampleBlock) -> Vec<SampleBlock> {
         let mut parts = vec![block];
         for (epoch, from, to) in self.spans().iter().copied() {
-            parts = parts.into_iter().flat_map(|part| without(part, epoch, from, to)).collect();
+            parts = parts
+                .into_iter()
+                .flat_map(|part| without(part, epoch, from, to))
+                .collect();
         }
         parts
     }
@@ -56,10 +62,13 @@ fn without(block: SampleBlock, epoch: u64, from: u64, to: u64) -> Vec<SampleBloc
     after.skip(to - first);
     // an end travels with the last part, even where no sample is left for it
     let has_after = after.count() > 0 || after.state == StreamState::Ended;
-    [Some(before).filter(|before| before.count() > 0), Some(after).filter(|_| has_after)]
-        .into_iter()
-        .flatten()
-        .collect()
+    [
+        Some(before).filter(|before| before.count() > 0),
+        Some(after).filter(|_| has_after),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 #[cfg(test)]
@@ -69,7 +78,12 @@ mod tests {
 
     fn block(first: u64, count: u64, state: StreamState) -> SampleBlock {
         SampleBlock {
-            header: Header { source: "roof".into(), epoch: 7, sequence: first, time_ns: 10_000_000 * first as i64 },
+            header: Header {
+                source: "roof".into(),
+                epoch: 7,
+                sequence: first,
+                time_ns: 10_000_000 * first as i64,
+            },
             sampling_rate_hz: 100.0,
             pace: Pace::Live,
             channels: 1,
@@ -80,7 +94,11 @@ mod tests {
 
     /// First and end of what is left of a block.
     fn left(set_aside: &SetAside, block: SampleBlock) -> Vec<(u64, u64)> {
-        set_aside.cut(block).into_iter().map(|part| (part.header.sequence, part.end())).collect()
+        set_aside
+            .cut(block)
+            .into_iter()
+            .map(|part| (part.header.sequence, part.end()))
+            .collect()
     }
 
     #[test]
@@ -91,15 +109,29 @@ mod tests {
         assert_eq!((set_aside.deaths(), set_aside.samples()), (2, 6));
         let running = |first, count| block(first, count, StreamState::Running);
         assert_eq!(left(&set_aside, running(0, 10)), [(0, 10)]);
-        assert_eq!(left(&set_aside, running(5, 30)), [(5, 10), (14, 20), (22, 35)]);
+        assert_eq!(
+            left(&set_aside, running(5, 30)),
+            [(5, 10), (14, 20), (22, 35)]
+        );
         assert_eq!(left(&set_aside, running(8, 4)), [(8, 10)]);
         assert_eq!(left(&set_aside, running(12, 4)), [(14, 16)]);
         assert_eq!(left(&set_aside, running(11, 2)), []);
-        let other = SampleBlock { header: Header { epoch: 8, ..running(8, 4).header }, ..running(8, 4) };
+        let other = SampleBlock {
+            header: Header {
+                epoch: 8,
+                ..running(8, 4).header
+            },
+            ..running(8, 4)
+        };
         assert_eq!(left(&set_aside, other), [(8, 12)]);
         let ended = set_aside.cut(block(8, 6, StreamState::Ended));
-        let [before, end] = &ended[..] else { panic!("{ended:?}") };
+        let [before, end] = &ended[..] else {
+            panic!("{ended:?}")
+        };
         assert_eq!((before.end(), before.state), (10, StreamState::Running));
-        assert_eq!((end.header.sequence, end.end(), end.state), (14, 14, StreamState::Ended));
+        assert_eq!(
+            (end.header.sequence, end.end(), end.state),
+            (14, 14, StreamState::Ended)
+        );
     }
 }

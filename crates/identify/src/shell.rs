@@ -10,8 +10,9 @@ use crate::pool::FilterPool;
 use crate::seat::{Precedence, Seat, StandingBy};
 use crate::trouble::Trouble;
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind, FrameBlock, Keys,
-    LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, StreamState, Subscription,
+    Block, BoxedFuture, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind,
+    FrameBlock, Keys, LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start,
+    Status, StreamState, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -114,17 +115,25 @@ impl IdentifyService {
                 awake: Instant::now(),
                 failed_joins: 0,
                 displays: Displays::declare(&core, bus, &keys).await?,
-                status: bus.publish_display(keys.status(Service::Identify, &id)).await?,
+                status: bus
+                    .publish_display(keys.status(Service::Identify, &id))
+                    .await?,
                 token: None,
                 core: None,
-                service: Name::new(Service::Identify.as_str())
-                    .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?,
+                service: Name::new(Service::Identify.as_str()).map_err(|source| {
+                    IdentifyError::Name {
+                        structure: structure.name().to_owned(),
+                        source,
+                    }
+                })?,
                 last_time_ns: None,
                 epoch: 0,
                 memory,
                 alert,
                 made: bus.watch_progress(keys.progress(Service::Ingest)).await?,
-                ingest_statuses: bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?,
+                ingest_statuses: bus
+                    .subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING)
+                    .await?,
                 pace: None,
                 load: LoadState::new(),
                 shed: 0,
@@ -132,7 +141,9 @@ impl IdentifyService {
                 keys,
                 id,
             };
-            let leader = bus.ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN).await?;
+            let leader = bus
+                .ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN)
+                .await?;
             service.hear(leader.as_ref());
             match precedence {
                 Precedence::Leads => {
@@ -142,7 +153,10 @@ impl IdentifyService {
                 Precedence::StandsBy if leader.is_none() => service.begin().await?,
                 Precedence::StandsBy => {}
             }
-            service.token = Some(bus.announce(service.keys.live(Service::Identify, &service.id)).await?);
+            service.token = Some(
+                bus.announce(service.keys.live(Service::Identify, &service.id))
+                    .await?,
+            );
             let (parameters, noise_levels) = service.displays.counts();
             info!(
                 structure = service.keys.structure().as_str(),
@@ -161,11 +175,17 @@ impl IdentifyService {
     ///
     /// # Errors
     /// When the bus is closed underneath, or the thread of a filter was lost.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IdentifyError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), IdentifyError>> {
         self.run_until(Box::pin(stop))
     }
 
-    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IdentifyError>> {
+    fn run_until(
+        mut self,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), IdentifyError>> {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
             loop {
@@ -193,7 +213,8 @@ impl IdentifyService {
             // An ingest of this process has stopped before: what it put last may still be on its way through the reader.
             let deadline = Instant::now() + LAST_FRAMES_IN_ALL;
             while Instant::now() < deadline
-                && let Ok(Some(delivery)) = tokio::time::timeout(LAST_FRAMES, next(self.frames.as_mut())).await
+                && let Ok(Some(delivery)) =
+                    tokio::time::timeout(LAST_FRAMES, next(self.frames.as_mut())).await
             {
                 self.take(delivery).await?;
             }
@@ -215,7 +236,10 @@ impl IdentifyService {
             Delivery::Block(block) => {
                 self.epoch = block.header.epoch;
                 if block.state == StreamState::Ended {
-                    debug!(structure = self.keys.structure().as_str(), "last frames have come");
+                    debug!(
+                        structure = self.keys.structure().as_str(),
+                        "last frames have come"
+                    );
                 }
                 Input::Frames(block)
             }
@@ -233,7 +257,9 @@ impl IdentifyService {
                     Input::Gap { from, to, .. } => (*from, *to),
                 };
                 let Some(mut core) = self.core.take() else {
-                    return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+                    return Err(IdentifyError::ThreadLost {
+                        structure: self.keys.structure().to_string(),
+                    });
                 };
                 core.thin_display(self.load.load() != Load::Normal);
                 let work = self.pool.run(move || {
@@ -258,7 +284,9 @@ impl IdentifyService {
         let done = self.core.as_ref().map_or(0, Identification::done);
         match &mut self.seat {
             Seat::Leading(leading) => {
-                leading.progress.set(self.epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
+                leading
+                    .progress
+                    .set(self.epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
             }
             Seat::StandingBy(standing_by) => {
                 if let Some(led) = self.led.latest() {
@@ -276,7 +304,13 @@ impl IdentifyService {
 
     /// Whether it does what another one does.
     fn is_in_step(&self) -> bool {
-        matches!(&self.seat, Seat::StandingBy(StandingBy { in_step_with: Some(_), .. }))
+        matches!(
+            &self.seat,
+            Seat::StandingBy(StandingBy {
+                in_step_with: Some(_),
+                ..
+            })
+        )
     }
 
     /// The identification has panicked in frames `from` to before `to`: goes back to its last checkpoint, and over the same frames
@@ -284,7 +318,9 @@ impl IdentifyService {
     async fn revive(&mut self, from: u64, to: u64) -> Result<(), IdentifyError> {
         let set_aside = self.trouble.died(Instant::now(), self.epoch, from, to);
         if self.trouble.is_hopeless() {
-            return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+            return Err(IdentifyError::ThreadLost {
+                structure: self.keys.structure().to_string(),
+            });
         }
         if self.is_in_step() {
             self.leave();
@@ -295,7 +331,10 @@ impl IdentifyService {
             Some(memory) => memory.recall_last(new).await?,
             None => new()?,
         };
-        if core.position().is_some_and(|(epoch, _)| epoch != self.epoch) {
+        if core
+            .position()
+            .is_some_and(|(epoch, _)| epoch != self.epoch)
+        {
             core = new()?; // the estimates of an epoch that is over are not put again
         }
         let first = core.done();
@@ -303,14 +342,18 @@ impl IdentifyService {
             return self.stand_by(core, None).await;
         };
         leading.estimates.take_back(first);
-        self.frames = Some(follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?);
+        self.frames =
+            Some(follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?);
         self.last_time_ns = core.last_time_ns();
         self.core = Some(core);
         let what = match set_aside {
             Some(frame) => format!("frame {frame} is set aside: it counts as missing"),
             None => format!("identification goes on from frame {first}"),
         };
-        let why = format!("it has panicked in frames {from} to {}", to.saturating_sub(1));
+        let why = format!(
+            "it has panicked in frames {from} to {}",
+            to.saturating_sub(1)
+        );
         self.tell(EventKind::Restart, what, why).await
     }
 
@@ -335,11 +378,19 @@ impl IdentifyService {
             self.last_time_ns = Some(grid.time_ns(block.header.sequence + last as u64));
         }
         match (&mut self.seat, output) {
-            (Seat::Leading(leading), Output::Estimates(block)) => leading.estimates.put(block).await?,
+            (Seat::Leading(leading), Output::Estimates(block)) => {
+                leading.estimates.put(block).await?
+            }
             (Seat::Leading(_), output) => self.displays.put(&output).await?,
-            (Seat::StandingBy(standing_by), Output::Estimates(block)) => standing_by.estimates.keep(&block)?,
+            (Seat::StandingBy(standing_by), Output::Estimates(block)) => {
+                standing_by.estimates.keep(&block)?
+            }
             (Seat::StandingBy(standing_by), output) => {
-                let (epoch, end) = self.core.as_ref().and_then(Identification::position).unwrap_or((0, 0));
+                let (epoch, end) = self
+                    .core
+                    .as_ref()
+                    .and_then(Identification::position)
+                    .unwrap_or((0, 0));
                 standing_by.held.keep(epoch, end, output);
             }
             (Seat::Joining, _) => {} // nothing is identified then
@@ -350,20 +401,30 @@ impl IdentifyService {
     async fn put_status(&self) -> Result<(), IdentifyError> {
         let now_ns = now_ns() as i64;
         let core = self.core.as_ref();
-        let mut drops = self.frames.as_ref().map(|frames| frames.counts().drops()).unwrap_or_default();
+        let mut drops = self
+            .frames
+            .as_ref()
+            .map(|frames| frames.counts().drops())
+            .unwrap_or_default();
         if self.trouble.set_aside() > 0 {
             drops.insert("frames-set-aside".to_owned(), self.trouble.set_aside());
         }
         if self.shed > 0 {
             drops.insert("shed-values".to_owned(), self.shed);
         }
-        drops.extend(self.memory.as_ref().and_then(|memory| memory.failures().drops()));
+        drops.extend(
+            self.memory
+                .as_ref()
+                .and_then(|memory| memory.failures().drops()),
+        );
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
-            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
+            lag_s: self
+                .last_time_ns
+                .map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             pace: None,
             state: Some(self.seat.standing()),
             load: Some(self.load.load()),
@@ -381,9 +442,13 @@ impl IdentifyService {
 
 /// The clock on the wall, ns since the Unix epoch.
 fn now_ns() -> u64 {
-    #[expect(clippy::disallowed_methods, reason = "status and term are told by the clock on the wall")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "status and term are told by the clock on the wall"
+    )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as u64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as u64)
 }
 
 /// Waits for the next frames; for ever where none are read.
@@ -410,13 +475,17 @@ async fn follow_frames(
     start: Start,
 ) -> Result<Pieces<FrameBlock>, BusError> {
     let (channels, rate_hz) = (structure.channel_count(), structure.sampling_rate_hz());
-    let is_of_structure =
-        move |block: &FrameBlock| match usize::from(block.channels) == channels && block.sampling_rate_hz == rate_hz {
-            true => Ok(()),
-            false => Err("frames-of-another-structure"),
-        };
+    let is_of_structure = move |block: &FrameBlock| match usize::from(block.channels) == channels
+        && block.sampling_rate_hz == rate_hz
+    {
+        true => Ok(()),
+        false => Err("frames-of-another-structure"),
+    };
     let reading = bus.reading(start).patient();
-    Ok(Pieces::of(bus.follow_fit(keys.frames(), keys.recording(), reading, is_of_structure).await?))
+    Ok(Pieces::of(
+        bus.follow_fit(keys.frames(), keys.recording(), reading, is_of_structure)
+            .await?,
+    ))
 }
 
 /// Logs an event: what was mended or lost as a warning, what belongs to normal work as information.
@@ -432,7 +501,15 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
         | EventKind::NodeBack
         | EventKind::ChannelBack
         | EventKind::CaughtUp => {
-            info!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
+            info!(
+                structure,
+                subject,
+                time_s,
+                time_ns,
+                what = event.what,
+                why = event.why,
+                "event"
+            );
         }
         EventKind::Restart
         | EventKind::Takeover
@@ -442,7 +519,15 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
         | EventKind::ChannelExcluded
         | EventKind::Gap
         | EventKind::Overloaded => {
-            warn!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
+            warn!(
+                structure,
+                subject,
+                time_s,
+                time_ns,
+                what = event.what,
+                why = event.why,
+                "event"
+            );
         }
     }
 }

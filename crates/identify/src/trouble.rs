@@ -32,8 +32,11 @@ impl Trouble {
             return vec![input];
         };
         let (epoch, first, end) = (rest.header.epoch, rest.header.sequence, rest.end());
-        let mut alone: BTreeSet<u64> =
-            self.set_aside.range((epoch, first)..(epoch, end)).map(|(_, frame)| *frame).collect();
+        let mut alone: BTreeSet<u64> = self
+            .set_aside
+            .range((epoch, first)..(epoch, end))
+            .map(|(_, frame)| *frame)
+            .collect();
         if let Some((_, from, to)) = self.suspect.filter(|(suspect, ..)| *suspect == epoch) {
             alone.extend(from.max(first)..to.min(end));
         }
@@ -66,7 +69,11 @@ impl Trouble {
     pub(crate) fn died(&mut self, now: Instant, epoch: u64, from: u64, to: u64) -> Option<u64> {
         self.deaths += 1;
         self.recent.push_back(now);
-        while self.recent.front().is_some_and(|earlier| now.duration_since(*earlier) > DEATHS_WITHIN) {
+        while self
+            .recent
+            .front()
+            .is_some_and(|earlier| now.duration_since(*earlier) > DEATHS_WITHIN)
+        {
             self.recent.pop_front();
         }
         if to.saturating_sub(from) > 1 {
@@ -100,7 +107,12 @@ mod tests {
 
     fn block(first: u64, count: u64) -> FrameBlock {
         FrameBlock {
-            header: Header { source: "ingest".into(), epoch: 7, sequence: first, time_ns: 10_000_000 * first as i64 },
+            header: Header {
+                source: "ingest".into(),
+                epoch: 7,
+                sequence: first,
+                time_ns: 10_000_000 * first as i64,
+            },
             t0_ns: 0,
             sampling_rate_hz: 100.0,
             channels: 1,
@@ -115,7 +127,11 @@ mod tests {
             Input::Frames(block) => (block.header.sequence as i64, block.end() as i64),
             Input::Gap { from, to, .. } => (-(from as i64), -(to as i64)),
         };
-        trouble.cut(Input::Frames(input)).into_iter().map(span).collect()
+        trouble
+            .cut(Input::Frames(input))
+            .into_iter()
+            .map(span)
+            .collect()
     }
 
     #[test]
@@ -123,12 +139,24 @@ mod tests {
         let mut trouble = Trouble::default();
         assert_eq!(parts(&trouble, block(0, 9)), [(0, 9)]);
         assert_eq!(trouble.died(Instant::now(), 7, 3, 6), None);
-        assert_eq!(parts(&trouble, block(0, 9)), [(0, 3), (3, 4), (4, 5), (5, 6), (6, 9)]);
+        assert_eq!(
+            parts(&trouble, block(0, 9)),
+            [(0, 3), (3, 4), (4, 5), (5, 6), (6, 9)]
+        );
         assert_eq!(trouble.died(Instant::now(), 7, 4, 5), Some(4));
-        assert_eq!(parts(&trouble, block(0, 9)), [(0, 3), (3, 4), (-4, -5), (5, 6), (6, 9)]);
+        assert_eq!(
+            parts(&trouble, block(0, 9)),
+            [(0, 3), (3, 4), (-4, -5), (5, 6), (6, 9)]
+        );
         assert_eq!((trouble.deaths(), trouble.set_aside()), (2, 1));
         assert_eq!(parts(&trouble, block(9, 3)), [(9, 12)]);
-        let other_epoch = FrameBlock { header: Header { epoch: 8, ..block(0, 9).header }, ..block(0, 9) };
+        let other_epoch = FrameBlock {
+            header: Header {
+                epoch: 8,
+                ..block(0, 9).header
+            },
+            ..block(0, 9)
+        };
         assert_eq!(parts(&trouble, other_epoch), [(0, 9)]);
     }
 
@@ -149,7 +177,10 @@ mod tests {
     fn a_block_of_one_frame_is_known_at_once_and_the_end_is_not_lost() {
         let mut trouble = Trouble::default();
         assert_eq!(trouble.died(Instant::now(), 7, 8, 9), Some(8));
-        let last = FrameBlock { state: StreamState::Ended, ..block(8, 1) };
+        let last = FrameBlock {
+            state: StreamState::Ended,
+            ..block(8, 1)
+        };
         assert_eq!(parts(&trouble, last), [(-8, -9), (9, 9)]);
     }
 }

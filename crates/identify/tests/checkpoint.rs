@@ -1,6 +1,11 @@
 //! An identification that goes on from its checkpoint, of every example, gives what one gives that never stopped.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use spandrel_bus::{FrameBlock, Header, StreamState};
 use spandrel_checkpoint::{Checkpoints, Identity, Place};
@@ -12,8 +17,14 @@ const BLOCK: usize = 50;
 
 fn examples() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples");
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "toml"));
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.retain(|file| {
+        file.extension()
+            .is_some_and(|extension| extension == "toml")
+    });
     files.sort();
     files
 }
@@ -21,16 +32,28 @@ fn examples() -> Vec<PathBuf> {
 /// Simulated frames in blocks, with a block that is missing and samples that are.
 fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
     let channels = structure.channel_count();
-    let rows: Vec<Vec<f64>> = structure.simulator(7).take(frames).map(|frame| frame.values).collect();
+    let rows: Vec<Vec<f64>> = structure
+        .simulator(7)
+        .take(frames)
+        .map(|frame| frame.values)
+        .collect();
     let block = |(number, rows): (usize, &[Vec<f64>])| {
         let first = (number * BLOCK) as u64;
         if number == 3 {
             return Input::gap(first, first + rows.len() as u64);
         }
         let mut values = rows.concat();
-        values.iter_mut().step_by(37).for_each(|value| *value = f64::NAN);
+        values
+            .iter_mut()
+            .step_by(37)
+            .for_each(|value| *value = f64::NAN);
         Input::Frames(FrameBlock {
-            header: Header { source: "ingest".into(), epoch: 7, sequence: first, time_ns: 0 },
+            header: Header {
+                source: "ingest".into(),
+                epoch: 7,
+                sequence: first,
+                time_ns: 0,
+            },
             t0_ns: 0,
             sampling_rate_hz: structure.sampling_rate_hz(),
             channels: channels as u16,
@@ -57,25 +80,38 @@ fn every_example_goes_on_from_its_checkpoint_with_the_same_bits() {
         if structure.fusion().is_some() {
             continue; // its nodes identify for themselves
         }
-        let frames = if structure.parameters().len() > 30 { 6 * BLOCK } else { 16 * BLOCK };
+        let frames = if structure.parameters().len() > 30 {
+            6 * BLOCK
+        } else {
+            16 * BLOCK
+        };
         let identity = Identity {
             kind: "identify",
             version: IdentificationState::VERSION,
             of: structure.name().to_owned(),
             basis: structure.identification_basis(),
         };
-        let checkpoints = Checkpoints::open(&folder.path().join(file.file_stem().unwrap()), identity).unwrap();
+        let checkpoints =
+            Checkpoints::open(&folder.path().join(file.file_stem().unwrap()), identity).unwrap();
         let new = || Identification::new(&structure, "identify").unwrap();
         let (mut unbroken, mut broken) = (new(), new());
         for (number, input) in inputs(&structure, frames).into_iter().enumerate() {
             let expected = said(&mut unbroken, input.clone());
             let found = said(&mut broken, input);
-            assert!(expected == found, "{}: block {number} differs", file.display());
+            assert!(
+                expected == found,
+                "{}: block {number} differs",
+                file.display()
+            );
             let (epoch, sequence) = broken.position().unwrap();
-            checkpoints.save(Place { epoch, sequence }, &broken.state()).unwrap();
+            checkpoints
+                .save(Place { epoch, sequence }, &broken.state())
+                .unwrap();
             checkpoints.forget_before(None).unwrap();
             let loaded = checkpoints.load_latest::<IdentificationState>();
-            let (place, state) = loaded.found.unwrap_or_else(|| panic!("{}: {:?}", file.display(), loaded.refused));
+            let (place, state) = loaded
+                .found
+                .unwrap_or_else(|| panic!("{}: {:?}", file.display(), loaded.refused));
             assert_eq!(place, Place { epoch, sequence });
             broken = new();
             broken.restore(state).unwrap();
@@ -87,10 +123,20 @@ fn every_example_goes_on_from_its_checkpoint_with_the_same_bits() {
 
 #[test]
 fn a_state_of_another_structure_is_refused() {
-    let of =
-        |name: &str| Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name));
+    let of = |name: &str| {
+        Structure::read(
+            &Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join("../../docs/examples")
+                .join(name),
+        )
+    };
     let demo = Identification::new(&of("demo.toml").unwrap(), "identify").unwrap();
-    for other in ["sixty-storeys.toml", "hysteretic-oscillator.toml", "corrupted-oscillator.toml", "dome.toml"] {
+    for other in [
+        "sixty-storeys.toml",
+        "hysteretic-oscillator.toml",
+        "corrupted-oscillator.toml",
+        "dome.toml",
+    ] {
         let mut other = Identification::new(&of(other).unwrap(), "identify").unwrap();
         let error = other.restore(demo.state()).unwrap_err().to_string();
         assert!(error.contains("checkpoint"), "{error}");

@@ -1,6 +1,11 @@
 //! The service's core with particles: what it publishes of them, and what it does when they lose the state.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use spandrel_bus::{Event, EventKind, FrameBlock, Header, Phase, StreamState};
 use spandrel_identify::{Identification, Input, Output};
@@ -10,7 +15,8 @@ use std::path::Path;
 const RATE_HZ: usize = 50;
 
 fn structure() -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/hysteretic-particles.toml");
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/hysteretic-particles.toml");
     Structure::read(&path).unwrap()
 }
 
@@ -18,11 +24,18 @@ fn structure() -> Structure {
 fn frames(seconds: usize, fault: impl Fn(f64, f64) -> f64) -> FrameBlock {
     let rows = structure().simulator(3).take(seconds * RATE_HZ).enumerate();
     let values = rows.flat_map(|(frame, row)| {
-        let [force, acceleration] = row.values[..] else { panic!("the example has two channels") };
+        let [force, acceleration] = row.values[..] else {
+            panic!("the example has two channels")
+        };
         [force, fault(frame as f64 / RATE_HZ as f64, acceleration)]
     });
     FrameBlock {
-        header: Header { source: "ingest".into(), epoch: 7, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "ingest".into(),
+            epoch: 7,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: RATE_HZ as f64,
         channels: 2,
@@ -33,7 +46,9 @@ fn frames(seconds: usize, fault: impl Fn(f64, f64) -> f64) -> FrameBlock {
 
 fn run(block: FrameBlock) -> Vec<Output> {
     let mut outputs = Vec::new();
-    Identification::new(&structure(), "identify").unwrap().handle(Input::Frames(block), &mut outputs);
+    Identification::new(&structure(), "identify")
+        .unwrap()
+        .handle(Input::Frames(block), &mut outputs);
     outputs
 }
 
@@ -47,9 +62,19 @@ fn events(outputs: &[Output]) -> Vec<(EventKind, f64)> {
 }
 
 fn phase_at(outputs: &[Output], second: usize) -> Phase {
-    let blocks =
-        outputs.iter().filter_map(|output| if let Output::Estimates(block) = output { Some(block) } else { None });
-    blocks.flat_map(|block| &block.estimates).nth(second * RATE_HZ).unwrap().flags.phase
+    let blocks = outputs.iter().filter_map(|output| {
+        if let Output::Estimates(block) = output {
+            Some(block)
+        } else {
+            None
+        }
+    });
+    blocks
+        .flat_map(|block| &block.estimates)
+        .nth(second * RATE_HZ)
+        .unwrap()
+        .flags
+        .phase
 }
 
 #[test]
@@ -58,12 +83,23 @@ fn the_effective_number_of_particles_is_published_and_no_event_while_they_follow
     let effective: Vec<f64> = outputs
         .iter()
         .filter_map(|output| match output {
-            Output::Noise(display) if display.name.as_str() == "effective-particles" => Some(display.mean),
+            Output::Noise(display) if display.name.as_str() == "effective-particles" => {
+                Some(display.mean)
+            }
             _ => None,
         })
         .collect();
-    assert_eq!(effective.len(), 18 * 10, "ten times a second once the Kalman filter has warmed up");
-    assert!(effective.iter().all(|number| (50.0..=500.0).contains(number)), "{effective:?}");
+    assert_eq!(
+        effective.len(),
+        18 * 10,
+        "ten times a second once the Kalman filter has warmed up"
+    );
+    assert!(
+        effective
+            .iter()
+            .all(|number| (50.0..=500.0).contains(number)),
+        "{effective:?}"
+    );
     assert_eq!(events(&outputs), []);
     assert_eq!(phase_at(&outputs, 19), Phase::Working);
 }
@@ -71,27 +107,46 @@ fn the_effective_number_of_particles_is_published_and_no_event_while_they_follow
 #[test]
 fn a_lost_state_is_an_event_and_no_alert_is_decided_until_it_is_back() {
     let jumps = |time_s: f64, acceleration: f64| {
-        if (10.0..14.0).contains(&time_s) { -4.0 * acceleration } else { acceleration }
+        if (10.0..14.0).contains(&time_s) {
+            -4.0 * acceleration
+        } else {
+            acceleration
+        }
     };
     let outputs = run(frames(40, jumps));
     let events = events(&outputs);
-    let [(EventKind::Unidentified, lost_s), (EventKind::Calibration, found_s)] = events[..] else {
+    let [
+        (EventKind::Unidentified, lost_s),
+        (EventKind::Calibration, found_s),
+    ] = events[..]
+    else {
         panic!("{events:?}")
     };
     assert!(
         (10.0..12.0).contains(&lost_s) && (14.0..35.0).contains(&found_s),
         "lost at {lost_s} s, back at {found_s} s"
     );
-    assert_eq!([9, 13, 39].map(|second| phase_at(&outputs, second)), [Phase::Working, Phase::Training, Phase::Working]);
+    assert_eq!(
+        [9, 13, 39].map(|second| phase_at(&outputs, second)),
+        [Phase::Working, Phase::Training, Phase::Working]
+    );
 }
 
 #[test]
 fn particles_that_stay_lost_are_drawn_again_from_the_prior() {
-    let outputs =
-        run(frames(50, |time_s, acceleration| if time_s < 10.0 { acceleration } else { -4.0 * acceleration }));
+    let outputs = run(frames(50, |time_s, acceleration| {
+        if time_s < 10.0 {
+            acceleration
+        } else {
+            -4.0 * acceleration
+        }
+    }));
     let events = events(&outputs);
     assert_eq!(events[0].0, EventKind::Unidentified, "{events:?}");
-    let restart = events.iter().find(|(kind, _)| *kind == EventKind::Restart).unwrap();
+    let restart = events
+        .iter()
+        .find(|(kind, _)| *kind == EventKind::Restart)
+        .unwrap();
     let after_s = restart.1 - events[0].1;
     assert!((30.0..31.0).contains(&after_s), "after {after_s} s");
 }

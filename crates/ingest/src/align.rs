@@ -81,7 +81,11 @@ impl Alignment {
     /// An alignment whose frames carry the id of the source and, in the first run, this epoch.
     #[must_use]
     pub fn new(layout: Layout, source: String, epoch: u64) -> Self {
-        let queues = layout.nodes().iter().map(|node| NodeQueue::new(node.ranges.clone())).collect();
+        let queues = layout
+            .nodes()
+            .iter()
+            .map(|node| NodeQueue::new(node.ranges.clone()))
+            .collect();
         Self {
             layout,
             queues,
@@ -100,10 +104,18 @@ impl Alignment {
     pub fn going_on(mut self, last: &FrameBlock, nodes: &[NodePlace]) -> Self {
         let grid = TimeGrid::new(last.t0_ns, last.sampling_rate_hz);
         self.epoch = last.header.epoch;
-        self.run = grid.map(|grid| Run { grid, next: last.end(), open: Vec::new() });
+        self.run = grid.map(|grid| Run {
+            grid,
+            next: last.end(),
+            open: Vec::new(),
+        });
         self.ended = last.state == StreamState::Ended;
         for (queue, place) in self.queues.iter_mut().zip(nodes) {
-            let presence = if place.ended { Presence::Ended } else { Presence::Expected };
+            let presence = if place.ended {
+                Presence::Ended
+            } else {
+                Presence::Expected
+            };
             queue.go_on((place.epoch, place.sequence), presence);
         }
         self
@@ -116,7 +128,11 @@ impl Alignment {
             let (epoch, sequence) = queue.position();
             // One that has ended with samples that wait will deliver them again, and its end with them.
             let ended = queue.presence == Presence::Ended && queue.first_ns().is_none();
-            NodePlace { epoch, sequence, ended }
+            NodePlace {
+                epoch,
+                sequence,
+                ended,
+            }
         };
         self.queues.iter().map(place).collect()
     }
@@ -133,12 +149,20 @@ impl Alignment {
         match input {
             Input::Samples { node, block } => self.take(node, block, blocks),
             Input::Lost { node } => {
-                if let Some(queue) = self.queues.get_mut(node).filter(|queue| queue.presence == Presence::Expected) {
+                if let Some(queue) = self
+                    .queues
+                    .get_mut(node)
+                    .filter(|queue| queue.presence == Presence::Expected)
+                {
                     queue.presence = Presence::Lost;
                 }
             }
             Input::Back { node } => {
-                if let Some(queue) = self.queues.get_mut(node).filter(|queue| queue.presence == Presence::Lost) {
+                if let Some(queue) = self
+                    .queues
+                    .get_mut(node)
+                    .filter(|queue| queue.presence == Presence::Lost)
+                {
                     queue.presence = Presence::Expected;
                 }
             }
@@ -149,7 +173,11 @@ impl Alignment {
     }
 
     fn take(&mut self, node: usize, block: SampleBlock, blocks: &mut Vec<FrameBlock>) {
-        let known = self.layout.nodes().get(node).is_some_and(|n| n.name.as_str() == block.header.source);
+        let known = self
+            .layout
+            .nodes()
+            .get(node)
+            .is_some_and(|n| n.name.as_str() == block.header.source);
         if !known {
             self.counts.unknown_node += 1;
             return;
@@ -162,14 +190,23 @@ impl Alignment {
             // All nodes had ended: whoever begins again begins a new run.
             self.next_run();
             self.ended = false;
-            for queue in self.queues.iter_mut().filter(|queue| queue.presence == Presence::Ended) {
+            for queue in self
+                .queues
+                .iter_mut()
+                .filter(|queue| queue.presence == Presence::Ended)
+            {
                 queue.presence = Presence::Expected;
             }
         }
         if self.is_behind(node, &block) {
             self.queues[node].park(block, &mut self.counts);
             let expected = |queue: &&NodeQueue| queue.presence == Presence::Expected;
-            if self.queues.iter().filter(expected).all(NodeQueue::is_parked) {
+            if self
+                .queues
+                .iter()
+                .filter(expected)
+                .all(NodeQueue::is_parked)
+            {
                 self.go_back(blocks);
             }
             return;
@@ -206,7 +243,8 @@ impl Alignment {
         let restarted = is_replayed && queue.epoch.is_some_and(|epoch| block.header.epoch > epoch);
         let number = run.grid.nearest(block.header.time_ns);
         let next = run.next as i64;
-        number < next && (restarted || queue.is_parked() || number.saturating_add(LONGEST_HOLE) < next)
+        number < next
+            && (restarted || queue.is_parked() || number.saturating_add(LONGEST_HOLE) < next)
     }
 
     /// All nodes have gone back: alone each would be late for ever, together they begin a new run.
@@ -224,7 +262,8 @@ impl Alignment {
     /// Time of the earliest sample that waits, if the first frame can be told: t0 must not depend on who came first.
     fn first_sample_ns(&self) -> Option<i64> {
         let earliest = self.queues.iter().filter_map(NodeQueue::first_ns).min()?;
-        let unheard = |queue: &NodeQueue| queue.first_ns().is_none() && queue.presence == Presence::Expected;
+        let unheard =
+            |queue: &NodeQueue| queue.first_ns().is_none() && queue.presence == Presence::Expected;
         let may_start = earliest <= self.deadline_ns || !self.queues.iter().any(unheard);
         may_start.then_some(earliest)
     }
@@ -232,8 +271,14 @@ impl Alignment {
     fn close_frames(&mut self, blocks: &mut Vec<FrameBlock>) {
         loop {
             if self.run.is_none() {
-                let grid = self.first_sample_ns().and_then(|t0| TimeGrid::new(t0, self.layout.sampling_rate_hz()));
-                self.run = grid.map(|grid| Run { grid, next: 0, open: Vec::new() });
+                let grid = self
+                    .first_sample_ns()
+                    .and_then(|t0| TimeGrid::new(t0, self.layout.sampling_rate_hz()));
+                self.run = grid.map(|grid| Run {
+                    grid,
+                    next: 0,
+                    open: Vec::new(),
+                });
             }
             match self.next_frame() {
                 NextFrame::Wait => break,
@@ -267,7 +312,11 @@ impl Alignment {
         if waits && run.grid.time_ns(run.next) > self.deadline_ns {
             return NextFrame::Wait;
         }
-        if earliest - next > LONGEST_HOLE { NextFrame::NewRun } else { NextFrame::Close }
+        if earliest - next > LONGEST_HOLE {
+            NextFrame::NewRun
+        } else {
+            NextFrame::Close
+        }
     }
 
     fn close_frame(&mut self, blocks: &mut Vec<FrameBlock>) {
@@ -275,13 +324,16 @@ impl Alignment {
             return;
         };
         let start = run.open.len();
-        run.open.resize(start + self.layout.channel_count(), f64::NAN);
+        run.open
+            .resize(start + self.layout.channel_count(), f64::NAN);
         let mut first = start;
         for queue in &mut self.queues {
             let frame = &mut run.open[first..first + queue.channels()];
             first += queue.channels();
             match queue.first_ns() {
-                Some(time_ns) if run.grid.nearest(time_ns) == run.next as i64 => queue.pop_into(frame),
+                Some(time_ns) if run.grid.nearest(time_ns) == run.next as i64 => {
+                    queue.pop_into(frame)
+                }
                 // Whether an ended node is known to have ended depends on the order of arrival; what it has passed does not.
                 _ => {
                     let was_there = has_passed(queue, run) || queue.presence == Presence::Expected;
@@ -322,14 +374,21 @@ impl Alignment {
     }
 
     fn end_if_over(&mut self, given: usize, blocks: &mut Vec<FrameBlock>) {
-        let over = |queue: &NodeQueue| queue.first_ns().is_none() && queue.presence != Presence::Expected;
-        let has_ended = self.queues.iter().any(|queue| queue.presence == Presence::Ended);
+        let over =
+            |queue: &NodeQueue| queue.first_ns().is_none() && queue.presence != Presence::Expected;
+        let has_ended = self
+            .queues
+            .iter()
+            .any(|queue| queue.presence == Presence::Ended);
         if self.ended || self.run.is_none() || !has_ended || !self.queues.iter().all(over) {
             return;
         }
         self.ended = true;
         // The end travels with the last frames, where this input closed some.
-        match blocks[given..].last_mut().filter(|block| block.header.epoch == self.epoch) {
+        match blocks[given..]
+            .last_mut()
+            .filter(|block| block.header.epoch == self.epoch)
+        {
             Some(last) => last.state = StreamState::Ended,
             None => self.flush(StreamState::Ended, blocks),
         }
@@ -347,16 +406,30 @@ enum NextFrame {
 
 /// Whether the node has delivered something later than the next frame, be it usable or not.
 fn has_passed(queue: &NodeQueue, run: &Run) -> bool {
-    queue.newest_ns.is_some_and(|newest| run.grid.nearest(newest) > run.next as i64)
+    queue
+        .newest_ns
+        .is_some_and(|newest| run.grid.nearest(newest) > run.next as i64)
 }
 
 /// Number of the frame of the first sample that can still be used; those before it are dropped and counted.
-fn first_usable(queue: &mut NodeQueue, run: &Run, tolerance_ns: i64, counts: &mut Counts) -> Option<i64> {
+fn first_usable(
+    queue: &mut NodeQueue,
+    run: &Run,
+    tolerance_ns: i64,
+    counts: &mut Counts,
+) -> Option<i64> {
     while let Some(time_ns) = queue.first_ns() {
         let number = run.grid.nearest(time_ns);
-        let Some(frame) = u64::try_from(number).ok().filter(|frame| *frame >= run.next) else {
+        let Some(frame) = u64::try_from(number)
+            .ok()
+            .filter(|frame| *frame >= run.next)
+        else {
             let just_closed = number.saturating_add(1) == run.next as i64;
-            let count = if just_closed { &mut counts.duplicate } else { &mut counts.late };
+            let count = if just_closed {
+                &mut counts.duplicate
+            } else {
+                &mut counts.late
+            };
             *count += 1;
             queue.pop();
             continue;

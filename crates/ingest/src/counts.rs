@@ -46,6 +46,8 @@ impl Counts {
             ("out-of-range-values", self.out_of_range),
         ];
         let counted = counts.into_iter().filter(|(_, count)| *count > 0);
-        counted.map(|(reason, count)| (reason.to_owned(), count)).collect()
+        counted
+            .map(|(reason, count)| (reason.to_owned(), count))
+            .collect()
     }
 }

@@ -20,12 +20,14 @@ fn jobs() -> std::io::Result<flume::Sender<Job>> {
         return Ok(jobs.clone());
     }
     let (jobs, waiting) = flume::unbounded::<Job>();
-    thread::Builder::new().name("recording".to_owned()).spawn(move || {
-        while let Ok(job) = waiting.recv() {
-            // its structure hears that it is lost; the panic itself has been reported where it happened
-            drop(catch_unwind(AssertUnwindSafe(job)));
-        }
-    })?;
+    thread::Builder::new()
+        .name("recording".to_owned())
+        .spawn(move || {
+            while let Ok(job) = waiting.recv() {
+                // its structure hears that it is lost; the panic itself has been reported where it happened
+                drop(catch_unwind(AssertUnwindSafe(job)));
+            }
+        })?;
     Ok(started.insert(jobs).clone())
 }
 
@@ -45,7 +47,10 @@ impl DiskThread {
     }
 
     /// Carries out `work` and returns what it returns; `None` when it panicked.
-    pub(crate) async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Option<T> {
+    pub(crate) async fn run<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Option<T> {
         let (done, result) = tokio::sync::oneshot::channel();
         // whoever waited may have been stopped
         let job: Job = Box::new(move || drop(done.send(work())));
@@ -63,7 +68,12 @@ mod tests {
         let (thread, other) = (DiskThread::start().unwrap(), DiskThread::start().unwrap());
         let name = || thread::current().name().map(str::to_owned);
         assert_eq!(thread.run(name).await, Some(Some("recording".to_owned())));
-        assert_eq!(thread.run(|| if true { panic!("as it should") } else { 2 }).await, None);
+        assert_eq!(
+            thread
+                .run(|| if true { panic!("as it should") } else { 2 })
+                .await,
+            None
+        );
         assert_eq!(other.run(|| 3).await, Some(3));
         assert_eq!(thread.run(|| 4).await, Some(4));
     }

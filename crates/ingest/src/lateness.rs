@@ -24,7 +24,10 @@ impl Lateness {
     /// Lateness allowed to each of some nodes.
     #[must_use]
     pub fn new(allowed: Duration, nodes: usize) -> Self {
-        Self { allowed, nodes: (0..nodes).map(|_| Arrivals::default()).collect() }
+        Self {
+            allowed,
+            nodes: (0..nodes).map(|_| Arrivals::default()).collect(),
+        }
     }
 
     /// A sample of measurement time `time_ns` has arrived; `now` is any clock that only goes forward.
@@ -48,9 +51,18 @@ impl Lateness {
             }
         }
         let delivers = |arrivals: &&Arrivals| arrivals.last.is_some_and(|last| last > begin);
-        let delivering = lower_median(self.nodes.iter().filter(delivers).filter_map(|a| a.overdue_ns));
+        let delivering = lower_median(
+            self.nodes
+                .iter()
+                .filter(delivers)
+                .filter_map(|a| a.overdue_ns),
+        );
         let some_deliver = self.nodes.iter().any(|arrivals| delivers(&arrivals));
-        if some_deliver { delivering } else { lower_median(self.nodes.iter().filter_map(|a| a.overdue_ns)) }
+        if some_deliver {
+            delivering
+        } else {
+            lower_median(self.nodes.iter().filter_map(|a| a.overdue_ns))
+        }
     }
 }
 

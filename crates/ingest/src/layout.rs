@@ -45,9 +45,15 @@ impl Layout {
     ///
     /// # Errors
     /// A rate or a number of channels that no message carries.
-    pub fn new(nodes: Vec<NodeLayout>, sampling_rate_hz: f64, tolerance_s: f64) -> Result<Self, LayoutError> {
+    pub fn new(
+        nodes: Vec<NodeLayout>,
+        sampling_rate_hz: f64,
+        tolerance_s: f64,
+    ) -> Result<Self, LayoutError> {
         if TimeGrid::new(0, sampling_rate_hz).is_none() {
-            return Err(LayoutError::Rate { found: sampling_rate_hz });
+            return Err(LayoutError::Rate {
+                found: sampling_rate_hz,
+            });
         }
         let found = nodes.iter().map(|node| node.ranges.len()).sum();
         if !(1..=MAX_CHANNELS).contains(&found) {
@@ -56,7 +62,11 @@ impl Layout {
         // Half a step is what `TimeGrid::nearest` gives; its rounding must not make an edge sample homeless.
         const ROUNDING_NS: i64 = 4;
         let tolerance_ns = (tolerance_s * 1e9) as i64 + ROUNDING_NS;
-        Ok(Self { nodes, sampling_rate_hz, tolerance_ns })
+        Ok(Self {
+            nodes,
+            sampling_rate_hz,
+            tolerance_ns,
+        })
     }
 
     /// The layout of a structure.
@@ -66,10 +76,21 @@ impl Layout {
     pub fn of(structure: &Structure) -> Result<Self, LayoutError> {
         let mut nodes = Vec::new();
         for node in structure.nodes() {
-            let ranges = node.channels().iter().map(|channel| channel.range()).collect();
-            nodes.push(NodeLayout { name: Name::new(node.name())?, ranges });
+            let ranges = node
+                .channels()
+                .iter()
+                .map(|channel| channel.range())
+                .collect();
+            nodes.push(NodeLayout {
+                name: Name::new(node.name())?,
+                ranges,
+            });
         }
-        Self::new(nodes, structure.sampling_rate_hz(), structure.ingest().tolerance_s)
+        Self::new(
+            nodes,
+            structure.sampling_rate_hz(),
+            structure.ingest().tolerance_s,
+        )
     }
 
     /// The nodes in frame order.

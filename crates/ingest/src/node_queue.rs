@@ -128,8 +128,12 @@ impl NodeQueue {
                 continue;
             }
             self.times_ns.push_back(time_ns);
-            self.numbers.push_back((block.header.epoch, block.header.sequence + number));
-            let checked = sample.iter().zip(&self.ranges).map(|(value, range)| checked(*value, *range, counts));
+            self.numbers
+                .push_back((block.header.epoch, block.header.sequence + number));
+            let checked = sample
+                .iter()
+                .zip(&self.ranges)
+                .map(|(value, range)| checked(*value, *range, counts));
             self.values.extend(checked);
         }
         self.next = (block.header.epoch, block.end());
@@ -191,7 +195,12 @@ mod tests {
 
     fn block(sequence: u64, time_ns: i64, count: usize) -> SampleBlock {
         SampleBlock {
-            header: Header { source: "roof".into(), epoch: 1, sequence, time_ns },
+            header: Header {
+                source: "roof".into(),
+                epoch: 1,
+                sequence,
+                time_ns,
+            },
             sampling_rate_hz: 100.0,
             pace: Pace::Live,
             channels: 2,
@@ -214,11 +223,19 @@ mod tests {
             queue.pop_into(&mut frame);
         }
         assert_eq!((queue.first_ns(), frame), (Some(999_000_000_000), [0.5; 2]));
-        assert!(room(&queue) <= 4 * ROOM_KEPT * 40, "{} of {most} bytes", room(&queue));
+        assert!(
+            room(&queue) <= 4 * ROOM_KEPT * 40,
+            "{} of {most} bytes",
+            room(&queue)
+        );
         // a clock that goes back takes what was ahead with it
         queue.push(&block(100_000, 1_000_000_000_000, 100_000), &mut counts);
         queue.push(&block(200_000, 999_000_000_000, 1), &mut counts);
-        assert!(room(&queue) <= 4 * ROOM_KEPT * 40, "{} of {most} bytes", room(&queue));
+        assert!(
+            room(&queue) <= 4 * ROOM_KEPT * 40,
+            "{} of {most} bytes",
+            room(&queue)
+        );
         assert_eq!(queue.first_ns(), queue.last_waiting_ns());
     }
 }

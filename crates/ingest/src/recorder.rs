@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
 use spandrel_record::{
-    FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition, RecordError,
+    FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition,
+    RecordError,
 };
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -70,18 +71,30 @@ impl Recorder {
         let of = LogLayout {
             structure: structure.to_owned(),
             channels,
-            nodes: layout.nodes().iter().map(|node| node.name.to_string()).collect(),
+            nodes: layout
+                .nodes()
+                .iter()
+                .map(|node| node.name.to_string())
+                .collect(),
             sampling_rate_hz: layout.sampling_rate_hz(),
         };
         let (log, opened) = FrameLog::open(&settings.folder, of, settings.log)?;
         if opened.torn_bytes > 0 {
-            warn!(structure, bytes = opened.torn_bytes, "the recording was torn: what was half written is cut off");
+            warn!(
+                structure,
+                bytes = opened.torn_bytes,
+                "the recording was torn: what was half written is cut off"
+            );
         }
         for path in &opened.set_aside {
             warn!(structure, file = %path.display(), "no part of this recording can be read; it is set aside");
         }
         let is_whole = opened.is_complete != Some(false) && (opened.was_closed || opened.same_boot);
-        let past = opened.last.map(|last| Past { nodes: places(&last), last: to_block(last), is_whole });
+        let past = opened.last.map(|last| Past {
+            nodes: places(&last),
+            last: to_block(last),
+            is_whole,
+        });
         let recorder = Self {
             structure: structure.to_owned(),
             disk: DiskThread::start().map_err(IngestError::NoThread)?,
@@ -99,7 +112,9 @@ impl Recorder {
 
     /// What gives frames to those who ask for more than is in memory.
     pub(crate) fn archive(&self) -> RecordedFrames {
-        RecordedFrames { reader: self.reader.clone() }
+        RecordedFrames {
+            reader: self.reader.clone(),
+        }
     }
 
     /// Writes blocks, on the thread for that, and gives itself and them back: they may be put from then on. A disk that refuses keeps
@@ -126,7 +141,10 @@ impl Recorder {
             let nodes = if number == last { places } else { &[] };
             self.waiting.push(to_logged(block, nodes));
         }
-        if self.refused_at.is_none_or(|refused| refused.elapsed() >= RETRY) {
+        if self
+            .refused_at
+            .is_none_or(|refused| refused.elapsed() >= RETRY)
+        {
             self.write_waiting();
         }
         self.waiting.lose_what_is_too_much();
@@ -139,11 +157,17 @@ impl Recorder {
 
     /// Tries again what the disk has refused, and forces to the disk what it has taken, when it is time to.
     pub(crate) async fn tend(&mut self) {
-        if self.refused_at.is_some_and(|refused| refused.elapsed() >= RETRY) {
+        if self
+            .refused_at
+            .is_some_and(|refused| refused.elapsed() >= RETRY)
+        {
             tokio::task::block_in_place(|| self.write_waiting());
         }
         if self.synced.elapsed() < self.sync_every
-            || self.syncing.as_ref().is_some_and(|syncing| !syncing.is_finished())
+            || self
+                .syncing
+                .as_ref()
+                .is_some_and(|syncing| !syncing.is_finished())
         {
             return;
         }
@@ -163,8 +187,14 @@ impl Recorder {
     /// What a status tells of it.
     pub(crate) fn drops(&self) -> impl Iterator<Item = (String, u64)> {
         let (waiting, lost) = (self.waiting.frames(), self.waiting.lost());
-        let counts = [("frames-waiting-for-the-disk", waiting), ("frames-not-recorded", lost)];
-        counts.into_iter().filter(|(_, count)| *count > 0).map(|(reason, count)| (reason.to_owned(), count))
+        let counts = [
+            ("frames-waiting-for-the-disk", waiting),
+            ("frames-not-recorded", lost),
+        ];
+        counts
+            .into_iter()
+            .filter(|(_, count)| *count > 0)
+            .map(|(reason, count)| (reason.to_owned(), count))
     }
 
     /// Writes what waits, piece by piece, until the disk refuses.
@@ -199,7 +229,12 @@ impl Recorder {
             }
         }
         if self.refused_at.take().is_some() {
-            info!(structure, written = before, lost = self.waiting.lost(), "the disk takes the recording again");
+            info!(
+                structure,
+                written = before,
+                lost = self.waiting.lost(),
+                "the disk takes the recording again"
+            );
         }
         // where the disk has no room for that it is tried again, and until then a crash begins a new epoch
         if before > 0 && self.is_noted_complete != Some(true) && log.note_complete(true).is_ok() {
@@ -208,7 +243,9 @@ impl Recorder {
     }
 
     async fn report_sync(&mut self) {
-        let Some(syncing) = self.syncing.take() else { return };
+        let Some(syncing) = self.syncing.take() else {
+            return;
+        };
         if let Ok(Err(error)) = syncing.await {
             warn!(structure = self.structure, %error, "the recording cannot be forced to the disk");
         }
@@ -218,7 +255,9 @@ impl Recorder {
 /// A moment of the last `period`: structures that are started together do not all wait for the disk at the same moments.
 fn started_within(period: Duration) -> Instant {
     let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
-    Instant::now().checked_sub(period.mul_f64(share)).unwrap_or_else(Instant::now)
+    Instant::now()
+        .checked_sub(period.mul_f64(share))
+        .unwrap_or_else(Instant::now)
 }
 
 /// The frames of a recording, for those who ask for more than is in memory.
@@ -244,13 +283,20 @@ impl Archive<FrameBlock> for RecordedFrames {
 }
 
 fn places(frames: &LoggedFrames) -> Vec<NodePlace> {
-    let place = |node: &NodePosition| NodePlace { epoch: node.epoch, sequence: node.sequence, ended: node.ended };
+    let place = |node: &NodePosition| NodePlace {
+        epoch: node.epoch,
+        sequence: node.sequence,
+        ended: node.ended,
+    };
     frames.nodes.iter().map(place).collect()
 }
 
 fn to_logged(block: &FrameBlock, nodes: &[NodePlace]) -> LoggedFrames {
-    let position =
-        |place: &NodePlace| NodePosition { epoch: place.epoch, sequence: place.sequence, ended: place.ended };
+    let position = |place: &NodePlace| NodePosition {
+        epoch: place.epoch,
+        sequence: place.sequence,
+        ended: place.ended,
+    };
     LoggedFrames {
         source: block.header.source.clone(),
         epoch: block.header.epoch,
@@ -266,12 +312,21 @@ fn to_logged(block: &FrameBlock, nodes: &[NodePlace]) -> LoggedFrames {
 
 fn to_block(frames: LoggedFrames) -> FrameBlock {
     let mut block = FrameBlock {
-        header: Header { source: frames.source, epoch: frames.epoch, sequence: frames.sequence, time_ns: frames.t0_ns },
+        header: Header {
+            source: frames.source,
+            epoch: frames.epoch,
+            sequence: frames.sequence,
+            time_ns: frames.t0_ns,
+        },
         t0_ns: frames.t0_ns,
         sampling_rate_hz: frames.sampling_rate_hz,
         channels: frames.channels,
         values: frames.values,
-        state: if frames.ended { StreamState::Ended } else { StreamState::Running },
+        state: if frames.ended {
+            StreamState::Ended
+        } else {
+            StreamState::Running
+        },
     };
     if let Some(grid) = block.grid() {
         block.header.time_ns = grid.time_ns(frames.sequence);

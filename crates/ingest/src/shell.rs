@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Forget, FrameBlock, Keep, Keys, LiveToken, LiveWatch, Name,
-    NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading, SampleBlock, Service, Start, Status,
-    StreamGroup, StreamState,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Forget, FrameBlock, Keep, Keys, LiveToken,
+    LiveWatch, Name, NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading,
+    SampleBlock, Service, Start, Status, StreamGroup, StreamState,
 };
 use spandrel_structure::Structure;
 use tokio::time::{Instant, MissedTickBehavior, interval};
@@ -25,8 +25,14 @@ use crate::recorder::{Past, Recorder, RecordingSettings};
 pub const FRAMES_KEPT: u64 = 131_072;
 /// Frames in memory where there is a recording, for readers that are nearly in time: those that are recorded, of which older ones come
 /// out of the recording, and those that wait for the disk.
-const IN_MEMORY: Keep =
-    Keep { last: 8_192, needed: None, released: Some(Forget { at_least: 1_024, after: Duration::ZERO }) };
+const IN_MEMORY: Keep = Keep {
+    last: 8_192,
+    needed: None,
+    released: Some(Forget {
+        at_least: 1_024,
+        after: Duration::ZERO,
+    }),
+};
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
@@ -114,9 +120,14 @@ impl IngestService {
         keys: Keys,
         settings: IngestSettings,
     ) -> Result<Self, IngestError> {
-        let layout = Layout::of(structure)
-            .map_err(|source| IngestError::Layout { structure: structure.name().to_owned(), source })?;
-        let channels = structure.channels().map(|channel| channel.name().to_owned()).collect();
+        let layout = Layout::of(structure).map_err(|source| IngestError::Layout {
+            structure: structure.name().to_owned(),
+            source,
+        })?;
+        let channels = structure
+            .channels()
+            .map(|channel| channel.name().to_owned())
+            .collect();
         Self::start_with(layout, channels, bus, keys, settings).await
     }
 
@@ -133,18 +144,26 @@ impl IngestService {
         settings: IngestSettings,
     ) -> BoxedFuture<'a, Result<Self, IngestError>> {
         Box::pin(async move {
-            let IngestSettings { id, epoch, waiting, recording } = settings;
+            let IngestSettings {
+                id,
+                epoch,
+                waiting,
+                recording,
+            } = settings;
             let (recorder, past) = match &recording {
                 Some(recording) => {
                     let structure = keys.structure().as_str();
-                    let opened =
-                        tokio::task::block_in_place(|| Recorder::open(structure, &layout, channels, recording))?;
+                    let opened = tokio::task::block_in_place(|| {
+                        Recorder::open(structure, &layout, channels, recording)
+                    })?;
                     (Some(Box::new(opened.0)), opened.1)
                 }
                 None => (None, None),
             };
             // Were frames heard of that are not recorded, their numbers must not come again with other samples.
-            let epoch = past.as_ref().map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
+            let epoch = past
+                .as_ref()
+                .map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
             let past = past.filter(|past| past.is_whole);
             let mut stream = NumberedStream {
                 key: keys.frames(),
@@ -153,29 +172,48 @@ impl IngestService {
                 epoch,
                 first: 0,
                 state: StreamState::Running,
-                keep: if recorder.is_some() { IN_MEMORY } else { Keep::last(FRAMES_KEPT) },
+                keep: if recorder.is_some() {
+                    IN_MEMORY
+                } else {
+                    Keep::last(FRAMES_KEPT)
+                },
             };
             let mut core = Alignment::new(layout.clone(), id.to_string(), epoch);
             let mut places: Vec<NodePlace> = Vec::new();
-            let progress = bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?;
+            let progress = bus
+                .publish_progress(keys.progress(Service::Ingest), id.to_string())
+                .await?;
             let (mut done, mut last_time_ns) = (0, None);
             if let Some(Past { last, nodes, .. }) = past {
-                info!(structure = keys.structure().as_str(), frame = last.end(), "goes on where its recording ended");
-                (stream.epoch, stream.first, stream.state) = (last.header.epoch, last.end(), last.state);
+                info!(
+                    structure = keys.structure().as_str(),
+                    frame = last.end(),
+                    "goes on where its recording ended"
+                );
+                (stream.epoch, stream.first, stream.state) =
+                    (last.header.epoch, last.end(), last.state);
                 core = core.going_on(&last, &nodes);
                 places = nodes;
                 done = last.end();
-                last_time_ns = last.grid().zip(done.checked_sub(1)).map(|(grid, number)| grid.time_ns(number));
+                last_time_ns = last
+                    .grid()
+                    .zip(done.checked_sub(1))
+                    .map(|(grid, number)| grid.time_ns(number));
                 // Sources may wait for what this service did last before it was killed, and could not say.
                 progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
             }
-            let older =
-                recorder.as_ref().map(|recorder| Older { archive: Arc::new(recorder.archive()), recent: FRAMES_KEPT });
+            let older = recorder.as_ref().map(|recorder| Older {
+                archive: Arc::new(recorder.archive()),
+                recent: FRAMES_KEPT,
+            });
             let frames = bus.publish_archived(stream, older).await?;
             let mut nodes = Vec::new();
             for (position, node) in layout.nodes().iter().enumerate() {
                 let start = match places.get(position) {
-                    Some(place) => Start::At { epoch: place.epoch, sequence: place.sequence },
+                    Some(place) => Start::At {
+                        epoch: place.epoch,
+                        sequence: place.sequence,
+                    },
                     None => Start::Beginning,
                 };
                 let settings = bus.reading(start);
@@ -192,7 +230,9 @@ impl IngestService {
                 });
             }
             let node_count = nodes.len();
-            let nodes = bus.follow_group(nodes, bus.reading(Start::Beginning).deliveries).await?;
+            let nodes = bus
+                .follow_group(nodes, bus.reading(Start::Beginning).deliveries)
+                .await?;
             let service = Self {
                 core,
                 lateness: match waiting {
@@ -204,11 +244,15 @@ impl IngestService {
                 signs: vec![Sign::Present; node_count],
                 patient_until: Duration::ZERO,
                 all_gone: false,
-                ended: (0..node_count).map(|node| places.get(node).is_some_and(|place| place.ended)).collect(),
+                ended: (0..node_count)
+                    .map(|node| places.get(node).is_some_and(|place| place.ended))
+                    .collect(),
                 tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
                 frames,
                 progress,
-                status: bus.publish_display(keys.status(Service::Ingest, &id)).await?,
+                status: bus
+                    .publish_display(keys.status(Service::Ingest, &id))
+                    .await?,
                 service: Name::new(Service::Ingest.as_str())?,
                 pace: Pace::Live,
                 pace_heard: None,
@@ -237,11 +281,17 @@ impl IngestService {
     ///
     /// # Errors
     /// The bus is closed underneath.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IngestError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), IngestError>> {
         self.run_until(Box::pin(stop))
     }
 
-    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IngestError>> {
+    fn run_until(
+        mut self,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), IngestError>> {
         Box::pin(async move {
             let mut status = interval(STATUS_EVERY);
             status.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -272,7 +322,11 @@ impl IngestService {
             while let Some((node, delivery)) = self.nodes.next_now() {
                 self.take(node, delivery).await?;
             }
-            info!(structure = self.keys.structure().as_str(), frames = self.core.counts().frames, "ingest stopped");
+            info!(
+                structure = self.keys.structure().as_str(),
+                frames = self.core.counts().frames,
+                "ingest stopped"
+            );
             self.token.withdraw().await?;
             match self.recorder {
                 Some(recorder) => recorder.close().await,
@@ -281,7 +335,11 @@ impl IngestService {
         })
     }
 
-    async fn take(&mut self, node: usize, delivery: Delivery<SampleBlock>) -> Result<(), IngestError> {
+    async fn take(
+        &mut self,
+        node: usize,
+        delivery: Delivery<SampleBlock>,
+    ) -> Result<(), IngestError> {
         let Delivery::Block(block) = delivery else {
             return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
         };
@@ -312,7 +370,10 @@ impl IngestService {
             self.recorder = Some(recorder);
             blocks = recorded;
         }
-        let is_recorded = self.recorder.as_ref().is_some_and(|recorder| recorder.has_written_all());
+        let is_recorded = self
+            .recorder
+            .as_ref()
+            .is_some_and(|recorder| recorder.has_written_all());
         for block in blocks {
             let epoch = block.header.epoch;
             if let Some((number, _)) = block.iter().last() {
@@ -323,7 +384,8 @@ impl IngestService {
                 self.frames.release(epoch, block.end());
             }
             self.frames.put(block).await?;
-            self.progress.set(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
+            self.progress
+                .set(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
         }
         Ok(())
     }
@@ -343,8 +405,12 @@ impl IngestService {
     /// Tells a link that is down from nodes that are gone: all tokens vanish at once then. Whoever was lost meanwhile is expected
     /// again once the first one is back.
     async fn compare_with_an_outage(&mut self, elapsed: Duration) -> Result<(), IngestError> {
-        let known = || (0..self.signs.len()).filter(|node| !self.ended[*node] && !self.last_heard[*node].is_zero());
-        let all_gone = known().next().is_some() && known().all(|node| self.signs[node] != Sign::Present);
+        let known = || {
+            (0..self.signs.len())
+                .filter(|node| !self.ended[*node] && !self.last_heard[*node].is_zero())
+        };
+        let all_gone =
+            known().next().is_some() && known().all(|node| self.signs[node] != Sign::Present);
         if all_gone != self.all_gone {
             self.all_gone = all_gone;
             self.patient_until = elapsed + GRACE_OF_ALL;
@@ -371,14 +437,21 @@ impl IngestService {
                 self.signs[node] = Sign::Lost;
                 let structure = self.keys.structure().as_str();
                 let name = self.layout.nodes()[node].name.as_str();
-                warn!(structure, node = name, "node is gone, frames no longer wait for it");
+                warn!(
+                    structure,
+                    node = name,
+                    "node is gone, frames no longer wait for it"
+                );
                 self.handle(Input::Lost { node }).await?;
             }
         }
         if self.pace == Pace::Replayed {
             return Ok(()); // frames wait for the other nodes of a record, however far behind they are
         }
-        let deadline = self.lateness.as_mut().and_then(|lateness| lateness.deadline_ns(elapsed));
+        let deadline = self
+            .lateness
+            .as_mut()
+            .and_then(|lateness| lateness.deadline_ns(elapsed));
         match deadline {
             Some(time_ns) => self.handle(Input::Deadline { time_ns }).await,
             None => Ok(()),
@@ -386,7 +459,10 @@ impl IngestService {
     }
 
     async fn put_status(&self) -> Result<(), IngestError> {
-        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "the status tells the lag behind the wall clock"
+        )]
         let now = std::time::SystemTime::now();
         let since_epoch = now.duration_since(std::time::UNIX_EPOCH);
         let now_ns = since_epoch.map_or(0, |elapsed| elapsed.as_nanos() as i64);
@@ -400,7 +476,9 @@ impl IngestService {
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
-            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
+            lag_s: self
+                .last_time_ns
+                .map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
             pace: self.pace_heard,
             load: None,
             frames_behind: None,

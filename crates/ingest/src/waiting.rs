@@ -61,7 +61,9 @@ impl Waiting {
     /// Gives up the oldest blocks while there are too many.
     pub(crate) fn lose_what_is_too_much(&mut self) {
         while self.frames > MOST_FRAMES || self.bytes > MOST_BYTES {
-            let Some(oldest) = self.blocks.pop_front() else { return };
+            let Some(oldest) = self.blocks.pop_front() else {
+                return;
+            };
             self.frames -= frames(&oldest);
             self.bytes -= bytes(&oldest);
             self.lost += frames(&oldest);
@@ -128,7 +130,11 @@ mod tests {
             waiting.push(block(k * 128, 128, 4096));
             waiting.lose_what_is_too_much();
         }
-        assert!(waiting.bytes <= MOST_BYTES && waiting.frames() == 32 * 128, "{}", waiting.frames());
+        assert!(
+            waiting.bytes <= MOST_BYTES && waiting.frames() == 32 * 128,
+            "{}",
+            waiting.frames()
+        );
         assert_eq!(waiting.lost(), 8 * 128);
         assert_eq!(waiting.piece()[0].sequence, 8 * 128, "the oldest are gone");
         let mut waiting = Waiting::default();

@@ -1,14 +1,20 @@
 //! Ingest over real Zenoh sessions on the loopback interface, without multicast.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use std::future::pending;
 use std::net::TcpListener;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keep, Keys, Message, Name, NumberedPublisher, NumberedStream,
-    Pace, SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
+    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keep, Keys, Message, Name,
+    NumberedPublisher, NumberedStream, Pace, SampleBlock, Service, Start, Status, Stream,
+    StreamSettings, StreamState,
 };
 use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
 use tokio::time::timeout;
@@ -22,9 +28,18 @@ async fn pair() -> (Bus, Bus) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
     drop(listener);
-    let listen = BusConfig { listen: vec![endpoint.clone()], ..BusConfig::default() };
-    let connect = BusConfig { connect: vec![endpoint], ..BusConfig::default() };
-    (Bus::open(&listen).await.unwrap(), Bus::open(&connect).await.unwrap())
+    let listen = BusConfig {
+        listen: vec![endpoint.clone()],
+        ..BusConfig::default()
+    };
+    let connect = BusConfig {
+        connect: vec![endpoint],
+        ..BusConfig::default()
+    };
+    (
+        Bus::open(&listen).await.unwrap(),
+        Bus::open(&connect).await.unwrap(),
+    )
 }
 
 fn keys() -> Keys {
@@ -39,11 +54,25 @@ async fn start_ingest(bus: &Bus, waiting: Waiting) -> tokio::task::JoinHandle<()
     start_ingest_of(bus, &["base", "roof"], waiting).await
 }
 
-async fn start_ingest_of(bus: &Bus, nodes: &[&str], waiting: Waiting) -> tokio::task::JoinHandle<()> {
-    let nodes = nodes.iter().map(|node| NodeLayout { name: name(node), ranges: vec![1e9] });
+async fn start_ingest_of(
+    bus: &Bus,
+    nodes: &[&str],
+    waiting: Waiting,
+) -> tokio::task::JoinHandle<()> {
+    let nodes = nodes.iter().map(|node| NodeLayout {
+        name: name(node),
+        ranges: vec![1e9],
+    });
     let layout = Layout::new(nodes.collect(), 200.0, 0.0025).unwrap();
-    let settings = IngestSettings { id: name("ingest-1"), epoch: 1, waiting, recording: None };
-    let service = IngestService::start_with(layout, Vec::new(), bus, keys(), settings).await.unwrap();
+    let settings = IngestSettings {
+        id: name("ingest-1"),
+        epoch: 1,
+        waiting,
+        recording: None,
+    };
+    let service = IngestService::start_with(layout, Vec::new(), bus, keys(), settings)
+        .await
+        .unwrap();
     tokio::spawn(async move { service.run(pending()).await.unwrap() })
 }
 
@@ -63,7 +92,12 @@ async fn node(bus: &Bus, text: &str) -> NumberedPublisher<SampleBlock> {
 /// Samples `from..to`; the value of a sample is its number.
 fn samples(node: &str, epoch: u64, from: u64, to: u64) -> SampleBlock {
     SampleBlock {
-        header: Header { source: node.into(), epoch, sequence: from, time_ns: from as i64 * STEP },
+        header: Header {
+            source: node.into(),
+            epoch,
+            sequence: from,
+            time_ns: from as i64 * STEP,
+        },
         sampling_rate_hz: 200.0,
         pace: Pace::Live,
         channels: 1,
@@ -73,11 +107,21 @@ fn samples(node: &str, epoch: u64, from: u64, to: u64) -> SampleBlock {
 }
 
 async fn frames(bus: &Bus) -> Stream<FrameBlock> {
-    bus.follow(keys().frames(), keys().recording(), StreamSettings::new(Start::Beginning)).await.unwrap()
+    bus.follow(
+        keys().frames(),
+        keys().recording(),
+        StreamSettings::new(Start::Beginning),
+    )
+    .await
+    .unwrap()
 }
 
 async fn next(stream: &Stream<FrameBlock>) -> FrameBlock {
-    match timeout(DEADLINE, stream.deliveries().recv_async()).await.expect("no frames").unwrap() {
+    match timeout(DEADLINE, stream.deliveries().recv_async())
+        .await
+        .expect("no frames")
+        .unwrap()
+    {
         Delivery::Block(block) => block,
         Delivery::Gap(gap) => panic!("{gap:?}"),
     }
@@ -91,7 +135,10 @@ async fn all_samples_become_frames_however_far_one_node_leads() {
     let stream = frames(&first).await;
     for (publisher, node, size) in [(base, "base", 10), (roof, "roof", 16)] {
         for block in 0..20_000 / size {
-            publisher.put(samples(node, 1, block * size, (block + 1) * size)).await.unwrap();
+            publisher
+                .put(samples(node, 1, block * size, (block + 1) * size))
+                .await
+                .unwrap();
         }
         if node == "base" {
             // Kept: a node's samples can be fetched as long as the node is there.
@@ -116,7 +163,10 @@ async fn a_node_that_is_gone_is_no_longer_waited_for() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, Waiting::Unlimited).await;
     let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
-    let token = first.announce(keys().live(Service::Sensor, &name("roof"))).await.unwrap();
+    let token = first
+        .announce(keys().live(Service::Sensor, &name("roof")))
+        .await
+        .unwrap();
     let stream = frames(&first).await;
     roof.put(samples("roof", 1, 0, 1)).await.unwrap();
     base.put(samples("base", 1, 0, 3)).await.unwrap();
@@ -151,7 +201,10 @@ async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_on
     let ingest = start_ingest_of(&second, &nodes, Waiting::Limited(Duration::from_secs(4))).await;
     let (base, middle) = (node(&first, "base").await, node(&first, "middle").await);
     let stream = frames(&first).await;
-    let mut ready = first.watch_live(keys().all_live(Service::Ingest)).await.unwrap();
+    let mut ready = first
+        .watch_live(keys().all_live(Service::Ingest))
+        .await
+        .unwrap();
     timeout(DEADLINE, ready.some()).await.expect("no ingest");
     for block in 0..BLOCKS {
         let (from, to) = (block * 10, (block + 1) * 10);
@@ -160,17 +213,29 @@ async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_on
         if block != LOST {
             let by_hand = samples("roof", 1, from, to).encode().unwrap();
             let put = first.session().put(keys().samples(&name("roof")), by_hand);
-            put.encoding(SampleBlock::encoding()).congestion_control(CongestionControl::Block).await.unwrap();
+            put.encoding(SampleBlock::encoding())
+                .congestion_control(CongestionControl::Block)
+                .await
+                .unwrap();
         }
     }
     let (mut done, mut without) = (0, Vec::new());
     while done < 10 * BLOCKS {
         let block = next(&stream).await;
-        without.extend(block.iter().filter(|(_, frame)| frame[2].is_nan()).map(|(number, _)| number));
+        without.extend(
+            block
+                .iter()
+                .filter(|(_, frame)| frame[2].is_nan())
+                .map(|(number, _)| number),
+        );
         done = block.end();
     }
     assert_eq!(without.len(), 10, "frames without a sample of the node");
-    assert_eq!((without[0], without[9]), (10 * LOST, 10 * LOST + 9), "first and last of them");
+    assert_eq!(
+        (without[0], without[9]),
+        (10 * LOST, 10 * LOST + 9),
+        "first and last of them"
+    );
     ingest.abort();
 }
 
@@ -178,7 +243,10 @@ async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_on
 async fn the_status_counts_what_was_refused() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, Waiting::Unlimited).await;
-    let statuses = first.subscribe::<Status>(keys().all_statuses(), 16).await.unwrap();
+    let statuses = first
+        .subscribe::<Status>(keys().all_statuses(), 16)
+        .await
+        .unwrap();
     let base = node(&first, "base").await;
     let mut wrong = samples("base", 1, 0, 4);
     wrong.channels = 2;

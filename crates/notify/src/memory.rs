@@ -30,7 +30,10 @@ struct FormerState {
 
 impl From<FormerState> for State {
     fn from(FormerState { written_s, notices }: FormerState) -> Self {
-        Self { written_s, notices: notices.into() }
+        Self {
+            written_s,
+            notices: notices.into(),
+        }
     }
 }
 
@@ -44,15 +47,39 @@ pub(crate) struct Memory {
 
 impl Memory {
     /// Opens the folder of the checkpoints of a structure, and reads what an earlier life has left there, and for how long it was away.
-    pub(crate) fn open(folder: &Path, structure: &Name) -> Result<(Self, Option<(Remembered, Duration)>), NotifyError> {
-        let identity = Identity { kind: "notify", version: VERSION, of: structure.to_string(), basis: String::new() };
+    pub(crate) fn open(
+        folder: &Path,
+        structure: &Name,
+    ) -> Result<(Self, Option<(Remembered, Duration)>), NotifyError> {
+        let identity = Identity {
+            kind: "notify",
+            version: VERSION,
+            of: structure.to_string(),
+            basis: String::new(),
+        };
         let checkpoints = Checkpoints::open(folder, identity)?;
-        let found = checkpoints.load_latest_or_former::<State, FormerState>(FORMER_VERSION).found;
+        let found = checkpoints
+            .load_latest_or_former::<State, FormerState>(FORMER_VERSION)
+            .found;
         let last = found.as_ref().map_or(0, |(place, _)| place.sequence);
-        let memory = Self { checkpoints, next: Place { epoch: 0, sequence: last + 1 }, failures: Failures::default() };
+        let memory = Self {
+            checkpoints,
+            next: Place {
+                epoch: 0,
+                sequence: last + 1,
+            },
+            failures: Failures::default(),
+        };
         let recalled = found.map(|(_, State { written_s, notices })| {
-            info!(structure = structure.as_str(), waiting = notices.waiting(), "goes on from its checkpoint");
-            (notices, Duration::from_secs(unix_s().saturating_sub(written_s)))
+            info!(
+                structure = structure.as_str(),
+                waiting = notices.waiting(),
+                "goes on from its checkpoint"
+            );
+            (
+                notices,
+                Duration::from_secs(unix_s().saturating_sub(written_s)),
+            )
         });
         Ok((memory, recalled))
     }
@@ -61,8 +88,14 @@ impl Memory {
     ///
     /// Blocks the thread for the time of a write: called where the runtime knows.
     pub(crate) fn keep(&mut self, notices: Remembered) {
-        let state = State { written_s: unix_s(), notices };
-        let kept = self.checkpoints.save(self.next, &state).and_then(|()| self.checkpoints.forget_before(None));
+        let state = State {
+            written_s: unix_s(),
+            notices,
+        };
+        let kept = self
+            .checkpoints
+            .save(self.next, &state)
+            .and_then(|()| self.checkpoints.forget_before(None));
         match kept {
             Ok(()) => {
                 self.next.sequence += 1;
@@ -88,9 +121,13 @@ impl Memory {
 }
 
 fn unix_s() -> u64 {
-    #[expect(clippy::disallowed_methods, reason = "how long a process was away goes by the clock of the machine")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "how long a process was away goes by the clock of the machine"
+    )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs())
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_secs())
 }
 
 #[cfg(test)]
@@ -105,18 +142,27 @@ mod tests {
     fn kept_by_0_1_0() -> Outbox {
         let folder = tempfile::tempdir().unwrap();
         let name = "notify-00000000000000000000-00000000000000000001.checkpoint";
-        let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kept/0.1.0").join(name);
+        let kept = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests/kept/0.1.0")
+            .join(name);
         std::fs::copy(kept, folder.path().join(name)).unwrap();
         let house = Name::new("house").unwrap();
         let (memory, recalled) = Memory::open(folder.path(), &house).unwrap();
         assert_eq!(memory.next.sequence, 2);
         let (notices, _) = recalled.expect("a checkpoint of version 1");
-        let wish = |name: &str, states| Wish { name: name.to_owned(), states, repeats: false };
+        let wish = |name: &str, states| Wish {
+            name: name.to_owned(),
+            states,
+            repeats: false,
+        };
         let mut outbox = Outbox::new(vec![
             wish("hook", vec![AlertState::Raised, AlertState::Cleared]),
             wish("mail", vec![AlertState::Acknowledged]),
         ]);
-        assert_eq!(outbox.recall(&house, notices, Duration::ZERO, Duration::ZERO), 0);
+        assert_eq!(
+            outbox.recall(&house, notices, Duration::ZERO, Duration::ZERO),
+            0
+        );
         outbox
     }
 
@@ -138,9 +184,14 @@ mod tests {
     #[test]
     fn notice_that_0_1_0_could_not_deliver_is_delivered_under_its_key() {
         let sent = send(&mut kept_by_0_1_0());
-        let [(0, key, alert)] = &sent[..] else { panic!("{sent:?}") };
+        let [(0, key, alert)] = &sent[..] else {
+            panic!("{sent:?}")
+        };
         assert_eq!(key, "house/storey-2/20000000000/raised");
-        assert_eq!((alert.state, alert.since_ns, alert.loss), (AlertState::Raised, Some(5_000_000_000), Some(0.124)));
+        assert_eq!(
+            (alert.state, alert.since_ns, alert.loss),
+            (AlertState::Raised, Some(5_000_000_000), Some(0.124))
+        );
         assert_eq!(alert.why, "storey-2 has lost 12.4 % of its stiffness");
     }
 
@@ -148,20 +199,32 @@ mod tests {
     fn alert_that_0_1_0_delivered_is_not_sent_again_and_its_end_is() {
         let mut outbox = kept_by_0_1_0();
         let (_, _, of_storey_2) = send(&mut outbox).remove(0);
-        let of_storey_1 = AlertMessage { parameter: Name::new("storey-1").unwrap(), ..of_storey_2.clone() };
+        let of_storey_1 = AlertMessage {
+            parameter: Name::new("storey-1").unwrap(),
+            ..of_storey_2.clone()
+        };
         let later = |alert: &AlertMessage, seconds: i64| AlertMessage {
             time_ns: seconds * 1_000_000_000,
             loss: Some(0.13),
             revision: 1,
             ..alert.clone()
         };
-        let seen = AlertMessage { state: AlertState::Acknowledged, ..of_storey_2 };
-        let known = AlertMessage { time_ns: 10_000_000_000, ..of_storey_1.clone() };
+        let seen = AlertMessage {
+            state: AlertState::Acknowledged,
+            ..of_storey_2
+        };
+        let known = AlertMessage {
+            time_ns: 10_000_000_000,
+            ..of_storey_1.clone()
+        };
         for alert in [known, later(&of_storey_1, 40), later(&seen, 40)] {
             outbox.take(&alert, Duration::ZERO);
         }
         assert_eq!(send(&mut outbox), []);
-        let end = AlertMessage { state: AlertState::Cleared, ..later(&of_storey_1, 50) };
+        let end = AlertMessage {
+            state: AlertState::Cleared,
+            ..later(&of_storey_1, 50)
+        };
         outbox.take(&end, Duration::ZERO);
         assert_eq!(send(&mut outbox).len(), 1);
     }

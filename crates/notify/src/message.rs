@@ -40,8 +40,21 @@ pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
 /// First line and text of an e-mail.
 pub(crate) fn mail(notice: &Notice) -> (String, String) {
     let alert = &notice.alert;
-    let subject = format!("{}: alert of {} {}", alert.structure, alert.parameter, alert.state.as_str());
-    (subject, format!("{}.\n\n{}\nKey: {}\n", alert.why, figures(alert), notice.key))
+    let subject = format!(
+        "{}: alert of {} {}",
+        alert.structure,
+        alert.parameter,
+        alert.state.as_str()
+    );
+    (
+        subject,
+        format!(
+            "{}.\n\n{}\nKey: {}\n",
+            alert.why,
+            figures(alert),
+            notice.key
+        ),
+    )
 }
 
 fn figures(alert: &AlertMessage) -> String {
@@ -51,17 +64,32 @@ fn figures(alert: &AlertMessage) -> String {
         format!("Parameter:   {}", alert.parameter),
         format!("State:       {}", alert.state.as_str()),
         format!("Measured at: {}", iso_8601(alert.time_ns)),
-        format!("Estimate:    {:.4} of nominal, standard deviation {:.4}", alert.mean, alert.std),
+        format!(
+            "Estimate:    {:.4} of nominal, standard deviation {:.4}",
+            alert.mean, alert.std
+        ),
     ];
     if let Some(reference) = alert.reference {
         lines.push(format!("Reference:   {reference:.4} of nominal"));
     }
     if let (Some(loss), Some(interval)) = (alert.loss, alert.loss_interval) {
-        let (low, high, level) = (percent(interval.low), percent(interval.high), percent(interval.level));
-        lines.push(format!("Loss:        {}, between {low} and {high} with {level} credibility", percent(loss)));
-        if let Some(within) = alert.loss_interval_within_record.filter(|within| *within != interval) {
+        let (low, high, level) = (
+            percent(interval.low),
+            percent(interval.high),
+            percent(interval.level),
+        );
+        lines.push(format!(
+            "Loss:        {}, between {low} and {high} with {level} credibility",
+            percent(loss)
+        ));
+        if let Some(within) = alert
+            .loss_interval_within_record
+            .filter(|within| *within != interval)
+        {
             let (low, high) = (percent(within.low), percent(within.high));
-            lines.push(format!("             within this record between {low} and {high}"));
+            lines.push(format!(
+                "             within this record between {low} and {high}"
+            ));
         }
     }
     let (loss, asked) = (percent(alert.rule_loss), percent(alert.rule_credibility));
@@ -70,7 +98,10 @@ fn figures(alert: &AlertMessage) -> String {
         percent(alert.credibility)
     ));
     if let Some(verdict) = alert.fit {
-        lines.push(format!("Fit:         {}", fit_in_words(verdict, alert.fit_reasons)));
+        lines.push(format!(
+            "Fit:         {}",
+            fit_in_words(verdict, alert.fit_reasons)
+        ));
     }
     if let Some(because) = alert.undecided_because {
         lines.push(format!("Undecided:   {}", because.words()));
@@ -103,7 +134,11 @@ pub(crate) mod tests {
             rule_credibility: 0.99,
             credibility: 0.997,
             loss: Some(0.124),
-            loss_interval: Some(CredibleInterval { level: 0.99, low: 0.09, high: 0.15 }),
+            loss_interval: Some(CredibleInterval {
+                level: 0.99,
+                low: 0.09,
+                high: 0.15,
+            }),
             loss_interval_within_record: None,
             mean: 0.876,
             std: 0.0123,
@@ -120,7 +155,11 @@ pub(crate) mod tests {
     }
 
     fn notice(state: AlertState) -> Notice {
-        Notice { receiver: 0, key: "house/storey-2/20/raised".to_owned(), alert: alert(20, state) }
+        Notice {
+            receiver: 0,
+            key: "house/storey-2/20/raised".to_owned(),
+            alert: alert(20, state),
+        }
     }
 
     #[test]

@@ -32,8 +32,14 @@ pub(crate) struct Wish {
 impl Wish {
     /// Whether an alert is told again and again while it stands: also where it is not confirmed, if it was told as raised.
     fn repeats(&self, alert: &AlertMessage) -> bool {
-        let told_as = if alert.state == AlertState::Unconfirmed { AlertState::Raised } else { alert.state };
-        self.repeats && alert.stands() && (self.states.contains(&alert.state) || self.states.contains(&told_as))
+        let told_as = if alert.state == AlertState::Unconfirmed {
+            AlertState::Raised
+        } else {
+            alert.state
+        };
+        self.repeats
+            && alert.stands()
+            && (self.states.contains(&alert.state) || self.states.contains(&told_as))
     }
 }
 
@@ -58,7 +64,13 @@ struct Waiting {
 
 impl Waiting {
     fn new(notice: Notice, since: Duration, now: Duration) -> Self {
-        Self { notice, since, due: now, retry_after: RETRY_AFTER.0, is_repeated: false }
+        Self {
+            notice,
+            since,
+            due: now,
+            retry_after: RETRY_AFTER.0,
+            is_repeated: false,
+        }
     }
 }
 
@@ -121,7 +133,13 @@ pub(crate) struct Outbox {
 
 /// The same for the same change of the same alert.
 fn key(alert: &AlertMessage) -> String {
-    format!("{}/{}/{}/{}", alert.structure, alert.parameter, alert.time_ns, alert.state.as_str())
+    format!(
+        "{}/{}/{}/{}",
+        alert.structure,
+        alert.parameter,
+        alert.time_ns,
+        alert.state.as_str()
+    )
 }
 
 fn subject(alert: &AlertMessage) -> Subject {
@@ -130,7 +148,12 @@ fn subject(alert: &AlertMessage) -> Subject {
 
 impl Outbox {
     pub(crate) fn new(wishes: Vec<Wish>) -> Self {
-        let empty = |wish| Receiver { wish, waiting: VecDeque::new(), is_sending: false, standing: BTreeMap::new() };
+        let empty = |wish| Receiver {
+            wish,
+            waiting: VecDeque::new(),
+            is_sending: false,
+            standing: BTreeMap::new(),
+        };
         Self {
             boxes: wishes.into_iter().map(empty).collect(),
             known: BTreeMap::new(),
@@ -148,7 +171,10 @@ impl Outbox {
         let Some(key) = self.learn(alert) else { return };
         let of = subject(alert);
         // of changes that were missed, one may be told after a later one
-        let is_latest = self.last.get(&of).is_none_or(|last| last.time_ns <= alert.time_ns);
+        let is_latest = self
+            .last
+            .get(&of)
+            .is_none_or(|last| last.time_ns <= alert.time_ns);
         if is_latest {
             self.last.insert(of.clone(), alert.clone());
         }
@@ -159,17 +185,24 @@ impl Outbox {
                 // what is over stands no longer, whoever wants to know of it
                 let due = place.standing.remove(&of).map(|(_, due)| due);
                 if place.wish.repeats(alert) {
-                    let next = due.filter(|_| !(is_wished && is_news)).unwrap_or(now + REPEAT_EVERY);
+                    let next = due
+                        .filter(|_| !(is_wished && is_news))
+                        .unwrap_or(now + REPEAT_EVERY);
                     place.standing.insert(of.clone(), (alert.clone(), next));
                 }
             }
             if is_wished && is_news {
-                let notice = Notice { receiver, key: key.clone(), alert: alert.clone() };
+                let notice = Notice {
+                    receiver,
+                    key: key.clone(),
+                    alert: alert.clone(),
+                };
                 place.waiting.push_back(Waiting::new(notice, now, now));
                 if place.waiting.len() > MOST_WAITING {
                     // one that is being sent stays the first
                     let lost = place.waiting.remove(usize::from(place.is_sending));
-                    self.changed.extend(lost.map(|lost| lost.notice.alert.structure));
+                    self.changed
+                        .extend(lost.map(|lost| lost.notice.alert.structure));
                     self.given_up += 1;
                 }
             }
@@ -182,16 +215,29 @@ impl Outbox {
     fn is_news(&mut self, of: &Subject, alert: &AlertMessage) -> bool {
         let told = self.told.entry(of.clone()).or_default();
         let is_of_alert = |before: &AlertMessage| {
-            !alert.stands() || (before.since_ns, before.rule_loss) == (alert.since_ns, alert.rule_loss)
+            !alert.stands()
+                || (before.since_ns, before.rule_loss) == (alert.since_ns, alert.rule_loss)
         };
-        let before = told.iter().position(|before| before.state == alert.state && is_of_alert(before));
+        let before = told
+            .iter()
+            .position(|before| before.state == alert.state && is_of_alert(before));
         let loss = |alert: &AlertMessage| alert.loss.unwrap_or(0.0);
         // a loss that was told in one state is known in the others
-        let most = told.iter().filter(|before| before.stands() && is_of_alert(before)).map(loss).fold(0.0, f64::max);
+        let most = told
+            .iter()
+            .filter(|before| before.stands() && is_of_alert(before))
+            .map(loss)
+            .fold(0.0, f64::max);
         let is_louder = alert.stands() && loss(alert) >= LOUDER * most;
         let is_news = before.is_none() || is_louder;
         // what is over and what stands are news of each other
-        told.retain(|before| if alert.stands() { before.stands() } else { before.state == alert.state });
+        told.retain(|before| {
+            if alert.stands() {
+                before.stands()
+            } else {
+                before.state == alert.state
+            }
+        });
         if is_news {
             told.retain(|before| before.state != alert.state);
             told.push(alert.clone());
@@ -221,7 +267,9 @@ impl Outbox {
 
     /// What is to be remembered of a structure.
     pub(crate) fn remembered(&self, structure: &Name, now: Duration) -> Remembered {
-        let of_structure = |waiting: &&Waiting| waiting.notice.alert.structure == *structure && !waiting.is_repeated;
+        let of_structure = |waiting: &&Waiting| {
+            waiting.notice.alert.structure == *structure && !waiting.is_repeated
+        };
         let undelivered = |place: &Receiver| -> Vec<Undelivered> {
             let own = place.waiting.iter().filter(of_structure);
             own.map(|waiting| Undelivered {
@@ -232,17 +280,44 @@ impl Outbox {
             .collect()
         };
         Remembered {
-            keys: self.known.get(structure).into_iter().flatten().cloned().collect(),
-            last: self.last.iter().filter(|(of, _)| of.0 == *structure).map(|(_, alert)| alert.clone()).collect(),
+            keys: self
+                .known
+                .get(structure)
+                .into_iter()
+                .flatten()
+                .cloned()
+                .collect(),
+            last: self
+                .last
+                .iter()
+                .filter(|(of, _)| of.0 == *structure)
+                .map(|(_, alert)| alert.clone())
+                .collect(),
             waiting: self.boxes.iter().flat_map(undelivered).collect(),
-            told: self.told.iter().filter(|(of, _)| of.0 == *structure).flat_map(|(_, told)| told.clone()).collect(),
+            told: self
+                .told
+                .iter()
+                .filter(|(of, _)| of.0 == *structure)
+                .flat_map(|(_, told)| told.clone())
+                .collect(),
         }
     }
 
     /// Goes on from what an earlier life has remembered of a structure, `away` ago. What is for a receiver that is told no longer, or not
     /// of such an alert, is given up; returns how many.
-    pub(crate) fn recall(&mut self, structure: &Name, remembered: Remembered, now: Duration, away: Duration) -> usize {
-        let Remembered { keys, last, waiting, told } = remembered;
+    pub(crate) fn recall(
+        &mut self,
+        structure: &Name,
+        remembered: Remembered,
+        now: Duration,
+        away: Duration,
+    ) -> usize {
+        let Remembered {
+            keys,
+            last,
+            waiting,
+            told,
+        } = remembered;
         for alert in told {
             self.told.entry(subject(&alert)).or_default().push(alert);
         }
@@ -256,14 +331,34 @@ impl Outbox {
             self.last.insert(subject(&alert), alert);
         }
         let mut lost = 0;
-        for Undelivered { receiver: name, alert, age_s } in waiting {
-            let wants = |place: &Receiver| place.wish.name == name && place.wish.states.contains(&alert.state);
-            let Some((receiver, place)) = self.boxes.iter_mut().enumerate().find(|(_, place)| wants(place)) else {
+        for Undelivered {
+            receiver: name,
+            alert,
+            age_s,
+        } in waiting
+        {
+            let wants = |place: &Receiver| {
+                place.wish.name == name && place.wish.states.contains(&alert.state)
+            };
+            let Some((receiver, place)) = self
+                .boxes
+                .iter_mut()
+                .enumerate()
+                .find(|(_, place)| wants(place))
+            else {
                 lost += 1;
                 continue;
             };
             let since = now.saturating_sub(Duration::from_secs(age_s) + away);
-            place.waiting.push_back(Waiting::new(Notice { receiver, key: key(&alert), alert }, since, now));
+            place.waiting.push_back(Waiting::new(
+                Notice {
+                    receiver,
+                    key: key(&alert),
+                    alert,
+                },
+                since,
+                now,
+            ));
         }
         self.given_up += lost as u64;
         lost
@@ -276,8 +371,15 @@ impl Outbox {
             if place.waiting.is_empty() {
                 for (alert, next) in place.standing.values_mut().filter(|(_, next)| *next <= now) {
                     *next = now + REPEAT_EVERY;
-                    let notice = Notice { receiver, key: key(alert), alert: alert.clone() };
-                    place.waiting.push_back(Waiting { is_repeated: true, ..Waiting::new(notice, now, now) });
+                    let notice = Notice {
+                        receiver,
+                        key: key(alert),
+                        alert: alert.clone(),
+                    };
+                    place.waiting.push_back(Waiting {
+                        is_repeated: true,
+                        ..Waiting::new(notice, now, now)
+                    });
                 }
             }
             if place.is_sending {
@@ -293,13 +395,17 @@ impl Outbox {
 
     /// Takes how it went.
     pub(crate) fn done(&mut self, receiver: usize, is_sent: bool, now: Duration) {
-        let Some(place) = self.boxes.get_mut(receiver) else { return };
+        let Some(place) = self.boxes.get_mut(receiver) else {
+            return;
+        };
         place.is_sending = false;
         if is_sent {
             self.sent += 1;
         } else {
             self.failures += 1;
-            let Some(first) = place.waiting.front_mut() else { return };
+            let Some(first) = place.waiting.front_mut() else {
+                return;
+            };
             if now.saturating_sub(first.since) <= GIVE_UP_AFTER {
                 first.due = now + first.retry_after;
                 first.retry_after = (2 * first.retry_after).min(RETRY_AFTER.1);
@@ -308,7 +414,8 @@ impl Outbox {
             self.given_up += 1;
         }
         let done = place.waiting.pop_front().filter(|done| !done.is_repeated);
-        self.changed.extend(done.map(|done| done.notice.alert.structure));
+        self.changed
+            .extend(done.map(|done| done.notice.alert.structure));
     }
 
     /// Notices that wait.
@@ -330,8 +437,15 @@ mod tests {
 
     fn outbox(repeats: bool) -> Outbox {
         let states = vec![AlertState::Raised, AlertState::Cleared];
-        let wish = |name: &str, states, repeats| Wish { name: name.to_owned(), states, repeats };
-        Outbox::new(vec![wish("hook", states, repeats), wish("mail", vec![AlertState::Acknowledged], false)])
+        let wish = |name: &str, states, repeats| Wish {
+            name: name.to_owned(),
+            states,
+            repeats,
+        };
+        Outbox::new(vec![
+            wish("hook", states, repeats),
+            wish("mail", vec![AlertState::Acknowledged], false),
+        ])
     }
 
     #[test]
@@ -343,14 +457,27 @@ mod tests {
         }
         let due = outbox.due(s(0));
         assert_eq!(
-            due.iter().map(|notice| (notice.receiver, notice.alert.state)).collect::<Vec<_>>(),
+            due.iter()
+                .map(|notice| (notice.receiver, notice.alert.state))
+                .collect::<Vec<_>>(),
             [(0, AlertState::Raised)]
         );
-        assert!(due[0].key.ends_with("/storey-2/20000000000/raised"), "{}", due[0].key);
+        assert!(
+            due[0].key.ends_with("/storey-2/20000000000/raised"),
+            "{}",
+            due[0].key
+        );
         assert_eq!(outbox.due(s(1)), [], "it is on its way");
         outbox.done(0, true, s(1));
         outbox.take(&alert(30, AlertState::Acknowledged), s(2));
-        assert_eq!(outbox.due(s(2)).iter().map(|notice| notice.receiver).collect::<Vec<_>>(), [1]);
+        assert_eq!(
+            outbox
+                .due(s(2))
+                .iter()
+                .map(|notice| notice.receiver)
+                .collect::<Vec<_>>(),
+            [1]
+        );
         assert_eq!((outbox.sent, outbox.waiting()), (1, 1));
     }
 
@@ -362,7 +489,11 @@ mod tests {
         let mut attempts = Vec::new();
         for second in 0..4_000 {
             for notice in outbox.due(s(second)) {
-                assert_eq!(notice.alert.state, AlertState::Raised, "the second waits for the first");
+                assert_eq!(
+                    notice.alert.state,
+                    AlertState::Raised,
+                    "the second waits for the first"
+                );
                 attempts.push(second);
                 outbox.done(0, false, s(second));
             }
@@ -377,7 +508,8 @@ mod tests {
         // a receiver that never comes back is given up after a day
         for second in (5_000..200_000).step_by(100) {
             let due = outbox.due(s(second));
-            due.iter().for_each(|notice| outbox.done(notice.receiver, false, s(second)));
+            due.iter()
+                .for_each(|notice| outbox.done(notice.receiver, false, s(second)));
         }
         assert_eq!((outbox.given_up, outbox.waiting()), (1, 0));
     }
@@ -397,7 +529,15 @@ mod tests {
             }
         }
         let raised = AlertState::Raised;
-        assert_eq!(sent, [(0, raised), (60, raised), (120, raised), (150, AlertState::Cleared)]);
+        assert_eq!(
+            sent,
+            [
+                (0, raised),
+                (60, raised),
+                (120, raised),
+                (150, AlertState::Cleared)
+            ]
+        );
     }
 
     /// What is sent of these states and losses of one alert.
@@ -405,7 +545,13 @@ mod tests {
         let mut outbox = outbox(false);
         let mut sent = Vec::new();
         for (second, (state, loss)) in (20..).zip(states) {
-            outbox.take(&AlertMessage { loss: Some(*loss), ..alert(second, *state) }, s(0));
+            outbox.take(
+                &AlertMessage {
+                    loss: Some(*loss),
+                    ..alert(second, *state)
+                },
+                s(0),
+            );
             while let Some(notice) = outbox.due(s(0)).pop() {
                 sent.push((notice.alert.state, notice.alert.loss.unwrap()));
                 outbox.done(notice.receiver, true, s(0));
@@ -418,15 +564,25 @@ mod tests {
     fn revision_is_told_once_the_loss_has_doubled() {
         use AlertState::{Acknowledged, Cleared, Raised};
         let losses = [0.12, 0.15, 0.2, 0.25, 0.4, 0.49, 0.51].map(|loss| (Raised, loss));
-        assert_eq!(sent(&losses), [(Raised, 0.12), (Raised, 0.25), (Raised, 0.51)]);
-        let seen = [(Raised, 0.12), (Acknowledged, 0.12), (Acknowledged, 0.2), (Cleared, 0.0), (Raised, 0.12)];
+        assert_eq!(
+            sent(&losses),
+            [(Raised, 0.12), (Raised, 0.25), (Raised, 0.51)]
+        );
+        let seen = [
+            (Raised, 0.12),
+            (Acknowledged, 0.12),
+            (Acknowledged, 0.2),
+            (Cleared, 0.0),
+            (Raised, 0.12),
+        ];
         assert_eq!(sent(&seen), [seen[0], seen[1], seen[3], seen[4]]);
     }
 
     #[test]
     fn alert_that_is_confirmed_again_and_end_that_is_told_again_are_no_news() {
         use AlertState::{Cleared, Raised, Unconfirmed};
-        let states = [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
+        let states =
+            [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
         assert_eq!(sent(&states), [states[0], states[3], states[5]]);
     }
 
@@ -444,16 +600,29 @@ mod tests {
         let house = alert(20, AlertState::Raised).structure;
         let mut second = outbox(false);
         second.recall(&house, first.remembered(&house, s(0)), s(0), s(0));
-        second.take(&AlertMessage { revision: 1, ..alert(21, AlertState::Raised) }, s(0));
+        second.take(
+            &AlertMessage {
+                revision: 1,
+                ..alert(21, AlertState::Raised)
+            },
+            s(0),
+        );
         assert_eq!(second.waiting(), 1);
     }
 
     #[test]
     fn an_alert_that_is_not_confirmed_is_repeated_and_a_revision_does_not_put_it_off() {
         let mut outbox = outbox(true);
-        for (second, state) in [(20, AlertState::Raised), (50, AlertState::Raised), (70, AlertState::Unconfirmed)] {
+        for (second, state) in [
+            (20, AlertState::Raised),
+            (50, AlertState::Raised),
+            (70, AlertState::Unconfirmed),
+        ] {
             outbox.take(&alert(second, state), s(second as u64));
-            outbox.due(s(second as u64)).iter().for_each(|notice| outbox.done(notice.receiver, true, s(second as u64)));
+            outbox
+                .due(s(second as u64))
+                .iter()
+                .for_each(|notice| outbox.done(notice.receiver, true, s(second as u64)));
         }
         assert_eq!(outbox.due(s(79)), []);
         assert_eq!(outbox.due(s(80))[0].alert.state, AlertState::Unconfirmed);
@@ -463,7 +632,13 @@ mod tests {
     fn what_waits_is_bounded() {
         let mut outbox = outbox(false);
         for second in 0..5_000 {
-            outbox.take(&AlertMessage { since_ns: Some(second), ..alert(second, AlertState::Raised) }, s(0));
+            outbox.take(
+                &AlertMessage {
+                    since_ns: Some(second),
+                    ..alert(second, AlertState::Raised)
+                },
+                s(0),
+            );
         }
         assert_eq!((outbox.waiting(), outbox.given_up), (MOST_WAITING, 4_000));
     }
@@ -471,13 +646,20 @@ mod tests {
     #[test]
     fn another_life_goes_on_with_what_was_not_delivered_and_tells_nothing_twice() {
         let mut first = outbox(false);
-        for (second, state) in [(20, AlertState::Raised), (30, AlertState::Cleared), (40, AlertState::Raised)] {
+        for (second, state) in [
+            (20, AlertState::Raised),
+            (30, AlertState::Cleared),
+            (40, AlertState::Raised),
+        ] {
             first.take(&alert(second, state), s(0));
         }
         let told = first.due(s(0)).remove(0);
         first.done(0, true, s(1));
         let house = alert(20, AlertState::Raised).structure;
-        assert_eq!(first.take_changed().into_iter().collect::<Vec<_>>(), std::slice::from_ref(&house));
+        assert_eq!(
+            first.take_changed().into_iter().collect::<Vec<_>>(),
+            std::slice::from_ref(&house)
+        );
         let remembered = first.remembered(&house, s(10));
         assert_eq!(remembered.waiting(), 2);
 
@@ -489,13 +671,30 @@ mod tests {
             keys.push(notice.key);
             second.done(0, true, s(100));
         }
-        assert_eq!(keys, ["house/storey-2/30000000000/cleared", "house/storey-2/40000000000/raised"]);
+        assert_eq!(
+            keys,
+            [
+                "house/storey-2/30000000000/cleared",
+                "house/storey-2/40000000000/raised"
+            ]
+        );
         assert_eq!(second.remembered(&house, s(100)).waiting(), 0);
 
         // a receiver of another name, or one that wants other states, does not get what was for this one
-        let wish = Wish { name: "another".to_owned(), states: vec![AlertState::Raised], repeats: false };
+        let wish = Wish {
+            name: "another".to_owned(),
+            states: vec![AlertState::Raised],
+            repeats: false,
+        };
         let mut other = Outbox::new(vec![wish]);
-        assert_eq!((other.recall(&house, remembered, s(0), s(0)), other.waiting(), other.given_up), (2, 0, 2));
+        assert_eq!(
+            (
+                other.recall(&house, remembered, s(0), s(0)),
+                other.waiting(),
+                other.given_up
+            ),
+            (2, 0, 2)
+        );
     }
 
     #[test]
@@ -533,7 +732,12 @@ mod tests {
         let house = alert(20, AlertState::Raised).structure;
         let (start, day) = (GIVE_UP_AFTER, GIVE_UP_AFTER);
         let mut second = outbox(false);
-        second.recall(&house, first.remembered(&house, s(3_600)), start, day - s(3_600));
+        second.recall(
+            &house,
+            first.remembered(&house, s(3_600)),
+            start,
+            day - s(3_600),
+        );
         assert_eq!(second.due(start).len(), 1);
         second.done(0, false, start);
         assert_eq!(second.waiting(), 1, "exactly a day");
@@ -546,11 +750,21 @@ mod tests {
     fn what_is_remembered_is_bounded() {
         let mut outbox = outbox(false);
         for second in 0..5_000 {
-            outbox.take(&AlertMessage { since_ns: Some(second), ..alert(second, AlertState::Raised) }, s(0));
+            outbox.take(
+                &AlertMessage {
+                    since_ns: Some(second),
+                    ..alert(second, AlertState::Raised)
+                },
+                s(0),
+            );
         }
         let remembered = outbox.remembered(&alert(0, AlertState::Raised).structure, s(0));
         assert_eq!(
-            (remembered.keys.len(), remembered.waiting(), remembered.last.len()),
+            (
+                remembered.keys.len(),
+                remembered.waiting(),
+                remembered.last.len()
+            ),
             (KEYS_REMEMBERED, MOST_WAITING, 1)
         );
     }

@@ -3,7 +3,9 @@
 use crate::error::NotifyError;
 use crate::message::{for_alertmanager, mail, plain};
 use crate::outbox::{Notice, Wish};
-use crate::settings::{Email, Encryption, NotifySettings, Webhook, WebhookFormat, read_secret, shown};
+use crate::settings::{
+    Email, Encryption, NotifySettings, Webhook, WebhookFormat, read_secret, shown,
+};
 use lettre::message::Mailbox;
 use lettre::message::header::ContentType;
 use lettre::transport::smtp::authentication::Credentials;
@@ -16,16 +18,31 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(15);
 
 /// Somebody who can be told.
 pub(crate) enum Receiver {
-    Webhook { agent: ureq::Agent, webhook: Webhook, authorization: Option<String> },
-    Email { transport: Box<SmtpTransport>, from: Mailbox, to: Vec<Mailbox>, states: Vec<AlertState> },
+    Webhook {
+        agent: ureq::Agent,
+        webhook: Webhook,
+        authorization: Option<String>,
+    },
+    Email {
+        transport: Box<SmtpTransport>,
+        from: Mailbox,
+        to: Vec<Mailbox>,
+        states: Vec<AlertState>,
+    },
 }
 
 /// All receivers of the settings, which have been checked.
 pub(crate) fn receivers(settings: &NotifySettings) -> Result<Vec<Receiver>, NotifyError> {
     let mut receivers = Vec::new();
     for (index, webhook) in settings.webhook.iter().enumerate() {
-        let token = read_secret(webhook.token_file.as_deref(), &format!("webhook[{index}].token-file"))?;
-        let agent = ureq::Agent::config_builder().timeout_global(Some(ANSWER_WITHIN)).max_redirects(0).build();
+        let token = read_secret(
+            webhook.token_file.as_deref(),
+            &format!("webhook[{index}].token-file"),
+        )?;
+        let agent = ureq::Agent::config_builder()
+            .timeout_global(Some(ANSWER_WITHIN))
+            .max_redirects(0)
+            .build();
         receivers.push(Receiver::Webhook {
             agent: agent.into(),
             webhook: webhook.clone(),
@@ -49,17 +66,27 @@ fn by_mail(email: &Email, index: usize) -> Result<Receiver, NotifyError> {
         Encryption::Starttls => SmtpTransport::starttls_relay(&email.server),
         Encryption::None => Ok(SmtpTransport::builder_dangerous(&email.server)),
     };
-    let mut builder = builder.map_err(|error| setting("server", error.to_string(), "the name of a mail server"))?;
+    let mut builder = builder
+        .map_err(|error| setting("server", error.to_string(), "the name of a mail server"))?;
     builder = builder.timeout(Some(ANSWER_WITHIN));
     if let Some(port) = email.port {
         builder = builder.port(port);
     }
-    let password = read_secret(email.password_file.as_deref(), &format!("email[{index}].password-file"))?;
+    let password = read_secret(
+        email.password_file.as_deref(),
+        &format!("email[{index}].password-file"),
+    )?;
     if let (Some(user), Some(password)) = (&email.user, password) {
         builder = builder.credentials(Credentials::new(user.clone(), password));
     }
     let mailbox = |text: &String| {
-        text.parse::<Mailbox>().map_err(|_| setting("to", format!("{text:?}"), "an address such as ada@site.example"))
+        text.parse::<Mailbox>().map_err(|_| {
+            setting(
+                "to",
+                format!("{text:?}"),
+                "an address such as ada@site.example",
+            )
+        })
     };
     Ok(Receiver::Email {
         transport: Box::new(builder.build()),
@@ -75,9 +102,17 @@ impl Receiver {
         match self {
             Self::Webhook { webhook, .. } => {
                 let repeats = webhook.format == WebhookFormat::Alertmanager;
-                Wish { name, states: webhook.states.clone(), repeats }
+                Wish {
+                    name,
+                    states: webhook.states.clone(),
+                    repeats,
+                }
             }
-            Self::Email { states, .. } => Wish { name, states: states.clone(), repeats: false },
+            Self::Email { states, .. } => Wish {
+                name,
+                states: states.clone(),
+                repeats: false,
+            },
         }
     }
 
@@ -85,7 +120,11 @@ impl Receiver {
     pub(crate) fn shown(&self) -> String {
         match self {
             Self::Webhook { webhook, .. } => shown(&webhook.url),
-            Self::Email { to, .. } => to.iter().map(|mailbox| mailbox.email.to_string()).collect::<Vec<_>>().join(", "),
+            Self::Email { to, .. } => to
+                .iter()
+                .map(|mailbox| mailbox.email.to_string())
+                .collect::<Vec<_>>()
+                .join(", "),
         }
     }
 
@@ -95,12 +134,18 @@ impl Receiver {
     /// Why it was not taken, without secrets.
     pub(crate) fn send(&self, notice: &Notice) -> Result<(), String> {
         match self {
-            Self::Webhook { agent, webhook, authorization } => {
+            Self::Webhook {
+                agent,
+                webhook,
+                authorization,
+            } => {
                 let body = match webhook.format {
                     WebhookFormat::Spandrel => plain(notice),
                     WebhookFormat::Alertmanager => for_alertmanager(notice),
                 };
-                let mut request = agent.post(&webhook.url).header("Content-Type", "application/json");
+                let mut request = agent
+                    .post(&webhook.url)
+                    .header("Content-Type", "application/json");
                 request = request.header("Idempotency-Key", &notice.key);
                 if let Some(authorization) = authorization {
                     request = request.header("Authorization", authorization);
@@ -110,7 +155,9 @@ impl Receiver {
                     Ok(answer) => Err(format!("answered {}", answer.status())),
                     // the text of others may name the whole address
                     Err(ureq::Error::StatusCode(code)) => Err(format!("answered {code}")),
-                    Err(ureq::Error::Timeout(_)) => Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs())),
+                    Err(ureq::Error::Timeout(_)) => {
+                        Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs()))
+                    }
                     Err(ureq::Error::Io(error)) => Err(error.to_string()),
                     Err(ureq::Error::HostNotFound) => Err("no such host".to_owned()),
                     Err(ureq::Error::ConnectionFailed) => Err("cannot connect".to_owned()),
@@ -119,16 +166,28 @@ impl Receiver {
                     Err(_) => Err("the request failed".to_owned()),
                 }
             }
-            Self::Email { transport, from, to, .. } => {
+            Self::Email {
+                transport,
+                from,
+                to,
+                ..
+            } => {
                 let (subject, text) = mail(notice);
                 let mut message = Message::builder().from(from.clone()).subject(subject);
                 // one thread for one alert, and one message for one change
-                message = message.message_id(Some(format!("<{}@spandrel>", notice.key.replace('/', "."))));
+                message = message
+                    .message_id(Some(format!("<{}@spandrel>", notice.key.replace('/', "."))));
                 for mailbox in to {
                     message = message.to(mailbox.clone());
                 }
-                let message = message.header(ContentType::TEXT_PLAIN).body(text).map_err(|error| error.to_string())?;
-                transport.send(&message).map(drop).map_err(|error| error.to_string())
+                let message = message
+                    .header(ContentType::TEXT_PLAIN)
+                    .body(text)
+                    .map_err(|error| error.to_string())?;
+                transport
+                    .send(&message)
+                    .map(drop)
+                    .map_err(|error| error.to_string())
             }
         }
     }

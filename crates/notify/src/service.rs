@@ -6,8 +6,8 @@ use crate::outbox::{GIVE_UP_AFTER, Outbox, Remembered, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use spandrel_bus::{
-    AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, HistoryLog, Keys, LiveToken, LiveWatch, Name, Service,
-    Status, Subscription,
+    AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, HistoryLog, Keys, LiveToken,
+    LiveWatch, Name, Service, Status, Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -54,7 +54,10 @@ struct Clock(Instant);
 
 impl Clock {
     fn new() -> Self {
-        #[expect(clippy::disallowed_methods, reason = "when a notice is sent again goes by the clock of the machine")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "when a notice is sent again goes by the clock of the machine"
+        )]
         let start = Instant::now();
         Self(start)
     }
@@ -91,7 +94,8 @@ impl NotifyService {
     ) -> BoxedFuture<'a, Result<Self, NotifyError>> {
         Box::pin(async move {
             settings.check()?;
-            let receivers: Vec<Arc<Receiver>> = receivers(settings)?.into_iter().map(Arc::new).collect();
+            let receivers: Vec<Arc<Receiver>> =
+                receivers(settings)?.into_iter().map(Arc::new).collect();
             let mut service = Self {
                 outbox: Outbox::new(wishes(&receivers)),
                 sources: Vec::new(),
@@ -103,8 +107,12 @@ impl NotifyService {
                 id,
             };
             for (keys, folder) in structures {
-                let memory = folder.as_ref().map(|folder| Memory::open(folder, keys.structure())).transpose()?;
-                let (memory, recalled) = memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
+                let memory = folder
+                    .as_ref()
+                    .map(|folder| Memory::open(folder, keys.structure()))
+                    .transpose()?;
+                let (memory, recalled) =
+                    memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
                 let has_heard = recalled.is_some();
                 if let Some((remembered, away)) = recalled {
                     service.recall(keys.structure(), remembered, away);
@@ -113,25 +121,43 @@ impl NotifyService {
                     alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
                     alert_services: bus.watch_live(keys.all_live(Service::Alert)).await?,
                     present: BTreeSet::new(),
-                    status: bus.publish_display(keys.status(Service::Notify, &service.id)).await?,
-                    token: bus.announce(keys.live(Service::Notify, &service.id)).await?,
+                    status: bus
+                        .publish_display(keys.status(Service::Notify, &service.id))
+                        .await?,
+                    token: bus
+                        .announce(keys.live(Service::Notify, &service.id))
+                        .await?,
                     keys: keys.clone(),
                     taken: 0,
                     memory,
                     has_heard,
                 });
             }
-            let shown: Vec<String> = service.receivers.iter().map(|receiver| receiver.shown()).collect();
-            info!(receivers = shown.join("; "), structures = structures.len(), "notices ready");
+            let shown: Vec<String> = service
+                .receivers
+                .iter()
+                .map(|receiver| receiver.shown())
+                .collect();
+            info!(
+                receivers = shown.join("; "),
+                structures = structures.len(),
+                "notices ready"
+            );
             Ok(service)
         })
     }
 
     fn recall(&mut self, structure: &Name, remembered: Remembered, away: Duration) {
-        let lost = self.outbox.recall(structure, remembered, self.clock.now(), away);
+        let lost = self
+            .outbox
+            .recall(structure, remembered, self.clock.now(), away);
         if lost > 0 {
             let structure = structure.as_str();
-            warn!(structure, notices = lost, "given up: their receivers are not in the configuration any more");
+            warn!(
+                structure,
+                notices = lost,
+                "given up: their receivers are not in the configuration any more"
+            );
         }
     }
 
@@ -139,7 +165,10 @@ impl NotifyService {
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), NotifyError>> {
+    pub fn run<'a>(
+        self,
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), NotifyError>> {
         self.run_until(Box::pin(stop))
     }
 
@@ -170,7 +199,10 @@ impl NotifyService {
         })
     }
 
-    async fn tell(&mut self, sending: &mut JoinSet<(usize, Result<(), String>)>) -> Result<(), NotifyError> {
+    async fn tell(
+        &mut self,
+        sending: &mut JoinSet<(usize, Result<(), String>)>,
+    ) -> Result<(), NotifyError> {
         let mut look = tokio::time::interval(LOOK_EVERY);
         let mut status = tokio::time::interval(STATUS_EVERY);
         loop {
@@ -183,7 +215,9 @@ impl NotifyService {
             // before the first attempt, so that whatever comes of it a later one has the same key
             self.keep();
             for notice in self.outbox.due(self.clock.now()) {
-                let Some(receiver) = self.receivers.get(notice.receiver).cloned() else { continue };
+                let Some(receiver) = self.receivers.get(notice.receiver).cloned() else {
+                    continue;
+                };
                 sending.spawn(async move {
                     let number = notice.receiver;
                     let sent = tokio::task::spawn_blocking(move || receiver.send(&notice)).await;
@@ -195,12 +229,21 @@ impl NotifyService {
 
     /// Takes how an attempt went; one that panicked outside of its sending has nothing to say.
     fn ended(&mut self, ended: Result<(usize, Result<(), String>), JoinError>) {
-        let Ok((receiver, result)) = ended else { return };
-        let shown = self.receivers.get(receiver).map(|receiver| receiver.shown()).unwrap_or_default();
+        let Ok((receiver, result)) = ended else {
+            return;
+        };
+        let shown = self
+            .receivers
+            .get(receiver)
+            .map(|receiver| receiver.shown())
+            .unwrap_or_default();
         match &result {
             Ok(()) => info!(receiver = shown, "alert told"),
             Err(reason) if (self.outbox.failures + 1).is_power_of_two() => {
-                warn!(receiver = shown, reason, "alert not told, it is tried again");
+                warn!(
+                    receiver = shown,
+                    reason, "alert not told, it is tried again"
+                );
             }
             Err(_) => {}
         }
@@ -211,9 +254,12 @@ impl NotifyService {
         let now = self.clock.now();
         for source in &mut self.sources {
             let root = source.keys.root();
-            let in_place = source
-                .alerts
-                .gather(root, |alert| Some((&alert.structure, spandrel_bus::Topic::Alert(alert.parameter.clone()))));
+            let in_place = source.alerts.gather(root, |alert| {
+                Some((
+                    &alert.structure,
+                    spandrel_bus::Topic::Alert(alert.parameter.clone()),
+                ))
+            });
             for alert in in_place {
                 source.taken += 1;
                 self.outbox.take(&alert, now);
@@ -236,15 +282,29 @@ impl NotifyService {
 
     /// Takes what was missed. At the first start of all it is told how the alerts stand, and not what was before.
     fn catch_up(&mut self, told: &Told, now: Duration) {
-        let Told { structure, log, standing } = told;
-        let Some(source) = self.sources.iter_mut().find(|source| source.keys.structure() == structure) else { return };
+        let Told {
+            structure,
+            log,
+            standing,
+        } = told;
+        let Some(source) = self
+            .sources
+            .iter_mut()
+            .find(|source| source.keys.structure() == structure)
+        else {
+            return;
+        };
         if source.has_heard {
             log.iter().for_each(|alert| self.outbox.take(alert, now));
         } else {
             let is_past = |alert: &&AlertMessage| !standing.contains(alert);
-            log.iter().filter(is_past).for_each(|alert| drop(self.outbox.learn(alert)));
+            log.iter()
+                .filter(is_past)
+                .for_each(|alert| drop(self.outbox.learn(alert)));
         }
-        standing.iter().for_each(|alert| self.outbox.take(alert, now));
+        standing
+            .iter()
+            .for_each(|alert| self.outbox.take(alert, now));
         // a service that did not answer in time has told nothing
         source.has_heard |= !standing.is_empty();
     }
@@ -254,7 +314,11 @@ impl NotifyService {
         let now = self.clock.now();
         for structure in self.outbox.take_changed() {
             let of_structure = |source: &&mut Source| *source.keys.structure() == structure;
-            let memory = self.sources.iter_mut().find(of_structure).and_then(|source| source.memory.as_mut());
+            let memory = self
+                .sources
+                .iter_mut()
+                .find(of_structure)
+                .and_then(|source| source.memory.as_mut());
             if let Some(memory) = memory {
                 let remembered = self.outbox.remembered(&structure, now);
                 tokio::task::block_in_place(|| memory.keep(remembered));
@@ -265,14 +329,27 @@ impl NotifyService {
     async fn put_status(&self) -> Result<(), NotifyError> {
         #[expect(clippy::disallowed_methods, reason = "a status tells when it was put")]
         let now = SystemTime::now();
-        let time_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
-        let counts = [("failed-notices", self.outbox.failures), ("given-up-notices", self.outbox.given_up)];
+        let time_ns = now
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let counts = [
+            ("failed-notices", self.outbox.failures),
+            ("given-up-notices", self.outbox.given_up),
+        ];
         for source in &self.sources {
-            let refused =
-                source.alerts.refused().into_iter().map(|(reason, count)| (format!("refused-{reason}"), count));
-            let counts =
-                counts.iter().filter(|(_, count)| *count > 0).map(|(name, count)| ((*name).to_owned(), *count));
-            let unkept = source.memory.as_ref().and_then(|memory| memory.failures().drops());
+            let refused = source
+                .alerts
+                .refused()
+                .into_iter()
+                .map(|(reason, count)| (format!("refused-{reason}"), count));
+            let counts = counts
+                .iter()
+                .filter(|(_, count)| *count > 0)
+                .map(|(name, count)| ((*name).to_owned(), *count));
+            let unkept = source
+                .memory
+                .as_ref()
+                .and_then(|memory| memory.failures().drops());
             let drops: BTreeMap<String, u64> = refused.chain(counts).chain(unkept).collect();
             let status = Status {
                 structure: source.keys.structure().clone(),
@@ -299,16 +376,29 @@ impl NotifyService {
 
 /// Asks an alert service for its last changes, and how its alerts stand.
 async fn ask(bus: Bus, keys: Keys) -> Result<Told, BusError> {
-    let log = bus.ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN).await.unwrap_or_else(|error| {
-        warn!(%error, "cannot ask for the last changes of alerts");
-        Vec::new()
-    });
-    let standing = bus.ask::<AlertMessage>(&keys.all_alerts(), ANSWER_WITHIN).await?;
+    let log = bus
+        .ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN)
+        .await
+        .unwrap_or_else(|error| {
+            warn!(%error, "cannot ask for the last changes of alerts");
+            Vec::new()
+        });
+    let standing = bus
+        .ask::<AlertMessage>(&keys.all_alerts(), ANSWER_WITHIN)
+        .await?;
     let structure = keys.structure().clone();
     let own = |alert: &AlertMessage| alert.structure == structure;
     Ok(Told {
-        log: log.into_iter().flat_map(|(_, log)| log.alerts).filter(own).collect(),
-        standing: standing.into_iter().map(|(_, alert)| alert).filter(own).collect(),
+        log: log
+            .into_iter()
+            .flat_map(|(_, log)| log.alerts)
+            .filter(own)
+            .collect(),
+        standing: standing
+            .into_iter()
+            .map(|(_, alert)| alert)
+            .filter(own)
+            .collect(),
         structure: structure.clone(),
     })
 }

@@ -93,9 +93,17 @@ impl NotifySettings {
 
     /// Makes relative files of secrets relative to a folder.
     pub fn resolve(&mut self, folder: &Path) {
-        let tokens = self.webhook.iter_mut().filter_map(|webhook| webhook.token_file.as_mut());
-        let passwords = self.email.iter_mut().filter_map(|email| email.password_file.as_mut());
-        tokens.chain(passwords).for_each(|path| *path = folder.join(&path));
+        let tokens = self
+            .webhook
+            .iter_mut()
+            .filter_map(|webhook| webhook.token_file.as_mut());
+        let passwords = self
+            .email
+            .iter_mut()
+            .filter_map(|email| email.password_file.as_mut());
+        tokens
+            .chain(passwords)
+            .for_each(|path| *path = folder.join(&path));
     }
 
     /// Checks what the types cannot say, and that files with secrets can be read.
@@ -105,10 +113,16 @@ impl NotifySettings {
     pub fn check(&self) -> Result<(), NotifyError> {
         for (index, webhook) in self.webhook.iter().enumerate() {
             let place = |what: &str| format!("webhook[{index}].{what}");
-            let is_http = ["http://", "https://"].iter().any(|scheme| webhook.url.starts_with(scheme));
+            let is_http = ["http://", "https://"]
+                .iter()
+                .any(|scheme| webhook.url.starts_with(scheme));
             if !is_http || host(&webhook.url).is_empty() {
                 let found = format!("no such address: {:?}", shown(&webhook.url));
-                return Err(NotifyError::Setting { place: place("url"), found, allowed: "http://… or https://…" });
+                return Err(NotifyError::Setting {
+                    place: place("url"),
+                    found,
+                    allowed: "http://… or https://…",
+                });
             }
             read_secret(webhook.token_file.as_deref(), &place("token-file"))?;
             check_states(&webhook.states, &place("states"))?;
@@ -120,20 +134,42 @@ impl NotifySettings {
                 if address.parse::<Mailbox>().is_err() {
                     let place = place(if number == 0 { "from" } else { "to" });
                     let allowed = "an address such as Bridges <bridges@site.example>";
-                    return Err(NotifyError::Setting { place, found: format!("{address:?}"), allowed });
+                    return Err(NotifyError::Setting {
+                        place,
+                        found: format!("{address:?}"),
+                        allowed,
+                    });
                 }
             }
             if email.to.is_empty() {
                 let (found, allowed) = ("empty".to_owned(), "one address or more");
-                return Err(NotifyError::Setting { place: place("to"), found, allowed });
+                return Err(NotifyError::Setting {
+                    place: place("to"),
+                    found,
+                    allowed,
+                });
             }
             if email.user.is_some() != email.password_file.is_some() {
-                let (found, allowed) = ("one of user and password-file".to_owned(), "both or neither");
-                return Err(NotifyError::Setting { place: place("user"), found, allowed });
+                let (found, allowed) = (
+                    "one of user and password-file".to_owned(),
+                    "both or neither",
+                );
+                return Err(NotifyError::Setting {
+                    place: place("user"),
+                    found,
+                    allowed,
+                });
             }
             if email.encryption == Encryption::None && email.user.is_some() {
-                let (found, allowed) = ("none, with a password".to_owned(), "tls or starttls where somebody logs in");
-                return Err(NotifyError::Setting { place: place("encryption"), found, allowed });
+                let (found, allowed) = (
+                    "none, with a password".to_owned(),
+                    "tls or starttls where somebody logs in",
+                );
+                return Err(NotifyError::Setting {
+                    place: place("encryption"),
+                    found,
+                    allowed,
+                });
             }
             read_secret(email.password_file.as_deref(), &place("password-file"))?;
             check_states(&email.states, &place("states"))?;
@@ -146,16 +182,26 @@ fn check_states(states: &[AlertState], place: &str) -> Result<(), NotifyError> {
     if !states.is_empty() {
         return Ok(());
     }
-    let (found, allowed) =
-        ("empty".to_owned(), "one or more of learning, normal, pending, raised, acknowledged, cleared");
-    Err(NotifyError::Setting { place: place.to_owned(), found, allowed })
+    let (found, allowed) = (
+        "empty".to_owned(),
+        "one or more of learning, normal, pending, raised, acknowledged, cleared",
+    );
+    Err(NotifyError::Setting {
+        place: place.to_owned(),
+        found,
+        allowed,
+    })
 }
 
 /// The secret in a file, without the end of its line.
 pub(crate) fn read_secret(path: Option<&Path>, place: &str) -> Result<Option<String>, NotifyError> {
     let Some(path) = path else { return Ok(None) };
     let text = std::fs::read_to_string(path);
-    let text = text.map_err(|source| NotifyError::Secret { place: place.to_owned(), path: path.to_owned(), source })?;
+    let text = text.map_err(|source| NotifyError::Secret {
+        place: place.to_owned(),
+        path: path.to_owned(),
+        source,
+    })?;
     Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()))
 }
 
@@ -179,7 +225,12 @@ mod tests {
     use super::*;
 
     fn webhook(url: &str) -> Webhook {
-        Webhook { url: url.to_owned(), format: WebhookFormat::Spandrel, token_file: None, states: usual_states() }
+        Webhook {
+            url: url.to_owned(),
+            format: WebhookFormat::Spandrel,
+            token_file: None,
+            states: usual_states(),
+        }
     }
 
     fn email() -> Email {
@@ -201,16 +252,32 @@ mod tests {
 
     #[test]
     fn what_cannot_be_used_is_named_and_no_secret_is() {
-        let good = NotifySettings { webhook: vec![webhook("https://hooks.example/s3cret")], email: vec![email()] };
+        let good = NotifySettings {
+            webhook: vec![webhook("https://hooks.example/s3cret")],
+            email: vec![email()],
+        };
         assert!(good.check().is_ok());
-        for wrong in ["ftp://user:s3cret@files.example/", "https://", "hooks.example/s3cret"] {
-            let text = refused(&NotifySettings { webhook: vec![webhook(wrong)], ..NotifySettings::default() });
-            assert!(text.contains("webhook[0].url") && !text.contains("s3cret"), "{text}");
+        for wrong in [
+            "ftp://user:s3cret@files.example/",
+            "https://",
+            "hooks.example/s3cret",
+        ] {
+            let text = refused(&NotifySettings {
+                webhook: vec![webhook(wrong)],
+                ..NotifySettings::default()
+            });
+            assert!(
+                text.contains("webhook[0].url") && !text.contains("s3cret"),
+                "{text}"
+            );
         }
         let with = |change: fn(&mut Email)| {
             let mut email = email();
             change(&mut email);
-            refused(&NotifySettings { email: vec![email], ..NotifySettings::default() })
+            refused(&NotifySettings {
+                email: vec![email],
+                ..NotifySettings::default()
+            })
         };
         assert!(with(|email| email.from = "bridges".into()).contains("email[0].from"));
         assert!(with(|email| email.to = vec![]).contains("email[0].to"));
@@ -220,11 +287,17 @@ mod tests {
             email.user = Some("ada".into());
             email.password_file = Some("nowhere".into());
         });
-        assert!(text.contains("nowhere") && text.contains("password-file"), "{text}");
+        assert!(
+            text.contains("nowhere") && text.contains("password-file"),
+            "{text}"
+        );
     }
 
     #[test]
     fn an_address_is_shown_without_what_may_be_secret() {
-        assert_eq!(shown("https://user:pw@hooks.example:8443/T0/B1?key=abc"), "https://hooks.example:8443/…");
+        assert_eq!(
+            shown("https://user:pw@hooks.example:8443/T0/B1?key=abc"),
+            "https://hooks.example:8443/…"
+        );
     }
 }

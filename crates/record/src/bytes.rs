@@ -31,7 +31,11 @@ macro_rules! numbers {
 
 impl<'a> Bytes<'a> {
     pub(crate) fn new(data: &'a [u8], order: ByteOrder) -> Self {
-        Self { data, position: 0, order }
+        Self {
+            data,
+            position: 0,
+            order,
+        }
     }
 
     /// Bytes before the next one.
@@ -53,7 +57,12 @@ impl<'a> Bytes<'a> {
         if count > self.left() {
             let (left, position) = (self.left(), self.position);
             let found = format!("{left} bytes to the end");
-            return Err(Fault::at_byte(position, "what is left", found, format!("at least {count}")));
+            return Err(Fault::at_byte(
+                position,
+                "what is left",
+                found,
+                format!("at least {count}"),
+            ));
         }
         let bytes = &self.data[self.position..self.position + count];
         self.position += count;
@@ -64,7 +73,12 @@ impl<'a> Bytes<'a> {
     pub(crate) fn seek(&mut self, position: usize) -> Result<(), Fault> {
         if position > self.data.len() {
             let found = format!("byte {position}");
-            return Err(Fault::at_byte(self.position, "what follows", found, format!("at most {}", self.data.len())));
+            return Err(Fault::at_byte(
+                self.position,
+                "what follows",
+                found,
+                format!("at most {}", self.data.len()),
+            ));
         }
         self.position = position;
         Ok(())
@@ -84,7 +98,12 @@ pub(crate) fn text(bytes: &[u8]) -> String {
     let padding = |symbol: char| symbol.is_whitespace() || symbol == '\0';
     match std::str::from_utf8(bytes) {
         Ok(text) => text.trim_matches(padding).to_owned(),
-        Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect::<String>().trim_matches(padding).to_owned(),
+        Err(_) => bytes
+            .iter()
+            .map(|byte| char::from(*byte))
+            .collect::<String>()
+            .trim_matches(padding)
+            .to_owned(),
     }
 }
 
@@ -105,7 +124,10 @@ mod tests {
         let mut bytes = Bytes::new(&[0, 1, 2], ByteOrder::Big);
         bytes.u16().unwrap();
         let fault = bytes.u32().unwrap_err();
-        assert_eq!(fault.to_string(), "byte 2: what is left is 1 bytes to the end, must be at least 4");
+        assert_eq!(
+            fault.to_string(),
+            "byte 2: what is left is 1 bytes to the end, must be at least 4"
+        );
         assert!(bytes.seek(4).is_err());
     }
 

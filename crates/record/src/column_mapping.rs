@@ -45,7 +45,13 @@ pub struct ColumnMapping {
 impl ColumnMapping {
     /// Maps the given channels, with the time in column `time`.
     pub fn new(channels: Vec<ChannelColumn>) -> Self {
-        Self { time: TimeSource::Column { name: DEFAULT_TIME_COLUMN.to_owned(), unit: TimeUnit::Seconds }, channels }
+        Self {
+            time: TimeSource::Column {
+                name: DEFAULT_TIME_COLUMN.to_owned(),
+                unit: TimeUnit::Seconds,
+            },
+            channels,
+        }
     }
 
     /// Takes each channel from the column of its own name, in SI units.
@@ -55,7 +61,13 @@ impl ColumnMapping {
 
     /// Takes the time from the column of this name.
     pub fn with_time_column(self, name: impl Into<String>) -> Self {
-        Self { time: TimeSource::Column { name: name.into(), unit: TimeUnit::Seconds }, ..self }
+        Self {
+            time: TimeSource::Column {
+                name: name.into(),
+                unit: TimeUnit::Seconds,
+            },
+            ..self
+        }
     }
 
     /// Takes the time from wherever `time` says.
@@ -99,12 +111,22 @@ impl ChannelColumn {
     /// Takes `channel` from the column of the same name, in SI units.
     pub fn new(channel: impl Into<String>) -> Self {
         let channel = channel.into();
-        Self { column: channel.clone(), channel, si_from_unit: 1.0, scale: 1.0, offset: 0.0, file_unit: None }
+        Self {
+            column: channel.clone(),
+            channel,
+            si_from_unit: 1.0,
+            scale: 1.0,
+            offset: 0.0,
+            file_unit: None,
+        }
     }
 
     /// Takes the channel from the column of this name.
     pub fn with_column(self, name: impl Into<String>) -> Self {
-        Self { column: name.into(), ..self }
+        Self {
+            column: name.into(),
+            ..self
+        }
     }
 
     /// Declares that the channel is a `quantity` in `unit`.
@@ -113,7 +135,10 @@ impl ChannelColumn {
     /// [`RecordError::Unit`] if it is no unit of this quantity.
     pub fn with_unit(self, unit: &str, quantity: Quantity) -> Result<Self, RecordError> {
         match quantity.si_from(unit) {
-            Some(si_from_unit) => Ok(Self { si_from_unit, ..self }),
+            Some(si_from_unit) => Ok(Self {
+                si_from_unit,
+                ..self
+            }),
             None => Err(RecordError::Unit {
                 channel: self.channel,
                 found: unit.to_owned(),
@@ -126,7 +151,10 @@ impl ChannelColumn {
     /// Declares that the channel is a `quantity` in the unit that the recording states; in SI units if it states none that
     /// is known. The calibration acts after it.
     pub fn in_unit_of_file(self, quantity: Quantity) -> Self {
-        Self { file_unit: Some(quantity), ..self }
+        Self {
+            file_unit: Some(quantity),
+            ..self
+        }
     }
 
     /// Factor from the numbers of a recorded channel to SI, by the unit that the recording states, if that counts.
@@ -154,12 +182,24 @@ impl ChannelColumn {
     /// [`RecordError::Calibration`] if one of them is not finite, or the scale is zero.
     pub fn with_calibration(self, scale: f64, offset: f64) -> Result<Self, RecordError> {
         if !scale.is_finite() || scale == 0.0 {
-            return Err(RecordError::Calibration { channel: self.channel, setting: "scale", found: scale });
+            return Err(RecordError::Calibration {
+                channel: self.channel,
+                setting: "scale",
+                found: scale,
+            });
         }
         if !offset.is_finite() {
-            return Err(RecordError::Calibration { channel: self.channel, setting: "offset", found: offset });
+            return Err(RecordError::Calibration {
+                channel: self.channel,
+                setting: "offset",
+                found: offset,
+            });
         }
-        Ok(Self { scale, offset, ..self })
+        Ok(Self {
+            scale,
+            offset,
+            ..self
+        })
     }
 
     /// Name of the channel.
@@ -175,7 +215,9 @@ impl ChannelColumn {
     /// The unit that a file which is written can state: that of SI, if the numbers are in it and the quantity is known.
     pub(crate) fn stated_unit(&self) -> &'static str {
         let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
-        self.file_unit.filter(|_| is_si).map_or("", Quantity::si_unit)
+        self.file_unit
+            .filter(|_| is_si)
+            .map_or("", Quantity::si_unit)
     }
 
     /// Takes a number in the file to SI.
@@ -198,12 +240,24 @@ impl ChannelColumn {
 }
 
 /// Where a column stands among the names of a file: under its own, else in front of a unit in brackets, as `roof` in `roof [m/s2]`.
-pub(crate) fn places_of<'n>(wanted: &str, names: impl Iterator<Item = &'n str> + Clone) -> Vec<usize> {
+pub(crate) fn places_of<'n>(
+    wanted: &str,
+    names: impl Iterator<Item = &'n str> + Clone,
+) -> Vec<usize> {
     let places = |is_it: &dyn Fn(&str) -> bool| -> Vec<usize> {
-        names.clone().enumerate().filter(|(_, name)| is_it(name)).map(|(place, _)| place).collect()
+        names
+            .clone()
+            .enumerate()
+            .filter(|(_, name)| is_it(name))
+            .map(|(place, _)| place)
+            .collect()
     };
     let own = places(&|name| name == wanted);
-    if own.is_empty() { places(&|name| without_unit(name) == Some(wanted)) } else { own }
+    if own.is_empty() {
+        places(&|name| without_unit(name) == Some(wanted))
+    } else {
+        own
+    }
 }
 
 /// The name in front of a unit in brackets, if it has one.
@@ -251,19 +305,27 @@ mod tests {
 
     #[test]
     fn number_of_a_value_reads_back_as_that_value() {
-        let roof = ChannelColumn::new("roof").with_unit("g", Quantity::Acceleration).unwrap();
+        let roof = ChannelColumn::new("roof")
+            .with_unit("g", Quantity::Acceleration)
+            .unwrap();
         let roof = roof.with_calibration(-0.5, 0.1).unwrap();
         assert!((roof.si_from_number(roof.number_from_si(3.7)) - 3.7).abs() < 1e-12);
     }
 
     #[test]
     fn negative_zero_in_si_keeps_its_sign() {
-        assert!(ChannelColumn::new("roof").si_from_number(-0.0).is_sign_negative());
+        assert!(
+            ChannelColumn::new("roof")
+                .si_from_number(-0.0)
+                .is_sign_negative()
+        );
     }
 
     #[test]
     fn incompatible_unit_names_found_and_allowed() {
-        let error = ChannelColumn::new("roof").with_unit("kN", Quantity::Velocity).unwrap_err();
+        let error = ChannelColumn::new("roof")
+            .with_unit("kN", Quantity::Velocity)
+            .unwrap_err();
         assert_eq!(
             error.to_string(),
             "channel `roof`: unit is `kN`, must be one of `m/s`, `cm/s`, `mm/s` for velocity"
@@ -272,7 +334,15 @@ mod tests {
 
     #[test]
     fn scale_of_zero_is_refused() {
-        let error = ChannelColumn::new("roof").with_calibration(0.0, 0.0).unwrap_err();
-        assert!(matches!(error, RecordError::Calibration { setting: "scale", .. }));
+        let error = ChannelColumn::new("roof")
+            .with_calibration(0.0, 0.0)
+            .unwrap_err();
+        assert!(matches!(
+            error,
+            RecordError::Calibration {
+                setting: "scale",
+                ..
+            }
+        ));
     }
 }

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::{
-    ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader, RecordedChannel,
-    RecordedFile, RecordedRows, formats::table::unit_of, resample::resampled,
+    ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader,
+    RecordedChannel, RecordedFile, RecordedRows, formats::table::unit_of, resample::resampled,
 };
 
 /// Ends of names of files that can be written.
@@ -25,11 +25,18 @@ impl OutputFormat {
     /// # Errors
     /// It tells none.
     pub fn of(path: &Path) -> Result<Self, RecordError> {
-        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let ending = path
+            .extension()
+            .and_then(|ending| ending.to_str())
+            .unwrap_or_default()
+            .to_ascii_lowercase();
         match ending.as_str() {
             "csv" => Ok(Self::Csv),
             "mcap" => Ok(Self::Mcap),
-            _ => Err(RecordError::UnknownOutput { path: path.to_owned(), allowed: OUTPUTS }),
+            _ => Err(RecordError::UnknownOutput {
+                path: path.to_owned(),
+                allowed: OUTPUTS,
+            }),
         }
     }
 }
@@ -43,14 +50,27 @@ impl RecordedFile {
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             return Err(RecordError::DeclaredRate { found_hz: rate_hz });
         }
-        if let Some(channel) = self.channels().iter().find(|channel| channel.sampling_rate_hz().is_none()) {
+        if let Some(channel) = self
+            .channels()
+            .iter()
+            .find(|channel| channel.sampling_rate_hz().is_none())
+        {
             return Err(RecordError::NoSamplingRate {
                 path: self.path().to_owned(),
                 channel: channel.name().to_owned(),
             });
         }
-        let grid_ns = self.channels().iter().filter_map(RecordedChannel::start_ns).min().unwrap_or(0);
-        let channels = self.channels().iter().map(|channel| resampled(channel, rate_hz, grid_ns)).collect();
+        let grid_ns = self
+            .channels()
+            .iter()
+            .filter_map(RecordedChannel::start_ns)
+            .min()
+            .unwrap_or(0);
+        let channels = self
+            .channels()
+            .iter()
+            .map(|channel| resampled(channel, rate_hz, grid_ns))
+            .collect();
         Ok(self.with_channels(channels))
     }
 
@@ -86,7 +106,11 @@ impl RecordedFile {
     }
 
     fn write_mcap(&self, path: &Path) -> Result<(), RecordError> {
-        if let Some(channel) = self.channels().iter().find(|channel| channel.sampling_rate_hz().is_none()) {
+        if let Some(channel) = self
+            .channels()
+            .iter()
+            .find(|channel| channel.sampling_rate_hz().is_none())
+        {
             return Err(RecordError::NoSamplingRate {
                 path: self.path().to_owned(),
                 channel: channel.name().to_owned(),
@@ -99,16 +123,26 @@ impl RecordedFile {
             sampling_rate_hz: channel.sampling_rate_hz(),
             origin: channel.origin(),
         };
-        let mut writer = McapWriter::create(path, &self.channels().iter().map(stated).collect::<Vec<_>>())?;
+        let mut writer = McapWriter::create(
+            path,
+            &self.channels().iter().map(stated).collect::<Vec<_>>(),
+        )?;
         let mut channels: Vec<_> = self
             .channels()
             .iter()
-            .map(|channel| (channel.quantity().map_or(1.0, |(_, factor)| factor), channel.timed_samples().peekable()))
+            .map(|channel| {
+                (
+                    channel.quantity().map_or(1.0, |(_, factor)| factor),
+                    channel.timed_samples().peekable(),
+                )
+            })
             .collect();
         // in the order of time, as it was measured; channels in the order of the file where times are the same
         loop {
-            let times =
-                channels.iter_mut().enumerate().filter_map(|(place, (_, samples))| Some((samples.peek()?.0, place)));
+            let times = channels
+                .iter_mut()
+                .enumerate()
+                .filter_map(|(place, (_, samples))| Some((samples.peek()?.0, place)));
             let Some((_, place)) = times.min() else { break };
             let (factor, samples) = &mut channels[place];
             if let Some((time_ns, sample)) = samples.next() {
@@ -121,7 +155,11 @@ impl RecordedFile {
 
 /// The unit of the values that are written: that of SI where their own is known; empty if the recording states none.
 fn written_unit(channel: &RecordedChannel) -> &str {
-    channel.quantity().map_or(channel.unit().unwrap_or_default(), |(quantity, _)| quantity.si_unit())
+    channel
+        .quantity()
+        .map_or(channel.unit().unwrap_or_default(), |(quantity, _)| {
+            quantity.si_unit()
+        })
 }
 
 /// The name of a column, with the unit of its values in brackets where it can stand there.
@@ -130,7 +168,11 @@ fn name_with_unit(channel: &RecordedChannel) -> String {
     const NOT_IN_BRACKETS: [char; 9] = ['[', ']', '(', ')', ',', ';', '"', '\t', '\n'];
     let (name, unit) = (name_in_si(channel), written_unit(channel));
     let is_there = unit.is_empty() || unit_of(name) == unit;
-    if is_there || unit.contains(NOT_IN_BRACKETS) { name.to_owned() } else { format!("{name} [{unit}]") }
+    if is_there || unit.contains(NOT_IN_BRACKETS) {
+        name.to_owned()
+    } else {
+        format!("{name} [{unit}]")
+    }
 }
 
 /// The name without the unit in brackets, if the values are taken to SI.
@@ -149,12 +191,20 @@ mod tests {
     fn file() -> RecordedFile {
         let start_ns = 1_709_208_000_500_000_000;
         let roof = Segment::new(start_ns, vec![0.1, -2.5, f64::NAN, 1e-17, 7.0]);
-        let base = [Segment::new(start_ns, vec![1.0, 2.0]), Segment::new(start_ns + 40_000_000, vec![5.0])];
+        let base = [
+            Segment::new(start_ns, vec![1.0, 2.0]),
+            Segment::new(start_ns + 40_000_000, vec![5.0]),
+        ];
         let channels = vec![
-            RecordedChannel::new("roof", Some(100.0), vec![roof]).with_unit("m/s2").with_description("up"),
+            RecordedChannel::new("roof", Some(100.0), vec![roof])
+                .with_unit("m/s2")
+                .with_description("up"),
             RecordedChannel::new("it's/base", Some(100.0), base.to_vec()).with_unit("counts"),
         ];
-        let channels = channels.into_iter().map(|channel| channel.with_origin(TimeOrigin::Epoch)).collect();
+        let channels = channels
+            .into_iter()
+            .map(|channel| channel.with_origin(TimeOrigin::Epoch))
+            .collect();
         RecordedFile::from_channels(Path::new("hall.mseed"), Format::MiniSeed, channels)
     }
 
@@ -176,8 +226,16 @@ mod tests {
             let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
             for (written, read) in file().channels().iter().zip(read.channels()) {
                 let of_table = format!("{} [{}]", written.name(), written.unit().unwrap());
-                let own = if name == "out.csv" { of_table.as_str() } else { written.name() };
-                assert_eq!((read.name(), read.sampling_rate_hz()), (own, Some(100.0)), "{name}");
+                let own = if name == "out.csv" {
+                    of_table.as_str()
+                } else {
+                    written.name()
+                };
+                assert_eq!(
+                    (read.name(), read.sampling_rate_hz()),
+                    (own, Some(100.0)),
+                    "{name}"
+                );
                 assert_eq!(read.unit(), written.unit(), "{name}");
                 assert_eq!(present(read), present(written), "{name}");
             }
@@ -191,22 +249,33 @@ mod tests {
         file().write(&path).unwrap();
         let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
         let (roof, base) = (&read.channels()[0], &read.channels()[1]);
-        assert_eq!((roof.unit(), roof.description(), roof.origin()), (Some("m/s2"), Some("up"), TimeOrigin::Epoch));
-        assert_eq!((base.unit(), base.gaps()), (Some("counts"), file().channels()[1].gaps()));
+        assert_eq!(
+            (roof.unit(), roof.description(), roof.origin()),
+            (Some("m/s2"), Some("up"), TimeOrigin::Epoch)
+        );
+        assert_eq!(
+            (base.unit(), base.gaps()),
+            (Some("counts"), file().channels()[1].gaps())
+        );
     }
 
     #[test]
     fn known_units_become_si() {
         let folder = tempfile::tempdir().unwrap();
         let channel =
-            RecordedChannel::new("a", Some(100.0), vec![Segment::new(0, vec![250.0, -50.0])]).with_unit("cm/sec2");
+            RecordedChannel::new("a", Some(100.0), vec![Segment::new(0, vec![250.0, -50.0])])
+                .with_unit("cm/sec2");
         let file = RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, vec![channel]);
         for name in ["out.csv", "out.mcap"] {
             let path = folder.path().join(name);
             file.write(&path).unwrap();
             let mapping = ColumnMapping::by_name(["a"]);
             let mut recording = Recording::open(&path, &mapping, OffsetRemoval::Keep).unwrap();
-            assert_eq!(recording.next_row().unwrap().unwrap().values, [2.5], "{name}");
+            assert_eq!(
+                recording.next_row().unwrap().unwrap().values,
+                [2.5],
+                "{name}"
+            );
         }
     }
 
@@ -220,13 +289,25 @@ mod tests {
             let path = folder.path().join(name);
             file.write(&path).unwrap();
             let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
-            let channels: Vec<_> =
-                read.channels().iter().map(|channel| (channel.name(), channel.samples().next().unwrap())).collect();
-            let roof = if name == "out.csv" { "roof [m/s2]" } else { "roof" };
+            let channels: Vec<_> = read
+                .channels()
+                .iter()
+                .map(|channel| (channel.name(), channel.samples().next().unwrap()))
+                .collect();
+            let roof = if name == "out.csv" {
+                "roof [m/s2]"
+            } else {
+                "roof"
+            };
             assert_eq!(channels, [(roof, 9.80665), ("mood [1-5]", 3.0)], "{name}");
             let again = folder.path().join("again.csv");
             read.write(&again).unwrap();
-            let header = std::fs::read_to_string(&again).unwrap().lines().next().unwrap().to_owned();
+            let header = std::fs::read_to_string(&again)
+                .unwrap()
+                .lines()
+                .next()
+                .unwrap()
+                .to_owned();
             assert_eq!(header, "time,roof [m/s2],mood [1-5]", "{name}");
         }
     }
@@ -242,54 +323,97 @@ mod tests {
         };
         let channels = units.iter().enumerate().map(channel).collect();
         let path = folder.path().join("out.csv");
-        RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, channels).write(&path).unwrap();
+        RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, channels)
+            .write(&path)
+            .unwrap();
         let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
-        let found: Vec<_> = read.channels().iter().map(|channel| channel.unit().unwrap_or_default()).collect();
+        let found: Vec<_> = read
+            .channels()
+            .iter()
+            .map(|channel| channel.unit().unwrap_or_default())
+            .collect();
         assert_eq!(found, ["m/s2", "m/s", "m", "Pa", "Volts", "", ""]);
-        let quantities: Vec<_> =
-            read.channels().iter().filter_map(|channel| Some(channel.quantity()?.0.name())).collect();
-        assert_eq!(quantities, ["acceleration", "velocity", "displacement", "pressure"]);
+        let quantities: Vec<_> = read
+            .channels()
+            .iter()
+            .filter_map(|channel| Some(channel.quantity()?.0.name()))
+            .collect();
+        assert_eq!(
+            quantities,
+            ["acceleration", "velocity", "displacement", "pressure"]
+        );
     }
 
     #[test]
     fn a_column_is_found_without_the_unit_behind_its_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
-        std::fs::write(&path, "time,roof [g],base [m/s2],base [V],deck,deck [g]\n0,1,2,3,4,5\n0.01,1,2,3,4,5\n")
-            .unwrap();
-        let column = |name: &str| ChannelColumn::new(name).in_unit_of_file(crate::Quantity::Acceleration);
+        std::fs::write(
+            &path,
+            "time,roof [g],base [m/s2],base [V],deck,deck [g]\n0,1,2,3,4,5\n0.01,1,2,3,4,5\n",
+        )
+        .unwrap();
+        let column =
+            |name: &str| ChannelColumn::new(name).in_unit_of_file(crate::Quantity::Acceleration);
         let file = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
-        let mapping = ColumnMapping::new(vec![column("roof"), column("deck"), column("base [m/s2]")]);
+        let mapping =
+            ColumnMapping::new(vec![column("roof"), column("deck"), column("base [m/s2]")]);
         let mut in_memory = RecordedRows::new(&file, &mapping).unwrap();
-        assert_eq!(in_memory.next_row().unwrap().unwrap().values, [9.80665, 4.0, 2.0]);
+        assert_eq!(
+            in_memory.next_row().unwrap().unwrap().values,
+            [9.80665, 4.0, 2.0]
+        );
         let mut by_row = Recording::open(&path, &mapping, OffsetRemoval::Keep).unwrap();
-        assert_eq!(by_row.next_row().unwrap().unwrap().values, [9.80665, 4.0, 2.0]);
+        assert_eq!(
+            by_row.next_row().unwrap().unwrap().values,
+            [9.80665, 4.0, 2.0]
+        );
         let either = ColumnMapping::new(vec![column("base")]);
-        let refused = Recording::open(&path, &either, OffsetRemoval::Keep).map(|_| ()).unwrap_err();
-        assert!(matches!(refused, RecordError::RepeatedColumn { .. }), "{refused}");
-        assert!(matches!(RecordedRows::new(&file, &either), Err(RecordError::MissingChannels { .. })));
+        let refused = Recording::open(&path, &either, OffsetRemoval::Keep)
+            .map(|_| ())
+            .unwrap_err();
+        assert!(
+            matches!(refused, RecordError::RepeatedColumn { .. }),
+            "{refused}"
+        );
+        assert!(matches!(
+            RecordedRows::new(&file, &either),
+            Err(RecordError::MissingChannels { .. })
+        ));
     }
 
     #[test]
     fn other_ends_of_names_are_refused() {
         let told = file().write(Path::new("out.xlsx")).unwrap_err().to_string();
-        assert_eq!(told, "out.xlsx: cannot be written, its name must end in .csv or .mcap");
+        assert_eq!(
+            told,
+            "out.xlsx: cannot be written, its name must end in .csv or .mcap"
+        );
     }
 
     #[test]
     fn channels_of_several_rates_can_be_written_when_resampled() {
         let folder = tempfile::tempdir().unwrap();
-        let channel =
-            |name, rate_hz, count| RecordedChannel::new(name, Some(rate_hz), vec![Segment::new(0, vec![1.5; count])]);
+        let channel = |name, rate_hz, count| {
+            RecordedChannel::new(name, Some(rate_hz), vec![Segment::new(0, vec![1.5; count])])
+        };
         let file = RecordedFile::from_channels(
             Path::new("x"),
             Format::Tdms,
             vec![channel("a", 100.0, 200), channel("b", 60.0, 120)],
         );
         let path = folder.path().join("out.csv");
-        assert!(matches!(file.write(&path), Err(RecordError::UnequalRates { .. })));
+        assert!(matches!(
+            file.write(&path),
+            Err(RecordError::UnequalRates { .. })
+        ));
         file.resampled(50.0).unwrap().write(&path).unwrap();
-        let mut recording = Recording::open(&path, &ColumnMapping::by_name(["a", "b"]), OffsetRemoval::Keep).unwrap();
+        let mut recording = Recording::open(
+            &path,
+            &ColumnMapping::by_name(["a", "b"]),
+            OffsetRemoval::Keep,
+        )
+        .unwrap();
         assert_eq!(recording.check_sampling_rate(50.0).unwrap(), 50.0);
         while let Some(row) = recording.next_row().unwrap() {
             assert!(row.values.iter().all(|value| (value - 1.5).abs() < 1e-12));

@@ -52,7 +52,10 @@ impl CsvReader {
     /// # Errors
     /// The file cannot be opened, or columns of the mapping are missing or there twice.
     pub fn open(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
-        let file = File::open(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
+        let file = File::open(path).map_err(|source| RecordError::Open {
+            path: path.to_owned(),
+            source,
+        })?;
         Self::new(Box::new(file), path, mapping)
     }
 
@@ -60,18 +63,32 @@ impl CsvReader {
     ///
     /// # Errors
     /// As [`CsvReader::open`].
-    pub fn new(input: Box<dyn Read + Send>, path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
+    pub fn new(
+        input: Box<dyn Read + Send>,
+        path: &Path,
+        mapping: &ColumnMapping,
+    ) -> Result<Self, RecordError> {
         let path = path.to_owned();
-        let refused = |source: std::io::Error| RecordError::Read { path: path.clone(), line: 1, source: source.into() };
+        let refused = |source: std::io::Error| RecordError::Read {
+            path: path.clone(),
+            line: 1,
+            source: source.into(),
+        };
         let mut input = input;
         let mut head = Vec::new();
-        input.by_ref().take(HEAD_BYTES).read_to_end(&mut head).map_err(refused)?;
+        input
+            .by_ref()
+            .take(HEAD_BYTES)
+            .read_to_end(&mut head)
+            .map_err(refused)?;
         let wanted = match mapping.time() {
             TimeSource::Column { name, .. } => Some(name.as_str()),
             TimeSource::Counted { .. } => mapping.channels().first().map(ChannelColumn::column),
         };
         let layout = TableLayout::find(&head, wanted);
-        let rest = std::io::Cursor::new(head.split_off(layout.bytes_before)).chain(input).chain(END_OF_LAST_LINE);
+        let rest = std::io::Cursor::new(head.split_off(layout.bytes_before))
+            .chain(input)
+            .chain(END_OF_LAST_LINE);
         let input: Box<dyn Read + Send> = match layout.separator {
             Separator::Byte(_) => Box::new(rest),
             Separator::Blanks => Box::new(SingleBlanks::new(rest)),
@@ -86,14 +103,20 @@ impl CsvReader {
             .buffer_capacity(READ_BUFFER_BYTES)
             .from_reader(input);
         let mut record = ByteRecord::new();
-        csv.read_byte_record(&mut record).map_err(|source| RecordError::Read {
-            path: path.clone(),
-            line: 1 + layout.lines_before,
-            source,
-        })?;
+        csv.read_byte_record(&mut record)
+            .map_err(|source| RecordError::Read {
+                path: path.clone(),
+                line: 1 + layout.lines_before,
+                source,
+            })?;
         let header: Vec<String> = match layout.has_header {
-            true => record.iter().map(|field| String::from_utf8_lossy(field.trim_ascii()).into_owned()).collect(),
-            false => (1..=record.len()).map(|number| number.to_string()).collect(),
+            true => record
+                .iter()
+                .map(|field| String::from_utf8_lossy(field.trim_ascii()).into_owned())
+                .collect(),
+            false => (1..=record.len())
+                .map(|number| number.to_string())
+                .collect(),
         };
 
         let (time, columns) = locate_columns(&path, 1 + layout.lines_before, &header, mapping)?;
@@ -107,7 +130,11 @@ impl CsvReader {
             time,
             time_form: None,
             previous_time_ns: None,
-            channels: mapping.channels().iter().map(|column| column.channel().to_owned()).collect(),
+            channels: mapping
+                .channels()
+                .iter()
+                .map(|column| column.channel().to_owned())
+                .collect(),
             values: vec![f64::NAN; columns.len()],
             columns,
         })
@@ -120,10 +147,17 @@ impl CsvReader {
             return Ok(Some(before + 1));
         }
         loop {
-            let is_record = self.csv.read_byte_record(&mut self.record).map_err(|source| {
-                let line = before + self.csv.position().line();
-                RecordError::Read { path: self.path.clone(), line, source }
-            })?;
+            let is_record = self
+                .csv
+                .read_byte_record(&mut self.record)
+                .map_err(|source| {
+                    let line = before + self.csv.position().line();
+                    RecordError::Read {
+                        path: self.path.clone(),
+                        line,
+                        source,
+                    }
+                })?;
             if !is_record {
                 return Ok(None);
             }
@@ -146,14 +180,25 @@ impl CsvReader {
         };
         let text = field_text(&self.record, index, self.layout.has_decimal_comma);
         let text = text.as_deref();
-        let bad_time =
-            |allowed| RecordError::BadTime { path: self.path.clone(), line, found: text_for_error(text), allowed };
+        let bad_time = |allowed| RecordError::BadTime {
+            path: self.path.clone(),
+            line,
+            found: text_for_error(text),
+            allowed,
+        };
         let form = match self.time_form {
             Some(form) => form,
-            None => text.and_then(TimeForm::of).ok_or_else(|| bad_time("seconds or ISO 8601"))?,
+            None => text
+                .and_then(TimeForm::of)
+                .ok_or_else(|| bad_time("seconds or ISO 8601"))?,
         };
-        let time_ns = text.and_then(|text| form.parse_ns(text, unit)).ok_or_else(|| bad_time(form.name()))?;
-        if let Some(previous_ns) = self.previous_time_ns.filter(|previous_ns| time_ns <= *previous_ns) {
+        let time_ns = text
+            .and_then(|text| form.parse_ns(text, unit))
+            .ok_or_else(|| bad_time(form.name()))?;
+        if let Some(previous_ns) = self
+            .previous_time_ns
+            .filter(|previous_ns| time_ns <= *previous_ns)
+        {
             return Err(RecordError::TimeNotIncreasing {
                 path: self.path.clone(),
                 line,
@@ -192,14 +237,19 @@ impl RecordReader for CsvReader {
         for (value, mapped) in self.values.iter_mut().zip(&self.columns) {
             let text = field_text(&self.record, mapped.index, self.layout.has_decimal_comma);
             let text = text.as_deref();
-            *value = text.and_then(|text| parse_sample(text, mapped)).ok_or_else(|| RecordError::BadNumber {
-                path: self.path.clone(),
-                line,
-                column: mapped.column.column().to_owned(),
-                found: text_for_error(text),
-            })?;
+            *value = text
+                .and_then(|text| parse_sample(text, mapped))
+                .ok_or_else(|| RecordError::BadNumber {
+                    path: self.path.clone(),
+                    line,
+                    column: mapped.column.column().to_owned(),
+                    found: text_for_error(text),
+                })?;
         }
-        Ok(Some(Row { time_ns, values: &self.values }))
+        Ok(Some(Row {
+            time_ns,
+            values: &self.values,
+        }))
     }
 }
 
@@ -227,7 +277,11 @@ fn locate_columns(
         TimeSource::Column { name, .. } => Some(name.as_str()),
         TimeSource::Counted { .. } => None,
     };
-    let needed = || time_column.into_iter().chain(mapping.channels().iter().map(ChannelColumn::column));
+    let needed = || {
+        time_column
+            .into_iter()
+            .chain(mapping.channels().iter().map(ChannelColumn::column))
+    };
     let mut missing: Vec<String> = Vec::new();
     let mut indices = Vec::new();
     for name in needed() {
@@ -235,23 +289,48 @@ fn locate_columns(
             [index] => indices.push(index),
             [] => missing.push(name.to_owned()),
             [_, _, ..] => {
-                return Err(RecordError::RepeatedColumn { path: path.to_owned(), line, column: name.to_owned() });
+                return Err(RecordError::RepeatedColumn {
+                    path: path.to_owned(),
+                    line,
+                    column: name.to_owned(),
+                });
             }
         }
     }
     if !missing.is_empty() {
-        return Err(RecordError::MissingColumns { path: path.to_owned(), line, missing, found: header.to_vec() });
+        return Err(RecordError::MissingColumns {
+            path: path.to_owned(),
+            line,
+            missing,
+            found: header.to_vec(),
+        });
     }
     let mut indices = indices.into_iter();
     let time = match mapping.time() {
-        TimeSource::Column { unit, .. } => RowTime::Column { index: indices.next().unwrap_or(0), unit: *unit },
-        TimeSource::Counted { rate_hz } => RowTime::Counted { rate_hz: *rate_hz, rows: 0 },
+        TimeSource::Column { unit, .. } => RowTime::Column {
+            index: indices.next().unwrap_or(0),
+            unit: *unit,
+        },
+        TimeSource::Counted { rate_hz } => RowTime::Counted {
+            rate_hz: *rate_hz,
+            rows: 0,
+        },
     };
     let channel = |(index, column): (usize, &ChannelColumn)| {
         let si_from_file = column.si_from_stated(unit_of(&header[index]))?;
-        Ok(MappedColumn { index, si_from_file, column: column.clone() })
+        Ok(MappedColumn {
+            index,
+            si_from_file,
+            column: column.clone(),
+        })
     };
-    Ok((time, indices.zip(mapping.channels()).map(channel).collect::<Result<_, RecordError>>()?))
+    Ok((
+        time,
+        indices
+            .zip(mapping.channels())
+            .map(channel)
+            .collect::<Result<_, RecordError>>()?,
+    ))
 }
 
 /// Reads a sample in SI; `NaN` if it is missing, `None` if it is no finite number.
@@ -263,12 +342,15 @@ fn parse_sample(text: &str, mapped: &MappedColumn) -> Option<f64> {
     if number.is_nan() {
         return Some(f64::NAN);
     }
-    Some(mapped.column.si_from_number(number * mapped.si_from_file)).filter(|value| value.is_finite())
+    Some(mapped.column.si_from_number(number * mapped.si_from_file))
+        .filter(|value| value.is_finite())
 }
 
 /// A field without white space around it, decimal commas as points; `None` if it is no UTF-8.
 fn field_text(record: &ByteRecord, index: usize, has_decimal_comma: bool) -> Option<Cow<'_, str>> {
-    let text = record.get(index).and_then(|field| std::str::from_utf8(field.trim_ascii()).ok())?;
+    let text = record
+        .get(index)
+        .and_then(|field| std::str::from_utf8(field.trim_ascii()).ok())?;
     match has_decimal_comma && text.contains(',') {
         true => Some(Cow::Owned(text.replace(',', "."))),
         false => Some(Cow::Borrowed(text)),

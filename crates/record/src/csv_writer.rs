@@ -6,7 +6,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{ColumnMapping, RecordError, column_mapping::ChannelColumn, record_time::write_seconds};
+use crate::{
+    ColumnMapping, RecordError, column_mapping::ChannelColumn, record_time::write_seconds,
+};
 
 /// Writes a CSV record row by row: first column `time` in s, then the given columns in SI units.
 ///
@@ -25,7 +27,10 @@ impl CsvWriter {
     /// # Errors
     /// The file cannot be created or written.
     pub fn create<S: AsRef<str>>(path: &Path, columns: &[S]) -> Result<Self, RecordError> {
-        Self::create_mapped(path, &ColumnMapping::by_name(columns.iter().map(AsRef::as_ref)))
+        Self::create_mapped(
+            path,
+            &ColumnMapping::by_name(columns.iter().map(AsRef::as_ref)),
+        )
     }
 
     /// As [`CsvWriter::create`], with the columns, units and time column that `mapping` reads.
@@ -33,16 +38,25 @@ impl CsvWriter {
     /// # Errors
     /// The file cannot be created or written.
     pub fn create_mapped(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
-        let file = File::create(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
+        let file = File::create(path).map_err(|source| RecordError::Open {
+            path: path.to_owned(),
+            source,
+        })?;
         let mut writer = Self {
             path: path.to_owned(),
-            csv: csv::WriterBuilder::new().buffer_capacity(WRITE_BUFFER_BYTES).from_writer(file),
+            csv: csv::WriterBuilder::new()
+                .buffer_capacity(WRITE_BUFFER_BYTES)
+                .from_writer(file),
             columns: mapping.channels().to_vec(),
             line: 1,
             text: String::new(),
         };
-        let header = std::iter::once(mapping.time_column()).chain(writer.columns.iter().map(ChannelColumn::column));
-        writer.csv.write_record(header).map_err(|source| writer.error(source))?;
+        let header = std::iter::once(mapping.time_column())
+            .chain(writer.columns.iter().map(ChannelColumn::column));
+        writer
+            .csv
+            .write_record(header)
+            .map_err(|source| writer.error(source))?;
         Ok(writer)
     }
 
@@ -60,7 +74,12 @@ impl CsvWriter {
                 expected: self.columns.len(),
             });
         }
-        if let Some((column, found)) = self.columns.iter().zip(values).find(|(_, value)| value.is_infinite()) {
+        if let Some((column, found)) = self
+            .columns
+            .iter()
+            .zip(values)
+            .find(|(_, value)| value.is_infinite())
+        {
             return Err(RecordError::NotFinite {
                 path: self.path.clone(),
                 line: self.line,
@@ -80,7 +99,9 @@ impl CsvWriter {
             }
             self.write_field()?;
         }
-        self.csv.write_record(None::<&[u8]>).map_err(|source| self.error(source))
+        self.csv
+            .write_record(None::<&[u8]>)
+            .map_err(|source| self.error(source))
     }
 
     /// Writes what is still in memory to the file; a writer that is dropped without it may lose the last rows unseen.
@@ -92,11 +113,17 @@ impl CsvWriter {
     }
 
     fn write_field(&mut self) -> Result<(), RecordError> {
-        self.csv.write_field(&self.text).map_err(|source| self.error(source))
+        self.csv
+            .write_field(&self.text)
+            .map_err(|source| self.error(source))
     }
 
     fn error(&self, source: csv::Error) -> RecordError {
-        RecordError::Write { path: self.path.clone(), line: self.line, source }
+        RecordError::Write {
+            path: self.path.clone(),
+            line: self.line,
+            source,
+        }
     }
 }
 
@@ -128,7 +155,9 @@ mod tests {
         let path = folder.path().join("out.csv");
         let mut writer = CsvWriter::create(&path, &["ground"]).unwrap();
         let error = writer.write_row(0, &[f64::INFINITY]).unwrap_err();
-        assert!(matches!(error, RecordError::NotFinite { line: 2, ref column, .. } if column == "ground"));
+        assert!(
+            matches!(error, RecordError::NotFinite { line: 2, ref column, .. } if column == "ground")
+        );
     }
 
     #[test]
@@ -136,12 +165,21 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut writer = CsvWriter::create(&folder.path().join("out.csv"), &["ground"]).unwrap();
         let error = writer.write_row(0, &[1.0, 2.0]).unwrap_err();
-        assert!(matches!(error, RecordError::RowLength { found: 2, expected: 1, .. }));
+        assert!(matches!(
+            error,
+            RecordError::RowLength {
+                found: 2,
+                expected: 1,
+                ..
+            }
+        ));
     }
 
     /// Any finite number by its bits, or a missing one.
     fn sample() -> impl Strategy<Value = f64> {
-        any::<u64>().prop_map(f64::from_bits).prop_map(|value| if value.is_finite() { value } else { f64::NAN })
+        any::<u64>()
+            .prop_map(f64::from_bits)
+            .prop_map(|value| if value.is_finite() { value } else { f64::NAN })
     }
 
     proptest! {

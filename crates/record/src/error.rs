@@ -303,7 +303,10 @@ pub enum RecordError {
         declared_hz: f64,
     },
     /// A unit is unknown, or is none of the quantity of the channel.
-    #[error("channel `{channel}`: unit is `{found}`, must be one of {} for {quantity}", quoted(allowed))]
+    #[error(
+        "channel `{channel}`: unit is `{found}`, must be one of {} for {quantity}",
+        quoted(allowed)
+    )]
     Unit {
         /// The channel.
         channel: String,
@@ -358,5 +361,9 @@ pub enum RecordError {
 
 /// Lists names as a person would: `a`, `b`.
 fn quoted<T: AsRef<str>>(names: &[T]) -> String {
-    names.iter().map(|name| format!("`{}`", name.as_ref())).collect::<Vec<_>>().join(", ")
+    names
+        .iter()
+        .map(|name| format!("`{}`", name.as_ref()))
+        .collect::<Vec<_>>()
+        .join(", ")
 }

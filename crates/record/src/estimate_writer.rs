@@ -18,9 +18,17 @@ impl EstimateWriter {
     pub fn create<S: AsRef<str>>(path: &Path, names: &[S]) -> Result<Self, RecordError> {
         let columns: Vec<String> = names
             .iter()
-            .flat_map(|name| [format!("{}.mean", name.as_ref()), format!("{}.std", name.as_ref())])
+            .flat_map(|name| {
+                [
+                    format!("{}.mean", name.as_ref()),
+                    format!("{}.std", name.as_ref()),
+                ]
+            })
             .collect();
-        Ok(Self { csv: CsvWriter::create(path, &columns)?, row: Vec::with_capacity(columns.len()) })
+        Ok(Self {
+            csv: CsvWriter::create(path, &columns)?,
+            row: Vec::with_capacity(columns.len()),
+        })
     }
 
     /// Writes one frame: its time in ns, and mean and standard deviation of each quantity (ratios, or SI units).
@@ -33,7 +41,8 @@ impl EstimateWriter {
         mean_and_std: impl IntoIterator<Item = (f64, f64)>,
     ) -> Result<(), RecordError> {
         self.row.clear();
-        self.row.extend(mean_and_std.into_iter().flat_map(|(mean, std)| [mean, std]));
+        self.row
+            .extend(mean_and_std.into_iter().flat_map(|(mean, std)| [mean, std]));
         self.csv.write_row(time_ns, &self.row)
     }
 
@@ -55,7 +64,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("estimates.csv");
         let mut writer = EstimateWriter::create(&path, &["storey-1", "storey-2"]).unwrap();
-        writer.write(500_000_000, [(1.0, 0.1), (0.85, 0.02)]).unwrap();
+        writer
+            .write(500_000_000, [(1.0, 0.1), (0.85, 0.02)])
+            .unwrap();
         writer.finish().unwrap();
         assert_eq!(
             std::fs::read_to_string(&path).unwrap(),

@@ -30,7 +30,12 @@ impl Fault {
         found: impl fmt::Display,
         allowed: impl Into<String>,
     ) -> Self {
-        Self { place: Place::Line(line), what: what.into(), found: found.to_string(), allowed: allowed.into() }
+        Self {
+            place: Place::Line(line),
+            what: what.into(),
+            found: found.to_string(),
+            allowed: allowed.into(),
+        }
     }
 
     /// `what` at this byte is `found`, and must be `allowed`.
@@ -40,12 +45,26 @@ impl Fault {
         found: impl fmt::Display,
         allowed: impl Into<String>,
     ) -> Self {
-        Self { place: Place::Byte(byte as u64), what: what.into(), found: found.to_string(), allowed: allowed.into() }
+        Self {
+            place: Place::Byte(byte as u64),
+            what: what.into(),
+            found: found.to_string(),
+            allowed: allowed.into(),
+        }
     }
 
     /// `what` of the file as a whole is `found`, and must be `allowed`.
-    pub(crate) fn of_file(what: impl Into<String>, found: impl fmt::Display, allowed: impl Into<String>) -> Self {
-        Self { place: Place::File, what: what.into(), found: found.to_string(), allowed: allowed.into() }
+    pub(crate) fn of_file(
+        what: impl Into<String>,
+        found: impl fmt::Display,
+        allowed: impl Into<String>,
+    ) -> Self {
+        Self {
+            place: Place::File,
+            what: what.into(),
+            found: found.to_string(),
+            allowed: allowed.into(),
+        }
     }
 
     /// The same fault, seen from a file in which the bytes begin at `start`.
@@ -64,6 +83,10 @@ impl fmt::Display for Fault {
             Place::Byte(byte) => write!(formatter, "byte {byte}: ")?,
             Place::File => {}
         }
-        write!(formatter, "{} is {}, must be {}", self.what, self.found, self.allowed)
+        write!(
+            formatter,
+            "{} is {}, must be {}",
+            self.what, self.found, self.allowed
+        )
     }
 }

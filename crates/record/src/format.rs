@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, tdms, text_lines::text_of, uff58};
+use crate::formats::{
+    at2, cosmos, csmip, matlab, mcap, mini_seed, smc, tdms, text_lines::text_of, uff58,
+};
 use crate::table_layout::TableLayout;
 
 /// The format of a recording.
@@ -72,7 +74,10 @@ impl Format {
             (tdms::is_tdms(head), Self::Tdms),
             (matlab::is_matlab(head), Self::Matlab),
             (mini_seed::is_mini_seed(head), Self::MiniSeed),
-            (head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"), Self::Zip),
+            (
+                head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"),
+                Self::Zip,
+            ),
             (head.starts_with(&[0x1f, 0x8b]), Self::Gzip),
         ];
         if let Some((_, format)) = binary.into_iter().find(|(is_format, _)| *is_format) {
@@ -87,7 +92,10 @@ impl Format {
             (at2::is_at2(&text), Self::At2),
             (is_text(head) && TableLayout::is_table(head), Self::Table),
         ];
-        in_text.into_iter().find(|(is_format, _)| *is_format).map(|(_, format)| format)
+        in_text
+            .into_iter()
+            .find(|(is_format, _)| *is_format)
+            .map(|(_, format)| format)
     }
 
     /// The format in words.
@@ -117,7 +125,10 @@ impl Format {
 
 /// Whether bytes are text: no control characters but those of lines.
 fn is_text(head: &[u8]) -> bool {
-    !head.is_empty() && !head.iter().any(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace())
+    !head.is_empty()
+        && !head
+            .iter()
+            .any(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace())
 }
 
 #[cfg(test)]
@@ -138,7 +149,12 @@ mod tests {
             (b"", "x.mseed", None),
             (b"PK\x03\x04", "x.csv", Some(Format::Zip)),
         ] {
-            assert_eq!(Format::of(head, Path::new(name)), expected, "{name}: {}", head.escape_ascii());
+            assert_eq!(
+                Format::of(head, Path::new(name)),
+                expected,
+                "{name}: {}",
+                head.escape_ascii()
+            );
         }
     }
 }

@@ -91,7 +91,12 @@ pub struct LogSettings {
 impl Default for LogSettings {
     /// Segments of 64 MiB or an hour (or of 4096 appends, whatever the settings say); 10 GiB or 30 days of them.
     fn default() -> Self {
-        Self { segment_bytes: 64 << 20, segment_s: 3600, keep_bytes: 10 << 30, keep_s: 30 * 86_400 }
+        Self {
+            segment_bytes: 64 << 20,
+            segment_s: 3600,
+            keep_bytes: 10 << 30,
+            keep_s: 30 * 86_400,
+        }
     }
 }
 
@@ -137,7 +142,10 @@ pub struct FrameLog {
 
 impl std::fmt::Debug for FrameLog {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("FrameLog").field("settings", &self.settings).field("end", &self.end).finish_non_exhaustive()
+        f.debug_struct("FrameLog")
+            .field("settings", &self.settings)
+            .field("end", &self.end)
+            .finish_non_exhaustive()
     }
 }
 
@@ -148,20 +156,34 @@ impl FrameLog {
     ///
     /// # Errors
     /// Somebody else has the log open, it is of another layout, or the folder cannot be read or written.
-    pub fn open(folder: &Path, layout: LogLayout, settings: LogSettings) -> Result<(Self, OpenedLog), RecordError> {
+    pub fn open(
+        folder: &Path,
+        layout: LogLayout,
+        settings: LogSettings,
+    ) -> Result<(Self, OpenedLog), RecordError> {
         let is_new = !folder.exists();
-        std::fs::create_dir_all(folder).map_err(|source| RecordError::WriteLog { path: folder.to_owned(), source })?;
+        std::fs::create_dir_all(folder).map_err(|source| RecordError::WriteLog {
+            path: folder.to_owned(),
+            source,
+        })?;
         if let Some(parent) = folder.parent().filter(|_| is_new) {
             // the name of the folder too; a parent that cannot be opened for reading is no reason to log nothing
             let _ = sync_folder(parent);
         }
         let note = Note::lock(folder)?;
         let shared = Arc::new(Folder::read(folder)?);
-        let stated = StatedLayout { layout, boot_id: layout::boot_id() };
+        let stated = StatedLayout {
+            layout,
+            boot_id: layout::boot_id(),
+        };
         let found = opening::newest(&shared, &stated)?;
         // a segment may be in order because it was full, and the next one lost with the power
         let was_closed = found.was_closed && note.allows_closed();
-        let opened = OpenedLog { was_closed, is_complete: note.is_complete(), ..found };
+        let opened = OpenedLog {
+            was_closed,
+            is_complete: note.is_complete(),
+            ..found
+        };
         let end = opened.last.as_ref().map(LogEnd::of);
         let newest_ns = opened.last.as_ref().map(LoggedFrames::last_time_ns);
         let log = Self {
@@ -190,9 +212,15 @@ impl FrameLog {
     /// that has ended; or the file cannot be written, and the next append begins another.
     pub fn append(&mut self, blocks: &[LoggedFrames]) -> Result<(), RecordError> {
         let (blocks, end) = self.new_of(blocks)?;
-        let Some(first) = blocks.first() else { return Ok(()) };
+        let Some(first) = blocks.first() else {
+            return Ok(());
+        };
         let (name, start_ns) = (SegmentName::of(first), first.time_ns());
-        let newest_ns = blocks.iter().map(|block| block.last_time_ns()).max().unwrap_or(start_ns);
+        let newest_ns = blocks
+            .iter()
+            .map(|block| block.last_time_ns())
+            .max()
+            .unwrap_or(start_ns);
         if self.is_full(start_ns) {
             // what does not fit on the disk is cut off again: frames are not in danger
             let _ = self.end_segment();
@@ -218,7 +246,12 @@ impl FrameLog {
         {
             let mut segments = self.folder.segments();
             segments.set_size(segment.name(), segment.bytes());
-            append_entries(segments.index_of_written(segment.name()), &blocks, offset, length);
+            append_entries(
+                segments.index_of_written(segment.name()),
+                &blocks,
+                offset,
+                length,
+            );
         }
         self.segment = Some(segment);
         self.end = end;
@@ -275,20 +308,31 @@ impl FrameLog {
             if let Some(end) = end {
                 let refused = |what: &'static str, found: String, allowed: String| {
                     let structure = self.stated.layout.structure.clone();
-                    Err(RecordError::NotLoggable { structure, what, found, allowed })
+                    Err(RecordError::NotLoggable {
+                        structure,
+                        what,
+                        found,
+                        allowed,
+                    })
                 };
                 if block.epoch < end.epoch {
                     let allowed = format!("{} as that of the last frames, or higher", end.epoch);
                     return refused("epoch", block.epoch.to_string(), allowed);
                 }
                 if block.epoch == end.epoch {
-                    let is_known = block.end() < end.next || (block.end(), block.ended) <= (end.next, end.ended);
+                    let is_known = block.end() < end.next
+                        || (block.end(), block.ended) <= (end.next, end.ended);
                     if is_known {
                         continue;
                     }
                     if end.ended {
-                        let allowed = format!("below {} where epoch {} has ended", end.next, end.epoch);
-                        return refused("number of the last frame", (block.end() - 1).to_string(), allowed);
+                        let allowed =
+                            format!("below {} where epoch {} has ended", end.next, end.epoch);
+                        return refused(
+                            "number of the last frame",
+                            (block.end() - 1).to_string(),
+                            allowed,
+                        );
                     }
                     if block.sequence < end.next {
                         block.to_mut().skip_to(end.next);
@@ -303,15 +347,21 @@ impl FrameLog {
 
     /// Whether frames of this time begin another segment.
     fn is_full(&self, time_ns: i64) -> bool {
-        let Some(segment) = &self.segment else { return false };
+        let Some(segment) = &self.segment else {
+            return false;
+        };
         let span_ns = self.settings.segment_s.saturating_mul(NANOSECONDS);
         let lasts_ns = u64::try_from(time_ns.saturating_sub(self.segment_start_ns)).unwrap_or(0);
-        segment.bytes() >= self.settings.segment_bytes || segment.chunks() >= MOST_CHUNKS || lasts_ns >= span_ns
+        segment.bytes() >= self.settings.segment_bytes
+            || segment.chunks() >= MOST_CHUNKS
+            || lasts_ns >= span_ns
     }
 
     /// Ends the segment that is being written, if there is one.
     fn end_segment(&mut self) -> Result<(), RecordError> {
-        let Some(segment) = self.segment.take() else { return Ok(()) };
+        let Some(segment) = self.segment.take() else {
+            return Ok(());
+        };
         let (name, bytes) = (segment.name(), segment.bytes());
         self.syncer.written(segment.path(), segment.file());
         let finished = segment.finish(&self.stated);
@@ -341,7 +391,8 @@ impl FrameLog {
         loop {
             let oldest = {
                 let segments = self.folder.segments();
-                let is_newest = |name: &SegmentName| self.segment.is_none() && segments.newest() == Some(*name);
+                let is_newest =
+                    |name: &SegmentName| self.segment.is_none() && segments.newest() == Some(*name);
                 let oldest = segments.oldest().next().filter(|name| !is_newest(name));
                 oldest.filter(|_| segments.bytes() > self.settings.keep_bytes)
             };
@@ -354,7 +405,8 @@ impl FrameLog {
 
     /// Deletes the oldest segments that were over, by the beginning of the next one, before the time that is kept.
     fn delete_older_than(&self, newest_ns: i64) -> Result<(), RecordError> {
-        let keep_ns = i64::try_from(self.settings.keep_s.saturating_mul(NANOSECONDS)).unwrap_or(i64::MAX);
+        let keep_ns =
+            i64::try_from(self.settings.keep_s.saturating_mul(NANOSECONDS)).unwrap_or(i64::MAX);
         let first_kept_ns = newest_ns.saturating_sub(keep_ns);
         let names = self.folder.names();
         let mut over = 0;
@@ -365,13 +417,20 @@ impl FrameLog {
                 None => {} // it cannot be read: the next one tells
             }
         }
-        names.into_iter().take(over).try_for_each(|name| self.folder.delete(name))
+        names
+            .into_iter()
+            .take(over)
+            .try_for_each(|name| self.folder.delete(name))
     }
 }
 
 impl LogEnd {
     fn of(frames: &LoggedFrames) -> Self {
-        Self { epoch: frames.epoch, next: frames.end(), ended: frames.ended }
+        Self {
+            epoch: frames.epoch,
+            next: frames.end(),
+            ended: frames.ended,
+        }
     }
 }
 

@@ -72,7 +72,8 @@ pub use estimate_writer::EstimateWriter;
 pub use fault::Fault;
 pub use format::Format;
 pub use frame_log::{
-    FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LogSyncer, LoggedFrames, NodePosition, OpenedLog,
+    FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LogSyncer, LoggedFrames,
+    NodePosition, OpenedLog,
 };
 pub use mcap_writer::{McapChannel, McapWriter};
 pub use quantity::Quantity;
@@ -82,5 +83,7 @@ pub use recorded::{Gap, RecordedChannel, Segment, TimeOrigin};
 pub use recorded_file::{ReadOptions, RecordedFile};
 pub use recorded_rows::RecordedRows;
 pub use recording::{OffsetRemoval, Recording, Resampling};
-pub use recording_summary::{ChannelSummary, GapSummary, PeakSummary, RecordingSummary, Statistics};
+pub use recording_summary::{
+    ChannelSummary, GapSummary, PeakSummary, RecordingSummary, Statistics,
+};
 pub use spectrum::{SpectralPeak, Spectrum};

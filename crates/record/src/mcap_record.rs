@@ -62,13 +62,25 @@ mod tests {
         let index = [&10_u32.to_le_bytes()[..], &[1; 10]].concat();
         vec![
             (op::HEADER, [text("spandrel"), text("0.1.0")].concat()),
-            (op::SCHEMA, [vec![1, 0], text("frames"), text(""), text("data")].concat()),
-            (op::CHANNEL, [vec![1, 0, 1, 0], text("frames"), text("json"), map.clone()].concat()),
+            (
+                op::SCHEMA,
+                [vec![1, 0], text("frames"), text(""), text("data")].concat(),
+            ),
+            (
+                op::CHANNEL,
+                [vec![1, 0, 1, 0], text("frames"), text("json"), map.clone()].concat(),
+            ),
             (op::CHUNK, [vec![0; 28], text(""), vec![0; 8]].concat()),
-            (op::CHUNK_INDEX, [vec![0; 32], index, vec![0; 8], text("zstd"), vec![0; 16]].concat()),
+            (
+                op::CHUNK_INDEX,
+                [vec![0; 32], index, vec![0; 8], text("zstd"), vec![0; 16]].concat(),
+            ),
             (op::METADATA, [text("name"), map].concat()),
             (op::METADATA_INDEX, [vec![0; 16], text("name")].concat()),
-            (op::ATTACHMENT_INDEX, [vec![0; 40], text("name"), text("text/plain")].concat()),
+            (
+                op::ATTACHMENT_INDEX,
+                [vec![0; 40], text("name"), text("text/plain")].concat(),
+            ),
         ]
     }
 
@@ -81,7 +93,11 @@ mod tests {
                 let mut changed = body.clone();
                 changed[bit / 8] ^= 1 << (bit % 8);
                 let taken = allocation_counter::measure(|| drop(parse_record(opcode, &changed)));
-                assert!(taken.bytes_max < 4096, "record {opcode}, bit {bit}: {} bytes", taken.bytes_max);
+                assert!(
+                    taken.bytes_max < 4096,
+                    "record {opcode}, bit {bit}: {} bytes",
+                    taken.bytes_max
+                );
             }
         }
     }

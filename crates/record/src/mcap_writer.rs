@@ -54,18 +54,28 @@ impl McapWriter {
     /// # Errors
     /// The file cannot be created or written.
     pub fn create(path: &Path, channels: &[McapChannel]) -> Result<Self, RecordError> {
-        let file = File::create(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
-        let refused = |source| RecordError::WriteMcap { path: path.to_owned(), source: Box::new(source) };
+        let file = File::create(path).map_err(|source| RecordError::Open {
+            path: path.to_owned(),
+            source,
+        })?;
+        let refused = |source| RecordError::WriteMcap {
+            path: path.to_owned(),
+            source: Box::new(source),
+        };
         let mut writer = WriteOptions::new()
             .library(concat!("spandrel ", env!("CARGO_PKG_VERSION")))
             .disable_seeking(true) // a chunk goes out when it is whole: half of one would state a length of zero
             .compression_threads(0) // here: a thread for chunks this small only costs
             .create(BufWriter::new(file))
             .map_err(refused)?;
-        let schema = writer.add_schema(SCHEMA_NAME, "jsonschema", schema().as_bytes()).map_err(refused)?;
+        let schema = writer
+            .add_schema(SCHEMA_NAME, "jsonschema", schema().as_bytes())
+            .map_err(refused)?;
         let mut numbers = Vec::new();
         for channel in channels {
-            let number = writer.add_channel(schema, &channel.name, "json", &channel.metadata()).map_err(refused)?;
+            let number = writer
+                .add_channel(schema, &channel.name, "json", &channel.metadata())
+                .map_err(refused)?;
             numbers.push((number, 0));
         }
         Ok(Self {
@@ -82,7 +92,11 @@ impl McapWriter {
     ///
     /// # Errors
     /// The file cannot be created or written.
-    pub fn create_mapped(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
+    pub fn create_mapped(
+        path: &Path,
+        mapping: &ColumnMapping,
+        rate_hz: f64,
+    ) -> Result<Self, RecordError> {
         let stated = |column: &ChannelColumn| McapChannel {
             name: column.column().to_owned(),
             unit: column.stated_unit().to_owned(),
@@ -91,7 +105,10 @@ impl McapWriter {
             origin: TimeOrigin::Start,
         };
         let channels: Vec<McapChannel> = mapping.channels().iter().map(stated).collect();
-        Ok(Self { columns: mapping.channels().to_vec(), ..Self::create(path, &channels)? })
+        Ok(Self {
+            columns: mapping.channels().to_vec(),
+            ..Self::create(path, &channels)?
+        })
     }
 
     /// Writes one row: `time_ns` in ns, and one value per column of the mapping in SI units, `NaN` where it is missing.
@@ -100,9 +117,17 @@ impl McapWriter {
     /// The row has the wrong length, or as [`McapWriter::write`].
     pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
         if values.len() != self.columns.len() {
-            let line = 1 + self.channels.first().map_or(0, |(_, sequence)| u64::from(*sequence));
+            let line = 1 + self
+                .channels
+                .first()
+                .map_or(0, |(_, sequence)| u64::from(*sequence));
             let (path, found, expected) = (self.path.clone(), values.len(), self.columns.len());
-            return Err(RecordError::RowLength { path, line, found, expected });
+            return Err(RecordError::RowLength {
+                path,
+                line,
+                found,
+                expected,
+            });
         }
         for (place, value) in values.iter().enumerate() {
             let number = self.columns[place].number_from_si(*value);
@@ -119,21 +144,36 @@ impl McapWriter {
         if value.is_nan() {
             return Ok(());
         }
-        let refused = |what: &'static str| RecordError::NotWritable { path: self.path.clone(), time_ns, value, what };
-        let log_time = u64::try_from(time_ns).map_err(|_| refused("the time must not be before 1970"))?;
+        let refused = |what: &'static str| RecordError::NotWritable {
+            path: self.path.clone(),
+            time_ns,
+            value,
+            what,
+        };
+        let log_time =
+            u64::try_from(time_ns).map_err(|_| refused("the time must not be before 1970"))?;
         if value.is_infinite() {
             return Err(refused("the value must be finite, or NaN for missing"));
         }
-        let (channel_id, sequence) =
-            *self.channels.get(place).ok_or_else(|| refused("there must be such a channel"))?;
+        let (channel_id, sequence) = *self
+            .channels
+            .get(place)
+            .ok_or_else(|| refused("there must be such a channel"))?;
         if let Some((_, sequence)) = self.channels.get_mut(place) {
             *sequence = sequence.wrapping_add(1);
         }
         self.text.clear();
         // shortest digits that read back as the same bits; writing to a String does not fail
         let _ = write!(self.text, "{{\"{VALUE_FIELD}\":{value:?}}}");
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
-        self.writer.write_to_known_channel(&header, self.text.as_bytes()).map_err(|source| self.error(source))?;
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time,
+            publish_time: log_time,
+        };
+        self.writer
+            .write_to_known_channel(&header, self.text.as_bytes())
+            .map_err(|source| self.error(source))?;
         self.in_chunk += 1;
         if self.in_chunk >= CHUNK_MESSAGES {
             self.in_chunk = 0;
@@ -154,7 +194,10 @@ impl McapWriter {
     }
 
     fn error(&self, source: mcap::McapError) -> RecordError {
-        RecordError::WriteMcap { path: self.path.clone(), source: Box::new(source) }
+        RecordError::WriteMcap {
+            path: self.path.clone(),
+            source: Box::new(source),
+        }
     }
 }
 
@@ -164,14 +207,21 @@ impl McapChannel {
             TimeOrigin::Epoch => "1970, UTC",
             TimeOrigin::Start => keys::START_OF_RECORD,
         };
-        let rate = self.sampling_rate_hz.map(|rate_hz| rate_hz.to_string()).unwrap_or_default();
+        let rate = self
+            .sampling_rate_hz
+            .map(|rate_hz| rate_hz.to_string())
+            .unwrap_or_default();
         let stated = [
             (keys::UNIT, self.unit.clone()),
             (keys::DESCRIPTION, self.description.clone()),
             (keys::SAMPLING_RATE, rate),
             (keys::TIME_ORIGIN, origin.to_owned()),
         ];
-        stated.into_iter().filter(|(_, text)| !text.is_empty()).map(|(key, text)| (key.to_owned(), text)).collect()
+        stated
+            .into_iter()
+            .filter(|(_, text)| !text.is_empty())
+            .map(|(key, text)| (key.to_owned(), text))
+            .collect()
     }
 }
 

@@ -69,16 +69,39 @@ impl Quantity {
                 ("mg", STANDARD_GRAVITY / 1000.0),
             ],
             Self::Velocity => &[("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)],
-            Self::Displacement => &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6)],
+            Self::Displacement => &[
+                ("m", 1.0),
+                ("cm", 1e-2),
+                ("mm", 1e-3),
+                ("um", 1e-6),
+                ("µm", 1e-6),
+            ],
             Self::Force => &[("N", 1.0), ("kN", 1e3), ("MN", 1e6)],
             Self::Moment => &[("N m", 1.0), ("Nm", 1.0), ("kN m", 1e3), ("kNm", 1e3)],
             Self::Rotation => &[("rad", 1.0), ("mrad", 1e-3), ("deg", DEGREE)],
             Self::AngularVelocity => &[("rad/s", 1.0), ("deg/s", DEGREE)],
-            Self::AngularAcceleration => &[("rad/s2", 1.0), ("rad/s^2", 1.0), ("rad/s²", 1.0), ("deg/s2", DEGREE)],
-            Self::Strain => {
-                &[("1", 1.0), ("m/m", 1.0), ("mm/m", 1e-3), ("microstrain", 1e-6), ("um/m", 1e-6), ("%", 1e-2)]
-            }
-            Self::Pressure => &[("Pa", 1.0), ("hPa", 1e2), ("kPa", 1e3), ("MPa", 1e6), ("mbar", 1e2), ("bar", 1e5)],
+            Self::AngularAcceleration => &[
+                ("rad/s2", 1.0),
+                ("rad/s^2", 1.0),
+                ("rad/s²", 1.0),
+                ("deg/s2", DEGREE),
+            ],
+            Self::Strain => &[
+                ("1", 1.0),
+                ("m/m", 1.0),
+                ("mm/m", 1e-3),
+                ("microstrain", 1e-6),
+                ("um/m", 1e-6),
+                ("%", 1e-2),
+            ],
+            Self::Pressure => &[
+                ("Pa", 1.0),
+                ("hPa", 1e2),
+                ("kPa", 1e3),
+                ("MPa", 1e6),
+                ("mbar", 1e2),
+                ("bar", 1e5),
+            ],
             Self::Voltage => &[("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)],
             Self::Temperature => &[("degC", 1.0), ("°C", 1.0)],
         }
@@ -86,14 +109,20 @@ impl Quantity {
 
     /// Factor that takes a value in `unit` to SI; `None` if it is no unit of this quantity.
     pub fn si_from(self, unit: &str) -> Option<f64> {
-        self.units().iter().find(|(symbol, _)| *symbol == unit).map(|(_, factor)| *factor)
+        self.units()
+            .iter()
+            .find(|(symbol, _)| *symbol == unit)
+            .map(|(_, factor)| *factor)
     }
 
     /// The quantity of a unit as files write it, and the factor that takes a value to SI; `None` if it is not known.
     ///
     /// `CM/SEC/SEC`, `cm/s^2` and `cm/s2` are the same. Lengths alone (`m`) are displacements.
     pub fn of_unit(unit: &str) -> Option<(Self, f64)> {
-        let exact = |symbol: &str| ALL.into_iter().find_map(|quantity| Some((quantity, quantity.si_from(symbol)?)));
+        let exact = |symbol: &str| {
+            ALL.into_iter()
+                .find_map(|quantity| Some((quantity, quantity.si_from(symbol)?)))
+        };
         exact(unit).or_else(|| exact(&plain(unit)))
     }
 
@@ -129,8 +158,15 @@ impl Quantity {
 /// A unit as seismological files write it, in the writing of this module.
 fn plain(unit: &str) -> String {
     let lower = unit.trim().to_ascii_lowercase();
-    let seconds = lower.replace("seconds", "s").replace("second", "s").replace("sec", "s");
-    let squared = seconds.replace("/s/s", "/s2").replace("**2", "2").replace(['^', ' '], "").replace('²', "2");
+    let seconds = lower
+        .replace("seconds", "s")
+        .replace("second", "s")
+        .replace("sec", "s");
+    let squared = seconds
+        .replace("/s/s", "/s2")
+        .replace("**2", "2")
+        .replace(['^', ' '], "")
+        .replace('²', "2");
     squared.trim_end_matches('.').replace(['µ', 'μ'], "u") // micro sign and Greek mu
 }
 
@@ -145,21 +181,48 @@ mod tests {
         assert_eq!(Quantity::Displacement.si_from("mm"), Some(0.001));
         assert_eq!(Quantity::Force.si_from("kN"), Some(1000.0));
         assert_eq!(Quantity::Strain.si_from("microstrain"), Some(1e-6));
-        assert_eq!(Quantity::Rotation.si_from("deg"), Some(0.017_453_292_519_943_295));
+        assert_eq!(
+            Quantity::Rotation.si_from("deg"),
+            Some(0.017_453_292_519_943_295)
+        );
     }
 
     #[test]
     fn units_as_files_write_them_are_known() {
-        for unit in ["cm/sec2", "CM/SEC/SEC", "cm/s^2", "cm/sec2.", "cm/s²", "gal"] {
-            assert_eq!(Quantity::of_unit(unit), Some((Quantity::Acceleration, 0.01)), "{unit}");
+        for unit in [
+            "cm/sec2",
+            "CM/SEC/SEC",
+            "cm/s^2",
+            "cm/sec2.",
+            "cm/s²",
+            "gal",
+        ] {
+            assert_eq!(
+                Quantity::of_unit(unit),
+                Some((Quantity::Acceleration, 0.01)),
+                "{unit}"
+            );
         }
-        assert_eq!(Quantity::of_unit("G"), Some((Quantity::Acceleration, 9.80665)));
-        assert_eq!(Quantity::of_unit("CM/SEC"), Some((Quantity::Velocity, 0.01)));
-        assert_eq!(Quantity::of_unit("CM"), Some((Quantity::Displacement, 0.01)));
+        assert_eq!(
+            Quantity::of_unit("G"),
+            Some((Quantity::Acceleration, 9.80665))
+        );
+        assert_eq!(
+            Quantity::of_unit("CM/SEC"),
+            Some((Quantity::Velocity, 0.01))
+        );
+        assert_eq!(
+            Quantity::of_unit("CM"),
+            Some((Quantity::Displacement, 0.01))
+        );
         assert_eq!(Quantity::of_unit("µm/m"), Some((Quantity::Strain, 1e-6)));
         assert_eq!(Quantity::of_unit("Pa"), Some((Quantity::Pressure, 1.0)));
         assert_eq!(Quantity::of_unit("kN"), Some((Quantity::Force, 1000.0)));
-        assert_eq!(Quantity::of_unit("MN"), Some((Quantity::Force, 1e6)), "and not a milli");
+        assert_eq!(
+            Quantity::of_unit("MN"),
+            Some((Quantity::Force, 1e6)),
+            "and not a milli"
+        );
         assert_eq!(Quantity::of_unit("counts"), None);
     }
 

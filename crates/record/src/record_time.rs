@@ -59,19 +59,33 @@ fn number_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
     }
     let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
     let is_number = !(whole.is_empty() && fraction.is_empty())
-        && whole.bytes().chain(fraction.bytes()).all(|byte| byte.is_ascii_digit());
+        && whole
+            .bytes()
+            .chain(fraction.bytes())
+            .all(|byte| byte.is_ascii_digit());
     if !is_number {
         return None;
     }
-    let whole: i64 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
+    let whole: i64 = if whole.is_empty() {
+        0
+    } else {
+        whole.parse().ok()?
+    };
     let mut nanoseconds = 0;
     for place in 0..fraction_digits {
-        let digit = fraction.as_bytes().get(place).map_or(0, |byte| i64::from(byte - b'0'));
+        let digit = fraction
+            .as_bytes()
+            .get(place)
+            .map_or(0, |byte| i64::from(byte - b'0'));
         nanoseconds = nanoseconds * 10 + digit;
     }
-    let rounds_up = fraction.as_bytes().get(fraction_digits).is_some_and(|byte| *byte >= b'5');
-    let magnitude =
-        whole.checked_mul(10_i64.pow(fraction_digits as u32))?.checked_add(nanoseconds + i64::from(rounds_up))?;
+    let rounds_up = fraction
+        .as_bytes()
+        .get(fraction_digits)
+        .is_some_and(|byte| *byte >= b'5');
+    let magnitude = whole
+        .checked_mul(10_i64.pow(fraction_digits as u32))?
+        .checked_add(nanoseconds + i64::from(rounds_up))?;
     Some(sign * magnitude)
 }
 
@@ -86,33 +100,67 @@ fn exponent_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
 fn iso_8601_to_ns(text: &str) -> Option<i64> {
     let timestamp = match text.parse::<Timestamp>() {
         Ok(timestamp) => timestamp,
-        Err(_) => text.parse::<DateTime>().ok()?.to_zoned(TimeZone::UTC).ok()?.timestamp(),
+        Err(_) => text
+            .parse::<DateTime>()
+            .ok()?
+            .to_zoned(TimeZone::UTC)
+            .ok()?
+            .timestamp(),
     };
     i64::try_from(timestamp.as_nanosecond()).ok()
 }
 
 /// Nanoseconds since 1970 of a date and time of day in UTC; `None` if there is no such date. A leap second is the next one.
-pub(crate) fn civil_ns(year: i64, month: i64, day: i64, hour: i64, minute: i64, second: f64) -> Option<i64> {
-    let date =
-        jiff::civil::Date::new(i16::try_from(year).ok()?, i8::try_from(month).ok()?, i8::try_from(day).ok()?).ok()?;
+pub(crate) fn civil_ns(
+    year: i64,
+    month: i64,
+    day: i64,
+    hour: i64,
+    minute: i64,
+    second: f64,
+) -> Option<i64> {
+    let date = jiff::civil::Date::new(
+        i16::try_from(year).ok()?,
+        i8::try_from(month).ok()?,
+        i8::try_from(day).ok()?,
+    )
+    .ok()?;
     ns_of(date, hour, minute, second)
 }
 
 /// As [`civil_ns`], with the day of the year, from 1.
-pub(crate) fn day_of_year_ns(year: i64, day: i64, hour: i64, minute: i64, second: f64) -> Option<i64> {
+pub(crate) fn day_of_year_ns(
+    year: i64,
+    day: i64,
+    hour: i64,
+    minute: i64,
+    second: f64,
+) -> Option<i64> {
     let first = jiff::civil::Date::new(i16::try_from(year).ok()?, 1, 1).ok()?;
     if !(1..=i64::from(first.days_in_year())).contains(&day) {
         return None;
     }
-    ns_of(first.checked_add(jiff::Span::new().days(day - 1)).ok()?, hour, minute, second)
+    ns_of(
+        first.checked_add(jiff::Span::new().days(day - 1)).ok()?,
+        hour,
+        minute,
+        second,
+    )
 }
 
 fn ns_of(date: jiff::civil::Date, hour: i64, minute: i64, second: f64) -> Option<i64> {
-    let is_time = (0..24).contains(&hour) && (0..60).contains(&minute) && (0.0..61.0).contains(&second);
-    let midnight = date.to_zoned(TimeZone::UTC).ok().filter(|_| is_time)?.timestamp();
+    let is_time =
+        (0..24).contains(&hour) && (0..60).contains(&minute) && (0.0..61.0).contains(&second);
+    let midnight = date
+        .to_zoned(TimeZone::UTC)
+        .ok()
+        .filter(|_| is_time)?
+        .timestamp();
     let whole_s = midnight.as_second() + 3600 * hour + 60 * minute;
     let fraction_ns = (second * NANOSECONDS_PER_SECOND as f64).round() as i64;
-    whole_s.checked_mul(NANOSECONDS_PER_SECOND)?.checked_add(fraction_ns)
+    whole_s
+        .checked_mul(NANOSECONDS_PER_SECOND)?
+        .checked_add(fraction_ns)
 }
 
 /// Writes `time_ns` in seconds with as many digits as it needs, so that it reads back as the same nanosecond.
@@ -174,18 +222,40 @@ mod tests {
 
     #[test]
     fn numbers_of_smaller_units_are_read_to_the_digit() {
-        assert_eq!(TimeForm::Seconds.parse_ns("991011697", TimeUnit::Microseconds), Some(991_011_697_000));
-        assert_eq!(TimeForm::Seconds.parse_ns("1.0000005", TimeUnit::Milliseconds), Some(1_000_001));
+        assert_eq!(
+            TimeForm::Seconds.parse_ns("991011697", TimeUnit::Microseconds),
+            Some(991_011_697_000)
+        );
+        assert_eq!(
+            TimeForm::Seconds.parse_ns("1.0000005", TimeUnit::Milliseconds),
+            Some(1_000_001)
+        );
         assert_eq!(
             TimeForm::Seconds.parse_ns("1700000000123456789", TimeUnit::Nanoseconds),
             Some(1_700_000_000_123_456_789)
         );
-        assert_eq!(TimeForm::Seconds.parse_ns("0.5", TimeUnit::Nanoseconds), Some(1));
+        assert_eq!(
+            TimeForm::Seconds.parse_ns("0.5", TimeUnit::Nanoseconds),
+            Some(1)
+        );
     }
 
     #[test]
     fn no_number_gives_no_seconds() {
-        for text in ["", "-", ".", "1.2.3", "12x", "nan", "inf", "1e400", "99999999999", "0x10", "1 2", "--1"] {
+        for text in [
+            "",
+            "-",
+            ".",
+            "1.2.3",
+            "12x",
+            "nan",
+            "inf",
+            "1e400",
+            "99999999999",
+            "0x10",
+            "1 2",
+            "--1",
+        ] {
             assert_eq!(seconds_to_ns(text), None, "{text}");
         }
     }
@@ -193,15 +263,28 @@ mod tests {
     #[test]
     fn iso_8601_keeps_nanoseconds_and_offset() {
         // 2024-02-29T12:00:00Z is 1709208000 s (date -u -d @1709208000).
-        for text in ["2024-02-29T12:00:00.000000001Z", "2024-02-29T13:00:00.000000001+01:00"] {
-            assert_eq!(iso_8601_to_ns(text), Some(1_709_208_000_000_000_001), "{text}");
+        for text in [
+            "2024-02-29T12:00:00.000000001Z",
+            "2024-02-29T13:00:00.000000001+01:00",
+        ] {
+            assert_eq!(
+                iso_8601_to_ns(text),
+                Some(1_709_208_000_000_000_001),
+                "{text}"
+            );
         }
     }
 
     #[test]
     fn iso_8601_without_offset_is_utc() {
-        assert_eq!(iso_8601_to_ns("2024-02-29T12:00:00"), Some(1_709_208_000_000_000_000));
-        assert_eq!(iso_8601_to_ns("2024-02-29 12:00:00.5"), Some(1_709_208_000_500_000_000));
+        assert_eq!(
+            iso_8601_to_ns("2024-02-29T12:00:00"),
+            Some(1_709_208_000_000_000_000)
+        );
+        assert_eq!(
+            iso_8601_to_ns("2024-02-29 12:00:00.5"),
+            Some(1_709_208_000_500_000_000)
+        );
     }
 
     proptest! {

@@ -19,10 +19,11 @@ impl RecordWriter {
     /// The name tells no format, or the file cannot be created or written.
     pub fn create(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
         match OutputFormat::of(path)? {
-            OutputFormat::Csv => CsvWriter::create_mapped(path, mapping).map(|writer| Self::Csv(Box::new(writer))),
-            OutputFormat::Mcap => {
-                McapWriter::create_mapped(path, mapping, rate_hz).map(|writer| Self::Mcap(Box::new(writer)))
+            OutputFormat::Csv => {
+                CsvWriter::create_mapped(path, mapping).map(|writer| Self::Csv(Box::new(writer)))
             }
+            OutputFormat::Mcap => McapWriter::create_mapped(path, mapping, rate_hz)
+                .map(|writer| Self::Mcap(Box::new(writer))),
         }
     }
 
@@ -57,7 +58,10 @@ mod tests {
     #[test]
     fn rows_of_either_format_read_back_with_the_same_mapping() {
         let folder = tempfile::tempdir().unwrap();
-        let roof = ChannelColumn::new("roof").with_column("roof_g").with_unit("g", Quantity::Acceleration).unwrap();
+        let roof = ChannelColumn::new("roof")
+            .with_column("roof_g")
+            .with_unit("g", Quantity::Acceleration)
+            .unwrap();
         let base = ChannelColumn::new("base").in_unit_of_file(Quantity::Acceleration);
         let mapping = ColumnMapping::new(vec![roof.with_calibration(-1.0, 0.0).unwrap(), base]);
         for name in ["rows.csv", "rows.mcap"] {
@@ -65,16 +69,29 @@ mod tests {
             let mut writer = RecordWriter::create(&path, &mapping, 100.0).unwrap();
             for step in 0..10_i64 {
                 let base = if step == 4 { f64::NAN } else { 0.5 };
-                writer.write_row(step * 10_000_000, &[step as f64, base]).unwrap();
+                writer
+                    .write_row(step * 10_000_000, &[step as f64, base])
+                    .unwrap();
             }
             writer.finish().unwrap();
             let mut recording = Recording::open(&path, &mapping, OffsetRemoval::Keep).unwrap();
-            assert_eq!(recording.check_sampling_rate(100.0).unwrap(), 100.0, "{name}");
+            assert_eq!(
+                recording.check_sampling_rate(100.0).unwrap(),
+                100.0,
+                "{name}"
+            );
             for step in 0..10_i64 {
                 let row = recording.next_row().unwrap().unwrap();
                 assert_eq!(row.time_ns, step * 10_000_000, "{name}");
                 assert!((row.values[0] - step as f64).abs() < 1e-12, "{name}");
-                assert!(if step == 4 { row.values[1].is_nan() } else { row.values[1] == 0.5 }, "{name}");
+                assert!(
+                    if step == 4 {
+                        row.values[1].is_nan()
+                    } else {
+                        row.values[1] == 0.5
+                    },
+                    "{name}"
+                );
             }
         }
     }

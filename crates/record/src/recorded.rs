@@ -59,14 +59,21 @@ impl RecordedChannel {
     /// A channel sampled at a rate in Hz; segments come in the order of time and do not overlap.
     ///
     /// Without a rate the file says nothing of time, and there is one segment.
-    pub fn new(name: impl Into<String>, sampling_rate_hz: Option<f64>, segments: Vec<Segment>) -> Self {
+    pub fn new(
+        name: impl Into<String>,
+        sampling_rate_hz: Option<f64>,
+        segments: Vec<Segment>,
+    ) -> Self {
         Self {
             name: name.into(),
             unit: None,
             description: None,
             sampling_rate_hz,
             origin: TimeOrigin::Start,
-            segments: segments.into_iter().filter(|segment| !segment.samples.is_empty()).collect(),
+            segments: segments
+                .into_iter()
+                .filter(|segment| !segment.samples.is_empty())
+                .collect(),
         }
     }
 
@@ -79,15 +86,22 @@ impl RecordedChannel {
         values: &[f64],
     ) -> Self {
         let Some(rate_hz) = stated_rate_hz.or_else(|| rate_from_times(times_ns)) else {
-            let segment = times_ns.first().map(|time_ns| Segment::new(*time_ns, values.to_vec()));
+            let segment = times_ns
+                .first()
+                .map(|time_ns| Segment::new(*time_ns, values.to_vec()));
             return Self::new(name, None, segment.into_iter().collect());
         };
         let mut segments: Vec<Segment> = Vec::new();
         for (time_ns, value) in times_ns.iter().zip(values) {
-            let expected_ns = segments.last().map(|segment| time_of(segment, segment.samples.len(), rate_hz));
-            let off_steps = expected_ns.map(|expected_ns| time_ns.saturating_sub(expected_ns) as f64 * rate_hz / 1e9);
+            let expected_ns = segments
+                .last()
+                .map(|segment| time_of(segment, segment.samples.len(), rate_hz));
+            let off_steps = expected_ns
+                .map(|expected_ns| time_ns.saturating_sub(expected_ns) as f64 * rate_hz / 1e9);
             match (segments.last_mut(), off_steps) {
-                (Some(segment), Some(off_steps)) if off_steps.abs() <= 0.5 => segment.samples.push(*value),
+                (Some(segment), Some(off_steps)) if off_steps.abs() <= 0.5 => {
+                    segment.samples.push(*value)
+                }
                 _ => segments.push(Segment::new(*time_ns, vec![*value])),
             }
         }
@@ -96,12 +110,18 @@ impl RecordedChannel {
 
     /// The same channel with the unit that the file states.
     pub fn with_unit(self, unit: impl Into<String>) -> Self {
-        Self { unit: Some(unit.into()).filter(|unit| !unit.is_empty()), ..self }
+        Self {
+            unit: Some(unit.into()).filter(|unit| !unit.is_empty()),
+            ..self
+        }
     }
 
     /// The same channel with what the file says of its place and direction.
     pub fn with_description(self, description: impl Into<String>) -> Self {
-        Self { description: Some(description.into()).filter(|text| !text.is_empty()), ..self }
+        Self {
+            description: Some(description.into()).filter(|text| !text.is_empty()),
+            ..self
+        }
     }
 
     /// The same channel with times that count from `origin`.
@@ -111,8 +131,21 @@ impl RecordedChannel {
 
     /// The same channel with other samples, at another rate in Hz.
     pub(crate) fn with_samples(&self, rate_hz: f64, segments: Vec<Segment>) -> Self {
-        let Self { name, unit, description, origin, .. } = self.clone();
-        Self { name, unit, description, origin, sampling_rate_hz: Some(rate_hz), segments }
+        let Self {
+            name,
+            unit,
+            description,
+            origin,
+            ..
+        } = self.clone();
+        Self {
+            name,
+            unit,
+            description,
+            origin,
+            sampling_rate_hz: Some(rate_hz),
+            segments,
+        }
     }
 
     pub(crate) fn with_name(self, name: String) -> Self {
@@ -121,7 +154,10 @@ impl RecordedChannel {
 
     /// The same channel, at this rate in Hz if the file states none.
     pub(crate) fn with_declared_rate(self, rate_hz: f64) -> Self {
-        Self { sampling_rate_hz: self.sampling_rate_hz.or(Some(rate_hz)), ..self }
+        Self {
+            sampling_rate_hz: self.sampling_rate_hz.or(Some(rate_hz)),
+            ..self
+        }
     }
 
     /// Name of the channel, one of its kind in the recording.
@@ -166,7 +202,9 @@ impl RecordedChannel {
 
     /// All samples one after the other, `NaN` where one is missing within a segment.
     pub fn samples(&self) -> impl Iterator<Item = f64> + '_ {
-        self.segments.iter().flat_map(|segment| segment.samples.iter().copied())
+        self.segments
+            .iter()
+            .flat_map(|segment| segment.samples.iter().copied())
     }
 
     /// Time of the first sample in ns.
@@ -192,14 +230,20 @@ impl RecordedChannel {
 
     /// Runs of samples that are missing between two that are there; empty without a rate.
     pub fn gaps(&self) -> Vec<Gap> {
-        let Some(rate_hz) = self.sampling_rate_hz else { return Vec::new() };
+        let Some(rate_hz) = self.sampling_rate_hz else {
+            return Vec::new();
+        };
         let mut gaps = Vec::new();
         let mut previous_ns: Option<i64> = None;
         for (time_ns, _) in self.timed_samples().filter(|(_, value)| !value.is_nan()) {
             if let Some(after_ns) = previous_ns {
-                let steps = (time_ns.saturating_sub(after_ns) as f64 * rate_hz / 1e9).round() as u64;
+                let steps =
+                    (time_ns.saturating_sub(after_ns) as f64 * rate_hz / 1e9).round() as u64;
                 if steps > 1 {
-                    gaps.push(Gap { after_ns, samples: steps - 1 });
+                    gaps.push(Gap {
+                        after_ns,
+                        samples: steps - 1,
+                    });
                 }
             }
             previous_ns = Some(time_ns);
@@ -210,7 +254,9 @@ impl RecordedChannel {
 
 /// Time in ns of sample `index` of a segment: start + round(index · 10⁹ / rate).
 fn time_of(segment: &Segment, index: usize, rate_hz: f64) -> i64 {
-    segment.start_ns.saturating_add((index as f64 * 1e9 / rate_hz).round() as i64)
+    segment
+        .start_ns
+        .saturating_add((index as f64 * 1e9 / rate_hz).round() as i64)
 }
 
 #[cfg(test)]
@@ -222,15 +268,25 @@ mod tests {
         let first = Segment::new(0, vec![1.0, f64::NAN, f64::NAN, 2.0]);
         let second = Segment::new(80_000_000, vec![3.0, 4.0]); // 30 ms are followed by 80 ms: four are missing
         let channel = RecordedChannel::new("a", Some(100.0), vec![first, second]);
-        let expected = [Gap { after_ns: 0, samples: 2 }, Gap { after_ns: 30_000_000, samples: 4 }];
+        let expected = [
+            Gap {
+                after_ns: 0,
+                samples: 2,
+            },
+            Gap {
+                after_ns: 30_000_000,
+                samples: 4,
+            },
+        ];
         assert_eq!(channel.gaps(), expected);
         assert_eq!((channel.present(), channel.end_ns()), (4, Some(90_000_000)));
     }
 
     #[test]
     fn times_rounded_to_milliseconds_are_one_segment() {
-        let times_ns: Vec<i64> =
-            (0..5000_i64).map(|row| (row as f64 * 1000.0 / 120.0).round() as i64 * 1_000_000).collect();
+        let times_ns: Vec<i64> = (0..5000_i64)
+            .map(|row| (row as f64 * 1000.0 / 120.0).round() as i64 * 1_000_000)
+            .collect();
         let channel = RecordedChannel::from_times("a", None, &times_ns, &vec![0.0; times_ns.len()]);
         assert_eq!(channel.segments().len(), 1);
         assert!((channel.sampling_rate_hz().unwrap() - 120.0).abs() < 0.01);
@@ -241,6 +297,12 @@ mod tests {
         let times_ns = [0, 10, 20, 50, 60].map(|milliseconds: i64| milliseconds * 1_000_000);
         let channel = RecordedChannel::from_times("a", None, &times_ns, &[1.0, 2.0, 3.0, 4.0, 5.0]);
         assert_eq!(channel.segments().len(), 2);
-        assert_eq!(channel.gaps(), [Gap { after_ns: 20_000_000, samples: 2 }]);
+        assert_eq!(
+            channel.gaps(),
+            [Gap {
+                after_ns: 20_000_000,
+                samples: 2
+            }]
+        );
     }
 }

@@ -52,7 +52,10 @@ impl RecordedFile {
     /// # Errors
     /// The format is not known, or the content breaks its rules; the error says where.
     pub fn read(path: &Path, options: &ReadOptions) -> Result<Self, RecordError> {
-        if let Some(found_hz) = options.sampling_rate_hz.filter(|rate_hz| !(rate_hz.is_finite() && *rate_hz > 0.0)) {
+        if let Some(found_hz) = options
+            .sampling_rate_hz
+            .filter(|rate_hz| !(rate_hz.is_finite() && *rate_hz > 0.0))
+        {
             return Err(RecordError::DeclaredRate { found_hz });
         }
         let contents = match path.is_dir() {
@@ -64,14 +67,28 @@ impl RecordedFile {
             Some(rate_hz) => channel.with_declared_rate(rate_hz),
             None => channel,
         };
-        let Contents { format, channels, remarks } = contents;
+        let Contents {
+            format,
+            channels,
+            remarks,
+        } = contents;
         let channels = channels.into_iter().map(declared).collect();
-        Ok(Self { path: path.to_owned(), format, channels, remarks })
+        Ok(Self {
+            path: path.to_owned(),
+            format,
+            channels,
+            remarks,
+        })
     }
 
     /// A recording from channels that are there already.
     pub fn from_channels(path: &Path, format: Format, channels: Vec<RecordedChannel>) -> Self {
-        Self { path: path.to_owned(), format, channels, remarks: Vec::new() }
+        Self {
+            path: path.to_owned(),
+            format,
+            channels,
+            remarks: Vec::new(),
+        }
     }
 
     /// The file, or folder.
@@ -97,12 +114,19 @@ impl RecordedFile {
     /// The same recording with the channels of a mapping alone; those that it lacks are found out later.
     pub(crate) fn only(self, mapping: &ColumnMapping) -> Self {
         let names = self.channels.iter().map(RecordedChannel::name);
-        let mut mapped: Vec<usize> =
-            mapping.channels().iter().flat_map(|column| places_of(column.column(), names.clone())).collect();
+        let mut mapped: Vec<usize> = mapping
+            .channels()
+            .iter()
+            .flat_map(|column| places_of(column.column(), names.clone()))
+            .collect();
         mapped.sort_unstable();
         mapped.dedup();
         let channels = match mapped.is_empty() {
-            false => mapped.into_iter().filter_map(|place| self.channels.get(place)).cloned().collect(),
+            false => mapped
+                .into_iter()
+                .filter_map(|place| self.channels.get(place))
+                .cloned()
+                .collect(),
             true => self.channels.clone(),
         };
         self.with_channels(channels)
@@ -115,9 +139,16 @@ impl RecordedFile {
 }
 
 fn file_bytes(path: &Path) -> Result<Vec<u8>, RecordError> {
-    let mut file = File::open(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
+    let mut file = File::open(path).map_err(|source| RecordError::Open {
+        path: path.to_owned(),
+        source,
+    })?;
     let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).map_err(|source| RecordError::ReadFile { path: path.to_owned(), source })?;
+    file.read_to_end(&mut bytes)
+        .map_err(|source| RecordError::ReadFile {
+            path: path.to_owned(),
+            source,
+        })?;
     Ok(bytes)
 }
 
@@ -126,7 +157,11 @@ fn head_of(bytes: &[u8]) -> &[u8] {
 }
 
 fn fault(path: &Path, format: Format, fault: Fault) -> RecordError {
-    RecordError::Format { path: path.to_owned(), format: format.name(), fault: Box::new(fault) }
+    RecordError::Format {
+        path: path.to_owned(),
+        format: format.name(),
+        fault: Box::new(fault),
+    }
 }
 
 /// The reading of a file, with all files inside it.
@@ -137,13 +172,24 @@ struct Reading<'a> {
 
 impl<'a> Reading<'a> {
     fn of(options: &'a ReadOptions) -> Self {
-        Self { options, budget: UnpackingBudget::new() }
+        Self {
+            options,
+            budget: UnpackingBudget::new(),
+        }
     }
 
     /// Reads the content of a file.
-    fn bytes(&mut self, bytes: Vec<u8>, path: &Path, depth: usize) -> Result<Contents, RecordError> {
+    fn bytes(
+        &mut self,
+        bytes: Vec<u8>,
+        path: &Path,
+        depth: usize,
+    ) -> Result<Contents, RecordError> {
         let Some(format) = Format::of(head_of(&bytes), path) else {
-            return Err(RecordError::UnknownFormat { path: path.to_owned(), allowed: Format::names() });
+            return Err(RecordError::UnknownFormat {
+                path: path.to_owned(),
+                allowed: Format::names(),
+            });
         };
         let refused = |source: Fault| fault(path, format, source);
         let mut remarks = Vec::new();
@@ -173,7 +219,9 @@ impl<'a> Reading<'a> {
                 let inner = self
                     .budget
                     .unpack(flate2::read::MultiGzDecoder::new(bytes.as_slice()))
-                    .map_err(|found| refused(Fault::of_file("compressed content", found, "data of gzip")))?;
+                    .map_err(|found| {
+                        refused(Fault::of_file("compressed content", found, "data of gzip"))
+                    })?;
                 return self.bytes(inner, &path.with_extension(""), depth + 1);
             }
             Format::Zip => {
@@ -182,7 +230,11 @@ impl<'a> Reading<'a> {
             }
             Format::Folder => Vec::new(), // of a path, and not of bytes
         };
-        Ok(Contents { format, channels, remarks })
+        Ok(Contents {
+            format,
+            channels,
+            remarks,
+        })
     }
 
     /// Reads all members that are recordings. Names that are there more than once get the name of their file in front.
@@ -202,12 +254,29 @@ impl<'a> Reading<'a> {
                 continue;
             }
             let contents = self.bytes(bytes, &path.join(&name), depth + 1)?;
-            let stem = Path::new(&name).with_extension("").to_string_lossy().into_owned();
-            remarks.extend(contents.remarks.into_iter().map(|remark| format!("{name}: {remark}")));
-            channels.extend(contents.channels.into_iter().map(|channel| (stem.clone(), channel)));
+            let stem = Path::new(&name)
+                .with_extension("")
+                .to_string_lossy()
+                .into_owned();
+            remarks.extend(
+                contents
+                    .remarks
+                    .into_iter()
+                    .map(|remark| format!("{name}: {remark}")),
+            );
+            channels.extend(
+                contents
+                    .channels
+                    .into_iter()
+                    .map(|channel| (stem.clone(), channel)),
+            );
         }
         if channels.is_empty() {
-            let found = if left_out.is_empty() { "no file".to_owned() } else { left_out.join(", ") };
+            let found = if left_out.is_empty() {
+                "no file".to_owned()
+            } else {
+                left_out.join(", ")
+            };
             return Err(fault(
                 path,
                 format,
@@ -215,7 +284,10 @@ impl<'a> Reading<'a> {
             ));
         }
         if !left_out.is_empty() {
-            remarks.push(format!("left out, of no known format: {}", left_out.join(", ")));
+            remarks.push(format!(
+                "left out, of no known format: {}",
+                left_out.join(", ")
+            ));
         }
         let mut times: BTreeMap<String, usize> = BTreeMap::new();
         for (_, channel) in &channels {
@@ -228,31 +300,57 @@ impl<'a> Reading<'a> {
             }
             _ => channel,
         };
-        Ok(Contents { format, channels: channels.into_iter().map(unique).collect(), remarks })
+        Ok(Contents {
+            format,
+            channels: channels.into_iter().map(unique).collect(),
+            remarks,
+        })
     }
 }
 
 /// The files of an archive or folder: name and content.
 type Members = Vec<(String, Vec<u8>)>;
 
-fn zip_members(bytes: &[u8], path: &Path, budget: &mut UnpackingBudget) -> Result<Members, RecordError> {
+fn zip_members(
+    bytes: &[u8],
+    path: &Path,
+    budget: &mut UnpackingBudget,
+) -> Result<Members, RecordError> {
     let refused = |what: String, error: zip::result::ZipError| {
-        fault(path, Format::Zip, Fault::of_file(what, format!("damaged ({error})"), "whole"))
+        fault(
+            path,
+            Format::Zip,
+            Fault::of_file(what, format!("damaged ({error})"), "whole"),
+        )
     };
-    let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| refused("archive".to_owned(), error))?;
+    let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
+        .map_err(|error| refused("archive".to_owned(), error))?;
     if archive.len() > MOST_MEMBERS {
-        let found = Fault::of_file("number of files", archive.len(), format!("at most {MOST_MEMBERS}"));
+        let found = Fault::of_file(
+            "number of files",
+            archive.len(),
+            format!("at most {MOST_MEMBERS}"),
+        );
         return Err(fault(path, Format::Zip, found));
     }
     let mut members = Vec::new();
     for index in 0..archive.len() {
-        let member = archive.by_index(index).map_err(|error| refused(format!("file {}", index + 1), error))?;
+        let member = archive
+            .by_index(index)
+            .map_err(|error| refused(format!("file {}", index + 1), error))?;
         if member.is_dir() {
             continue;
         }
-        let name = member.name().map_err(|error| refused(format!("name of file {}", index + 1), error))?.into_owned();
+        let name = member
+            .name()
+            .map_err(|error| refused(format!("name of file {}", index + 1), error))?
+            .into_owned();
         let content = budget.unpack(member).map_err(|found| {
-            fault(&path.join(&name), Format::Zip, Fault::of_file("compressed content", found, "whole"))
+            fault(
+                &path.join(&name),
+                Format::Zip,
+                Fault::of_file("compressed content", found, "whole"),
+            )
         })?;
         members.push((name, content));
     }
@@ -261,7 +359,10 @@ fn zip_members(bytes: &[u8], path: &Path, budget: &mut UnpackingBudget) -> Resul
 
 /// The files of a folder, by name.
 fn folder_files(path: &Path) -> Result<Vec<PathBuf>, RecordError> {
-    let refused = |source| RecordError::ReadFile { path: path.to_owned(), source };
+    let refused = |source| RecordError::ReadFile {
+        path: path.to_owned(),
+        source,
+    };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(path).map_err(refused)? {
         let file = entry.map_err(refused)?.path();
@@ -269,7 +370,8 @@ fn folder_files(path: &Path) -> Result<Vec<PathBuf>, RecordError> {
             files.push(file);
         }
         if files.len() > MOST_MEMBERS {
-            let found = Fault::of_file("number of files", "more", format!("at most {MOST_MEMBERS}"));
+            let found =
+                Fault::of_file("number of files", "more", format!("at most {MOST_MEMBERS}"));
             return Err(fault(path, Format::Folder, found));
         }
     }
@@ -278,16 +380,23 @@ fn folder_files(path: &Path) -> Result<Vec<PathBuf>, RecordError> {
 }
 
 fn name_of(file: &Path) -> String {
-    file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    file.file_name()
+        .map(|name| name.to_string_lossy().into_owned())
+        .unwrap_or_default()
 }
 
 fn folder_members(path: &Path) -> Result<Members, RecordError> {
-    folder_files(path)?.into_iter().map(|file| Ok((name_of(&file), file_bytes(&file)?))).collect()
+    folder_files(path)?
+        .into_iter()
+        .map(|file| Ok((name_of(&file), file_bytes(&file)?)))
+        .collect()
 }
 
 /// Whether a folder is that of a frame log.
 fn has_frame_log(path: &Path) -> Result<bool, RecordError> {
-    Ok(folder_files(path)?.iter().any(|file| frame_log::is_segment(&name_of(file))))
+    Ok(folder_files(path)?
+        .iter()
+        .any(|file| frame_log::is_segment(&name_of(file))))
 }
 
 /// Reads the segments of a frame log, one after the other, as one recording.
@@ -305,11 +414,18 @@ fn frame_log_folder(path: &Path) -> Result<Contents, RecordError> {
         }
     }
     if !left_out.is_empty() {
-        remarks.push(format!("left out, no segments of the frame log: {}", left_out.join(", ")));
+        remarks.push(format!(
+            "left out, no segments of the frame log: {}",
+            left_out.join(", ")
+        ));
     }
     let (channels, told) = frames.channels();
     remarks.extend(told);
-    Ok(Contents { format: Format::Folder, channels, remarks })
+    Ok(Contents {
+        format: Format::Folder,
+        channels,
+        remarks,
+    })
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 use std::{collections::VecDeque, fs::File, io::Read, path::Path};
 
 use crate::{
-    ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile, RecordedRows, Row,
-    TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
+    ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile,
+    RecordedRows, Row, TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
 };
 
 /// Whether the constant part of each channel is taken away, such as the tilt of an accelerometer.
@@ -57,7 +57,11 @@ impl Recording {
     ///
     /// # Errors
     /// The format is unknown, the file does not fit the mapping, or one of its first rows is wrong.
-    pub fn open(path: &Path, mapping: &ColumnMapping, offset: OffsetRemoval) -> Result<Self, RecordError> {
+    pub fn open(
+        path: &Path,
+        mapping: &ColumnMapping,
+        offset: OffsetRemoval,
+    ) -> Result<Self, RecordError> {
         Self::open_resampled(path, mapping, offset, Resampling::None)
     }
 
@@ -74,7 +78,10 @@ impl Recording {
         let reader: Box<dyn RecordReader> = match resampling {
             Resampling::None => match table_reader(path, mapping)? {
                 Some(reader) => Box::new(reader),
-                None => Box::new(RecordedRows::new(&RecordedFile::read(path, &options_of(mapping))?, mapping)?),
+                None => Box::new(RecordedRows::new(
+                    &RecordedFile::read(path, &options_of(mapping))?,
+                    mapping,
+                )?),
             },
             Resampling::To { rate_hz } => {
                 // channels that are not asked for are not filtered
@@ -89,7 +96,10 @@ impl Recording {
     ///
     /// # Errors
     /// The span of the offset is no positive time, or one of the first rows is wrong.
-    pub fn new(mut reader: Box<dyn RecordReader>, offset: OffsetRemoval) -> Result<Self, RecordError> {
+    pub fn new(
+        mut reader: Box<dyn RecordReader>,
+        offset: OffsetRemoval,
+    ) -> Result<Self, RecordError> {
         let span_ns = match offset {
             OffsetRemoval::Keep => 0,
             OffsetRemoval::MeanOfFirst { seconds } if seconds.is_finite() && seconds > 0.0 => {
@@ -107,12 +117,19 @@ impl Recording {
             let start_ns = head.front().map_or(row.time_ns, |(time_ns, _)| *time_ns);
             let is_in_span = row.time_ns.saturating_sub(start_ns) < span_ns;
             if is_in_span {
-                means.iter_mut().zip(row.values).for_each(|(mean, value)| mean.add(*value));
+                means
+                    .iter_mut()
+                    .zip(row.values)
+                    .for_each(|(mean, value)| mean.add(*value));
             } else if head.len() >= RATE_ROWS {
                 break;
             }
         }
-        let times_ns: Vec<i64> = head.iter().take(RATE_ROWS).map(|(time_ns, _)| *time_ns).collect();
+        let times_ns: Vec<i64> = head
+            .iter()
+            .take(RATE_ROWS)
+            .map(|(time_ns, _)| *time_ns)
+            .collect();
         Ok(Self {
             reader,
             sampling_rate_hz: rate_from_times(&times_ns),
@@ -128,7 +145,10 @@ impl Recording {
     /// # Errors
     /// [`RecordError::TooShort`] if there are fewer than two rows.
     pub fn sampling_rate_hz(&self) -> Result<f64, RecordError> {
-        let too_short = || RecordError::TooShort { path: self.reader.path().to_owned(), rows: self.rows_in_head };
+        let too_short = || RecordError::TooShort {
+            path: self.reader.path().to_owned(),
+            rows: self.rows_in_head,
+        };
         self.sampling_rate_hz.ok_or_else(too_short)
     }
 
@@ -142,7 +162,11 @@ impl Recording {
         if is_declared {
             return Ok(declared_hz);
         }
-        Err(RecordError::SamplingRate { path: self.reader.path().to_owned(), found_hz, declared_hz })
+        Err(RecordError::SamplingRate {
+            path: self.reader.path().to_owned(),
+            found_hz,
+            declared_hz,
+        })
     }
 
     /// What is subtracted from each channel, in SI units; `None` if offsets are kept, or if the channel has no sample in
@@ -157,19 +181,29 @@ fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader
     if path.is_dir() {
         return Ok(None);
     }
-    let open = || File::open(path).map_err(|source| RecordError::Open { path: path.to_owned(), source });
+    let open = || {
+        File::open(path).map_err(|source| RecordError::Open {
+            path: path.to_owned(),
+            source,
+        })
+    };
     let head = |input: &mut dyn Read| {
         let mut head = Vec::new();
         input.take(HEAD_BYTES).read_to_end(&mut head).map(|_| head)
     };
-    let refused = |source| RecordError::ReadFile { path: path.to_owned(), source };
+    let refused = |source| RecordError::ReadFile {
+        path: path.to_owned(),
+        source,
+    };
     match Format::of(&head(&mut open()?).map_err(refused)?, path) {
         Some(Format::Table) => CsvReader::open(path, mapping).map(Some),
         Some(Format::Gzip) => {
             let inner = path.with_extension("");
             let unpacked = || open().map(flate2::read::MultiGzDecoder::new);
             match Format::of(&head(&mut unpacked()?).map_err(refused)?, &inner) {
-                Some(Format::Table) => CsvReader::new(Box::new(unpacked()?), path, mapping).map(Some),
+                Some(Format::Table) => {
+                    CsvReader::new(Box::new(unpacked()?), path, mapping).map(Some)
+                }
                 Some(_) | None => Ok(None),
             }
         }
@@ -181,10 +215,15 @@ fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader
 fn options_of(mapping: &ColumnMapping) -> ReadOptions {
     let options = ReadOptions::default();
     match mapping.time() {
-        TimeSource::Column { name, unit } => {
-            ReadOptions { time_column: Some(name.clone()), time_unit: Some(*unit), ..options }
-        }
-        TimeSource::Counted { rate_hz } => ReadOptions { sampling_rate_hz: Some(*rate_hz), ..options },
+        TimeSource::Column { name, unit } => ReadOptions {
+            time_column: Some(name.clone()),
+            time_unit: Some(*unit),
+            ..options
+        },
+        TimeSource::Counted { rate_hz } => ReadOptions {
+            sampling_rate_hz: Some(*rate_hz),
+            ..options
+        },
     }
 }
 
@@ -216,7 +255,10 @@ impl RecordReader for Recording {
                 *value -= offset;
             }
         }
-        Ok(Some(Row { time_ns, values: &self.values }))
+        Ok(Some(Row {
+            time_ns,
+            values: &self.values,
+        }))
     }
 }
 

@@ -114,7 +114,13 @@ impl ChannelSummary {
         let start_ns = channel.start_ns();
         let after_s = |time_ns: i64| start_ns.map_or(0.0, |start_ns| seconds(start_ns, time_ns));
         let gaps = channel.gaps();
-        let peak = |SpectralPeak { frequency_hz, density }| PeakSummary { frequency_hz, density };
+        let peak = |SpectralPeak {
+                        frequency_hz,
+                        density,
+                    }| PeakSummary {
+            frequency_hz,
+            density,
+        };
         let quantity = channel.quantity();
         Self {
             name: channel.name().to_owned(),
@@ -128,7 +134,13 @@ impl ChannelSummary {
             span_s: channel.end_ns().map(after_s),
             samples: channel.present(),
             missing: gaps.iter().map(|gap| gap.samples).sum(),
-            gaps: gaps.iter().map(|gap| GapSummary { after_s: after_s(gap.after_ns), samples: gap.samples }).collect(),
+            gaps: gaps
+                .iter()
+                .map(|gap| GapSummary {
+                    after_s: after_s(gap.after_ns),
+                    samples: gap.samples,
+                })
+                .collect(),
             statistics: Statistics::of(channel),
             spectral_peaks: Spectrum::of(channel)
                 .map(|spectrum| spectrum.peaks())
@@ -148,11 +160,25 @@ impl Statistics {
         let first = present().next()?;
         // about the first value, so that a large offset does not cost the digits of the deviation
         let mean = first + present().map(|sample| sample - first).sum::<f64>() / count;
-        let variance = present().map(|sample| (sample - mean) * (sample - mean)).sum::<f64>() / count;
-        let farther = |peak: f64, sample: f64| if sample.abs() > peak.abs() { sample } else { peak };
+        let variance = present()
+            .map(|sample| (sample - mean) * (sample - mean))
+            .sum::<f64>()
+            / count;
+        let farther = |peak: f64, sample: f64| {
+            if sample.abs() > peak.abs() {
+                sample
+            } else {
+                peak
+            }
+        };
         let peak = present().fold(first, farther);
-        let peak_ns = channel.timed_samples().find(|(_, sample)| *sample == peak).map(|(time_ns, _)| time_ns);
-        let after_s = |time_ns: i64| time_ns.saturating_sub(channel.start_ns().unwrap_or(time_ns)) as f64 / 1e9;
+        let peak_ns = channel
+            .timed_samples()
+            .find(|(_, sample)| *sample == peak)
+            .map(|(time_ns, _)| time_ns);
+        let after_s = |time_ns: i64| {
+            time_ns.saturating_sub(channel.start_ns().unwrap_or(time_ns)) as f64 / 1e9
+        };
         Some(Self {
             mean,
             std: variance.sqrt(),
@@ -166,16 +192,29 @@ impl Statistics {
 
 impl fmt::Display for RecordingSummary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(formatter, "{}: {}, {}", self.path, self.format, counted(self.channels.len() as u64, "channel"))?;
-        self.remarks.iter().try_for_each(|remark| writeln!(formatter, "  {remark}"))?;
-        self.channels.iter().try_for_each(|channel| write!(formatter, "{channel}"))
+        writeln!(
+            formatter,
+            "{}: {}, {}",
+            self.path,
+            self.format,
+            counted(self.channels.len() as u64, "channel")
+        )?;
+        self.remarks
+            .iter()
+            .try_for_each(|remark| writeln!(formatter, "  {remark}"))?;
+        self.channels
+            .iter()
+            .try_for_each(|channel| write!(formatter, "{channel}"))
     }
 }
 
 impl fmt::Display for ChannelSummary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unit = self.unit.as_deref().unwrap_or("unit not stated");
-        let quantity = self.quantity.map(|quantity| format!("{quantity} in ")).unwrap_or_default();
+        let quantity = self
+            .quantity
+            .map(|quantity| format!("{quantity} in "))
+            .unwrap_or_default();
         write!(formatter, "\n{}: {quantity}{unit}", self.name)?;
         match &self.description {
             Some(description) => writeln!(formatter, " ({description})")?,
@@ -184,34 +223,64 @@ impl fmt::Display for ChannelSummary {
         let samples = || counted(self.samples, "sample");
         let digits = digits_of_times(self.sampling_rate_hz);
         match (self.sampling_rate_hz, self.span_s) {
-            (Some(rate_hz), Some(span_s)) => {
-                write!(formatter, "  {} at {} Hz, {span_s:.digits$} s", samples(), rounded(rate_hz))?
-            }
+            (Some(rate_hz), Some(span_s)) => write!(
+                formatter,
+                "  {} at {} Hz, {span_s:.digits$} s",
+                samples(),
+                rounded(rate_hz)
+            )?,
             (_, _) => write!(formatter, "  {}, sampling rate not stated", samples())?,
         }
         match (self.start_ns, self.is_dated) {
             (Some(start_ns), true) => writeln!(formatter, " from {}", iso_text(start_ns))?,
-            (Some(start_ns), false) if start_ns != 0 => writeln!(formatter, " from {} s", seconds_text(start_ns))?,
+            (Some(start_ns), false) if start_ns != 0 => {
+                writeln!(formatter, " from {} s", seconds_text(start_ns))?
+            }
             (Some(_) | None, _) => writeln!(formatter)?,
         }
         if !self.gaps.is_empty() {
-            let told =
-                self.gaps.iter().take(MOST_GAPS).map(|gap| format!("{} after {:.digits$} s", gap.samples, gap.after_s));
-            let more = if self.gaps.len() > MOST_GAPS { ", …" } else { "" };
+            let told = self
+                .gaps
+                .iter()
+                .take(MOST_GAPS)
+                .map(|gap| format!("{} after {:.digits$} s", gap.samples, gap.after_s));
+            let more = if self.gaps.len() > MOST_GAPS {
+                ", …"
+            } else {
+                ""
+            };
             let told = told.collect::<Vec<_>>().join(", ");
-            let (missing, gaps) = (counted(self.missing, "sample"), counted(self.gaps.len() as u64, "gap"));
+            let (missing, gaps) = (
+                counted(self.missing, "sample"),
+                counted(self.gaps.len() as u64, "gap"),
+            );
             writeln!(formatter, "  {missing} missing in {gaps}: {told}{more}")?;
         }
-        if let Some(Statistics { mean, std, min, max, peak, peak_after_s }) = self.statistics {
+        if let Some(Statistics {
+            mean,
+            std,
+            min,
+            max,
+            peak,
+            peak_after_s,
+        }) = self.statistics
+        {
             let [mean, std, min, max, peak] = [mean, std, min, max, peak].map(rounded);
-            write!(formatter, "  mean {mean}, std {std}, min {min}, max {max}, peak {peak}")?;
+            write!(
+                formatter,
+                "  mean {mean}, std {std}, min {min}, max {max}, peak {peak}"
+            )?;
             match peak_after_s {
                 Some(after_s) => writeln!(formatter, " after {after_s:.digits$} s")?,
                 None => writeln!(formatter)?,
             }
         }
         if !self.spectral_peaks.is_empty() {
-            let told = self.spectral_peaks.iter().map(|peak| format!("{:.3}", peak.frequency_hz)).collect::<Vec<_>>();
+            let told = self
+                .spectral_peaks
+                .iter()
+                .map(|peak| format!("{:.3}", peak.frequency_hz))
+                .collect::<Vec<_>>();
             writeln!(formatter, "  spectral peaks at {} Hz", told.join(", "))?;
         }
         Ok(())
@@ -222,7 +291,9 @@ impl fmt::Display for ChannelSummary {
 fn digits_of_times(rate_hz: Option<f64>) -> usize {
     /// No time is known better than to the nanosecond.
     const MOST: f64 = 9.0;
-    rate_hz.filter(|rate_hz| *rate_hz > 0.0).map_or(3.0, |rate_hz| rate_hz.log10().ceil().clamp(3.0, MOST)) as usize
+    rate_hz
+        .filter(|rate_hz| *rate_hz > 0.0)
+        .map_or(3.0, |rate_hz| rate_hz.log10().ceil().clamp(3.0, MOST)) as usize
 }
 
 /// A number of things, in the singular where it is one.
@@ -234,7 +305,11 @@ fn counted(count: u64, what: &str) -> String {
 fn rounded(number: f64) -> String {
     let magnitude = number.abs();
     if number == 0.0 || !(1e-4..1e7).contains(&magnitude) {
-        return if number == 0.0 { "0".to_owned() } else { format!("{number:.5e}") };
+        return if number == 0.0 {
+            "0".to_owned()
+        } else {
+            format!("{number:.5e}")
+        };
     }
     let decimals = (5 - magnitude.log10().floor() as i32).max(0) as usize;
     let text = format!("{number:.decimals$}");
@@ -253,10 +328,14 @@ mod tests {
     #[test]
     fn channel_is_told_with_unit_span_gap_and_peak() {
         let samples = vec![1.0, -4.0, f64::NAN, 2.0, 1.0];
-        let channel = RecordedChannel::new("roof", Some(100.0), vec![Segment::new(1_709_208_000_000_000_000, samples)])
-            .with_unit("cm/sec2")
-            .with_description("Tran")
-            .with_origin(TimeOrigin::Epoch);
+        let channel = RecordedChannel::new(
+            "roof",
+            Some(100.0),
+            vec![Segment::new(1_709_208_000_000_000_000, samples)],
+        )
+        .with_unit("cm/sec2")
+        .with_description("Tran")
+        .with_origin(TimeOrigin::Epoch);
         let file = RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, vec![channel]);
         assert_eq!(
             RecordingSummary::of(&file).to_string(),
@@ -275,13 +354,25 @@ mod tests {
     fn times_tell_one_sample_from_the_next() {
         let mut samples = vec![0.0; 100];
         samples[27] = 5.0;
-        let channel = |rate_hz| RecordedChannel::new("a", Some(rate_hz), vec![Segment::new(0, samples.clone())]);
-        for (rate_hz, told) in
-            [(100.0, "0.270 s"), (1000.0, "0.027 s"), (20_000.0, "0.00135 s"), (65_536.0, "0.00041 s")]
-        {
-            let file = RecordedFile::from_channels(Path::new("hall.uff"), Format::Uff58, vec![channel(rate_hz)]);
+        let channel = |rate_hz| {
+            RecordedChannel::new("a", Some(rate_hz), vec![Segment::new(0, samples.clone())])
+        };
+        for (rate_hz, told) in [
+            (100.0, "0.270 s"),
+            (1000.0, "0.027 s"),
+            (20_000.0, "0.00135 s"),
+            (65_536.0, "0.00041 s"),
+        ] {
+            let file = RecordedFile::from_channels(
+                Path::new("hall.uff"),
+                Format::Uff58,
+                vec![channel(rate_hz)],
+            );
             let text = RecordingSummary::of(&file).to_string();
-            assert!(text.contains(&format!("peak 5 after {told}\n")), "{rate_hz} Hz: {text}");
+            assert!(
+                text.contains(&format!("peak 5 after {told}\n")),
+                "{rate_hz} Hz: {text}"
+            );
         }
     }
 

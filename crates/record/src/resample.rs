@@ -34,7 +34,9 @@ pub(crate) fn resampled(channel: &RecordedChannel, to_hz: f64, grid_ns: i64) -> 
     let mut segments = Vec::new();
     for segment in channel.segments() {
         for (first, run) in runs(segment.samples()) {
-            let start_ns = segment.start_ns().saturating_add((first as f64 * 1e9 / from_hz).round() as i64);
+            let start_ns = segment
+                .start_ns()
+                .saturating_add((first as f64 * 1e9 / from_hz).round() as i64);
             segments.extend(filter.apply(start_ns, run, grid_ns));
         }
     }
@@ -44,11 +46,13 @@ pub(crate) fn resampled(channel: &RecordedChannel, to_hz: f64, grid_ns: i64) -> 
 /// Runs of samples that are there, each with the number of its first one.
 pub(crate) fn runs(samples: &[f64]) -> impl Iterator<Item = (usize, &[f64])> {
     let mut start = 0;
-    samples.split(|sample| sample.is_nan()).filter_map(move |run| {
-        let first = start;
-        start += run.len() + 1;
-        (!run.is_empty()).then_some((first, run))
-    })
+    samples
+        .split(|sample| sample.is_nan())
+        .filter_map(move |run| {
+            let first = start;
+            start += run.len() + 1;
+            (!run.is_empty()).then_some((first, run))
+        })
 }
 
 /// The filter from one rate to another.
@@ -87,7 +91,13 @@ impl Filter {
                 table.push(2.0 * cutoff * sinc(2.0 * cutoff * distance) * window);
             }
         }
-        Self { from_hz, to_hz, reach, positions, table }
+        Self {
+            from_hz,
+            to_hz,
+            reach,
+            positions,
+            table,
+        }
     }
 
     /// Filters a run of samples; the output lies on the grid and within the run. `None` if no time of the grid does.
@@ -98,8 +108,14 @@ impl Filter {
         let offset = (first - grid_step) * self.from_hz / self.to_hz; // in input samples
         let ratio = self.from_hz / self.to_hz;
         let last = (run.len() - 1) as f64 + GRID_TOLERANCE * ratio;
-        let count = if offset <= last { ((last - offset) / ratio).floor() as usize + 1 } else { 0 };
-        let samples: Vec<f64> = (0..count).map(|step| self.value(run, offset + step as f64 * ratio)).collect();
+        let count = if offset <= last {
+            ((last - offset) / ratio).floor() as usize + 1
+        } else {
+            0
+        };
+        let samples: Vec<f64> = (0..count)
+            .map(|step| self.value(run, offset + step as f64 * ratio))
+            .collect();
         (!samples.is_empty()).then(|| Segment::new(first_ns, samples))
     }
 
@@ -107,7 +123,10 @@ impl Filter {
     fn value(&self, run: &[f64], place: f64) -> f64 {
         let whole = place.floor();
         let position = (place - whole) * self.positions as f64;
-        let (row, between) = ((position as usize).min(self.positions - 1), position.fract());
+        let (row, between) = (
+            (position as usize).min(self.positions - 1),
+            position.fract(),
+        );
         let width = 2 * self.reach;
         let weights = self.table[row * width..(row + 2) * width].split_at(width);
         let earliest = whole as i64 - (self.reach as i64 - 1);
@@ -127,7 +146,11 @@ const GRID_TOLERANCE: f64 = 1e-4;
 
 fn sinc(argument: f64) -> f64 {
     let angle = PI * argument;
-    if angle.abs() < 1e-9 { 1.0 } else { angle.sin() / angle }
+    if angle.abs() < 1e-9 {
+        1.0
+    } else {
+        angle.sin() / angle
+    }
 }
 
 /// Modified Bessel function of the first kind and order 0, by its power series, which converges for any argument.
@@ -148,15 +171,21 @@ mod tests {
 
     fn sine(rate_hz: f64, frequency_hz: f64, seconds: f64) -> RecordedChannel {
         let count = (rate_hz * seconds) as usize;
-        let samples = (0..count).map(|index| (2.0 * PI * frequency_hz * index as f64 / rate_hz).sin()).collect();
+        let samples = (0..count)
+            .map(|index| (2.0 * PI * frequency_hz * index as f64 / rate_hz).sin())
+            .collect();
         RecordedChannel::new("a", Some(rate_hz), vec![Segment::new(0, samples)])
     }
 
     /// Largest difference from the sine itself, away from the ends.
     fn worst(channel: &RecordedChannel, frequency_hz: f64, amplitude: f64) -> f64 {
-        let (start_ns, end_ns) =
-            (channel.start_ns().unwrap() + 1_000_000_000, channel.end_ns().unwrap() - 1_000_000_000);
-        let inner = channel.timed_samples().filter(|(time_ns, _)| (start_ns..end_ns).contains(time_ns));
+        let (start_ns, end_ns) = (
+            channel.start_ns().unwrap() + 1_000_000_000,
+            channel.end_ns().unwrap() - 1_000_000_000,
+        );
+        let inner = channel
+            .timed_samples()
+            .filter(|(time_ns, _)| (start_ns..end_ns).contains(time_ns));
         inner.fold(0.0, |worst: f64, (time_ns, value)| {
             let expected = amplitude * (2.0 * PI * frequency_hz * time_ns as f64 / 1e9).sin();
             worst.max((value - expected).abs())
@@ -166,7 +195,12 @@ mod tests {
     #[test]
     fn sine_in_the_pass_band_is_kept_at_its_times() {
         // ratios of whole numbers, an odd one, up and down; 0.40 of the lower rate is the edge of the pass band
-        for (from_hz, to_hz) in [(200.0, 100.0), (120.0, 100.0), (100.0, 120.0), (128.0, 99.7)] {
+        for (from_hz, to_hz) in [
+            (200.0, 100.0),
+            (120.0, 100.0),
+            (100.0, 120.0),
+            (128.0, 99.7),
+        ] {
             let frequency_hz = 0.39 * f64::min(from_hz, to_hz);
             let out = resampled(&sine(from_hz, frequency_hz, 10.0), to_hz, 0);
             assert_eq!(out.sampling_rate_hz(), Some(to_hz));
@@ -177,10 +211,17 @@ mod tests {
 
     #[test]
     fn what_would_alias_is_down_by_80_db() {
-        for (from_hz, to_hz, frequency_hz) in [(200.0, 100.0, 51.0), (200.0, 100.0, 90.0), (1000.0, 120.0, 61.0)] {
+        for (from_hz, to_hz, frequency_hz) in [
+            (200.0, 100.0, 51.0),
+            (200.0, 100.0, 90.0),
+            (1000.0, 120.0, 61.0),
+        ] {
             let out = resampled(&sine(from_hz, frequency_hz, 10.0), to_hz, 0);
             let worst = worst(&out, frequency_hz, 0.0);
-            assert!(worst < 1.5e-4, "{frequency_hz} Hz from {from_hz} to {to_hz} Hz: {worst}");
+            assert!(
+                worst < 1.5e-4,
+                "{frequency_hz} Hz from {from_hz} to {to_hz} Hz: {worst}"
+            );
         }
     }
 
@@ -206,7 +247,11 @@ mod tests {
 
     #[test]
     fn output_lies_on_the_grid_that_is_asked_for() {
-        let channel = RecordedChannel::new("a", Some(200.0), vec![Segment::new(3_000_000, vec![1.0; 400])]);
+        let channel = RecordedChannel::new(
+            "a",
+            Some(200.0),
+            vec![Segment::new(3_000_000, vec![1.0; 400])],
+        );
         assert_eq!(resampled(&channel, 100.0, 0).start_ns(), Some(10_000_000));
     }
 

@@ -40,16 +40,23 @@ impl Spectrum {
     /// The spectrum of a channel; gaps are left out. `None` if there is no rate, or no run of 64 samples without a gap.
     pub fn of(channel: &RecordedChannel) -> Option<Self> {
         let rate_hz = channel.sampling_rate_hz()?;
-        let runs: Vec<&[f64]> =
-            channel.segments().iter().flat_map(|segment| runs(segment.samples()).map(|(_, run)| run)).collect();
+        let runs: Vec<&[f64]> = channel
+            .segments()
+            .iter()
+            .flat_map(|segment| runs(segment.samples()).map(|(_, run)| run))
+            .collect();
         let longest = runs.iter().map(|run| run.len()).max()?;
-        let wanted = (2 * longest / (AVERAGES + 1)).clamp(SHORTEST_WINDOW, LONGEST_WINDOW).min(longest);
+        let wanted = (2 * longest / (AVERAGES + 1))
+            .clamp(SHORTEST_WINDOW, LONGEST_WINDOW)
+            .min(longest);
         let length = 1 << wanted.checked_ilog2()?;
         if length < SHORTEST_WINDOW {
             return None;
         }
         let transform = RealFftPlanner::<f64>::new().plan_fft_forward(length);
-        let window: Vec<f64> = (0..length).map(|n| 0.5 - 0.5 * (2.0 * PI * n as f64 / length as f64).cos()).collect();
+        let window: Vec<f64> = (0..length)
+            .map(|n| 0.5 - 0.5 * (2.0 * PI * n as f64 / length as f64).cos())
+            .collect();
         let power: f64 = window.iter().map(|weight| weight * weight).sum();
         let mut input = transform.make_input_vec();
         let mut output = transform.make_output_vec();
@@ -64,7 +71,10 @@ impl Spectrum {
                     .zip(&window)
                     .for_each(|((input, sample), weight)| *input = (sample - mean) * weight);
                 transform.process(&mut input, &mut output).ok()?; // lengths are those of the plan
-                density.iter_mut().zip(&output).for_each(|(density, value)| *density += value.norm_sqr());
+                density
+                    .iter_mut()
+                    .zip(&output)
+                    .for_each(|(density, value)| *density += value.norm_sqr());
                 windows += 1;
             }
         }
@@ -74,7 +84,10 @@ impl Spectrum {
         for end in [0, density.len() - 1] {
             density[end] /= 2.0;
         }
-        Some(Self { step_hz: rate_hz / length as f64, density })
+        Some(Self {
+            step_hz: rate_hz / length as f64,
+            density,
+        })
     }
 
     /// Distance of two values, in Hz; the first one stands at 0 Hz.
@@ -106,11 +119,18 @@ impl Spectrum {
     }
 
     fn peak(&self, index: usize) -> SpectralPeak {
-        let [before, here, after] =
-            [index - 1, index, index + 1].map(|index| self.density[index].max(f64::MIN_POSITIVE).ln());
+        let [before, here, after] = [index - 1, index, index + 1]
+            .map(|index| self.density[index].max(f64::MIN_POSITIVE).ln());
         let curvature = before - 2.0 * here + after;
-        let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
-        SpectralPeak { frequency_hz: (index as f64 + shift) * self.step_hz, density: self.density[index] }
+        let shift = if curvature < 0.0 {
+            0.5 * (before - after) / curvature
+        } else {
+            0.0
+        };
+        SpectralPeak {
+            frequency_hz: (index as f64 + shift) * self.step_hz,
+            density: self.density[index],
+        }
     }
 }
 
@@ -118,7 +138,9 @@ impl Spectrum {
 fn valley_beside(density: &[f64], index: usize) -> f64 {
     let height = density[index];
     let lowest = |values: &mut dyn Iterator<Item = &f64>| {
-        values.take_while(|value| **value <= height).fold(height, |lowest, value| lowest.min(*value))
+        values
+            .take_while(|value| **value <= height)
+            .fold(height, |lowest, value| lowest.min(*value))
     };
     let left = lowest(&mut density[..index].iter().rev());
     let right = lowest(&mut density[index + 1..].iter());
@@ -136,7 +158,10 @@ mod tests {
 
     fn two_sines() -> Vec<f64> {
         let sine = |time_s: f64, frequency_hz: f64| (2.0 * PI * frequency_hz * time_s).sin();
-        (0..20_000).map(|n| n as f64 / 200.0).map(|t| 5.0 + 3.0 * sine(t, 1.27) + 0.5 * sine(t, 14.2)).collect()
+        (0..20_000)
+            .map(|n| n as f64 / 200.0)
+            .map(|t| 5.0 + 3.0 * sine(t, 1.27) + 0.5 * sine(t, 14.2))
+            .collect()
     }
 
     #[test]
@@ -144,7 +169,10 @@ mod tests {
         let peaks = Spectrum::of(&channel(two_sines())).unwrap().peaks();
         let frequencies: Vec<f64> = peaks.iter().map(|peak| peak.frequency_hz).collect();
         assert_eq!(frequencies.len(), 2, "{frequencies:?}");
-        assert!((frequencies[0] - 1.27).abs() < 0.01 && (frequencies[1] - 14.2).abs() < 0.01, "{frequencies:?}");
+        assert!(
+            (frequencies[0] - 1.27).abs() < 0.01 && (frequencies[1] - 14.2).abs() < 0.01,
+            "{frequencies:?}"
+        );
     }
 
     #[test]
@@ -166,6 +194,11 @@ mod tests {
     #[test]
     fn short_record_has_none() {
         assert_eq!(Spectrum::of(&channel(vec![1.0; 63])), None);
-        assert!(Spectrum::of(&channel(vec![1.0; 64])).unwrap().peaks().is_empty());
+        assert!(
+            Spectrum::of(&channel(vec![1.0; 64]))
+                .unwrap()
+                .peaks()
+                .is_empty()
+        );
     }
 }

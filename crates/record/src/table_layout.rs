@@ -42,16 +42,31 @@ impl TableLayout {
     pub(crate) fn find(head: &[u8], wanted_column: Option<&str>) -> Self {
         let text = String::from_utf8_lossy(head);
         let text = text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&text);
-        let mark_bytes = if head.starts_with(BYTE_ORDER_MARK.as_bytes()) { BYTE_ORDER_MARK.len() } else { 0 };
+        let mark_bytes = if head.starts_with(BYTE_ORDER_MARK.as_bytes()) {
+            BYTE_ORDER_MARK.len()
+        } else {
+            0
+        };
         let mut lines = Vec::new();
         let mut start = 0;
         // lengths in bytes of the file and not of the text, in which what is no UTF-8 has become longer
-        for line in head[mark_bytes..].split_inclusive(|byte| *byte == b'\n').take(MOST_LINES_BEFORE_HEADER + 2) {
-            lines.push((start + mark_bytes, String::from_utf8_lossy(line).trim_end_matches(['\n', '\r']).to_owned()));
+        for line in head[mark_bytes..]
+            .split_inclusive(|byte| *byte == b'\n')
+            .take(MOST_LINES_BEFORE_HEADER + 2)
+        {
+            lines.push((
+                start + mark_bytes,
+                String::from_utf8_lossy(line)
+                    .trim_end_matches(['\n', '\r'])
+                    .to_owned(),
+            ));
             start += line.len();
         }
         // a spreadsheet's own word on the separator
-        let stated = text.lines().next().and_then(|line| line.trim().strip_prefix("sep=")?.bytes().next());
+        let stated = text
+            .lines()
+            .next()
+            .and_then(|line| line.trim().strip_prefix("sep=")?.bytes().next());
         let first = usize::from(stated.is_some());
         let separator = |line: &str| match stated {
             Some(b' ') | None => separator_of(line),
@@ -61,22 +76,29 @@ impl TableLayout {
             // numbers alone are a row, also if one of them is the number of a column
             Some(wanted) => lines.iter().position(|(_, line)| {
                 let fields = fields(line, separator(line));
-                fields.iter().any(|field| field == wanted) && !fields.iter().all(|field| is_number(field))
+                fields.iter().any(|field| field == wanted)
+                    && !fields.iter().all(|field| is_number(field))
             }),
             None => (first..lines.len()).find(|index| is_header(&lines, *index, separator)),
         };
         let first_line = lines.get(first).map_or("", |(_, line)| line.as_str());
         let is_numbers = !first_line.trim().is_empty()
-            && fields(first_line, separator(first_line)).iter().all(|field| is_number(field));
+            && fields(first_line, separator(first_line))
+                .iter()
+                .all(|field| is_number(field));
         let (at, has_header) = match header {
             Some(header) => (header, true),
             None => (first, !is_numbers),
         };
         let header_line = lines.get(at).map_or("", |(_, line)| line.as_str());
         let separator = separator(header_line);
-        let row = lines.get(at + usize::from(has_header)).map_or("", |(_, line)| line.as_str());
-        let has_decimal_comma =
-            separator != Separator::Byte(b',') && fields(row, separator).iter().any(|field| is_comma_number(field));
+        let row = lines
+            .get(at + usize::from(has_header))
+            .map_or("", |(_, line)| line.as_str());
+        let has_decimal_comma = separator != Separator::Byte(b',')
+            && fields(row, separator)
+                .iter()
+                .any(|field| is_comma_number(field));
         Self {
             separator,
             has_decimal_comma,
@@ -91,7 +113,10 @@ impl TableLayout {
     pub(crate) fn is_table(head: &[u8]) -> bool {
         let layout = Self::find(head, None);
         let text = String::from_utf8_lossy(head);
-        let row = text.lines().nth((layout.lines_before + u64::from(layout.has_header)) as usize).unwrap_or_default();
+        let row = text
+            .lines()
+            .nth((layout.lines_before + u64::from(layout.has_header)) as usize)
+            .unwrap_or_default();
         let fields = fields(row, layout.separator);
         layout.separator != Separator::Blanks
             && fields.len() == layout.columns
@@ -139,12 +164,22 @@ fn fields(line: &str, separator: Separator) -> Vec<String> {
 }
 
 /// Whether a line is no row, and the next one that is not blank is a row of the same length.
-fn is_header(lines: &[(usize, String)], index: usize, separator: impl Fn(&str) -> Separator) -> bool {
+fn is_header(
+    lines: &[(usize, String)],
+    index: usize,
+    separator: impl Fn(&str) -> Separator,
+) -> bool {
     let line = &lines[index].1;
-    let Some((_, row)) = lines[index + 1..].iter().find(|(_, line)| !line.trim().is_empty()) else { return false };
+    let Some((_, row)) = lines[index + 1..]
+        .iter()
+        .find(|(_, line)| !line.trim().is_empty())
+    else {
+        return false;
+    };
     let separator = separator(line);
     let (names, values) = (fields(line, separator), fields(row, separator));
-    let is_value = |field: &String| field.is_empty() || is_number(field) || TimeForm::of(field).is_some();
+    let is_value =
+        |field: &String| field.is_empty() || is_number(field) || TimeForm::of(field).is_some();
     let is_row = values.iter().any(|field| is_number(field))
         && values.iter().filter(|field| is_value(field)).count() * 2 >= values.len();
     names.len() == values.len() && is_row && !names.iter().all(is_value)
@@ -172,7 +207,13 @@ const PIECE_BYTES: usize = 64 * 1024;
 
 impl<R: Read> SingleBlanks<R> {
     pub(crate) fn new(input: R) -> Self {
-        Self { input, ready: Vec::new(), served: 0, is_after_blank: false, is_line_start: true }
+        Self {
+            input,
+            ready: Vec::new(),
+            served: 0,
+            is_after_blank: false,
+            is_line_start: true,
+        }
     }
 
     /// Makes the next bytes ready; none at the end of the input.
@@ -243,7 +284,11 @@ mod tests {
         let head = "sep=,\nDeviceTag:,Xsens DOT\nStartTime: ,2025-03-06\n\u{e4} Ltd\n\nPacket,Time_us,Acc\n0,10,0.5\n1,20,0.6\n";
         for wanted in [None, Some("Time_us")] {
             let layout = TableLayout::find(head.as_bytes(), wanted);
-            assert_eq!((layout.lines_before, layout.has_header, layout.columns), (5, true, 3), "{wanted:?}");
+            assert_eq!(
+                (layout.lines_before, layout.has_header, layout.columns),
+                (5, true, 3),
+                "{wanted:?}"
+            );
             assert!(head[layout.bytes_before..].starts_with("Packet"));
         }
     }
@@ -251,16 +296,26 @@ mod tests {
     #[test]
     fn table_of_numbers_has_no_header() {
         let layout = TableLayout::find(b"-3.359\t-0.052\n-0.627\t-0.054\n", None);
-        assert_eq!((layout.has_header, layout.lines_before, layout.columns), (false, 0, 2));
+        assert_eq!(
+            (layout.has_header, layout.lines_before, layout.columns),
+            (false, 0, 2)
+        );
         let layout = TableLayout::find(b"1\t2\n3\t4\n", Some("1"));
-        assert_eq!((layout.has_header, layout.lines_before, layout.columns), (false, 0, 2));
+        assert_eq!(
+            (layout.has_header, layout.lines_before, layout.columns),
+            (false, 0, 2)
+        );
     }
 
     #[test]
     fn text_is_no_table() {
-        assert!(!TableLayout::is_table(b"Channels 17, 18 and 20\nhave been reprocessed, all of them\n"));
+        assert!(!TableLayout::is_table(
+            b"Channels 17, 18 and 20\nhave been reprocessed, all of them\n"
+        ));
         assert!(!TableLayout::is_table(b"  1.0  2.0\n 3.0  4.0\n"));
-        assert!(TableLayout::is_table(b"Time (-),ACC01_z [g]\n2022-11-04 08:36:24.897,4.9e-05\n"));
+        assert!(TableLayout::is_table(
+            b"Time (-),ACC01_z [g]\n2022-11-04 08:36:24.897,4.9e-05\n"
+        ));
     }
 
     #[test]

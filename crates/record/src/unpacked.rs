@@ -19,13 +19,19 @@ impl UnpackingBudget {
     /// Reads all that a decoder gives; the memory grows with it, not with what a header states. The error is what was found.
     pub(crate) fn unpack(&mut self, decoder: impl Read) -> Result<Vec<u8>, String> {
         let mut bytes = Vec::new();
-        decoder.take(self.left + 1).read_to_end(&mut bytes).map_err(|error| format!("damaged ({error})"))?;
+        decoder
+            .take(self.left + 1)
+            .read_to_end(&mut bytes)
+            .map_err(|error| format!("damaged ({error})"))?;
         match self.left.checked_sub(bytes.len() as u64) {
             Some(left) => {
                 self.left = left;
                 Ok(bytes)
             }
-            None => Err(format!("more than {} GiB with what stands before it", MOST_BYTES >> 30)),
+            None => Err(format!(
+                "more than {} GiB with what stands before it",
+                MOST_BYTES >> 30
+            )),
         }
     }
 }
@@ -40,6 +46,11 @@ mod tests {
         assert_eq!(budget.unpack(&[1; 6][..]).unwrap().len(), 6);
         assert!(budget.unpack(&[1; 5][..]).is_err());
         assert_eq!(budget.unpack(&[1; 4][..]).unwrap().len(), 4);
-        assert!(budget.unpack(std::io::repeat(0)).unwrap_err().starts_with("more than 4 GiB"));
+        assert!(
+            budget
+                .unpack(std::io::repeat(0))
+                .unwrap_err()
+                .starts_with("more than 4 GiB")
+        );
     }
 }

@@ -13,7 +13,12 @@ const FRAMES_PER_APPEND: u64 = 5;
 
 fn layout() -> LogLayout {
     let channels = (0..6).map(|channel| format!("channel-{channel}")).collect();
-    LogLayout { structure: "tower".to_owned(), channels, nodes: vec!["roof".to_owned()], sampling_rate_hz: 100.0 }
+    LogLayout {
+        structure: "tower".to_owned(),
+        channels,
+        nodes: vec!["roof".to_owned()],
+        sampling_rate_hz: 100.0,
+    }
 }
 
 fn frames(from: u64, count: u64) -> LoggedFrames {
@@ -24,7 +29,9 @@ fn frames(from: u64, count: u64) -> LoggedFrames {
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         channels: 6,
-        values: (from * 6..(from + count) * 6).map(|value| value as f64).collect(),
+        values: (from * 6..(from + count) * 6)
+            .map(|value| value as f64)
+            .collect(),
         ended: false,
         nodes: Vec::new(),
     }
@@ -41,7 +48,10 @@ fn checked(reader: &FrameLogReader) -> u64 {
 }
 
 fn settings() -> LogSettings {
-    LogSettings { segment_bytes: 50_000, ..LogSettings::default() }
+    LogSettings {
+        segment_bytes: 50_000,
+        ..LogSettings::default()
+    }
 }
 
 #[test]
@@ -63,13 +73,22 @@ fn a_killed_writer_has_lost_nothing_that_it_was_told_is_there() {
     let mut next = 0;
     for life in 1..=20 {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "writes_until_it_is_killed", "--ignored", "--nocapture"])
+            .args([
+                "--exact",
+                "writes_until_it_is_killed",
+                "--ignored",
+                "--nocapture",
+            ])
             .env(FOLDER, folder.path())
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
-        let mut told = lines.by_ref().filter_map(|line| line.strip_prefix("there: ")?.parse::<u64>().ok());
+        let mut lines = BufReader::new(child.stdout.take().unwrap())
+            .lines()
+            .map(Result::unwrap);
+        let mut told = lines
+            .by_ref()
+            .filter_map(|line| line.strip_prefix("there: ")?.parse::<u64>().ok());
         let mut last = told.by_ref().take(37 * life).last().unwrap();
         child.kill().unwrap();
         child.wait().unwrap();
@@ -78,9 +97,20 @@ fn a_killed_writer_has_lost_nothing_that_it_was_told_is_there() {
         let (log, opened) = FrameLog::open(folder.path(), layout(), settings()).unwrap();
         assert!(!opened.was_closed && opened.same_boot && opened.set_aside.is_empty());
         next = checked(&log.reader());
-        assert!(next >= last, "life {life}: {last} frames were there, {next} are");
+        assert!(
+            next >= last,
+            "life {life}: {last} frames were there, {next} are"
+        );
         assert_eq!(opened.last.map(|last| last.end()), Some(next));
-        assert_eq!(log.reader().spans(), [LogSpan { epoch: 1, from: 0, to: next, missing: 0 }]);
+        assert_eq!(
+            log.reader().spans(),
+            [LogSpan {
+                epoch: 1,
+                from: 0,
+                to: next,
+                missing: 0
+            }]
+        );
     }
 }
 
@@ -91,7 +121,10 @@ impl SmallDisk {
     /// Mounts one of this size. Without the right to do so the test says that it was skipped.
     fn or_skip(folder: &Path, size: &str) -> Option<Self> {
         let options = format!("size={size}");
-        let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", &options, "tmpfs"]).arg(folder).output();
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", &options, "tmpfs"])
+            .arg(folder)
+            .output();
         if mounted.is_ok_and(|output| output.status.success()) {
             return Some(Self(folder.to_owned()));
         }
@@ -112,7 +145,9 @@ impl Drop for SmallDisk {
 #[test]
 fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_there_is_space() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(_disk) = SmallDisk::or_skip(folder.path(), "256k") else { return };
+    let Some(_disk) = SmallDisk::or_skip(folder.path(), "256k") else {
+        return;
+    };
     let ballast = folder.path().join("ballast");
     std::fs::write(&ballast, vec![0; 100_000]).unwrap();
     let log_folder = folder.path().join("log");
@@ -123,10 +158,17 @@ fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_ther
         assert!(next < 10_000, "the disk is full before");
     }
     for _ in 0..10 {
-        let error = log.append(&[frames(next, FRAMES_PER_APPEND)]).unwrap_err().to_string();
+        let error = log
+            .append(&[frames(next, FRAMES_PER_APPEND)])
+            .unwrap_err()
+            .to_string();
         assert!(error.ends_with("cannot be written"), "{error}");
     }
-    assert_eq!(checked(&log.reader()), next, "all that were accepted, and no more");
+    assert_eq!(
+        checked(&log.reader()),
+        next,
+        "all that were accepted, and no more"
+    );
     std::fs::remove_file(&ballast).unwrap();
     for _ in 0..20 {
         log.append(&[frames(next, FRAMES_PER_APPEND)]).unwrap();
@@ -137,7 +179,15 @@ fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_ther
     drop(log);
     let (log, opened) = FrameLog::open(&log_folder, layout(), LogSettings::default()).unwrap();
     assert_eq!((opened.torn_bytes, opened.set_aside.len()), (0, 0));
-    assert_eq!(log.reader().spans(), [LogSpan { epoch: 1, from: 0, to: next, missing: 0 }]);
+    assert_eq!(
+        log.reader().spans(),
+        [LogSpan {
+            epoch: 1,
+            from: 0,
+            to: next,
+            missing: 0
+        }]
+    );
     assert_eq!(checked(&log.reader()), next);
 }
 
@@ -165,10 +215,15 @@ fn what_an_append_and_a_read_cost() {
     );
     let bytes = || -> u64 {
         let files = std::fs::read_dir(folder.path()).unwrap();
-        files.map(|file| file.unwrap().metadata().unwrap().len()).sum()
+        files
+            .map(|file| file.unwrap().metadata().unwrap().len())
+            .sum()
     };
     let values = appends * FRAMES_PER_APPEND * 6 * 8;
-    println!("bytes of an append over its values: {:.1}", (bytes() - values) as f64 / appends as f64);
+    println!(
+        "bytes of an append over its values: {:.1}",
+        (bytes() - values) as f64 / appends as f64
+    );
     let timed = |what: &str, limit: u64, reader: &FrameLogReader| {
         let start = std::time::Instant::now();
         let mut after = 7;

@@ -1,7 +1,12 @@
 //! A segment of a real recording, damaged in many ways: what is read of it is what was written, never anything else, and takes no more
 //! memory than the file accounts for.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 #[path = "../../../tests/support/mutation.rs"]
 mod mutation;
@@ -28,8 +33,14 @@ fn kept() -> (String, Vec<u8>) {
     let folder = "../../tests/fixtures/kept/0.1.0/state/spandrel/kept/house/recording";
     let files = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).unwrap();
     let paths = files.map(|file| file.unwrap().path());
-    let path = paths.filter(|path| path.extension().is_some_and(|ending| ending == "mcap")).max().unwrap();
-    (path.file_name().unwrap().to_str().unwrap().to_owned(), std::fs::read(path).unwrap())
+    let path = paths
+        .filter(|path| path.extension().is_some_and(|ending| ending == "mcap"))
+        .max()
+        .unwrap();
+    (
+        path.file_name().unwrap().to_str().unwrap().to_owned(),
+        std::fs::read(path).unwrap(),
+    )
 }
 
 /// That of its structure file.
@@ -45,13 +56,16 @@ fn layout() -> LogLayout {
 
 /// A folder in memory where there is one: hundreds of logs are opened and mended here.
 fn quick_folder() -> tempfile::TempDir {
-    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+    tempfile::tempdir_in("/dev/shm")
+        .or_else(|_| tempfile::tempdir())
+        .unwrap()
 }
 
 /// All frames that a log of this one segment has; an error in words where it is refused as a whole.
 fn read(folder: &Path, name: &str, bytes: &[u8]) -> Result<Frames, String> {
     std::fs::write(folder.join(name), bytes).unwrap();
-    let (log, _) = FrameLog::open(folder, layout(), LogSettings::default()).map_err(|error| error.to_string())?;
+    let (log, _) = FrameLog::open(folder, layout(), LogSettings::default())
+        .map_err(|error| error.to_string())?;
     let reader = log.reader();
     let mut frames = Frames::new();
     for span in reader.spans() {
@@ -60,7 +74,11 @@ fn read(folder: &Path, name: &str, bytes: &[u8]) -> Result<Frames, String> {
             assert!(answer.epoch == span.epoch && answer.sequence >= after);
             let rows = answer.values.chunks_exact(usize::from(answer.channels));
             let rows = rows.map(|row| row.iter().map(|value| value.to_bits()).collect());
-            frames.extend((answer.sequence..).map(|number| (span.epoch, number)).zip(rows));
+            frames.extend(
+                (answer.sequence..)
+                    .map(|number| (span.epoch, number))
+                    .zip(rows),
+            );
             if answer.end() <= after {
                 break; // only the end of the epoch is left
             }
@@ -76,7 +94,11 @@ fn within_memory<T>(what: &str, file_bytes: usize, work: impl FnOnce() -> T) -> 
     let mut result = None;
     let taken = allocation_counter::measure(|| result = Some(work()));
     let allowed = BUFFERS_BYTES + TIMES_THE_FILE * file_bytes as u64;
-    assert!(taken.bytes_max <= allowed, "{what}: {file_bytes} bytes took {} in memory", taken.bytes_max);
+    assert!(
+        taken.bytes_max <= allowed,
+        "{what}: {file_bytes} bytes took {} in memory",
+        taken.bytes_max
+    );
     result.unwrap()
 }
 
@@ -105,14 +127,20 @@ fn a_damaged_segment_is_read_as_it_was_written_or_refused() {
                     }
                 }
                 Err(error) => {
-                    assert!(error.contains(folder.path().to_str().unwrap()), "{case}: {error}");
+                    assert!(
+                        error.contains(folder.path().to_str().unwrap()),
+                        "{case}: {error}"
+                    );
                     without += 1;
                 }
             }
         }
     }
     println!("{whole} segments had all of their frames, {in_part} some, {without} none");
-    assert!(whole > 0 && in_part > FILES && without < in_part, "{whole} {in_part} {without}");
+    assert!(
+        whole > 0 && in_part > FILES && without < in_part,
+        "{whole} {in_part} {without}"
+    );
 }
 
 #[test]
@@ -127,10 +155,15 @@ fn a_damaged_segment_is_a_recording_or_an_error_in_words() {
             let file = damaged(&bytes, &mut random);
             std::fs::write(&path, &file).unwrap();
             let case = format!("file {number} of seed {seed}");
-            match within_memory(&case, file.len(), || RecordedFile::read(&path, &ReadOptions::default())) {
+            match within_memory(&case, file.len(), || {
+                RecordedFile::read(&path, &ReadOptions::default())
+            }) {
                 Ok(_) => read += 1,
                 Err(error) => {
-                    assert!(error.to_string().contains(path.to_str().unwrap()), "{case}: {error}");
+                    assert!(
+                        error.to_string().contains(path.to_str().unwrap()),
+                        "{case}: {error}"
+                    );
                     refused += 1;
                 }
             }

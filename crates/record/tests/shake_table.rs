@@ -6,7 +6,9 @@
 
 use std::path::PathBuf;
 
-use spandrel_record::{ChannelColumn, ColumnMapping, OffsetRemoval, Quantity, RecordReader, Recording};
+use spandrel_record::{
+    ChannelColumn, ColumnMapping, OffsetRemoval, Quantity, RecordReader, Recording,
+};
 
 /// File, rows, channels. Rows as counted by `wc -l` less the header.
 const RECORDS: [(&str, usize, &[&str]); 8] = [
@@ -24,11 +26,15 @@ const ONE_STOREY: &[&str] = &["ground", "top"];
 
 /// The folder of the records, or a clear word that the test is skipped.
 fn folder() -> Option<PathBuf> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/mini-shake-table/aligned");
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data/mini-shake-table/aligned");
     if folder.is_dir() {
         return Some(folder);
     }
-    println!("SKIPPED: the shake table records are not at hand ({} is absent)", folder.display());
+    println!(
+        "SKIPPED: the shake table records are not at hand ({} is absent)",
+        folder.display()
+    );
     None
 }
 
@@ -46,14 +52,27 @@ fn mapping(channels: &[&str]) -> ColumnMapping {
 fn shake_table_records_are_read_whole_at_120_hz() {
     let Some(folder) = folder() else { return };
     for (file, rows, channels) in RECORDS {
-        let mut recording = Recording::open(&folder.join(file), &mapping(channels), OffsetRemoval::Keep).unwrap();
-        assert_eq!(recording.check_sampling_rate(120.0).unwrap(), 120.0, "{file}");
+        let mut recording =
+            Recording::open(&folder.join(file), &mapping(channels), OffsetRemoval::Keep).unwrap();
+        assert_eq!(
+            recording.check_sampling_rate(120.0).unwrap(),
+            120.0,
+            "{file}"
+        );
         let mut count = 0_i64;
         while let Some(row) = recording.next_row().unwrap() {
             // Each sample lies on the grid of 120 Hz, but for the rounding of the file to 1 µs.
             let on_grid_ns = (count as f64 * 1e9 / 120.0).round() as i64;
-            assert!((row.time_ns - on_grid_ns).abs() <= 500, "{file}: row {count} is at {} ns", row.time_ns);
-            assert!(row.values.iter().all(|value| value.abs() < 40.0), "{file}: row {count}: {:?}", row.values);
+            assert!(
+                (row.time_ns - on_grid_ns).abs() <= 500,
+                "{file}: row {count} is at {} ns",
+                row.time_ns
+            );
+            assert!(
+                row.values.iter().all(|value| value.abs() < 40.0),
+                "{file}: row {count}: {:?}",
+                row.values
+            );
             count += 1;
         }
         assert_eq!(count, rows as i64, "{file}");
@@ -64,12 +83,22 @@ fn shake_table_records_are_read_whole_at_120_hz() {
 fn tilt_of_the_sensors_is_gone_after_removal_of_the_offset() {
     let Some(folder) = folder() else { return };
     let offset = OffsetRemoval::MeanOfFirst { seconds: 1.0 };
-    let mut recording = Recording::open(&folder.join("stiff-northridge.csv"), &mapping(THREE_STOREYS), offset).unwrap();
+    let mut recording = Recording::open(
+        &folder.join("stiff-northridge.csv"),
+        &mapping(THREE_STOREYS),
+        offset,
+    )
+    .unwrap();
     assert!(recording.offsets().iter().flatten().count() == 4);
     let mut sum = [0.0; 4];
     for _ in 0..120 {
         let row = recording.next_row().unwrap().unwrap();
-        sum.iter_mut().zip(row.values).for_each(|(sum, value)| *sum += value);
+        sum.iter_mut()
+            .zip(row.values)
+            .for_each(|(sum, value)| *sum += value);
     }
-    assert!(sum.iter().all(|sum| sum.abs() < 1e-9), "sum of the first second: {sum:?}");
+    assert!(
+        sum.iter().all(|sum| sum.abs() < 1e-9),
+        "sum of the first second: {sum:?}"
+    );
 }

@@ -50,9 +50,14 @@ impl NodePlan {
             Ok(Self {
                 name: Name::new(node.name())?,
                 channels: node.channels().len() as u16, // a structure has far fewer
-                sampling_rate_hz: node.sampling_rate_hz().unwrap_or(structure.sampling_rate_hz()),
-                pace: node.sampling_rate_hz().map_or(NodePace::EveryRow, |_| NodePace::Slower),
-                clock_offset_ns: (simulated(simulation.clock_offsets_s(), index) * 1e9).round() as i64,
+                sampling_rate_hz: node
+                    .sampling_rate_hz()
+                    .unwrap_or(structure.sampling_rate_hz()),
+                pace: node
+                    .sampling_rate_hz()
+                    .map_or(NodePace::EveryRow, |_| NodePace::Slower),
+                clock_offset_ns: (simulated(simulation.clock_offsets_s(), index) * 1e9).round()
+                    as i64,
                 clock_drift_ppm: simulated(simulation.clock_drifts_ppm(), index),
             })
         });
@@ -97,17 +102,33 @@ impl Cutter {
     #[must_use]
     pub fn new(nodes: Vec<NodePlan>, epoch: u64, block_samples: u64) -> Self {
         let open = nodes.iter().map(|node| SampleBlock {
-            header: Header { source: node.name.to_string(), epoch, sequence: 0, time_ns: 0 },
+            header: Header {
+                source: node.name.to_string(),
+                epoch,
+                sequence: 0,
+                time_ns: 0,
+            },
             sampling_rate_hz: node.sampling_rate_hz,
             pace: Pace::Replayed,
             channels: node.channels,
             samples: Vec::new(),
             state: StreamState::Running,
         });
-        let fastest_hz = nodes.iter().map(|node| node.sampling_rate_hz).fold(0.0, f64::max);
-        let of_node = |node: &NodePlan| ((block_samples as f64 * node.sampling_rate_hz / fastest_hz) as u64).max(1);
+        let fastest_hz = nodes
+            .iter()
+            .map(|node| node.sampling_rate_hz)
+            .fold(0.0, f64::max);
+        let of_node = |node: &NodePlan| {
+            ((block_samples as f64 * node.sampling_rate_hz / fastest_hz) as u64).max(1)
+        };
         let block_samples = nodes.iter().map(of_node).collect();
-        Self { open: open.collect(), nodes, block_samples, first_ns: None, resume: None }
+        Self {
+            open: open.collect(),
+            nodes,
+            block_samples,
+            first_ns: None,
+            resume: None,
+        }
     }
 
     /// Makes the blocks say this of their samples, in place of [`Pace::Replayed`].
@@ -136,14 +157,21 @@ impl Cutter {
     pub fn push(&mut self, time_ns: i64, values: &[f64], blocks: &mut Vec<(usize, SampleBlock)>) {
         let elapsed_ns = time_ns.saturating_sub(*self.first_ns.get_or_insert(time_ns));
         let mut values = values.iter().copied().chain(std::iter::repeat(f64::NAN));
-        let nodes = self.nodes.iter().zip(&mut self.open).zip(&self.block_samples);
+        let nodes = self
+            .nodes
+            .iter()
+            .zip(&mut self.open)
+            .zip(&self.block_samples);
         for (index, ((node, open), block_samples)) in nodes.enumerate() {
             let sample: Vec<f64> = values.by_ref().take(usize::from(node.channels)).collect();
             if node.pace == NodePace::Slower && sample.iter().all(|value| value.is_nan()) {
                 continue;
             }
             let time_ns = time_ns.saturating_add(node.clock_ahead_ns(elapsed_ns));
-            if self.resume.is_some_and(|(frames, next)| frames.nearest(time_ns) < next as i64) {
+            if self
+                .resume
+                .is_some_and(|(frames, next)| frames.nearest(time_ns) < next as i64)
+            {
                 continue;
             }
             let full = open.count() >= *block_samples;
@@ -201,7 +229,11 @@ mod tests {
         }
     }
 
-    fn cut(nodes: Vec<NodePlan>, block_samples: u64, rows: &[(i64, Vec<f64>)]) -> Vec<(usize, SampleBlock)> {
+    fn cut(
+        nodes: Vec<NodePlan>,
+        block_samples: u64,
+        rows: &[(i64, Vec<f64>)],
+    ) -> Vec<(usize, SampleBlock)> {
         let mut cutter = Cutter::new(nodes, 1, block_samples);
         let mut blocks = Vec::new();
         for (time_ns, values) in rows {
@@ -212,7 +244,11 @@ mod tests {
     }
 
     fn of_node(blocks: &[(usize, SampleBlock)], node: usize) -> Vec<&SampleBlock> {
-        blocks.iter().filter(|(index, _)| *index == node).map(|(_, block)| block).collect()
+        blocks
+            .iter()
+            .filter(|(index, _)| *index == node)
+            .map(|(_, block)| block)
+            .collect()
     }
 
     #[test]
@@ -227,29 +263,52 @@ mod tests {
     fn blocks_follow_each_other_and_the_last_one_ends() {
         let rows: Vec<_> = (0..6).map(|n| (n * STEP, vec![n as f64])).collect();
         let blocks = cut(vec![node("a", 1)], 3, &rows);
-        let heads: Vec<_> = blocks.iter().map(|(_, b)| (b.header.sequence, b.header.time_ns, b.state)).collect();
-        assert_eq!(heads, [(0, 0, StreamState::Running), (3, 3 * STEP, StreamState::Ended)]);
+        let heads: Vec<_> = blocks
+            .iter()
+            .map(|(_, b)| (b.header.sequence, b.header.time_ns, b.state))
+            .collect();
+        assert_eq!(
+            heads,
+            [
+                (0, 0, StreamState::Running),
+                (3, 3 * STEP, StreamState::Ended)
+            ]
+        );
     }
 
     #[test]
     fn a_gap_in_time_starts_a_new_block() {
         let rows = [(0, vec![1.0]), (STEP, vec![2.0]), (5 * STEP, vec![3.0])];
         let blocks = cut(vec![node("a", 1)], 10, &rows);
-        let heads: Vec<_> = blocks.iter().map(|(_, b)| (b.header.sequence, b.header.time_ns)).collect();
+        let heads: Vec<_> = blocks
+            .iter()
+            .map(|(_, b)| (b.header.sequence, b.header.time_ns))
+            .collect();
         assert_eq!(heads, [(0, 0), (2, 5 * STEP)]);
     }
 
     #[test]
     fn times_with_few_digits_do_not_tear_blocks_apart() {
-        let rows: Vec<_> = (0..100).map(|n: i64| ((n * 25_000_000 / 3) / 10_000 * 10_000, vec![0.0])).collect();
-        let plan = NodePlan { sampling_rate_hz: 120.0, ..node("a", 1) };
+        let rows: Vec<_> = (0..100)
+            .map(|n: i64| ((n * 25_000_000 / 3) / 10_000 * 10_000, vec![0.0]))
+            .collect();
+        let plan = NodePlan {
+            sampling_rate_hz: 120.0,
+            ..node("a", 1)
+        };
         assert_eq!(cut(vec![plan], 1000, &rows).len(), 1);
     }
 
     #[test]
     fn a_slower_node_has_no_samples_in_between() {
-        let plan = NodePlan { sampling_rate_hz: 100.0, pace: NodePace::Slower, ..node("a", 1) };
-        let rows: Vec<_> = (0..4).map(|n| (n * STEP, vec![if n % 2 == 0 { n as f64 } else { f64::NAN }])).collect();
+        let plan = NodePlan {
+            sampling_rate_hz: 100.0,
+            pace: NodePace::Slower,
+            ..node("a", 1)
+        };
+        let rows: Vec<_> = (0..4)
+            .map(|n| (n * STEP, vec![if n % 2 == 0 { n as f64 } else { f64::NAN }]))
+            .collect();
         let blocks = cut(vec![plan], 10, &rows);
         assert_eq!(blocks.len(), 1);
         assert_eq!(blocks[0].1.samples, [0.0, 2.0]);
@@ -257,45 +316,92 @@ mod tests {
 
     #[test]
     fn blocks_of_a_slower_node_last_as_long_as_those_of_the_fastest() {
-        let slow = NodePlan { sampling_rate_hz: 20.0, pace: NodePace::Slower, ..node("b", 1) };
-        let rows: Vec<_> = (0..100).map(|n| (n * STEP, vec![0.0, if n % 10 == 0 { 1.0 } else { f64::NAN }])).collect();
+        let slow = NodePlan {
+            sampling_rate_hz: 20.0,
+            pace: NodePace::Slower,
+            ..node("b", 1)
+        };
+        let rows: Vec<_> = (0..100)
+            .map(|n| {
+                (
+                    n * STEP,
+                    vec![0.0, if n % 10 == 0 { 1.0 } else { f64::NAN }],
+                )
+            })
+            .collect();
         let blocks = cut(vec![node("a", 1), slow], 40, &rows);
-        let counts = |node| of_node(&blocks, node).iter().map(|block| block.count()).collect::<Vec<_>>();
+        let counts = |node| {
+            of_node(&blocks, node)
+                .iter()
+                .map(|block| block.count())
+                .collect::<Vec<_>>()
+        };
         assert_eq!((counts(0), counts(1)), (vec![40, 40, 20], vec![4, 4, 2]));
     }
 
     #[test]
     fn a_clock_that_is_ahead_shifts_the_times_of_its_node_only() {
-        let ahead = NodePlan { clock_offset_ns: 7, ..node("b", 1) };
+        let ahead = NodePlan {
+            clock_offset_ns: 7,
+            ..node("b", 1)
+        };
         let blocks = cut(vec![node("a", 1), ahead], 10, &[(100, vec![1.0, 2.0])]);
-        assert_eq!((blocks[0].1.header.time_ns, blocks[1].1.header.time_ns), (100, 107));
+        assert_eq!(
+            (blocks[0].1.header.time_ns, blocks[1].1.header.time_ns),
+            (100, 107)
+        );
     }
 
     #[test]
     fn a_clock_that_runs_fast_moves_the_blocks_of_its_node_further_and_further() {
-        let fast = NodePlan { clock_offset_ns: 7, clock_drift_ppm: 50.0, ..node("b", 1) };
+        let fast = NodePlan {
+            clock_offset_ns: 7,
+            clock_drift_ppm: 50.0,
+            ..node("b", 1)
+        };
         let rows: Vec<_> = (0..40).map(|n| (1000 + n * STEP, vec![0.0, 0.0])).collect();
         let blocks = cut(vec![node("a", 1), fast], 20, &rows);
-        let times = |node| of_node(&blocks, node).iter().map(|block| block.header.time_ns).collect::<Vec<_>>();
+        let times = |node| {
+            of_node(&blocks, node)
+                .iter()
+                .map(|block| block.header.time_ns)
+                .collect::<Vec<_>>()
+        };
         // 20 samples of 5 ms are 100 ms, of which 50 ppm are 5 µs
-        assert_eq!((times(0), times(1)), (vec![1000, 100_001_000], vec![1007, 100_006_007]));
+        assert_eq!(
+            (times(0), times(1)),
+            (vec![1000, 100_001_000], vec![1007, 100_006_007])
+        );
     }
 
     #[test]
     fn what_is_in_frames_already_is_left_out_node_by_node() {
-        let ahead = NodePlan { clock_offset_ns: STEP, ..node("b", 1) };
-        let mut cutter = Cutter::new(vec![node("a", 1), ahead], 2, 10).resuming(TimeGrid::new(0, 200.0).unwrap(), 3);
+        let ahead = NodePlan {
+            clock_offset_ns: STEP,
+            ..node("b", 1)
+        };
+        let mut cutter = Cutter::new(vec![node("a", 1), ahead], 2, 10)
+            .resuming(TimeGrid::new(0, 200.0).unwrap(), 3);
         let mut blocks = Vec::new();
         (0..6).for_each(|n| cutter.push(n * STEP, &[n as f64, n as f64], &mut blocks));
         cutter.end(&mut blocks);
-        let heads: Vec<_> = blocks.iter().map(|(node, b)| (*node, b.header.sequence, b.header.time_ns)).collect();
+        let heads: Vec<_> = blocks
+            .iter()
+            .map(|(node, b)| (*node, b.header.sequence, b.header.time_ns))
+            .collect();
         assert_eq!(heads, [(0, 0, 3 * STEP), (1, 0, 3 * STEP)]);
-        assert_eq!((&*blocks[0].1.samples, &*blocks[1].1.samples), (&[3.0, 4.0, 5.0][..], &[2.0, 3.0, 4.0, 5.0][..]));
+        assert_eq!(
+            (&*blocks[0].1.samples, &*blocks[1].1.samples),
+            (&[3.0, 4.0, 5.0][..], &[2.0, 3.0, 4.0, 5.0][..])
+        );
     }
 
     #[test]
     fn nodes_end_even_without_samples() {
         let blocks = cut(vec![node("a", 1)], 10, &[]);
-        assert_eq!((blocks[0].1.count(), blocks[0].1.state), (0, StreamState::Ended));
+        assert_eq!(
+            (blocks[0].1.count(), blocks[0].1.state),
+            (0, StreamState::Ended)
+        );
     }
 }

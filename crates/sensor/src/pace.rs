@@ -57,7 +57,11 @@ impl RowsPut {
     pub fn push(&mut self, window: &Window, time_ns: i64, rows: u64) {
         self.batches.push_back((time_ns, rows));
         self.rows += rows;
-        while let Some((_, oldest)) = self.batches.front().filter(|(_, oldest)| self.rows - oldest > window.rows) {
+        while let Some((_, oldest)) = self
+            .batches
+            .front()
+            .filter(|(_, oldest)| self.rows - oldest > window.rows)
+        {
             self.rows -= oldest;
             self.batches.pop_front();
         }
@@ -69,7 +73,11 @@ impl RowsPut {
 
     /// Rows of batches whose last row is after a time (ns).
     fn after(&self, time_ns: i64) -> u64 {
-        self.batches.iter().filter(|(last_ns, _)| *last_ns > time_ns).map(|(_, rows)| rows).sum()
+        self.batches
+            .iter()
+            .filter(|(last_ns, _)| *last_ns > time_ns)
+            .map(|(_, rows)| rows)
+            .sum()
     }
 }
 
@@ -79,11 +87,16 @@ impl Window {
     /// Progress beyond what has been put is that of an earlier run over the same record, and does not count.
     #[must_use]
     pub fn admits(&self, rows: u64, put: &RowsPut, progress: Option<&Progress>) -> bool {
-        let furthest = put
-            .last_ns()
-            .map_or(i64::MIN, |last_ns| last_ns.saturating_add(self.clock_ahead_ns).saturating_add(self.step_ns));
-        let of_this_run = |p: &&Progress| p.header.epoch >= self.min_epoch && p.header.time_ns <= furthest;
-        let done_ns = progress.filter(of_this_run).map_or(i64::MIN, |p| p.header.time_ns);
+        let furthest = put.last_ns().map_or(i64::MIN, |last_ns| {
+            last_ns
+                .saturating_add(self.clock_ahead_ns)
+                .saturating_add(self.step_ns)
+        });
+        let of_this_run =
+            |p: &&Progress| p.header.epoch >= self.min_epoch && p.header.time_ns <= furthest;
+        let done_ns = progress
+            .filter(of_this_run)
+            .map_or(i64::MIN, |p| p.header.time_ns);
         put.after(done_ns) + rows <= self.rows.max(rows)
     }
 
@@ -101,16 +114,32 @@ mod tests {
     use super::*;
     use spandrel_bus::Header;
 
-    const WINDOW: Window = Window { rows: 10, step_ns: 10, clock_ahead_ns: 0, min_epoch: 5 };
+    const WINDOW: Window = Window {
+        rows: 10,
+        step_ns: 10,
+        clock_ahead_ns: 0,
+        min_epoch: 5,
+    };
 
     fn progress(epoch: u64, time_ns: i64) -> Progress {
-        Progress { header: Header { source: "identify".into(), epoch, sequence: 0, time_ns }, done: 0, kept: 0 }
+        Progress {
+            header: Header {
+                source: "identify".into(),
+                epoch,
+                sequence: 0,
+                time_ns,
+            },
+            done: 0,
+            kept: 0,
+        }
     }
 
     /// Batches of 5 rows of these times, ns.
     fn put(times_ns: &[i64]) -> RowsPut {
         let mut put = RowsPut::default();
-        times_ns.iter().for_each(|time_ns| put.push(&WINDOW, *time_ns, 5));
+        times_ns
+            .iter()
+            .for_each(|time_ns| put.push(&WINDOW, *time_ns, 5));
         put
     }
 
@@ -154,8 +183,14 @@ mod tests {
     #[test]
     fn speed_is_a_factor_of_measurement_time() {
         let second = 1_000_000_000;
-        assert_eq!(Speed::Factor(10.0).due(0, 5 * second), Some(Duration::from_millis(500)));
+        assert_eq!(
+            Speed::Factor(10.0).due(0, 5 * second),
+            Some(Duration::from_millis(500))
+        );
         assert_eq!(Speed::Max.due(0, 5 * second), None);
-        assert_eq!(Speed::Live.due(second, 5 * second), Some(Duration::from_secs(4)));
+        assert_eq!(
+            Speed::Live.due(second, 5 * second),
+            Some(Duration::from_secs(4))
+        );
     }
 }

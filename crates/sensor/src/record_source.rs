@@ -1,7 +1,8 @@
 //! Opens a recording as the structure file says: columns, units, offsets, rate.
 
 use spandrel_record::{
-    ChannelColumn, ColumnMapping, OffsetRemoval, RecordError, Recording, Resampling, TimeSource, TimeUnit,
+    ChannelColumn, ColumnMapping, OffsetRemoval, RecordError, Recording, Resampling, TimeSource,
+    TimeUnit,
 };
 use spandrel_structure::{Quantity, Structure};
 use std::path::Path;
@@ -20,14 +21,23 @@ pub fn column_mapping(structure: &Structure) -> Result<ColumnMapping, RecordErro
             let mapped = ChannelColumn::new(channel.name())
                 .with_column(column.column())
                 .with_calibration(column.factor(), column.offset())?;
-            Ok(if column.states_unit() { mapped } else { mapped.in_unit_of_file(quantity(channel.quantity())) })
+            Ok(if column.states_unit() {
+                mapped
+            } else {
+                mapped.in_unit_of_file(quantity(channel.quantity()))
+            })
         })
         .collect::<Result<Vec<_>, RecordError>>()?;
     let time = match map.time_column() {
-        "" => TimeSource::Counted { rate_hz: structure.sampling_rate_hz() },
+        "" => TimeSource::Counted {
+            rate_hz: structure.sampling_rate_hz(),
+        },
         name => {
             let unit = TimeUnit::of_symbol(map.time_unit()).unwrap_or(TimeUnit::Seconds);
-            TimeSource::Column { name: name.to_owned(), unit }
+            TimeSource::Column {
+                name: name.to_owned(),
+                unit,
+            }
         }
     };
     Ok(ColumnMapping::new(columns).with_time(time))
@@ -57,10 +67,13 @@ pub fn open_record(structure: &Structure, path: &Path) -> Result<Recording, Reco
         _ => OffsetRemoval::Keep,
     };
     let resampling = match structure.record().resamples() {
-        true => Resampling::To { rate_hz: structure.sampling_rate_hz() },
+        true => Resampling::To {
+            rate_hz: structure.sampling_rate_hz(),
+        },
         false => Resampling::None,
     };
-    let recording = Recording::open_resampled(path, &column_mapping(structure)?, offset, resampling)?;
+    let recording =
+        Recording::open_resampled(path, &column_mapping(structure)?, offset, resampling)?;
     recording.check_sampling_rate(structure.sampling_rate_hz())?;
     Ok(recording)
 }

@@ -27,7 +27,10 @@ pub fn simulated_rows(
     let frames = frames.unwrap_or(u64::MAX);
     grid.into_iter().flat_map(move |grid| {
         let numbered = (0..frames).zip(simulator.clone());
-        numbered.map(move |(number, frame)| Row { time_ns: grid.time_ns(number), values: frame.values })
+        numbered.map(move |(number, frame)| Row {
+            time_ns: grid.time_ns(number),
+            values: frame.values,
+        })
     })
 }
 
@@ -43,6 +46,9 @@ pub fn recorded_rows(
         }
         let row = reader.next_row().transpose()?;
         failed = row.is_err();
-        Some(row.map(|row| Row { time_ns: row.time_ns.saturating_add(shift_ns), values: row.values.to_vec() }))
+        Some(row.map(|row| Row {
+            time_ns: row.time_ns.saturating_add(shift_ns),
+            values: row.values.to_vec(),
+        }))
     })
 }

@@ -4,8 +4,8 @@ use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, CaughtUp, FrameBlock, Keep, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace,
-    Progress, ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
+    Block, BoxedFuture, Bus, CaughtUp, FrameBlock, Keep, Keys, LiveToken, NumberedPublisher,
+    NumberedStream, Pace, Progress, ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
 };
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -114,13 +114,28 @@ impl SensorService {
                 tokens.push(bus.announce(keys.live(Service::Sensor, &node.name)).await?);
             }
             let block_samples = match settings.speed {
-                Speed::Factor(factor) => ((BLOCK_S * rate_hz * factor) as u64).clamp(1, LARGE_BLOCK),
+                Speed::Factor(factor) => {
+                    ((BLOCK_S * rate_hz * factor) as u64).clamp(1, LARGE_BLOCK)
+                }
                 Speed::Live => ((BLOCK_S * rate_hz) as u64).clamp(1, LARGE_BLOCK),
                 Speed::Max => LARGE_BLOCK,
             };
-            let pace = if settings.speed == Speed::Live { Pace::Live } else { Pace::Replayed };
+            let pace = if settings.speed == Speed::Live {
+                Pace::Live
+            } else {
+                Pace::Replayed
+            };
             let cutter = Cutter::new(nodes, settings.epoch, block_samples).with_pace(pace);
-            Ok(Self { bus: bus.clone(), keys, cutter, rate_hz, settings, publishers, tokens, progress })
+            Ok(Self {
+                bus: bus.clone(),
+                keys,
+                cutter,
+                rate_hz,
+                settings,
+                publishers,
+                tokens,
+                progress,
+            })
         })
     }
 
@@ -136,10 +151,17 @@ impl SensorService {
     where
         SensorError: From<E>,
     {
-        self.run_until(Box::new(rows.map(|row| row.map_err(SensorError::from))), Box::pin(stop))
+        self.run_until(
+            Box::new(rows.map(|row| row.map_err(SensorError::from))),
+            Box::pin(stop),
+        )
     }
 
-    fn run_until(mut self, rows: Rows, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<u64, SensorError>> {
+    fn run_until(
+        mut self,
+        rows: Rows,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<u64, SensorError>> {
         Box::pin(async move {
             tokio::select! {
                 ready = self.wait_for_services() => ready?,
@@ -149,7 +171,10 @@ impl SensorService {
                 false => self.min_epoch().await,
                 true => match self.last_frame().await {
                     Some((_, at)) if at.state == StreamState::Ended => {
-                        info!(structure = self.keys.structure().as_str(), "nothing to resume: the frames have ended");
+                        info!(
+                            structure = self.keys.structure().as_str(),
+                            "nothing to resume: the frames have ended"
+                        );
                         return self.withdraw().await.map(|()| 0);
                     }
                     Some((last, at)) => {
@@ -159,11 +184,17 @@ impl SensorService {
                     None => self.min_epoch().await,
                 },
             };
-            let mut put =
-                Put { first_ns: 0, rows: RowsPut::default(), total: 0, last_sample_ns: i64::MIN, next: Vec::new() };
+            let mut put = Put {
+                first_ns: 0,
+                rows: RowsPut::default(),
+                total: 0,
+                last_sample_ns: i64::MIN,
+                next: Vec::new(),
+            };
             put.next.resize_with(self.publishers.len(), || None);
             let nodes = self.cutter.nodes().to_vec();
-            let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
+            let cutter =
+                std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
             let (out, batches) = flume::bounded(BATCHES_WAITING);
             let mut cutting = JoinSet::new();
             // A thread of its own: a simulation computes, and a record waits for the disk.
@@ -180,7 +211,8 @@ impl SensorService {
                 }
             };
             drop(batches); // ends the cutting, if it has not ended
-            self.wait_until_done(&self.window(min_epoch, 0), put.last_sample_ns, patience).await;
+            self.wait_until_done(&self.window(min_epoch, 0), put.last_sample_ns, patience)
+                .await;
             let cut = cutting.join_next().await;
             self.withdraw().await?;
             match cut {
@@ -196,32 +228,51 @@ impl SensorService {
             let mut watch = self.bus.watch_live(self.keys.all_live(*service)).await?;
             if watch.present().is_empty() && timeout(TOLD_AFTER, watch.some()).await.is_err() {
                 let (structure, service) = (self.keys.structure().as_str(), service.as_str());
-                warn!(structure, "waiting for the {service} service on this bus before anything is sent");
+                warn!(
+                    structure,
+                    "waiting for the {service} service on this bus before anything is sent"
+                );
                 watch.some().await;
             }
         }
-        info!(structure = self.keys.structure().as_str(), nodes = self.publishers.len(), "sensor nodes start");
+        info!(
+            structure = self.keys.structure().as_str(),
+            nodes = self.publishers.len(),
+            "sensor nodes start"
+        );
         Ok(())
     }
 
     /// The last frame that ingest has made, and where its stream stands.
     async fn last_frame(&self) -> Option<(FrameBlock, CaughtUp)> {
-        self.bus.last_item(&self.keys.recording(), POSITION_TIMEOUT).await
+        self.bus
+            .last_item(&self.keys.recording(), POSITION_TIMEOUT)
+            .await
     }
 
     fn resume_after(&mut self, last: &FrameBlock) {
         let Some(grid) = last.grid() else { return };
-        info!(structure = self.keys.structure().as_str(), frame = last.end(), "nodes go on where the frames end");
+        info!(
+            structure = self.keys.structure().as_str(),
+            frame = last.end(),
+            "nodes go on where the frames end"
+        );
         let nodes = self.cutter.nodes().to_vec();
-        let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
+        let cutter =
+            std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
         self.cutter = cutter.resuming(grid, last.end());
     }
 
     /// The lowest epoch of frames of this run; what ingest has said of earlier ones must not count for it.
     async fn min_epoch(&self) -> u64 {
         let asks = self.settings.wait_for.contains(&Service::Ingest);
-        let position =
-            if asks { self.bus.stream_position(&self.keys.recording(), POSITION_TIMEOUT).await } else { None };
+        let position = if asks {
+            self.bus
+                .stream_position(&self.keys.recording(), POSITION_TIMEOUT)
+                .await
+        } else {
+            None
+        };
         match position {
             Some(at) if at.state == StreamState::Ended => at.header.epoch + 1,
             Some(at) => at.header.epoch,
@@ -233,7 +284,12 @@ impl SensorService {
     fn window(&self, min_epoch: u64, elapsed_ns: i64) -> Window {
         let step_ns = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.step_ns());
         // A frame is done when the node whose clock is furthest behind has reached it.
-        let clocks = || self.cutter.nodes().iter().map(|node| node.clock_ahead_ns(elapsed_ns));
+        let clocks = || {
+            self.cutter
+                .nodes()
+                .iter()
+                .map(|node| node.clock_ahead_ns(elapsed_ns))
+        };
         let (ahead, behind) = (clocks().max().unwrap_or(0), clocks().min().unwrap_or(0));
         Window {
             rows: WINDOW_FRAMES + (ahead.saturating_sub(behind) / step_ns.max(1)).unsigned_abs(),
@@ -250,7 +306,12 @@ impl SensorService {
         put: &mut Put,
     ) -> Result<(), SensorError> {
         let mut started = None;
-        while let Ok(Batch { time_ns, rows, blocks }) = batches.recv_async().await {
+        while let Ok(Batch {
+            time_ns,
+            rows,
+            blocks,
+        }) = batches.recv_async().await
+        {
             let started = *started.get_or_insert_with(|| {
                 put.first_ns = time_ns;
                 match self.settings.speed {
@@ -294,13 +355,20 @@ impl SensorService {
         let structure = self.keys.structure().as_str();
         for (service, watch) in &mut self.progress {
             let mut seen = watch.latest();
-            while !seen.as_ref().is_some_and(|progress| window.all_done(last_sample_ns, progress)) {
+            while !seen
+                .as_ref()
+                .is_some_and(|progress| window.all_done(last_sample_ns, progress))
+            {
                 let changed = watch.wait_for(|progress| Some(progress) != seen.as_ref());
                 match timeout(patience, changed).await {
                     Ok(progress) => seen = Some(progress),
                     Err(_elapsed) if last_sample_ns == i64::MIN => break, // nothing was put
                     Err(_elapsed) => {
-                        warn!(structure, service = service.as_str(), "service has not done all samples");
+                        warn!(
+                            structure,
+                            service = service.as_str(),
+                            "service has not done all samples"
+                        );
                         break;
                     }
                 }
@@ -309,7 +377,10 @@ impl SensorService {
     }
 
     async fn withdraw(self) -> Result<(), SensorError> {
-        info!(structure = self.keys.structure().as_str(), "sensor nodes stop");
+        info!(
+            structure = self.keys.structure().as_str(),
+            "sensor nodes stop"
+        );
         for token in self.tokens {
             token.withdraw().await?;
         }
@@ -335,12 +406,21 @@ impl Put {
 
 /// The instant at which the clock on the wall shows a time (ns since the Unix epoch).
 fn instant_of(time_ns: i64) -> Instant {
-    #[expect(clippy::disallowed_methods, reason = "live samples are put when they are measured")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "live samples are put when they are measured"
+    )]
     let wall = SystemTime::now();
     let now = Instant::now();
-    let wall_ns = wall.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+    let wall_ns = wall
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as i64);
     let away = Duration::from_nanos(time_ns.abs_diff(wall_ns));
-    let instant = if time_ns > wall_ns { now.checked_add(away) } else { now.checked_sub(away) };
+    let instant = if time_ns > wall_ns {
+        now.checked_add(away)
+    } else {
+        now.checked_sub(away)
+    };
     instant.unwrap_or(now)
 }
 
@@ -364,7 +444,14 @@ fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result
         if !blocks.is_empty() {
             // rows are known ahead of their time: what ends with the row before this one is due when that one is
             let rows = std::mem::take(&mut rows_cut);
-            if out.send(Batch { time_ns, rows, blocks }).is_err() {
+            if out
+                .send(Batch {
+                    time_ns,
+                    rows,
+                    blocks,
+                })
+                .is_err()
+            {
                 return Ok(());
             }
         }
@@ -374,6 +461,10 @@ fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result
     // What came before an error is good, and has an end like any other.
     let mut blocks = Vec::new();
     cutter.end(&mut blocks);
-    let _ = out.send(Batch { time_ns, rows: rows_cut, blocks }); // nobody receives after a stop
+    let _ = out.send(Batch {
+        time_ns,
+        rows: rows_cut,
+        blocks,
+    }); // nobody receives after a stop
     failure.map_or(Ok(()), Err)
 }

@@ -1,6 +1,11 @@
 //! Sensor nodes over real Zenoh sessions on the loopback interface, without multicast.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use std::convert::Infallible;
 use std::future::{pending, ready};
@@ -8,9 +13,12 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, Keys, Name, SampleBlock, Service, Start, Stream, StreamSettings, StreamState,
+    Block, Bus, BusConfig, Delivery, Keys, Name, SampleBlock, Service, Start, Stream,
+    StreamSettings, StreamState,
 };
-use spandrel_sensor::{NodePace, NodePlan, Row, SensorService, SensorSettings, Speed, WINDOW_FRAMES};
+use spandrel_sensor::{
+    NodePace, NodePlan, Row, SensorService, SensorSettings, Speed, WINDOW_FRAMES,
+};
 use tokio::time::timeout;
 
 /// Only ends a hang.
@@ -23,9 +31,18 @@ async fn pair() -> (Bus, Bus) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
     drop(listener);
-    let listen = BusConfig { listen: vec![endpoint.clone()], ..BusConfig::default() };
-    let connect = BusConfig { connect: vec![endpoint], ..BusConfig::default() };
-    (Bus::open(&listen).await.unwrap(), Bus::open(&connect).await.unwrap())
+    let listen = BusConfig {
+        listen: vec![endpoint.clone()],
+        ..BusConfig::default()
+    };
+    let connect = BusConfig {
+        connect: vec![endpoint],
+        ..BusConfig::default()
+    };
+    (
+        Bus::open(&listen).await.unwrap(),
+        Bus::open(&connect).await.unwrap(),
+    )
 }
 
 fn keys() -> Keys {
@@ -37,7 +54,12 @@ fn name(text: &str) -> Name {
 }
 
 fn rows(count: u64) -> impl Iterator<Item = Result<Row, Infallible>> {
-    (0..count).map(|number| Ok(Row { time_ns: number as i64 * STEP, values: vec![number as f64] }))
+    (0..count).map(|number| {
+        Ok(Row {
+            time_ns: number as i64 * STEP,
+            values: vec![number as f64],
+        })
+    })
 }
 
 async fn sensor(bus: &Bus, wait_for: Vec<Service>) -> SensorService {
@@ -49,17 +71,34 @@ async fn sensor(bus: &Bus, wait_for: Vec<Service>) -> SensorService {
         clock_offset_ns: 0,
         clock_drift_ppm: 0.0,
     };
-    let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for, resume: false };
-    SensorService::start(vec![node], 200.0, bus, keys(), settings).await.unwrap()
+    let settings = SensorSettings {
+        speed: Speed::Max,
+        epoch: 1,
+        wait_for,
+        resume: false,
+    };
+    SensorService::start(vec![node], 200.0, bus, keys(), settings)
+        .await
+        .unwrap()
 }
 
 async fn samples(bus: &Bus) -> Stream<SampleBlock> {
     let node = name("roof");
-    bus.follow(keys().samples(&node), keys().buffer(&node), StreamSettings::new(Start::Beginning)).await.unwrap()
+    bus.follow(
+        keys().samples(&node),
+        keys().buffer(&node),
+        StreamSettings::new(Start::Beginning),
+    )
+    .await
+    .unwrap()
 }
 
 async fn next(stream: &Stream<SampleBlock>) -> SampleBlock {
-    match timeout(DEADLINE, stream.deliveries().recv_async()).await.expect("no samples").unwrap() {
+    match timeout(DEADLINE, stream.deliveries().recv_async())
+        .await
+        .expect("no samples")
+        .unwrap()
+    {
         Delivery::Block(block) => block,
         Delivery::Gap(gap) => panic!("{gap:?}"),
     }
@@ -72,8 +111,14 @@ async fn a_source_keeps_within_the_window_of_what_is_identified_and_ends() {
     let service = sensor(&first, vec![Service::Identify]).await;
     let running = tokio::spawn(async move { service.run(rows(total), pending()).await });
     let stream = samples(&second).await;
-    let progress = second.publish_progress(keys().progress(Service::Identify), "identify-1".into()).await.unwrap();
-    let _token = second.announce(keys().live(Service::Identify, &name("identify-1"))).await.unwrap();
+    let progress = second
+        .publish_progress(keys().progress(Service::Identify), "identify-1".into())
+        .await
+        .unwrap();
+    let _token = second
+        .announce(keys().live(Service::Identify, &name("identify-1")))
+        .await
+        .unwrap();
     let (mut read, mut done) = (0, 0);
     let mut state = StreamState::Running;
     while state == StreamState::Running {
@@ -81,14 +126,21 @@ async fn a_source_keeps_within_the_window_of_what_is_identified_and_ends() {
         assert_eq!(block.header.sequence, read);
         read = block.end();
         state = block.state;
-        assert!(read <= done + WINDOW_FRAMES + BLOCK, "{read} put, {done} done");
+        assert!(
+            read <= done + WINDOW_FRAMES + BLOCK,
+            "{read} put, {done} done"
+        );
         if read >= done + WINDOW_FRAMES - BLOCK || state == StreamState::Ended {
             done = read;
             progress.set(1, done, (done as i64 - 1) * STEP);
         }
     }
     assert_eq!(read, total);
-    timeout(DEADLINE, running).await.expect("the source does not end").unwrap().unwrap();
+    timeout(DEADLINE, running)
+        .await
+        .expect("the source does not end")
+        .unwrap()
+        .unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -96,7 +148,10 @@ async fn a_source_that_is_stopped_ends_its_nodes() {
     let (first, second) = pair().await;
     let service = sensor(&first, vec![Service::Identify]).await;
     let stream = samples(&second).await;
-    let _token = second.announce(keys().live(Service::Identify, &name("identify-1"))).await.unwrap();
+    let _token = second
+        .announce(keys().live(Service::Identify, &name("identify-1")))
+        .await
+        .unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let running = tokio::spawn(async move {
         let stop = async { drop(stopped.await) };
@@ -105,7 +160,11 @@ async fn a_source_that_is_stopped_ends_its_nodes() {
     assert_eq!(next(&stream).await.header.sequence, 0);
     stop.send(()).unwrap();
     while next(&stream).await.state == StreamState::Running {}
-    timeout(DEADLINE, running).await.expect("the source does not end").unwrap().unwrap();
+    timeout(DEADLINE, running)
+        .await
+        .expect("the source does not end")
+        .unwrap()
+        .unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -113,5 +172,8 @@ async fn a_source_that_is_stopped_while_it_waits_leaves_at_once() {
     let (first, _second) = pair().await;
     let service = sensor(&first, vec![Service::Identify]).await;
     let running = service.run(rows(10), ready(()));
-    timeout(DEADLINE, running).await.expect("the source does not end").unwrap();
+    timeout(DEADLINE, running)
+        .await
+        .expect("the source does not end")
+        .unwrap();
 }

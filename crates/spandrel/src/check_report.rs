@@ -23,7 +23,8 @@
 use crate::commands::counted;
 use serde::Serialize;
 use spandrel_structure::{
-    Assumption, CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
+    Assumption, CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity,
+    Structure, TimeStepReport,
 };
 use std::fmt;
 
@@ -91,7 +92,14 @@ struct FindingLine {
 impl CheckPage {
     /// Lays out what `report` says of `structure`.
     pub fn new(structure: &Structure, report: CheckReport) -> Self {
-        let CheckReport { structure: name, modes, time_step, identification, findings, assumptions } = report;
+        let CheckReport {
+            structure: name,
+            modes,
+            time_step,
+            identification,
+            findings,
+            assumptions,
+        } = report;
         let findings = findings.into_iter().map(|finding| FindingLine {
             severity: finding.severity(),
             text: finding.to_string(),
@@ -120,22 +128,33 @@ impl CheckPage {
             page.after_s = Some(identification.duration_s);
             page.memory_s = Some(identification.memory_s);
             page.correlations = identification.correlations;
-            let parameters = identification.parameters.into_iter().zip(structure.parameters());
-            let line = |(report, parameter): (ParameterReport, &spandrel_structure::Parameter)| ParameterLine {
-                verdict: verdict(&report.name, &page.findings),
-                name: report.name,
-                prior_mean: parameter.mean(),
-                prior_std: report.prior_std,
-                std_after: report.std_after,
-                std_steady: report.std_steady,
-                std_reported: report.std_reported,
-                settling_s: report.settling_s,
-                dynamic_sensitivity: report.dynamic_sensitivity,
-                shifts: report.shifts,
+            let parameters = identification
+                .parameters
+                .into_iter()
+                .zip(structure.parameters());
+            let line = |(report, parameter): (ParameterReport, &spandrel_structure::Parameter)| {
+                ParameterLine {
+                    verdict: verdict(&report.name, &page.findings),
+                    name: report.name,
+                    prior_mean: parameter.mean(),
+                    prior_std: report.prior_std,
+                    std_after: report.std_after,
+                    std_steady: report.std_steady,
+                    std_reported: report.std_reported,
+                    settling_s: report.settling_s,
+                    dynamic_sensitivity: report.dynamic_sensitivity,
+                    shifts: report.shifts,
+                }
             };
             page.parameters = parameters.map(line).collect();
-            let levels = identification.noise_levels.into_iter().zip(structure.noise_levels());
-            let line = |(report, level): (spandrel_structure::NoiseLevelReport, &spandrel_structure::NoiseLevel)| {
+            let levels = identification
+                .noise_levels
+                .into_iter()
+                .zip(structure.noise_levels());
+            let line = |(report, level): (
+                spandrel_structure::NoiseLevelReport,
+                &spandrel_structure::NoiseLevel,
+            )| {
                 NoiseLevelLine {
                     name: report.name,
                     std: level.std(),
@@ -158,28 +177,43 @@ fn unsigned_zero(value: f64) -> f64 {
 
 /// A standard deviation, ratio to nominal.
 fn deviation(value: f64) -> String {
-    if value < SMALL { format!("{value:.1e}") } else { format!("{value:.4}") }
+    if value < SMALL {
+        format!("{value:.1e}")
+    } else {
+        format!("{value:.4}")
+    }
 }
 
 /// What the findings mean for one parameter, the worst of them.
 fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
     // what no record makes better comes before what takes longer
     let rests = findings.iter().find_map(|line| match &line.finding {
-        Finding::RestsOnExcitation { parameter: of, excitations, .. } if of == parameter => Some(excitations),
+        Finding::RestsOnExcitation {
+            parameter: of,
+            excitations,
+            ..
+        } if of == parameter => Some(excitations),
         _ => None,
     });
     if let Some(excitations) = rests {
         return format!("rests on {excitations}");
     }
     let verdicts = findings.iter().filter_map(|line| match &line.finding {
-        Finding::Uninformed { parameter: of, .. } if of == parameter => Some("not identified".to_owned()),
+        Finding::Uninformed { parameter: of, .. } if of == parameter => {
+            Some("not identified".to_owned())
+        }
         Finding::ParametersConfounded { first, second, .. } if first == parameter => {
             Some(format!("not apart from {second}"))
         }
         Finding::ParametersConfounded { first, second, .. } if second == parameter => {
             Some(format!("not apart from {first}"))
         }
-        Finding::LevelConfounded { parameter: of, level, adapted, .. } if of == parameter => Some(match adapted {
+        Finding::LevelConfounded {
+            parameter: of,
+            level,
+            adapted,
+            ..
+        } if of == parameter => Some(match adapted {
             true => format!("not apart from the level of {level}"),
             false => format!("rests on the level of {level}"),
         }),
@@ -207,7 +241,9 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         | Finding::ParticlesTooFew { .. }
         | Finding::ModesMissMass { .. } => None,
     });
-    verdicts.reduce(|worst, _| worst).unwrap_or_else(|| "identified".to_owned())
+    verdicts
+        .reduce(|worst, _| worst)
+        .unwrap_or_else(|| "identified".to_owned())
 }
 
 /// What to do about a finding, where its text does not say so.
@@ -268,13 +304,25 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
 
 impl fmt::Display for CheckPage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { structure, description, sampling_rate_hz, degrees_of_freedom, channels, nodes, .. } = self;
+        let Self {
+            structure,
+            description,
+            sampling_rate_hz,
+            degrees_of_freedom,
+            channels,
+            nodes,
+            ..
+        } = self;
         let separator = if description.is_empty() { "" } else { ": " };
         writeln!(f, "{structure}{separator}{description}")?;
         writeln!(
             f,
             "{}, {} on {}, {sampling_rate_hz} Hz",
-            counted(*degrees_of_freedom, "degree of freedom", "degrees of freedom"),
+            counted(
+                *degrees_of_freedom,
+                "degree of freedom",
+                "degrees of freedom"
+            ),
             counted(*channels, "channel", "channels"),
             counted(*nodes, "node", "nodes")
         )?;
@@ -290,12 +338,30 @@ impl CheckPage {
         writeln!(f, "\nnatural modes as designed\n")?;
         writeln!(f, "  mode  frequency (Hz)  period (s)  damping (%)")?;
         for (mode, number) in self.modes.iter().zip(1..).take(MODES_SHOWN) {
-            let ModeReport { frequency_hz, period_s, damping_ratio, .. } = mode;
-            writeln!(f, "  {number:>4}  {frequency_hz:>14.4}  {period_s:>10.4}  {:>11.2}", 100.0 * damping_ratio)?;
+            let ModeReport {
+                frequency_hz,
+                period_s,
+                damping_ratio,
+                ..
+            } = mode;
+            writeln!(
+                f,
+                "  {number:>4}  {frequency_hz:>14.4}  {period_s:>10.4}  {:>11.2}",
+                100.0 * damping_ratio
+            )?;
         }
-        let TimeStepReport { highest_frequency_hz, rate_times_step, substeps, series_order } = &self.time_step;
+        let TimeStepReport {
+            highest_frequency_hz,
+            rate_times_step,
+            substeps,
+            series_order,
+        } = &self.time_step;
         if self.modes.len() > MODES_SHOWN {
-            writeln!(f, "  and {} more, up to {highest_frequency_hz:.2} Hz", self.modes.len() - MODES_SHOWN)?;
+            writeln!(
+                f,
+                "  and {} more, up to {highest_frequency_hz:.2} Hz",
+                self.modes.len() - MODES_SHOWN
+            )?;
         }
         writeln!(
             f,
@@ -308,11 +374,19 @@ impl CheckPage {
     }
 
     fn write_parameters(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (Some(after_s), Some(memory_s)) = (self.after_s, self.memory_s) else { return Ok(()) };
+        let (Some(after_s), Some(memory_s)) = (self.after_s, self.memory_s) else {
+            return Ok(());
+        };
         if self.parameters.is_empty() {
-            return writeln!(f, "\nno parameters: the filter follows the motion and the adapted noise levels only");
+            return writeln!(
+                f,
+                "\nno parameters: the filter follows the motion and the adapted noise levels only"
+            );
         }
-        writeln!(f, "\nparameters (ratios to nominal), with a memory of {memory_s:.1} s\n")?;
+        writeln!(
+            f,
+            "\nparameters (ratios to nominal), with a memory of {memory_s:.1} s\n"
+        )?;
         let width = self.name_width();
         let after = format!("after {after_s:.0} s");
         writeln!(
@@ -321,9 +395,21 @@ impl CheckPage {
             "parameter", "prior", "long run", "reported", "settles (s)"
         )?;
         for line in &self.parameters {
-            let ParameterLine { name, prior_mean, prior_std, std_after, std_steady, std_reported, settling_s, .. } =
-                line;
-            let settles = if settling_s.is_finite() { format!("{settling_s:.1}") } else { "never".to_owned() };
+            let ParameterLine {
+                name,
+                prior_mean,
+                prior_std,
+                std_after,
+                std_steady,
+                std_reported,
+                settling_s,
+                ..
+            } = line;
+            let settles = if settling_s.is_finite() {
+                format!("{settling_s:.1}")
+            } else {
+                "never".to_owned()
+            };
             writeln!(
                 f,
                 "  {name:width$}  {prior_mean:.3} ± {prior_std:.3}  {:>12}  {:>8}  {:>8}  {settles:>11}  {}",
@@ -356,7 +442,11 @@ impl CheckPage {
         for (index, line) in self.parameters.iter().enumerate() {
             write!(f, "  {:width$}", line.name)?;
             for mode in self.modes.iter().take(shown) {
-                write!(f, "  {:>8.3}", unsigned_zero(mode.sensitivity.get(index).copied().unwrap_or(0.0)))?;
+                write!(
+                    f,
+                    "  {:>8.3}",
+                    unsigned_zero(mode.sensitivity.get(index).copied().unwrap_or(0.0))
+                )?;
             }
             writeln!(f, "  {:>8.3}", line.dynamic_sensitivity)?;
         }
@@ -364,11 +454,17 @@ impl CheckPage {
     }
 
     fn write_noise_levels(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Some(after_s) = self.after_s else { return Ok(()) };
+        let Some(after_s) = self.after_s else {
+            return Ok(());
+        };
         let width = self.name_width();
         writeln!(f, "\nnoise levels (standard deviations)\n")?;
         let after = format!("known after {after_s:.0} s to");
-        writeln!(f, "  {:width$}  {:>14}  {:>7}  {after:>20}", "noise level", "stated", "adapted")?;
+        writeln!(
+            f,
+            "  {:width$}  {:>14}  {:>7}  {after:>20}",
+            "noise level", "stated", "adapted"
+        )?;
         for line in &self.noise_levels {
             let unit = if line.unit == "1" { "" } else { line.unit };
             let stated = if line.std < SMALL {
@@ -380,14 +476,24 @@ impl CheckPage {
             let stated = stated.trim_end();
             let adapted = if line.adapted { "yes" } else { "no" };
             let known = format!("{:.1} %", 100.0 * line.relative_std_after);
-            writeln!(f, "  {:width$}  {stated:>14}  {adapted:>7}  {known:>20}", line.name)?;
+            writeln!(
+                f,
+                "  {:width$}  {stated:>14}  {adapted:>7}  {known:>20}",
+                line.name
+            )?;
         }
         Ok(())
     }
 
     fn write_findings(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f)?;
-        for FindingLine { severity, text, advice, .. } in &self.findings {
+        for FindingLine {
+            severity,
+            text,
+            advice,
+            ..
+        } in &self.findings
+        {
             let label = match severity {
                 Severity::Warning => "warning",
                 Severity::Note => "note",
@@ -399,10 +505,19 @@ impl CheckPage {
         }
         if self.findings.is_empty() {
             f.write_str("nothing to warn of")?;
-            f.write_str(if self.parameters.is_empty() { "\n" } else { ": these sensors tell all parameters apart\n" })?;
+            f.write_str(if self.parameters.is_empty() {
+                "\n"
+            } else {
+                ": these sensors tell all parameters apart\n"
+            })?;
         }
-        writeln!(f, "\nall this holds if the model is right; what no check can know:\n")?;
-        self.assumptions.iter().try_for_each(|assumption| writeln!(f, "  {assumption}"))
+        writeln!(
+            f,
+            "\nall this holds if the model is right; what no check can know:\n"
+        )?;
+        self.assumptions
+            .iter()
+            .try_for_each(|assumption| writeln!(f, "  {assumption}"))
     }
 
     /// One JSON object on one line.
@@ -413,9 +528,16 @@ impl CheckPage {
 
     /// Width of the column of names.
     fn name_width(&self) -> usize {
-        let names =
-            self.parameters.iter().map(|line| &line.name).chain(self.noise_levels.iter().map(|line| &line.name));
-        names.map(|name| name.len()).max().unwrap_or(0).max("noise level".len())
+        let names = self
+            .parameters
+            .iter()
+            .map(|line| &line.name)
+            .chain(self.noise_levels.iter().map(|line| &line.name));
+        names
+            .map(|name| name.len())
+            .max()
+            .unwrap_or(0)
+            .max("noise level".len())
     }
 }
 
@@ -428,7 +550,8 @@ mod tests {
     const OUTPUT_ONLY: &str = include_str!("../../../docs/examples/output-only.toml");
 
     fn page(text: &str) -> CheckPage {
-        let structure = Structure::parse(text, Path::new("example.toml")).unwrap_or_else(|error| panic!("{error}"));
+        let structure = Structure::parse(text, Path::new("example.toml"))
+            .unwrap_or_else(|error| panic!("{error}"));
         CheckPage::new(&structure, structure.check(60.0, 1))
     }
 
@@ -446,9 +569,13 @@ mod tests {
             assert!(text.contains(part), "no {part:?} in\n{text}");
         }
         for storey in 1..=5 {
-            let is_told =
-                |line: &str| line.starts_with(&format!("  storey-{storey} ")) && line.ends_with("  identified");
-            assert!(text.lines().any(is_told), "storey-{storey} is not identified in\n{text}");
+            let is_told = |line: &str| {
+                line.starts_with(&format!("  storey-{storey} ")) && line.ends_with("  identified")
+            };
+            assert!(
+                text.lines().any(is_told),
+                "storey-{storey} is not identified in\n{text}"
+            );
         }
         assert!(!text.contains("warning"), "{text}");
     }
@@ -457,7 +584,10 @@ mod tests {
     #[test]
     fn sensitivities_of_all_storeys_add_up_to_one_half() {
         for mode in page(DEMO).modes {
-            assert!((mode.sensitivity.iter().sum::<f64>() - 0.5).abs() < 1e-9, "{mode:?}");
+            assert!(
+                (mode.sensitivity.iter().sum::<f64>() - 0.5).abs() < 1e-9,
+                "{mode:?}"
+            );
         }
     }
 
@@ -465,41 +595,74 @@ mod tests {
     fn without_a_sensor_at_the_ground_storey_1_and_its_level_are_named_with_what_to_do() {
         let text = page(OUTPUT_ONLY).to_string();
         let mut lines = text.lines();
-        let finding = lines.find(|line| line.contains("storey-1 rests on the level and the colour of ground"));
+        let finding = lines
+            .find(|line| line.contains("storey-1 rests on the level and the colour of ground"));
         assert!(finding.is_some(), "{text}");
-        assert!(lines.next().is_some_and(|line| line.contains("measure ground on a channel")), "{text}");
+        assert!(
+            lines
+                .next()
+                .is_some_and(|line| line.contains("measure ground on a channel")),
+            "{text}"
+        );
         assert!(text.contains("  rests on ground"), "{text}");
-        assert!(text.contains("all this holds if the model is right"), "{text}");
+        assert!(
+            text.contains("all this holds if the model is right"),
+            "{text}"
+        );
     }
 
     #[test]
     fn a_fixed_damping_and_a_fixed_level_are_warnings_with_figures() {
         let file = OUTPUT_ONLY.replace("level-factor = 3 ", "adapt = false #");
-        let (before, after) = file.split_once("[[parameter]]\nname = \"damping\"").unwrap();
+        let (before, after) = file
+            .split_once("[[parameter]]\nname = \"damping\"")
+            .unwrap();
         let (_, after) = after.split_once("[[excitation]]").unwrap();
         let text = page(&format!("{before}[[excitation]]{after}")).to_string();
         assert!(
-            text.contains("warning: damping is fixed; if it is 2 times as large, or as small: storey-1 "),
+            text.contains(
+                "warning: damping is fixed; if it is 2 times as large, or as small: storey-1 "
+            ),
             "{text}"
         );
-        assert!(text.contains("warning: the level of ground is stated and not identified; "), "{text}");
+        assert!(
+            text.contains("warning: the level of ground is stated and not identified; "),
+            "{text}"
+        );
     }
 
     #[test]
     fn json_has_the_documented_fields() {
         let json: serde_json::Value = serde_json::from_str(&page(OUTPUT_ONLY).json()).unwrap();
-        for field in
-            ["structure", "sampling_rate_hz", "degrees_of_freedom", "time_step", "after_s", "memory_s", "correlations"]
-        {
+        for field in [
+            "structure",
+            "sampling_rate_hz",
+            "degrees_of_freedom",
+            "time_step",
+            "after_s",
+            "memory_s",
+            "correlations",
+        ] {
             assert!(!json[field].is_null(), "{field} in {json}");
         }
         assert_eq!(json["parameters"][0]["name"], "storey-1");
         assert_eq!(json["noise_levels"][0]["unit"], "m/s2");
-        assert_eq!(json["modes"][0]["sensitivity"].as_array().map(Vec::len), Some(6));
+        assert_eq!(
+            json["modes"][0]["sensitivity"].as_array().map(Vec::len),
+            Some(6)
+        );
         let findings = json["findings"].as_array().unwrap();
-        let rests = |f: &&serde_json::Value| f["kind"] == "rests-on-excitation" && f["parameter"] == "storey-1";
-        let finding = findings.iter().find(rests).unwrap_or_else(|| panic!("{json}"));
-        assert_eq!((&finding["severity"], &finding["excitations"]), (&"warning".into(), &"ground".into()));
+        let rests = |f: &&serde_json::Value| {
+            f["kind"] == "rests-on-excitation" && f["parameter"] == "storey-1"
+        };
+        let finding = findings
+            .iter()
+            .find(rests)
+            .unwrap_or_else(|| panic!("{json}"));
+        assert_eq!(
+            (&finding["severity"], &finding["excitations"]),
+            (&"warning".into(), &"ground".into())
+        );
         assert_eq!(json["assumptions"][0], "masses");
         assert!(finding["text"].is_string() && finding["advice"].is_string());
     }

@@ -40,7 +40,9 @@ pub enum LogFormat {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Show the whole path: a simulated building is damaged on the way, and an alert says so.
-    #[command(after_help = "Example: spandrel demo --speed max --duration 120 --seed 7 --headless --json")]
+    #[command(
+        after_help = "Example: spandrel demo --speed max --duration 120 --seed 7 --headless --json"
+    )]
     Demo(DemoArguments),
     /// Run all services of one machine in one process.
     #[command(after_help = "Example: spandrel run --config spandrel.toml")]
@@ -49,8 +51,10 @@ pub enum Command {
     #[command(after_help = "Example: spandrel ingest --config spandrel.toml")]
     Ingest(ServiceArguments),
     /// Identify parameters and noise levels from frames.
-    #[command(after_help = "Examples: spandrel identify --config spandrel.toml\n          \
-                            spandrel identify bridge.toml --node deck-3 --connect quic/10.0.0.5:7447 --certificate NAME.pem")]
+    #[command(
+        after_help = "Examples: spandrel identify --config spandrel.toml\n          \
+                            spandrel identify bridge.toml --node deck-3 --connect quic/10.0.0.5:7447 --certificate NAME.pem"
+    )]
     Identify(IdentifyArguments),
     /// Fuse what sensor nodes have identified for themselves.
     #[command(after_help = "Example: spandrel fuse bridge.toml --config spandrel.toml")]
@@ -59,7 +63,9 @@ pub enum Command {
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
     /// Keep estimates, alerts and events in a database, and answer for the past.
-    #[command(after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem")]
+    #[command(
+        after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem"
+    )]
     History(ServiceArguments),
     /// Tell of alerts by webhook, Alertmanager and e-mail.
     #[command(after_help = "Example: spandrel notify --config spandrel.toml")]
@@ -71,12 +77,16 @@ pub enum Command {
     )]
     Dashboard(RunArguments),
     /// Simulate a structure: to the bus, or to a file.
-    #[command(after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
+    #[command(
+        after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
                             spandrel simulate tower.toml --speed 1 --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
-                            spandrel simulate tower.toml --live --node roof --start 1763730000")]
+                            spandrel simulate tower.toml --live --node roof --start 1763730000"
+    )]
     Simulate(SimulateArguments),
     /// Send a recording to the bus as its sensor nodes would.
-    #[command(after_help = "Example: spandrel replay week-12.csv --structure tower.toml --speed 10")]
+    #[command(
+        after_help = "Example: spandrel replay week-12.csv --structure tower.toml --speed 10"
+    )]
     Replay(ReplayArguments),
     /// Identify a recording without a bus, with the same cores and to the same bits.
     #[command(
@@ -97,8 +107,10 @@ pub enum Command {
                       spandrel info tower.dat --rate 100 --json")]
     Info(InfoArguments),
     /// Write a recording in another format: .csv or .mcap, in SI units where its own are known.
-    #[command(after_help = "Examples: spandrel convert event.zip event.mcap\n          \
-                      spandrel convert modal-test.uff modal-test.csv --resample 200")]
+    #[command(
+        after_help = "Examples: spandrel convert event.zip event.mcap\n          \
+                      spandrel convert modal-test.uff modal-test.csv --resample 200"
+    )]
     Convert(ConvertArguments),
     /// Rebuild the published examples of the method, and compare with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
@@ -126,7 +138,9 @@ pub enum Command {
     )]
     Site(SiteCommand),
     /// Make a token for the web page: printed once, and kept as a hash.
-    #[command(after_help = "Example: spandrel token grace --role operator --file /etc/spandrel/tokens.json")]
+    #[command(
+        after_help = "Example: spandrel token grace --role operator --file /etc/spandrel/tokens.json"
+    )]
     Token(TokenArguments),
     /// Write shell completions to standard output.
     #[command(after_help = "Example: spandrel completions bash > /etc/bash_completion.d/spandrel")]
@@ -462,7 +476,11 @@ pub struct ReadingArguments {
 impl ReadingArguments {
     /// Returns the options of reading.
     pub fn options(&self) -> ReadOptions {
-        ReadOptions { time_column: self.time_column.clone(), time_unit: self.time_unit, sampling_rate_hz: self.rate }
+        ReadOptions {
+            time_column: self.time_column.clone(),
+            time_unit: self.time_unit,
+            sampling_rate_hz: self.rate,
+        }
     }
 }
 
@@ -563,7 +581,14 @@ pub struct ParticleArguments {
 impl ParticleArguments {
     /// Returns the first option that was given, which is of no use without particles.
     pub fn given(&self) -> Option<&'static str> {
-        let Self { particles, density, drift, kernel, warm_up, seed } = self;
+        let Self {
+            particles,
+            density,
+            drift,
+            kernel,
+            warm_up,
+            seed,
+        } = self;
         let given = [
             (particles.is_some(), "--particles"),
             (density.is_some(), "--density"),
@@ -572,7 +597,9 @@ impl ParticleArguments {
             (warm_up.is_some(), "--warm-up"),
             (seed.is_some(), "--seed"),
         ];
-        given.into_iter().find_map(|(is_given, option)| is_given.then_some(option))
+        given
+            .into_iter()
+            .find_map(|(is_given, option)| is_given.then_some(option))
     }
 
     /// Returns how the particles are used.
@@ -581,7 +608,9 @@ impl ParticleArguments {
         let mut plan = ParticlePlan::default();
         plan.settings.threads = threads;
         plan.settings.seed = self.seed.unwrap_or(0);
-        plan.settings.particles = self.particles.map_or(plan.settings.particles, |particles| particles as usize);
+        plan.settings.particles = self
+            .particles
+            .map_or(plan.settings.particles, |particles| particles as usize);
         plan.settings.density = match self.density {
             Some(DensityChoice::Optimal) | None => ImportanceDensity::Optimal,
             Some(DensityChoice::Prior) => ImportanceDensity::Prior,
@@ -712,22 +741,36 @@ mod tests {
     #[test]
     fn every_subcommand_shows_an_example() {
         for command in Arguments::command().get_subcommands() {
-            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-            assert!(help.contains("Example"), "{} has no example", command.get_name());
+            let help = command
+                .get_after_help()
+                .map(ToString::to_string)
+                .unwrap_or_default();
+            assert!(
+                help.contains("Example"),
+                "{} has no example",
+                command.get_name()
+            );
         }
     }
 
     #[test]
     fn numbers_below_their_range_are_refused_with_it() {
-        for (option, told) in [("--drift=-1", "must be a number, 0 or more"), ("--warm-up", "0 or more")] {
-            let mut words = vec!["spandrel", "estimate", "a.toml", "--record", "a.csv", option];
+        for (option, told) in [
+            ("--drift=-1", "must be a number, 0 or more"),
+            ("--warm-up", "0 or more"),
+        ] {
+            let mut words = vec![
+                "spandrel", "estimate", "a.toml", "--record", "a.csv", option,
+            ];
             if !option.contains('=') {
                 words.push("-3");
             }
             let error = Arguments::try_parse_from(words).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");
         }
-        let words = ["spandrel", "simulate", "a.toml", "--record", "a.csv", "--speed", "2"];
+        let words = [
+            "spandrel", "simulate", "a.toml", "--record", "a.csv", "--speed", "2",
+        ];
         let error = Arguments::try_parse_from(words).unwrap_err().to_string();
         assert!(error.contains("cannot be used with"), "{error}");
     }
@@ -735,12 +778,21 @@ mod tests {
     #[test]
     fn defaults_of_particles_are_those_that_help_tells() {
         let Command::Estimate(arguments) =
-            Arguments::try_parse_from(["spandrel", "estimate", "a.toml", "--record", "a.csv"]).unwrap().command
+            Arguments::try_parse_from(["spandrel", "estimate", "a.toml", "--record", "a.csv"])
+                .unwrap()
+                .command
         else {
             panic!("another command")
         };
         let plan = arguments.particle.plan();
-        assert_eq!((plan.settings.particles, plan.settings.seed, plan.settings.kernel), (2000, 0, 1.0));
+        assert_eq!(
+            (
+                plan.settings.particles,
+                plan.settings.seed,
+                plan.settings.kernel
+            ),
+            (2000, 0, 1.0)
+        );
         assert_eq!((plan.drift_per_root_s, plan.warm_up_s), (0.005, 2.0));
         assert_eq!(arguments.particle.given(), None);
     }
@@ -754,9 +806,15 @@ mod tests {
                 _ => panic!("another command"),
             })
         };
-        assert_eq!(parse(&["--seed", "17", "--seed", "5"]).unwrap(), (vec![17, 5], None));
+        assert_eq!(
+            parse(&["--seed", "17", "--seed", "5"]).unwrap(),
+            (vec![17, 5], None)
+        );
         let (single, range) = parse(&["--seeds", "4..8"]).unwrap();
-        assert_eq!((single, range.unwrap().iter().collect::<Vec<_>>()), (Vec::new(), vec![4, 5, 6, 7, 8]));
+        assert_eq!(
+            (single, range.unwrap().iter().collect::<Vec<_>>()),
+            (Vec::new(), vec![4, 5, 6, 7, 8])
+        );
         for (options, told) in [
             (&["--seeds", "8..4"][..], "the range 8..4 is empty"),
             (&["--seed", "17", "--seeds", "4..8"], "cannot be used with"),

@@ -33,11 +33,23 @@ use std::path::Path;
 pub fn run(command: Command) -> Result<(), AppError> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),
-        Command::Run(arguments) => run::run(&arguments.service, run::Services::ALL, Share::ALL, &arguments.page),
+        Command::Run(arguments) => run::run(
+            &arguments.service,
+            run::Services::ALL,
+            Share::ALL,
+            &arguments.page,
+        ),
         Command::Ingest(arguments) => run::one(&arguments, run::Services::INGEST, Share::ALL),
         Command::Identify(arguments) => {
-            let precedence = if arguments.standby { Precedence::StandsBy } else { Precedence::Leads };
-            let share = Share { nodes: &arguments.node, precedence };
+            let precedence = if arguments.standby {
+                Precedence::StandsBy
+            } else {
+                Precedence::Leads
+            };
+            let share = Share {
+                nodes: &arguments.node,
+                precedence,
+            };
             run::one(&arguments.service, run::Services::IDENTIFY, share)
         }
         Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, Share::ALL),
@@ -67,21 +79,30 @@ pub fn run(command: Command) -> Result<(), AppError> {
 }
 
 /// Refuses an output file that is one of the inputs: it would be gone before it is read to its end.
-pub fn refuse_overwriting<'p>(output: &Path, inputs: impl IntoIterator<Item = &'p Path>) -> Result<(), AppError> {
+pub fn refuse_overwriting<'p>(
+    output: &Path,
+    inputs: impl IntoIterator<Item = &'p Path>,
+) -> Result<(), AppError> {
     let same = |input: &Path| match (output.canonicalize(), input.canonicalize()) {
         (Ok(output), Ok(input)) => output == input,
         // what is not there cannot be written over
         (Ok(_) | Err(_), Ok(_) | Err(_)) => false,
     };
     match inputs.into_iter().any(same) {
-        true => Err(AppError::WouldOverwrite { path: output.to_owned() }),
+        true => Err(AppError::WouldOverwrite {
+            path: output.to_owned(),
+        }),
         false => Ok(()),
     }
 }
 
 /// What is said behind the name of an output file that is there already.
 pub fn in_place_of(output: &Path) -> &'static str {
-    if output.exists() { ", in place of the file that was there" } else { "" }
+    if output.exists() {
+        ", in place of the file that was there"
+    } else {
+        ""
+    }
 }
 
 /// Writes a number of things, in the singular where it is one.
@@ -92,9 +113,10 @@ pub fn counted(count: usize, one: &str, many: &str) -> String {
 /// Writes a result to standard output; a reader that has gone away (`| head`) is no error.
 pub fn print(text: &str) -> Result<(), AppError> {
     match std::io::stdout().lock().write_all(text.as_bytes()) {
-        Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(AppError::Io { what: "cannot write to standard output".to_owned(), source })
-        }
+        Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => Err(AppError::Io {
+            what: "cannot write to standard output".to_owned(),
+            source,
+        }),
         Ok(()) | Err(_) => Ok(()),
     }
 }

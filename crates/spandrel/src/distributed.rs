@@ -28,7 +28,8 @@ pub fn fuse(
 ) -> Result<Collector, AppError> {
     const EPOCH: u64 = 1;
     let plans = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
-    let workers = (0..plans.len()).map(|position| NodeIdentification::new(structure, position, EPOCH));
+    let workers =
+        (0..plans.len()).map(|position| NodeIdentification::new(structure, position, EPOCH));
     let mut network = Network {
         fusion: Fusion::new(structure, "fuse", EPOCH)?,
         workers: workers.collect::<Result<_, _>>()?,
@@ -37,7 +38,9 @@ pub fn fuse(
         start_ns: None,
         local: VecDeque::new(),
     };
-    network.fusion.handle(Input::Present(vec![true; plans.len()]), &mut Vec::new());
+    network
+        .fusion
+        .handle(Input::Present(vec![true; plans.len()]), &mut Vec::new());
     let mut cutter = Cutter::new(plans, EPOCH, BLOCK_SAMPLES);
     let mut samples = Vec::new();
     for row in rows {
@@ -90,17 +93,29 @@ impl Network {
         while let Some((node, message)) = self.local.pop_front() {
             let arrived_ns = message.header.time_ns;
             let mut outputs = Vec::new();
-            self.fusion.handle(Input::Local { node, message: Box::new(message), bytes: 0, arrived_ns }, &mut outputs);
+            self.fusion.handle(
+                Input::Local {
+                    node,
+                    message: Box::new(message),
+                    bytes: 0,
+                    arrived_ns,
+                },
+                &mut outputs,
+            );
             for output in outputs {
                 match output {
                     Output::Estimates(block) => {
                         let mut alerts = Vec::new();
                         self.watch.handle_block(&block, &mut alerts)?;
                         self.collector.take_estimates(&block);
-                        alerts.iter().for_each(|alert| self.collector.take_alert(alert));
+                        alerts
+                            .iter()
+                            .for_each(|alert| self.collector.take_alert(alert));
                         take(&block, &[])?;
                     }
-                    Output::Feedback(node, feedback) => self.work(node, NodeInput::Feedback(feedback)),
+                    Output::Feedback(node, feedback) => {
+                        self.work(node, NodeInput::Feedback(feedback))
+                    }
                     Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
                     Output::Node(display) => self.collector.take_node(&display),
                     Output::Outliers(_, display) => self.collector.take_outliers(&display),

@@ -48,7 +48,9 @@ pub enum AppError {
         source: Box<config::ConfigError>,
     },
     /// No structure was named.
-    #[error("no structure: name a structure file, or list some under `structures` in the configuration")]
+    #[error(
+        "no structure: name a structure file, or list some under `structures` in the configuration"
+    )]
     NoStructure,
     /// Two structure files have one name.
     #[error("{} and {} both name their structure `{name}`, names must differ", first.display(), second.display())]
@@ -71,7 +73,9 @@ pub enum AppError {
         known: String,
     },
     /// No node of this name identifies for itself.
-    #[error("no node `{name}` identifies for itself; those that do (identification = \"distributed\"): {known}")]
+    #[error(
+        "no node `{name}` identifies for itself; those that do (identification = \"distributed\"): {known}"
+    )]
     NoSuchNode {
         /// The name.
         name: String,
@@ -143,7 +147,9 @@ pub enum AppError {
     #[error(transparent)]
     History(#[from] HistoryError),
     /// The history was asked for, and none is to be kept.
-    #[error("the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…")]
+    #[error(
+        "the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…"
+    )]
     NoHistory,
     /// Nothing says where this system keeps what programs have to remember.
     #[error(
@@ -166,7 +172,9 @@ pub enum AppError {
     #[error("nothing was measured: no estimate has come; is the measurement longer than 5 s?")]
     NothingMeasured,
     /// A page was asked for, and none is to be served.
-    #[error("the page is switched off: --http or dashboard.listen is none, must be an address such as 127.0.0.1:8080")]
+    #[error(
+        "the page is switched off: --http or dashboard.listen is none, must be an address such as 127.0.0.1:8080"
+    )]
     NoPage,
     /// A simulated or replayed sensor failed.
     #[error(transparent)]
@@ -335,7 +343,10 @@ impl AppError {
 
     /// Whether a service has ended by a panic, after which another life of it may go better.
     pub fn is_of_a_panic(&self) -> bool {
-        matches!(self, Self::Panicked { .. } | Self::Identify(IdentifyError::ThreadLost { .. }))
+        matches!(
+            self,
+            Self::Panicked { .. } | Self::Identify(IdentifyError::ThreadLost { .. })
+        )
     }
 
     /// The error and its causes, for a person.
@@ -358,9 +369,14 @@ impl AppError {
 fn without_source_places(text: &str) -> String {
     let mut text = text.to_owned();
     while let Some(end) = text.find(".rs:") {
-        let Some(begin) = text[..end].rfind(" at ") else { break };
+        let Some(begin) = text[..end].rfind(" at ") else {
+            break;
+        };
         let number = end + ".rs:".len();
-        let digits = text[number..].bytes().take_while(u8::is_ascii_digit).count();
+        let digits = text[number..]
+            .bytes()
+            .take_while(u8::is_ascii_digit)
+            .count();
         let dot = usize::from(text[number + digits..].starts_with('.'));
         text.replace_range(begin..number + digits + dot, "");
     }
@@ -373,9 +389,11 @@ mod tests {
 
     #[test]
     fn places_in_the_source_of_zenoh_are_left_out() {
-        let told =
-            "No such file (os error 2) at /root/.cargo/zenoh-config-1.10.2/src/lib.rs:1507. - Caused by x at a.rs:3.";
-        assert_eq!(without_source_places(told), "No such file (os error 2) - Caused by x");
+        let told = "No such file (os error 2) at /root/.cargo/zenoh-config-1.10.2/src/lib.rs:1507. - Caused by x at a.rs:3.";
+        assert_eq!(
+            without_source_places(told),
+            "No such file (os error 2) - Caused by x"
+        );
         for plain in ["found at line 7", "main.rs: is no configuration", ""] {
             assert_eq!(without_source_places(plain), plain);
         }

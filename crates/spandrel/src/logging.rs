@@ -20,7 +20,9 @@ pub fn start(format: LogFormat, verbose: u8) {
     );
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(fallback));
     // A log that cannot be written (closed pipe, full disk) must not stop a service: by default that panics.
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).log_internal_errors(false);
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .log_internal_errors(false);
     let builder = builder.with_writer(HeldStderr::default);
     match format {
         LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).init(),

@@ -30,15 +30,20 @@ pub fn identify(
     baseline: Option<&Baseline>,
     mut take: impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
 ) -> Result<Collector, AppError> {
-    let layout = Layout::of(structure)
-        .map_err(|source| IngestError::Layout { structure: structure.name().to_owned(), source })?;
+    let layout = Layout::of(structure).map_err(|source| IngestError::Layout {
+        structure: structure.name().to_owned(),
+        source,
+    })?;
     let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
     let mut chain = Chain {
         alignment: Alignment::new(layout, "ingest".to_owned(), 1),
         collector: Collector::new(structure).with_baseline(baseline),
         identification,
         watch: Watch::new(structure, baseline)?,
-        channels: structure.channels().map(|channel| channel.name().to_owned()).collect(),
+        channels: structure
+            .channels()
+            .map(|channel| channel.name().to_owned())
+            .collect(),
         samples: Samples::default(),
         frames: Vec::new(),
         outputs: Vec::new(),
@@ -68,7 +73,9 @@ pub fn identify(
         chain.collector.take_classes(&display);
     }
     if let Estimator::Particles(particles) = chain.identification.estimator() {
-        chain.collector.take_effective_share(particles.effective_share());
+        chain
+            .collector
+            .take_effective_share(particles.effective_share());
     }
     chain.collector.take_decided(&chain.watch);
     Ok(chain.collector)
@@ -97,14 +104,18 @@ impl Chain {
         block: spandrel_bus::SampleBlock,
         take: &mut impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
     ) -> Result<(), AppError> {
-        self.alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut self.frames);
+        self.alignment.handle(
+            spandrel_ingest::Input::Samples { node, block },
+            &mut self.frames,
+        );
         for frames in self.frames.drain(..) {
             self.samples.take_frames(&self.channels, &frames);
             self.start_ns.get_or_insert(frames.t0_ns);
             if let (Some(grid), Some((last, _))) = (frames.grid(), frames.iter().last()) {
                 self.last_ns = grid.time_ns(last);
             }
-            self.identification.handle(Input::Frames(frames), &mut self.outputs);
+            self.identification
+                .handle(Input::Frames(frames), &mut self.outputs);
         }
         let mut responses = Vec::new();
         for output in self.outputs.drain(..) {

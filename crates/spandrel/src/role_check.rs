@@ -15,21 +15,36 @@ pub struct Need {
 
 impl Need {
     const fn new(words: &'static str, right: Right, family: KeyFamily) -> Self {
-        Self { words, right, family }
+        Self {
+            words,
+            right,
+            family,
+        }
     }
 
     pub const PUT_SAMPLES: Self = Self::new("put samples", Right::Put, KeyFamily::Samples);
     pub const PUT_FRAMES: Self = Self::new("put frames", Right::Put, KeyFamily::Frames);
     pub const PUT_ESTIMATES: Self = Self::new("put estimates", Right::Put, KeyFamily::Estimates);
-    pub const PUT_LOCAL: Self = Self::new("put the estimates of a node", Right::Put, KeyFamily::Local);
-    pub const PUT_FEEDBACK: Self = Self::new("put feedback to nodes", Right::Put, KeyFamily::Feedback);
+    pub const PUT_LOCAL: Self =
+        Self::new("put the estimates of a node", Right::Put, KeyFamily::Local);
+    pub const PUT_FEEDBACK: Self =
+        Self::new("put feedback to nodes", Right::Put, KeyFamily::Feedback);
     pub const PUT_ALERTS: Self = Self::new("put alerts", Right::Put, KeyFamily::Alert);
-    pub const ANSWER_HISTORY: Self = Self::new("answer for the history", Right::Answer, KeyFamily::History);
-    pub const NOTIFY: Self = Self::new("announce notify", Right::Announce, KeyFamily::Live(Service::Notify));
-    pub const SHOW_A_PAGE: Self =
-        Self::new("announce a dashboard", Right::Announce, KeyFamily::Live(Service::Dashboard));
+    pub const ANSWER_HISTORY: Self =
+        Self::new("answer for the history", Right::Answer, KeyFamily::History);
+    pub const NOTIFY: Self = Self::new(
+        "announce notify",
+        Right::Announce,
+        KeyFamily::Live(Service::Notify),
+    );
+    pub const SHOW_A_PAGE: Self = Self::new(
+        "announce a dashboard",
+        Right::Announce,
+        KeyFamily::Live(Service::Dashboard),
+    );
     pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
-    pub const SEE_PARAMETERS: Self = Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
+    pub const SEE_PARAMETERS: Self =
+        Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
 }
 
 /// What a subcommand is about to do.
@@ -51,9 +66,15 @@ pub struct Work<'w> {
 /// # Errors
 /// [`AppError::WrongRole`], or the certificate cannot be read.
 pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(), AppError> {
-    let Some(tls) = &config.tls else { return Ok(()) };
-    let Some(party) = Party::of_certificate(&tls.certificate)? else { return Ok(()) };
-    let Some(why) = objection(&party, work) else { return Ok(()) };
+    let Some(tls) = &config.tls else {
+        return Ok(());
+    };
+    let Some(party) = Party::of_certificate(&tls.certificate)? else {
+        return Ok(());
+    };
+    let Some(why) = objection(&party, work) else {
+        return Ok(());
+    };
     let certificate = tls.certificate.clone();
     if bus.reaches_a_router().await {
         return Err(AppError::WrongRole { certificate, why });
@@ -68,36 +89,66 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
 /// # Errors
 /// The certificate cannot be read.
 pub async fn cannot_acknowledge(bus: &Bus, config: &BusConfig) -> Result<Option<String>, AppError> {
-    let Some(tls) = &config.tls else { return Ok(None) };
-    let Some(party) = Party::of_certificate(&tls.certificate)? else { return Ok(None) };
+    let Some(tls) = &config.tls else {
+        return Ok(None);
+    };
+    let Some(party) = Party::of_certificate(&tls.certificate)? else {
+        return Ok(None);
+    };
     let why = lack(&party, &[Need::ACKNOWLEDGE], "");
-    Ok(if why.is_some() && bus.reaches_a_router().await { why } else { None })
+    Ok(if why.is_some() && bus.reaches_a_router().await {
+        why
+    } else {
+        None
+    })
 }
 
 /// What a party may not do of what is needed `for_what`, and which roles may; `None` if it may all.
 fn lack(party: &Party, needs: &[Need], for_what: &str) -> Option<String> {
     let lacks = |role: Role| {
         let allowed = rights(role);
-        needs.iter().copied().find(|need| !allowed.contains(&(need.right, need.family)))
+        needs
+            .iter()
+            .copied()
+            .find(|need| !allowed.contains(&(need.right, need.family)))
     };
     let role = party.role();
     let need = lacks(role)?;
-    let fitting: Vec<&str> = Role::ALL.into_iter().filter(|role| lacks(*role).is_none()).map(Role::as_str).collect();
-    Some(format!("role {role} may not {}{for_what}; roles that may: {}", need.words, fitting.join(", ")))
+    let fitting: Vec<&str> = Role::ALL
+        .into_iter()
+        .filter(|role| lacks(*role).is_none())
+        .map(Role::as_str)
+        .collect();
+    Some(format!(
+        "role {role} may not {}{for_what}; roles that may: {}",
+        need.words,
+        fitting.join(", ")
+    ))
 }
 
 /// Why a party may not do some work, and who may; `None` if it may.
 fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
     let subcommand = work.subcommand;
-    if let Some(lack) = lack(party, work.needs, &format!(", as spandrel {subcommand} has to")) {
+    if let Some(lack) = lack(
+        party,
+        work.needs,
+        &format!(", as spandrel {subcommand} has to"),
+    ) {
         return Some(format!("it is that of {}, and {lack}", party.common_name()));
     }
     let own = party.structure()?.as_str();
     if let Some(other) = work.structures.iter().find(|structure| **structure != own) {
-        return Some(format!("it is for structure {own} only, and spandrel {subcommand} is to be for {other}"));
+        return Some(format!(
+            "it is for structure {own} only, and spandrel {subcommand} is to be for {other}"
+        ));
     }
     let node = party.node()?.as_str();
-    let others: Vec<&str> = work.nodes.iter().copied().filter(|name| *name != node).collect();
+    let others: Vec<&str> = work
+        .nodes
+        .iter()
+        .copied()
+        .filter(|name| *name != node)
+        .collect();
     (!others.is_empty()).then(|| {
         format!(
             "it is for node {node} of {own} only, and spandrel {subcommand} is to speak for {} too; choose the node with \
@@ -112,7 +163,12 @@ mod tests {
     use super::*;
 
     fn told(party: &str, needs: &[Need], nodes: &[&str]) -> Option<String> {
-        let work = Work { subcommand: "simulate", needs, structures: vec!["tower"], nodes: nodes.to_vec() };
+        let work = Work {
+            subcommand: "simulate",
+            needs,
+            structures: vec!["tower"],
+            nodes: nodes.to_vec(),
+        };
         objection(&party.parse().unwrap(), &work)
     }
 
@@ -121,10 +177,23 @@ mod tests {
         let samples = [Need::PUT_SAMPLES];
         let why = "it is that of viewer.ada, and role viewer may not put samples, as spandrel simulate has to; roles that may: \
                    gateway, sensor";
-        assert_eq!(told("viewer.ada", &samples, &["ground", "roof"]).as_deref(), Some(why));
+        assert_eq!(
+            told("viewer.ada", &samples, &["ground", "roof"]).as_deref(),
+            Some(why)
+        );
         assert_eq!(told("gateway.tower", &samples, &["ground", "roof"]), None);
-        let all = [Need::PUT_FRAMES, Need::PUT_ESTIMATES, Need::PUT_ALERTS, Need::ANSWER_HISTORY, Need::SHOW_A_PAGE];
-        assert!(told("worker.main", &all, &[]).unwrap().ends_with("roles that may: server"));
+        let all = [
+            Need::PUT_FRAMES,
+            Need::PUT_ESTIMATES,
+            Need::PUT_ALERTS,
+            Need::ANSWER_HISTORY,
+            Need::SHOW_A_PAGE,
+        ];
+        assert!(
+            told("worker.main", &all, &[])
+                .unwrap()
+                .ends_with("roles that may: server")
+        );
         assert_eq!(told("server.main", &all, &[]), None);
         assert_eq!(told("worker.main", &all[..2], &[]), None);
     }
@@ -140,10 +209,17 @@ mod tests {
     #[test]
     fn a_certificate_of_one_structure_or_node_is_for_nothing_else() {
         let samples = [Need::PUT_SAMPLES];
-        assert!(told("gateway.bridge", &samples, &["ground"]).unwrap().contains("for structure bridge only"));
+        assert!(
+            told("gateway.bridge", &samples, &["ground"])
+                .unwrap()
+                .contains("for structure bridge only")
+        );
         assert_eq!(told("sensor.tower.roof", &samples, &["roof"]), None);
         let why = told("sensor.tower.roof", &samples, &["ground", "roof"]).unwrap();
-        assert!(why.contains("is to speak for ground too; choose the node with --node roof"), "{why}");
+        assert!(
+            why.contains("is to speak for ground too; choose the node with --node roof"),
+            "{why}"
+        );
     }
 
     #[test]
@@ -161,7 +237,9 @@ mod tests {
             Need::ACKNOWLEDGE,
             Need::SEE_PARAMETERS,
         ] {
-            let met = Role::ALL.into_iter().any(|role| rights(role).contains(&(need.right, need.family)));
+            let met = Role::ALL
+                .into_iter()
+                .any(|role| rights(role).contains(&(need.right, need.family)));
             assert!(met, "{}", need.words);
         }
     }

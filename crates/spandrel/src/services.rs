@@ -42,7 +42,11 @@ pub struct Watched {
 /// # Errors
 /// When there is none, one is wrong, or two have one name.
 pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Watched>, AppError> {
-    let paths = if paths.is_empty() { &settings.structures } else { paths };
+    let paths = if paths.is_empty() {
+        &settings.structures
+    } else {
+        paths
+    };
     if paths.is_empty() {
         return Err(AppError::NoStructure);
     }
@@ -51,23 +55,51 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
     for (index, path) in paths.iter().enumerate() {
         let read = watch_structure(settings, path)?;
         let name = read.structure.name();
-        if let Some(same) = watched.iter().position(|other| other.structure.name() == name) {
-            let (name, first, second) = (name.to_owned(), paths[same].clone(), paths[index].clone());
-            return Err(AppError::SameStructure { name, first, second });
+        if let Some(same) = watched
+            .iter()
+            .position(|other| other.structure.name() == name)
+        {
+            let (name, first, second) =
+                (name.to_owned(), paths[same].clone(), paths[index].clone());
+            return Err(AppError::SameStructure {
+                name,
+                first,
+                second,
+            });
         }
         watched.push(read);
     }
-    let is_watched = |name: &String| watched.iter().any(|watched| watched.structure.name() == name);
-    if let Some((name, path)) = settings.baselines.iter().find(|(name, _)| all && !is_watched(name)) {
-        let known: Vec<&str> = watched.iter().map(|watched| watched.structure.name()).collect();
-        return Err(AppError::BaselineOfNone { name: name.clone(), path: path.clone(), known: known.join(", ") });
+    let is_watched = |name: &String| {
+        watched
+            .iter()
+            .any(|watched| watched.structure.name() == name)
+    };
+    if let Some((name, path)) = settings
+        .baselines
+        .iter()
+        .find(|(name, _)| all && !is_watched(name))
+    {
+        let known: Vec<&str> = watched
+            .iter()
+            .map(|watched| watched.structure.name())
+            .collect();
+        return Err(AppError::BaselineOfNone {
+            name: name.clone(),
+            path: path.clone(),
+            known: known.join(", "),
+        });
     }
     Ok(watched)
 }
 
 /// Warns of what a baseline file says in vain, and of what it leaves to be learnt.
 pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &Path) {
-    let (path, names) = (path.display(), || structure.parameters().iter().map(|parameter| parameter.name()));
+    let (path, names) = (path.display(), || {
+        structure
+            .parameters()
+            .iter()
+            .map(|parameter| parameter.name())
+    });
     let learning: Vec<&str> = structure
         .alert_rules()
         .iter()
@@ -82,14 +114,24 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
         );
         return;
     }
-    let unknown: Vec<&str> = baseline.parameters().filter(|name| !names().any(|known| known == *name)).collect();
+    let unknown: Vec<&str> = baseline
+        .parameters()
+        .filter(|name| !names().any(|known| known == *name))
+        .collect();
     if !unknown.is_empty() {
         let known: Vec<&str> = names().collect();
-        warn!("{path}: has no parameters of {}: {}; it has {}", structure.name(), unknown.join(", "), known.join(", "));
+        warn!(
+            "{path}: has no parameters of {}: {}; it has {}",
+            structure.name(),
+            unknown.join(", "),
+            known.join(", ")
+        );
     }
     if baseline.is_old_file() {
         let records = baseline.records();
-        warn!("{path}: of version 1; its scatter between records is taken as estimated from {records}");
+        warn!(
+            "{path}: of version 1; its scatter between records is taken as estimated from {records}"
+        );
     }
     for name in learning {
         match baseline.claim(name) {
@@ -115,7 +157,11 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
         }
         None => None,
     };
-    Ok(Watched { structure, keys, baseline })
+    Ok(Watched {
+        structure,
+        keys,
+        baseline,
+    })
 }
 
 /// What of the identification a process takes upon itself.
@@ -129,7 +175,10 @@ pub struct Share<'s> {
 
 impl Share<'_> {
     /// All of it.
-    pub const ALL: Share<'static> = Share { nodes: &[], precedence: Precedence::Leads };
+    pub const ALL: Share<'static> = Share {
+        nodes: &[],
+        precedence: Precedence::Leads,
+    };
 }
 
 /// The services of one process, joined to one session.
@@ -167,7 +216,11 @@ struct Stage {
 
 impl Stage {
     fn new(name: &'static str) -> Self {
-        Self { name, tasks: JoinSet::new(), stop: watch::Sender::new(false) }
+        Self {
+            name,
+            tasks: JoinSet::new(),
+            stop: watch::Sender::new(false),
+        }
     }
 
     /// Starts a service of this stage, and starts it anew after a panic; `of` names what it is the service of.
@@ -216,7 +269,10 @@ impl Stage {
         match self.tasks.join_next().await {
             None => std::future::pending().await,
             Some(Ok(result)) => result,
-            Some(Err(source)) => Err(AppError::Panicked { service: self.name, source }),
+            Some(Err(source)) => Err(AppError::Panicked {
+                service: self.name,
+                source,
+            }),
         }
     }
 
@@ -225,14 +281,23 @@ impl Stage {
         let mut first = Ok(());
         let all = async {
             while let Some(ended) = self.tasks.join_next().await {
-                let ended = ended.unwrap_or_else(|source| Err(AppError::Panicked { service: self.name, source }));
+                let ended = ended.unwrap_or_else(|source| {
+                    Err(AppError::Panicked {
+                        service: self.name,
+                        source,
+                    })
+                });
                 if first.is_ok() {
                     first = ended;
                 }
             }
         };
         if tokio::time::timeout(STOP_DEADLINE, all).await.is_err() {
-            warn!(service = self.name, deadline_s = STOP_DEADLINE.as_secs(), "did not finish in time");
+            warn!(
+                service = self.name,
+                deadline_s = STOP_DEADLINE.as_secs(),
+                "did not finish in time"
+            );
             self.tasks.abort_all();
         }
         first
@@ -269,7 +334,10 @@ impl Running {
         watched: &[Watched],
         state: Option<&State>,
     ) -> Result<(), AppError> {
-        for Watched { structure, keys, .. } in watched {
+        for Watched {
+            structure, keys, ..
+        } in watched
+        {
             let structure_name = structure.name().to_owned();
             let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
             let settings = IngestSettings {
@@ -280,11 +348,16 @@ impl Running {
             };
             let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
             let start = move || {
-                let settings = IngestSettings { epoch: epoch_now(), ..settings.clone() };
+                let settings = IngestSettings {
+                    epoch: epoch_now(),
+                    ..settings.clone()
+                };
                 let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
                 async move { IngestService::start(&structure, &bus, keys, settings).await }
             };
-            self.ingest.start(structure_name, start, |service, stop| service.run(stop)).await?;
+            self.ingest
+                .start(structure_name, start, |service, stop| service.run(stop))
+                .await?;
         }
         Ok(())
     }
@@ -302,48 +375,91 @@ impl Running {
         share: Share<'_>,
         state: Option<&State>,
     ) -> Result<(), AppError> {
-        let Share { nodes: only, precedence } = share;
+        let Share {
+            nodes: only,
+            precedence,
+        } = share;
         check_nodes(watched, only)?;
-        let threads = threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
-        let no_thread = |source| AppError::Io { what: "cannot start a thread for the filters".to_owned(), source };
+        let threads = threads
+            .or_else(|| std::thread::available_parallelism().ok())
+            .unwrap_or(NonZeroUsize::MIN);
+        let no_thread = |source| AppError::Io {
+            what: "cannot start a thread for the filters".to_owned(),
+            source,
+        };
         let pool = FilterPool::start(threads).map_err(no_thread)?;
         self.pool = Some(pool.clone());
         let wanted = |name: &str| only.is_empty() || only.iter().any(|wanted| wanted == name);
-        for Watched { structure, keys, .. } in watched {
+        for Watched {
+            structure, keys, ..
+        } in watched
+        {
             let remembering = state.map(|state| state.remembering(keys));
             if structure.fusion().is_some() {
-                for (position, node) in structure.nodes().iter().enumerate().filter(|(_, node)| wanted(node.name())) {
+                for (position, node) in structure
+                    .nodes()
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, node)| wanted(node.name()))
+                {
                     let of = format!("{}/{}", structure.name(), node.name());
-                    let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
+                    let (structure, bus, keys, pool) =
+                        (structure.clone(), bus.clone(), keys.clone(), pool.clone());
                     let (remembering, set_aside) = (remembering.clone(), SetAside::default());
                     let start = move || {
-                        let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
+                        let (structure, bus, keys, pool) =
+                            (structure.clone(), bus.clone(), keys.clone(), pool.clone());
                         let (remembering, set_aside) = (remembering.clone(), set_aside.clone());
                         async move {
                             let (remembering, epoch) = (remembering.as_ref(), epoch_now());
-                            let service =
-                                NodeService::start(&structure, position, &bus, &keys, epoch, pool, remembering).await?;
+                            let service = NodeService::start(
+                                &structure,
+                                position,
+                                &bus,
+                                &keys,
+                                epoch,
+                                pool,
+                                remembering,
+                            )
+                            .await?;
                             Ok(service.without(set_aside))
                         }
                     };
-                    self.identify.start(of, start, |service, stop| NodeService::run(service, stop)).await?;
+                    self.identify
+                        .start(of, start, |service, stop| NodeService::run(service, stop))
+                        .await?;
                 }
                 continue;
             }
             let id = match precedence {
                 Precedence::Leads => Name::new("identify")?,
-                Precedence::StandsBy => Name::new(format!("identify-{:.8}", bus.instance()?.as_str()))?,
-            };
-            let of = structure.name().to_owned();
-            let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
-            let start = move || {
-                let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
-                let (pool, remembering) = (pool.clone(), remembering.clone());
-                async move {
-                    IdentifyService::start(&structure, &bus, keys, id, pool, remembering.as_ref(), precedence).await
+                Precedence::StandsBy => {
+                    Name::new(format!("identify-{:.8}", bus.instance()?.as_str()))?
                 }
             };
-            self.identify.start(of, start, |service, stop| service.run(stop)).await?;
+            let of = structure.name().to_owned();
+            let (structure, bus, keys, pool) =
+                (structure.clone(), bus.clone(), keys.clone(), pool.clone());
+            let start = move || {
+                let (structure, bus, keys, id) =
+                    (structure.clone(), bus.clone(), keys.clone(), id.clone());
+                let (pool, remembering) = (pool.clone(), remembering.clone());
+                async move {
+                    IdentifyService::start(
+                        &structure,
+                        &bus,
+                        keys,
+                        id,
+                        pool,
+                        remembering.as_ref(),
+                        precedence,
+                    )
+                    .await
+                }
+            };
+            self.identify
+                .start(of, start, |service, stop| service.run(stop))
+                .await?;
         }
         Ok(())
     }
@@ -352,17 +468,42 @@ impl Running {
     ///
     /// # Errors
     /// When one cannot start.
-    pub async fn start_fuse(&mut self, bus: &Bus, watched: &[Watched], state: Option<&State>) -> Result<(), AppError> {
-        for Watched { structure, keys, .. } in watched.iter().filter(|watched| watched.structure.fusion().is_some()) {
-            let (id, remembering) = (Name::new("fuse")?, state.map(|state| state.remembering(keys)));
+    pub async fn start_fuse(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        state: Option<&State>,
+    ) -> Result<(), AppError> {
+        for Watched {
+            structure, keys, ..
+        } in watched
+            .iter()
+            .filter(|watched| watched.structure.fusion().is_some())
+        {
+            let (id, remembering) = (
+                Name::new("fuse")?,
+                state.map(|state| state.remembering(keys)),
+            );
             let of = structure.name().to_owned();
             let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
             let start = move || {
                 let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
                 let (id, remembering) = (id.clone(), remembering.clone());
-                async move { FuseService::start(&structure, &bus, keys, id, epoch_now(), remembering.as_ref()).await }
+                async move {
+                    FuseService::start(
+                        &structure,
+                        &bus,
+                        keys,
+                        id,
+                        epoch_now(),
+                        remembering.as_ref(),
+                    )
+                    .await
+                }
             };
-            self.fuse.start(of, start, |service, stop| service.run(stop)).await?;
+            self.fuse
+                .start(of, start, |service, stop| service.run(stop))
+                .await?;
         }
         Ok(())
     }
@@ -371,18 +512,46 @@ impl Running {
     ///
     /// # Errors
     /// When one cannot start.
-    pub async fn start_alert(&mut self, bus: &Bus, watched: &[Watched], state: Option<&State>) -> Result<(), AppError> {
-        for Watched { structure, keys, baseline } in watched {
+    pub async fn start_alert(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        state: Option<&State>,
+    ) -> Result<(), AppError> {
+        for Watched {
+            structure,
+            keys,
+            baseline,
+        } in watched
+        {
             let id = Name::new("alert")?;
             let remembering = state.map(|state| state.remembering(keys));
             let of = structure.name().to_owned();
-            let (structure, bus, keys, baseline) = (structure.clone(), bus.clone(), keys.clone(), baseline.clone());
+            let (structure, bus, keys, baseline) = (
+                structure.clone(),
+                bus.clone(),
+                keys.clone(),
+                baseline.clone(),
+            );
             let start = move || {
-                let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
+                let (structure, bus, keys, id) =
+                    (structure.clone(), bus.clone(), keys.clone(), id.clone());
                 let (baseline, remembering) = (baseline.clone(), remembering.clone());
-                async move { AlertService::start(&structure, baseline.as_ref(), &bus, keys, id, remembering.as_ref()).await }
+                async move {
+                    AlertService::start(
+                        &structure,
+                        baseline.as_ref(),
+                        &bus,
+                        keys,
+                        id,
+                        remembering.as_ref(),
+                    )
+                    .await
+                }
             };
-            self.alert.start(of, start, |service, stop| service.run(stop)).await?;
+            self.alert
+                .start(of, start, |service, stop| service.run(stop))
+                .await?;
         }
         Ok(())
     }
@@ -398,14 +567,17 @@ impl Running {
         address: &Address,
         keep: &Keep,
     ) -> Result<(), AppError> {
-        let (all, bus, address, keep) = (All::of(watched), bus.clone(), address.clone(), keep.clone());
+        let (all, bus, address, keep) =
+            (All::of(watched), bus.clone(), address.clone(), keep.clone());
         let (of, id) = (all.names(), Name::new("history")?);
         let start = move || {
             let (all, bus, address) = (all.clone(), bus.clone(), address.clone());
             let (keep, id) = (keep.clone(), id.clone());
             async move { HistoryService::start(&all.structures(), &bus, &address, keep, id).await }
         };
-        self.history.start(of, start, |service, stop| service.run(stop)).await
+        self.history
+            .start(of, start, |service, stop| service.run(stop))
+            .await
     }
 
     /// Starts the notices of all structures; with `state`, what is not delivered outlives the process.
@@ -420,7 +592,10 @@ impl Running {
         state: Option<&State>,
     ) -> Result<(), AppError> {
         let folder = |keys: &Keys| state.map(|state| state.remembering(keys).folder);
-        let structures: Vec<_> = watched.iter().map(|watched| (watched.keys.clone(), folder(&watched.keys))).collect();
+        let structures: Vec<_> = watched
+            .iter()
+            .map(|watched| (watched.keys.clone(), folder(&watched.keys)))
+            .collect();
         let (of, id) = (All::of(watched).names(), Name::new("notify")?);
         let (bus, settings) = (bus.clone(), settings.clone());
         let start = move || {
@@ -428,7 +603,9 @@ impl Running {
             let (settings, id) = (settings.clone(), id.clone());
             async move { NotifyService::start(&structures, &bus, &settings, id).await }
         };
-        self.notify.start(of, start, |service, stop| service.run(stop)).await
+        self.notify
+            .start(of, start, |service, stop| service.run(stop))
+            .await
     }
 
     /// Starts the dashboard of all structures, and returns where its page is.
@@ -445,12 +622,16 @@ impl Running {
         let service = DashboardService::start(&all.structures(), &bus, page, id.clone()).await?;
         let (of, address) = (all.names(), service.address());
         // whoever has the page open finds it in its place again
-        let page = PageSettings { listen: Listen::At(address.to_string()), ..page.clone() };
+        let page = PageSettings {
+            listen: Listen::At(address.to_string()),
+            ..page.clone()
+        };
         let start = move || {
             let (all, bus, page, id) = (all.clone(), bus.clone(), page.clone(), id.clone());
             async move { DashboardService::start(&all.structures(), &bus, &page, id).await }
         };
-        self.dashboard.run(of, service, start, |service, stop| service.run(stop));
+        self.dashboard
+            .run(of, service, start, |service, stop| service.run(stop));
         Ok(address)
     }
 
@@ -482,7 +663,13 @@ impl Running {
         let history = self.history.stop().await;
         let notify = self.notify.stop().await;
         let dashboard = self.dashboard.stop().await;
-        ingest.and(identify).and(fuse).and(alert).and(history).and(notify).and(dashboard)
+        ingest
+            .and(identify)
+            .and(fuse)
+            .and(alert)
+            .and(history)
+            .and(notify)
+            .and(dashboard)
     }
 }
 
@@ -492,28 +679,58 @@ struct All(Arc<[(Structure, Keys)]>);
 
 impl All {
     fn of(watched: &[Watched]) -> Self {
-        Self(watched.iter().map(|watched| (watched.structure.clone(), watched.keys.clone())).collect())
+        Self(
+            watched
+                .iter()
+                .map(|watched| (watched.structure.clone(), watched.keys.clone()))
+                .collect(),
+        )
     }
 
     fn structures(&self) -> Vec<(&Structure, Keys)> {
-        self.0.iter().map(|(structure, keys)| (structure, keys.clone())).collect()
+        self.0
+            .iter()
+            .map(|(structure, keys)| (structure, keys.clone()))
+            .collect()
     }
 
     fn names(&self) -> String {
-        let names: Vec<&str> = self.0.iter().map(|(structure, _)| structure.name()).collect();
+        let names: Vec<&str> = self
+            .0
+            .iter()
+            .map(|(structure, _)| structure.name())
+            .collect();
         names.join(", ")
     }
 }
 
 /// Refuses names of nodes that none of the structures has, or that do not identify for themselves.
 fn check_nodes(watched: &[Watched], only: &[String]) -> Result<(), AppError> {
-    let distributed = || watched.iter().filter(|watched| watched.structure.fusion().is_some());
-    let known = || distributed().flat_map(|watched| watched.structure.nodes()).map(|node| node.name().to_owned());
-    match only.iter().find(|name| !known().any(|known| known == **name)) {
+    let distributed = || {
+        watched
+            .iter()
+            .filter(|watched| watched.structure.fusion().is_some())
+    };
+    let known = || {
+        distributed()
+            .flat_map(|watched| watched.structure.nodes())
+            .map(|node| node.name().to_owned())
+    };
+    match only
+        .iter()
+        .find(|name| !known().any(|known| known == **name))
+    {
         Some(name) => {
             let known: Vec<String> = known().collect();
-            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            Err(AppError::NoSuchNode { name: name.clone(), known })
+            let known = if known.is_empty() {
+                "none".to_owned()
+            } else {
+                known.join(", ")
+            };
+            Err(AppError::NoSuchNode {
+                name: name.clone(),
+                known,
+            })
         }
         None => Ok(()),
     }
@@ -546,13 +763,15 @@ struct StopSignals([Option<Signal>; 2]);
 
 impl StopSignals {
     fn new() -> Self {
-        Self([SignalKind::interrupt(), SignalKind::terminate()].map(|kind| match signal(kind) {
-            Ok(signal) => Some(signal),
-            Err(error) => {
-                warn!(%error, signal = kind.as_raw_value(), "a signal to stop cannot be heard");
-                None
-            }
-        }))
+        Self(
+            [SignalKind::interrupt(), SignalKind::terminate()].map(|kind| match signal(kind) {
+                Ok(signal) => Some(signal),
+                Err(error) => {
+                    warn!(%error, signal = kind.as_raw_value(), "a signal to stop cannot be heard");
+                    None
+                }
+            }),
+        )
     }
 
     async fn next(&mut self) {
@@ -577,9 +796,13 @@ async fn heard(signal: &mut Option<Signal>) {
 
 /// Returns the wall clock in ns: higher at each start of a source.
 pub fn epoch_now() -> u64 {
-    #[expect(clippy::disallowed_methods, reason = "an epoch must be higher at each start")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "an epoch must be higher at each start"
+    )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(1, |elapsed| elapsed.as_nanos() as u64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(1, |elapsed| elapsed.as_nanos() as u64)
 }
 
 /// Runs a future on a runtime of its own.
@@ -587,7 +810,12 @@ pub fn epoch_now() -> u64 {
 /// # Errors
 /// When there is no runtime to be had, or what the future fails with.
 pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<T, AppError> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let runtime = runtime.map_err(|source| AppError::Io { what: "cannot start the runtime".to_owned(), source })?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build();
+    let runtime = runtime.map_err(|source| AppError::Io {
+        what: "cannot start the runtime".to_owned(),
+        source,
+    })?;
     runtime.block_on(future)
 }

@@ -66,8 +66,11 @@ impl HistorySettings {
             Some(NOTHING) => Ok(None),
             Some(text) => Ok(Some(Address::parse(text)?.below(&self.folder))),
             None => {
-                let folder = state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()));
-                Ok(Some(Address::Sqlite(folder.ok_or(AppError::NoStateFolder)?.join(HISTORY_FILE))))
+                let folder =
+                    state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()));
+                Ok(Some(Address::Sqlite(
+                    folder.ok_or(AppError::NoStateFolder)?.join(HISTORY_FILE),
+                )))
             }
         }
     }
@@ -76,7 +79,8 @@ impl HistorySettings {
 /// Where programs keep what they have to remember: what systemd says, or else the place of the user.
 pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let of_service = || variable("STATE_DIRECTORY").map(PathBuf::from);
-    let of_user = || variable("XDG_STATE_HOME").map(|folder| PathBuf::from(folder).join("spandrel"));
+    let of_user =
+        || variable("XDG_STATE_HOME").map(|folder| PathBuf::from(folder).join("spandrel"));
     let at_home = || variable("HOME").map(|home| PathBuf::from(home).join(".local/state/spandrel"));
     of_service().or_else(of_user).or_else(at_home)
 }
@@ -113,20 +117,35 @@ impl DashboardSettings {
     /// # Errors
     /// The file of tokens cannot be read.
     pub fn page(&self, arguments: &PageArguments) -> Result<Option<PageSettings>, AppError> {
-        let Some(listen) = self.listen(arguments) else { return Ok(None) };
+        let Some(listen) = self.listen(arguments) else {
+            return Ok(None);
+        };
         let certificate = self.certificate.clone().map(|certificate| PageCertificate {
-            key: self.key.clone().unwrap_or_else(|| certificate.with_extension("key")),
+            key: self
+                .key
+                .clone()
+                .unwrap_or_else(|| certificate.with_extension("key")),
             certificate,
         });
         let tokens = match self.tokens.as_deref() {
             None => Tokens::default(),
             // who takes the last token out of the file does not mean everybody
             Some(path) => match Tokens::read(path)? {
-                tokens if tokens.is_empty() => return Err(DashboardError::NoTokens { path: path.to_owned() }.into()),
+                tokens if tokens.is_empty() => {
+                    return Err(DashboardError::NoTokens {
+                        path: path.to_owned(),
+                    }
+                    .into());
+                }
                 tokens => tokens,
             },
         };
-        Ok(Some(PageSettings { listen, certificate, tokens, cannot_acknowledge: None }))
+        Ok(Some(PageSettings {
+            listen,
+            certificate,
+            tokens,
+            cannot_acknowledge: None,
+        }))
     }
 }
 
@@ -140,7 +159,10 @@ impl Settings {
     }
 
     /// `variables` stand for the environment in tests.
-    fn layered(arguments: &BusArguments, variables: Option<config::Map<String, String>>) -> Result<Self, AppError> {
+    fn layered(
+        arguments: &BusArguments,
+        variables: Option<config::Map<String, String>>,
+    ) -> Result<Self, AppError> {
         let mut builder = Config::builder();
         if let Some(path) = &arguments.config {
             if !path.is_file() {
@@ -158,9 +180,14 @@ impl Settings {
             .try_parsing(true)
             .ignore_empty(true)
             .source(variables);
-        let read = builder.add_source(environment).build().and_then(Config::try_deserialize::<Self>);
-        let mut settings = read
-            .map_err(|source| AppError::Configuration { path: arguments.config.clone(), source: Box::new(source) })?;
+        let read = builder
+            .add_source(environment)
+            .build()
+            .and_then(Config::try_deserialize::<Self>);
+        let mut settings = read.map_err(|source| AppError::Configuration {
+            path: arguments.config.clone(),
+            source: Box::new(source),
+        })?;
         if let Some(folder) = arguments.config.as_deref().and_then(Path::parent) {
             settings.resolve_paths(folder);
         }
@@ -187,8 +214,16 @@ impl Settings {
 
     fn resolve_paths(&mut self, folder: &Path) {
         let page = &mut self.dashboard;
-        let of_page = page.certificate.iter_mut().chain(&mut page.key).chain(&mut page.tokens);
-        let paths = self.structures.iter_mut().chain(self.baselines.values_mut()).chain(&mut self.bus.config_file);
+        let of_page = page
+            .certificate
+            .iter_mut()
+            .chain(&mut page.key)
+            .chain(&mut page.tokens);
+        let paths = self
+            .structures
+            .iter_mut()
+            .chain(self.baselines.values_mut())
+            .chain(&mut self.bus.config_file);
         let paths = paths.chain(of_page);
         for path in paths {
             *path = folder.join(&path);
@@ -206,21 +241,36 @@ impl Settings {
 mod tests {
     use super::*;
 
-    fn load(file: &str, variables: &[(&str, &str)], arguments: &BusArguments) -> Result<Settings, AppError> {
+    fn load(
+        file: &str,
+        variables: &[(&str, &str)],
+        arguments: &BusArguments,
+    ) -> Result<Settings, AppError> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("spandrel.toml");
         std::fs::write(&path, file).unwrap();
-        let variables = variables.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
-        let arguments = BusArguments { config: Some(path), ..arguments.clone() };
+        let variables = variables
+            .iter()
+            .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+            .collect();
+        let arguments = BusArguments {
+            config: Some(path),
+            ..arguments.clone()
+        };
         Settings::layered(&arguments, Some(variables))
     }
 
     #[test]
     fn flags_lie_over_variables_over_the_file_over_defaults() {
-        let file =
-            "threads = 3\nstructures = [\"a.toml\"]\n[bus]\nroot = \"from-file\"\nlisten = [\"tcp/127.0.0.1:1\"]\n";
-        let variables = [("SPANDREL_BUS__ROOT", "from-variable"), ("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:2")];
-        let flags = BusArguments { listen: vec!["tcp/127.0.0.1:3".into()], ..BusArguments::default() };
+        let file = "threads = 3\nstructures = [\"a.toml\"]\n[bus]\nroot = \"from-file\"\nlisten = [\"tcp/127.0.0.1:1\"]\n";
+        let variables = [
+            ("SPANDREL_BUS__ROOT", "from-variable"),
+            ("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:2"),
+        ];
+        let flags = BusArguments {
+            listen: vec!["tcp/127.0.0.1:3".into()],
+            ..BusArguments::default()
+        };
         let settings = load(file, &variables, &flags).unwrap();
         assert_eq!(settings.bus.root, "from-variable");
         assert_eq!(settings.bus.listen, ["tcp/127.0.0.1:3"]);
@@ -231,35 +281,83 @@ mod tests {
 
     #[test]
     fn a_flag_says_where_the_page_is_before_the_configuration_does() {
-        let settings = load("[dashboard]\nlisten = \"127.0.0.1:1\"\n", &[], &BusArguments::default()).unwrap();
-        let flag = |http: Option<&str>| PageArguments { http: http.map(str::to_owned), open: false };
+        let settings = load(
+            "[dashboard]\nlisten = \"127.0.0.1:1\"\n",
+            &[],
+            &BusArguments::default(),
+        )
+        .unwrap();
+        let flag = |http: Option<&str>| PageArguments {
+            http: http.map(str::to_owned),
+            open: false,
+        };
         let at = |address: &str| Some(Listen::At(address.to_owned()));
         assert_eq!(settings.dashboard.listen(&flag(None)), at("127.0.0.1:1"));
-        assert_eq!(settings.dashboard.listen(&flag(Some("127.0.0.1:2"))), at("127.0.0.1:2"));
+        assert_eq!(
+            settings.dashboard.listen(&flag(Some("127.0.0.1:2"))),
+            at("127.0.0.1:2")
+        );
         assert_eq!(settings.dashboard.listen(&flag(Some("none"))), None);
-        assert_eq!(DashboardSettings::default().listen(&flag(None)), Some(Listen::Default));
-        let off = load("", &[("SPANDREL_DASHBOARD__LISTEN", "none")], &BusArguments::default()).unwrap();
+        assert_eq!(
+            DashboardSettings::default().listen(&flag(None)),
+            Some(Listen::Default)
+        );
+        let off = load(
+            "",
+            &[("SPANDREL_DASHBOARD__LISTEN", "none")],
+            &BusArguments::default(),
+        )
+        .unwrap();
         assert_eq!(off.dashboard.listen(&flag(None)), None);
     }
 
     #[test]
     fn history_lies_beside_the_configuration_or_where_programs_remember() {
-        let settings = load("[history]\ndatabase = \"bridge.sqlite\"\nkeep.day-s = 5\n", &[], &BusArguments::default());
+        let settings = load(
+            "[history]\ndatabase = \"bridge.sqlite\"\nkeep.day-s = 5\n",
+            &[],
+            &BusArguments::default(),
+        );
         let history = settings.unwrap().history;
-        let Some(Address::Sqlite(path)) = history.address().unwrap() else { panic!("{history:?}") };
-        assert!(path.is_absolute() && path.ends_with("bridge.sqlite"), "{}", path.display());
-        assert_eq!((history.keep.day_s, history.keep.display_s), (Some(5), Some(3_600)));
-        let off = load("", &[("SPANDREL_HISTORY__DATABASE", "none")], &BusArguments::default()).unwrap();
+        let Some(Address::Sqlite(path)) = history.address().unwrap() else {
+            panic!("{history:?}")
+        };
+        assert!(
+            path.is_absolute() && path.ends_with("bridge.sqlite"),
+            "{}",
+            path.display()
+        );
+        assert_eq!(
+            (history.keep.day_s, history.keep.display_s),
+            (Some(5), Some(3_600))
+        );
+        let off = load(
+            "",
+            &[("SPANDREL_HISTORY__DATABASE", "none")],
+            &BusArguments::default(),
+        )
+        .unwrap();
         assert_eq!(off.history.address().unwrap(), None);
         let of = |known: &[(&str, &str)]| {
-            state_folder(|name| known.iter().find(|(known, _)| *known == name).map(|(_, value)| value.into()))
+            state_folder(|name| {
+                known
+                    .iter()
+                    .find(|(known, _)| *known == name)
+                    .map(|(_, value)| value.into())
+            })
         };
         assert_eq!(
             of(&[("HOME", "/root"), ("STATE_DIRECTORY", "/var/lib/spandrel")]),
             Some("/var/lib/spandrel".into())
         );
-        assert_eq!(of(&[("HOME", "/root"), ("XDG_STATE_HOME", "/s")]), Some("/s/spandrel".into()));
-        assert_eq!(of(&[("HOME", "/root")]), Some("/root/.local/state/spandrel".into()));
+        assert_eq!(
+            of(&[("HOME", "/root"), ("XDG_STATE_HOME", "/s")]),
+            Some("/s/spandrel".into())
+        );
+        assert_eq!(
+            of(&[("HOME", "/root")]),
+            Some("/root/.local/state/spandrel".into())
+        );
         assert_eq!(of(&[]), None);
     }
 
@@ -271,20 +369,37 @@ mod tests {
             ("threads = 0\n", "threads"),
             ("structures = \n", "spandrel.toml"),
         ] {
-            let text = load(file, &[], &BusArguments::default()).unwrap_err().report();
-            assert!(text.contains(expected) && text.contains("spandrel.toml"), "{file:?}: {text}");
+            let text = load(file, &[], &BusArguments::default())
+                .unwrap_err()
+                .report();
+            assert!(
+                text.contains(expected) && text.contains("spandrel.toml"),
+                "{file:?}: {text}"
+            );
         }
     }
 
     #[test]
     fn wrong_variable_is_named() {
-        let text = load("", &[("SPANDREL_THREADS", "many")], &BusArguments::default()).unwrap_err().report();
-        assert!(text.to_lowercase().contains("threads") && text.contains("many"), "{text}");
+        let text = load(
+            "",
+            &[("SPANDREL_THREADS", "many")],
+            &BusArguments::default(),
+        )
+        .unwrap_err()
+        .report();
+        assert!(
+            text.to_lowercase().contains("threads") && text.contains("many"),
+            "{text}"
+        );
     }
 
     #[test]
     fn missing_file_is_named() {
-        let arguments = BusArguments { config: Some("nowhere.toml".into()), ..BusArguments::default() };
+        let arguments = BusArguments {
+            config: Some("nowhere.toml".into()),
+            ..BusArguments::default()
+        };
         let text = Settings::layered(&arguments, None).unwrap_err().report();
         assert!(text.contains("nowhere.toml"), "{text}");
     }

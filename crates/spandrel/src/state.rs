@@ -43,7 +43,9 @@ impl TryFrom<f64> for Checkpointing {
     fn try_from(seconds: f64) -> Result<Self, String> {
         match (0.01..=3600.0).contains(&seconds) {
             true => Ok(Self(seconds)),
-            false => Err(format!("checkpoint-s is {seconds}, must lie between 0.01 and 3600 s")),
+            false => Err(format!(
+                "checkpoint-s is {seconds}, must lie between 0.01 and 3600 s"
+            )),
         }
     }
 }
@@ -66,8 +68,19 @@ pub struct RecordedFrames {
 
 impl Default for RecordedFrames {
     fn default() -> Self {
-        let LogSettings { segment_bytes, segment_s, keep_bytes, keep_s } = LogSettings::default();
-        Self { keep_s, keep_bytes, segment_bytes, segment_s, sync_s: 1.0 }
+        let LogSettings {
+            segment_bytes,
+            segment_s,
+            keep_bytes,
+            keep_s,
+        } = LogSettings::default();
+        Self {
+            keep_s,
+            keep_bytes,
+            segment_bytes,
+            segment_s,
+            sync_s: 1.0,
+        }
     }
 }
 
@@ -92,12 +105,24 @@ impl StateSettings {
             None => state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
                 .ok_or(AppError::NoStateFolder)?,
         };
-        let RecordedFrames { keep_s, keep_bytes, segment_bytes, segment_s, sync_s } = self.recording;
-        let sync_every = Duration::try_from_secs_f64(sync_s).map_err(|_| AppError::SyncTime { found: sync_s })?;
+        let RecordedFrames {
+            keep_s,
+            keep_bytes,
+            segment_bytes,
+            segment_s,
+            sync_s,
+        } = self.recording;
+        let sync_every = Duration::try_from_secs_f64(sync_s)
+            .map_err(|_| AppError::SyncTime { found: sync_s })?;
         Ok(Some(State {
             folder,
             checkpoint_every: Duration::from_secs_f64(self.checkpoint_s.0),
-            log: LogSettings { segment_bytes, segment_s, keep_bytes, keep_s },
+            log: LogSettings {
+                segment_bytes,
+                segment_s,
+                keep_bytes,
+                keep_s,
+            },
             sync_every,
         }))
     }
@@ -106,16 +131,26 @@ impl StateSettings {
 impl State {
     /// Where the frames of a structure are recorded.
     pub fn recording(&self, keys: &Keys) -> RecordingSettings {
-        RecordingSettings { folder: self.of(keys).join("recording"), log: self.log, sync_every: self.sync_every }
+        RecordingSettings {
+            folder: self.of(keys).join("recording"),
+            log: self.log,
+            sync_every: self.sync_every,
+        }
     }
 
     /// Where the services of a structure keep their checkpoints.
     pub fn remembering(&self, keys: &Keys) -> Remembering {
-        Remembering { folder: self.of(keys).join("checkpoints"), every: self.checkpoint_every }
+        Remembering {
+            folder: self.of(keys).join("checkpoints"),
+            every: self.checkpoint_every,
+        }
     }
 
     fn of(&self, keys: &Keys) -> PathBuf {
-        let (root, structure): (&Path, &Path) = (keys.root().as_str().as_ref(), keys.structure().as_str().as_ref());
+        let (root, structure): (&Path, &Path) = (
+            keys.root().as_str().as_ref(),
+            keys.structure().as_str().as_ref(),
+        );
         self.folder.join(root).join(structure)
     }
 }
@@ -126,27 +161,47 @@ mod tests {
 
     #[test]
     fn each_structure_has_its_folder_below_the_root_of_its_site() {
-        let settings =
-            StateSettings { folder: Some("kept".into()), beside: "/etc/spandrel".into(), ..Default::default() };
+        let settings = StateSettings {
+            folder: Some("kept".into()),
+            beside: "/etc/spandrel".into(),
+            ..Default::default()
+        };
         let state = settings.state().unwrap().unwrap();
         let keys = Keys::parse("city", "bridge").unwrap();
-        assert_eq!(state.recording(&keys).folder, Path::new("/etc/spandrel/kept/city/bridge/recording"));
-        assert_eq!(state.remembering(&keys).folder, Path::new("/etc/spandrel/kept/city/bridge/checkpoints"));
-        let none = StateSettings { folder: Some("none".into()), ..Default::default() };
+        assert_eq!(
+            state.recording(&keys).folder,
+            Path::new("/etc/spandrel/kept/city/bridge/recording")
+        );
+        assert_eq!(
+            state.remembering(&keys).folder,
+            Path::new("/etc/spandrel/kept/city/bridge/checkpoints")
+        );
+        let none = StateSettings {
+            folder: Some("none".into()),
+            ..Default::default()
+        };
         assert!(none.state().unwrap().is_none());
     }
 
     #[test]
     fn a_time_that_is_none_is_refused() {
         let read = |text: &str| toml::from_str::<StateSettings>(text);
-        assert_eq!(read("checkpoint-s = 2").unwrap().checkpoint_s, Checkpointing(2.0));
+        assert_eq!(
+            read("checkpoint-s = 2").unwrap().checkpoint_s,
+            Checkpointing(2.0)
+        );
         for seconds in ["0", "-1", "nan", "1e9"] {
-            let error = read(&format!("checkpoint-s = {seconds}")).unwrap_err().to_string();
+            let error = read(&format!("checkpoint-s = {seconds}"))
+                .unwrap_err()
+                .to_string();
             assert!(error.contains("0.01 and 3600"), "{error}");
         }
         let endless = StateSettings {
             folder: Some("kept".into()),
-            recording: RecordedFrames { sync_s: -1.0, ..Default::default() },
+            recording: RecordedFrames {
+                sync_s: -1.0,
+                ..Default::default()
+            },
             ..Default::default()
         };
         assert!(endless.state().unwrap_err().report().contains("sync-s"));

@@ -20,8 +20,8 @@ pub use ordered::Ordered;
 use serde::Serialize;
 use spandrel_alert::{Alert, Baseline, DecidedFrames, ParameterEstimate, Watch};
 use spandrel_bus::{
-    AlertMessage, AlertState, CredibleInterval, EstimateBlock, FrameBlock, ModelClassDisplay, NodeDisplay,
-    OutlierDisplay, Phase, UndecidedBecause,
+    AlertMessage, AlertState, CredibleInterval, EstimateBlock, FrameBlock, ModelClassDisplay,
+    NodeDisplay, OutlierDisplay, Phase, UndecidedBecause,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -174,7 +174,11 @@ impl Collector {
     pub fn new(structure: &Structure) -> Self {
         let annealed = (structure.annealing_end_s() * structure.sampling_rate_hz()).ceil() as u64;
         Self {
-            parameters: structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect(),
+            parameters: structure
+                .parameters()
+                .iter()
+                .map(|parameter| parameter.name().to_owned())
+                .collect(),
             noise: StatedLevel::adapted_of(structure),
             t0_ns: None,
             frames: 0,
@@ -195,7 +199,10 @@ impl Collector {
 
     /// States the intervals for the structure by the scatter between the records of a baseline.
     pub fn with_baseline(self, baseline: Option<&Baseline>) -> Self {
-        Self { baseline: baseline.cloned(), ..self }
+        Self {
+            baseline: baseline.cloned(),
+            ..self
+        }
     }
 
     /// Takes the mean share of particles that counted.
@@ -215,11 +222,18 @@ impl Collector {
         for estimate in &block.estimates {
             self.fit.take(&estimate.flags);
             let (annealed, since_start) = &mut self.annealing;
-            *since_start = if estimate.flags.restarted { 0 } else { *since_start + 1 };
+            *since_start = if estimate.flags.restarted {
+                0
+            } else {
+                *since_start + 1
+            };
             // the start-up aid distrusts the sensors, and the training their noise; a frame without a channel has no innovation
             if estimate.flags.phase == Phase::Working
                 && *since_start > *annealed
-                && estimate.innovations.iter().any(|innovation| innovation.is_finite())
+                && estimate
+                    .innovations
+                    .iter()
+                    .any(|innovation| innovation.is_finite())
             {
                 self.misfit.0 += estimate.normalised_innovation_squared;
                 self.misfit.1 += f64::from(estimate.used_channels);
@@ -253,7 +267,9 @@ impl Collector {
     /// Takes a change of an alert from the bus.
     pub fn take_message(&mut self, message: &AlertMessage) {
         let parameter = message.parameter.to_string();
-        let undecided = message.undecided_because.map(|because| Undecided::new(message.state, because, &message.why));
+        let undecided = message
+            .undecided_because
+            .map(|because| Undecided::new(message.state, because, &message.why));
         self.note_undecided(&parameter, undecided);
         let told = |loss| AlertSummary {
             parameter,
@@ -273,7 +289,9 @@ impl Collector {
         let Some(parameter) = self.parameters.get(alert.parameter).cloned() else {
             return; // the core knows no other parameters
         };
-        let undecided = alert.undecided_because.map(|because| Undecided::new(alert.state, because, &alert.why));
+        let undecided = alert
+            .undecided_because
+            .map(|because| Undecided::new(alert.state, because, &alert.why));
         self.note_undecided(&parameter, undecided);
         let told = |loss| AlertSummary {
             parameter,
@@ -285,7 +303,10 @@ impl Collector {
             credibility: alert.probability_of_loss,
             why: alert.why.clone(),
         };
-        self.take(alert.estimate.time_ns, alert.loss.map(|estimate| told(estimate.loss)));
+        self.take(
+            alert.estimate.time_ns,
+            alert.loss.map(|estimate| told(estimate.loss)),
+        );
     }
 
     fn note_undecided(&mut self, parameter: &str, undecided: Option<Undecided>) {
@@ -298,41 +319,73 @@ impl Collector {
     /// What is not decided at the end, a sentence for each reason.
     fn undecided_warnings(&self) -> Vec<String> {
         let none_of = |names: &[&str], why: &str| {
-            (!names.is_empty()).then(|| format!("no alert of {} is decided: {why}", names.join(", ")))
+            (!names.is_empty())
+                .then(|| format!("no alert of {} is decided: {why}", names.join(", ")))
         };
         let contradicted = self.parameters.iter().map(String::as_str);
-        let contradicted: Vec<&str> =
-            contradicted.filter(|name| self.undecided.get(*name) == Some(&Undecided::Contradicted)).collect();
-        let learning = self.decided.iter().filter(|(_, frames)| frames.frames() == 0);
+        let contradicted: Vec<&str> = contradicted
+            .filter(|name| self.undecided.get(*name) == Some(&Undecided::Contradicted))
+            .collect();
+        let learning = self
+            .decided
+            .iter()
+            .filter(|(_, frames)| frames.frames() == 0);
         let learning = learning.filter_map(|(parameter, _)| self.parameters.get(*parameter));
-        let learning: Vec<&str> =
-            learning.filter(|name| !self.undecided.contains_key(*name)).map(String::as_str).collect();
-        let others = self.undecided.values().filter_map(|undecided| match undecided {
-            Undecided::Other(why) => Some(why.clone()),
-            Undecided::Contradicted => None,
-        });
+        let learning: Vec<&str> = learning
+            .filter(|name| !self.undecided.contains_key(*name))
+            .map(String::as_str)
+            .collect();
+        let others = self
+            .undecided
+            .values()
+            .filter_map(|undecided| match undecided {
+                Undecided::Other(why) => Some(why.clone()),
+                Undecided::Contradicted => None,
+            });
         let shared = none_of(&contradicted, UndecidedBecause::FitContradicted.words());
-        let shared = shared.into_iter().chain(none_of(&learning, "the reference was still being learnt at the end"));
+        let shared = shared.into_iter().chain(none_of(
+            &learning,
+            "the reference was still being learnt at the end",
+        ));
         shared.chain(others).collect()
     }
 
     fn take(&mut self, time_ns: i64, told: Option<AlertSummary>) {
         // what is pending, normal or undecided wakes nobody
         let tells = |told: &AlertSummary| {
-            let states = [AlertState::Raised, AlertState::Unconfirmed, AlertState::Acknowledged, AlertState::Cleared];
+            let states = [
+                AlertState::Raised,
+                AlertState::Unconfirmed,
+                AlertState::Acknowledged,
+                AlertState::Cleared,
+            ];
             states.contains(&told.state)
         };
-        let Some(told) = told.filter(tells) else { return };
-        let is_same = |other: &AlertSummary| other.parameter == told.parameter && other.state == told.state;
+        let Some(told) = told.filter(tells) else {
+            return;
+        };
+        let is_same =
+            |other: &AlertSummary| other.parameter == told.parameter && other.state == told.state;
         if told.revisions > 0
-            && let Some((_, last)) = self.alerts.iter_mut().rev().find(|(_, other)| is_same(other))
+            && let Some((_, last)) = self
+                .alerts
+                .iter_mut()
+                .rev()
+                .find(|(_, other)| is_same(other))
         {
             if told.revisions > last.revisions {
-                *last = AlertSummary { loss_at_first: last.loss_at_first, ..told };
+                *last = AlertSummary {
+                    loss_at_first: last.loss_at_first,
+                    ..told
+                };
             }
             return;
         }
-        if !self.alerts.iter().any(|(at, other)| *at == time_ns && is_same(other)) {
+        if !self
+            .alerts
+            .iter()
+            .any(|(at, other)| *at == time_ns && is_same(other))
+        {
             self.alerts.push((time_ns, told));
         }
     }
@@ -345,23 +398,46 @@ impl Collector {
     /// Returns the summary.
     pub fn finish(self) -> Summary {
         let t0_ns = self.t0_ns.unwrap_or(0);
-        let level = |mean: f64, variance: f64| Level { mean, std: variance.max(0.0).sqrt() };
+        let level = |mean: f64, variance: f64| Level {
+            mean,
+            std: variance.max(0.0).sqrt(),
+        };
         let (mut parameters, mut noise) = (Ordered::default(), Ordered::default());
         if let Some(last) = &self.last {
             for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
                 let Level { mean, std } = level(*mean, last.variance(index).unwrap_or(0.0));
-                let estimate = ParameterEstimate { time_ns: 0, mean, std };
+                let estimate = ParameterEstimate {
+                    time_ns: 0,
+                    mean,
+                    std,
+                };
                 let baseline = self.baseline.as_ref();
-                let for_this_structure = baseline.and_then(|baseline| baseline.for_structure(name, &estimate));
+                let for_this_structure =
+                    baseline.and_then(|baseline| baseline.for_structure(name, &estimate));
                 let within = estimate.interval();
-                parameters.push(name.clone(), ParameterSummary { mean, std, within, for_this_structure });
+                parameters.push(
+                    name.clone(),
+                    ParameterSummary {
+                        mean,
+                        std,
+                        within,
+                        for_this_structure,
+                    },
+                );
             }
-            for (stated, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance))
+            for (stated, (mean, variance)) in self
+                .noise
+                .iter()
+                .zip(last.noise_mean.iter().zip(&last.noise_covariance))
             {
                 noise.push(stated.name.clone(), stated.found(level(*mean, *variance)));
             }
         }
-        let warnings = self.noise.iter().zip(noise.values()).filter_map(|(stated, found)| stated.warning(found));
+        let warnings = self
+            .noise
+            .iter()
+            .zip(noise.values())
+            .filter_map(|(stated, found)| stated.warning(found));
         let fit = self.fit.finish();
         let warnings = warnings.chain(fit.as_ref().and_then(FitSummary::warning));
         let undecided = self.undecided_warnings();
@@ -369,14 +445,19 @@ impl Collector {
         let warnings = warnings.chain(undecided).collect();
         let mut decided = Ordered::default();
         for (parameter, frames) in &self.decided {
-            if let (Some(name), Some(summary)) = (self.parameters.get(*parameter), DecidedSummary::of(frames)) {
+            if let (Some(name), Some(summary)) =
+                (self.parameters.get(*parameter), DecidedSummary::of(frames))
+            {
                 decided.push(name.clone(), summary);
             }
         }
         let alerts = self
             .alerts
             .into_iter()
-            .map(|(time_ns, alert)| AlertSummary { time_s: time_ns.saturating_sub(t0_ns) as f64 / 1e9, ..alert });
+            .map(|(time_ns, alert)| AlertSummary {
+                time_s: time_ns.saturating_sub(t0_ns) as f64 / 1e9,
+                ..alert
+            });
         let (sum, channels) = self.misfit;
         let misfit = (channels > 0.0).then(|| sum / channels);
         Summary {

@@ -41,19 +41,27 @@ where
         let panicked = match life.join_next().await {
             Some(Ok(Err(error))) if error.is_of_a_panic() => error,
             Some(Ok(result)) => return result,
-            Some(Err(source)) if source.is_cancelled() => return Err(AppError::Panicked { service, source }),
+            Some(Err(source)) if source.is_cancelled() => {
+                return Err(AppError::Panicked { service, source });
+            }
             Some(Err(source)) => AppError::Panicked { service, source },
             None => return Ok(()), // there is always one
         };
         let now = Instant::now();
         panics.push_back(now);
-        while panics.front().is_some_and(|earlier| now.duration_since(*earlier) > PANICS_WITHIN) {
+        while panics
+            .front()
+            .is_some_and(|earlier| now.duration_since(*earlier) > PANICS_WITHIN)
+        {
             panics.pop_front();
         }
         if panics.len() >= MOST_PANICS {
             return Err(panicked);
         }
-        error!(service, structure, "panicked: it is started anew from what it remembers");
+        error!(
+            service,
+            structure, "panicked: it is started anew from what it remembers"
+        );
         tokio::time::sleep(PAUSE).await;
         life.spawn(next());
     }
@@ -89,7 +97,10 @@ impl Hangups {
                     info!("configuration and structure files are read again: services begin anew");
                     return read;
                 }
-                Err(error) => error!("configuration not read again, nothing changes: {}", error.report()),
+                Err(error) => error!(
+                    "configuration not read again, nothing changes: {}",
+                    error.report()
+                ),
             }
         }
     }
@@ -112,7 +123,9 @@ pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
     loop {
         feed.tick().await;
         let works = match &pool {
-            Some(pool) => tokio::time::timeout(within / 2, pool.responds()).await.unwrap_or(false),
+            Some(pool) => tokio::time::timeout(within / 2, pool.responds())
+                .await
+                .unwrap_or(false),
             None => true,
         };
         match works {
@@ -142,10 +155,20 @@ mod tests {
             let counted = counted.clone();
             move || panics_before(lives, counted.clone())
         };
-        supervise("alert", "tower".to_owned(), life(2)(), life(2)).await.unwrap();
+        supervise("alert", "tower".to_owned(), life(2)(), life(2))
+            .await
+            .unwrap();
         assert_eq!(counted.swap(0, Ordering::Relaxed), 3);
-        let error = supervise("alert", "tower".to_owned(), life(99)(), life(99)).await.unwrap_err();
-        assert!(matches!(error, AppError::Panicked { service: "alert", .. }));
+        let error = supervise("alert", "tower".to_owned(), life(99)(), life(99))
+            .await
+            .unwrap_err();
+        assert!(matches!(
+            error,
+            AppError::Panicked {
+                service: "alert",
+                ..
+            }
+        ));
         assert_eq!(counted.load(Ordering::Relaxed) as usize, MOST_PANICS);
     }
 
@@ -159,7 +182,12 @@ mod tests {
             begun.send(()).unwrap();
             std::future::pending().await
         };
-        let supervised = tokio::spawn(supervise("alert", "tower".to_owned(), first, std::future::pending));
+        let supervised = tokio::spawn(supervise(
+            "alert",
+            "tower".to_owned(),
+            first,
+            std::future::pending,
+        ));
         has_begun.await.unwrap();
         supervised.abort();
         let ended = tokio::time::timeout(Duration::from_secs(30), ended).await;
@@ -169,21 +197,29 @@ mod tests {
     /// A filter that panics does so on a thread of its own, and its service says so: it ended the process.
     #[tokio::test]
     async fn a_service_whose_filter_was_lost_lives_again() {
-        let lost = || AppError::Identify(IdentifyError::ThreadLost { structure: "tower".to_owned() });
+        let lost = || {
+            AppError::Identify(IdentifyError::ThreadLost {
+                structure: "tower".to_owned(),
+            })
+        };
         let first = async move { Err(lost()) };
         let mut lives = 1;
         let next = || {
             lives += 1;
             async { Ok(()) }
         };
-        supervise("identify", "tower".to_owned(), first, next).await.unwrap();
+        supervise("identify", "tower".to_owned(), first, next)
+            .await
+            .unwrap();
         assert_eq!(lives, 2);
     }
 
     #[tokio::test]
     async fn an_error_ends_a_service_at_once() {
         let fails = || async { Err(AppError::NoStructure) };
-        let error = supervise("alert", "tower".to_owned(), fails(), fails).await.unwrap_err();
+        let error = supervise("alert", "tower".to_owned(), fails(), fails)
+            .await
+            .unwrap_err();
         assert!(matches!(error, AppError::NoStructure));
     }
 }

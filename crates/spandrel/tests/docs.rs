@@ -1,6 +1,11 @@
 //! The pages: every link leads somewhere, every page is in the book, and the command line is as the program says.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -8,7 +13,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
 }
 
 /// All pages below a folder.
@@ -38,7 +46,9 @@ fn prose(text: &str) -> String {
 /// What the title of a section is called in a link.
 fn anchor(title: &str) -> String {
     let text = title.trim().to_lowercase();
-    let kept = text.chars().filter(|c| c.is_alphanumeric() || *c == ' ' || *c == '-' || *c == '_');
+    let kept = text
+        .chars()
+        .filter(|c| c.is_alphanumeric() || *c == ' ' || *c == '-' || *c == '_');
     kept.map(|c| if c == ' ' { '-' } else { c }).collect()
 }
 
@@ -79,14 +89,23 @@ fn every_link_leads_somewhere() {
             }
             checked += 1;
             let (file, section) = link.split_once('#').unwrap_or((&link, ""));
-            let target = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
+            let target = if file.is_empty() {
+                page.clone()
+            } else {
+                page.parent().unwrap().join(file)
+            };
             let is_there = match (target.exists(), section) {
                 (is_there, "") => is_there,
                 (false, _) => false,
-                (true, section) => anchors(&std::fs::read_to_string(&target).unwrap()).contains(section),
+                (true, section) => {
+                    anchors(&std::fs::read_to_string(&target).unwrap()).contains(section)
+                }
             };
             if !is_there {
-                broken.push(format!("{}: {link}", page.strip_prefix(root()).unwrap().display()));
+                broken.push(format!(
+                    "{}: {link}",
+                    page.strip_prefix(root()).unwrap().display()
+                ));
             }
         }
     }
@@ -100,13 +119,22 @@ fn every_page_is_in_the_book() {
     let mut all = Vec::new();
     pages(&docs, &mut all);
     let summary = std::fs::read_to_string(docs.join("SUMMARY.md")).unwrap();
-    let listed: BTreeSet<PathBuf> =
-        links(&summary).into_iter().map(|link| docs.join(link).canonicalize().unwrap()).collect();
+    let listed: BTreeSet<PathBuf> = links(&summary)
+        .into_iter()
+        .map(|link| docs.join(link).canonicalize().unwrap())
+        .collect();
     for page in all.iter().filter(|page| !page.ends_with("SUMMARY.md")) {
-        assert!(listed.contains(page), "{} is not in docs/SUMMARY.md", page.display());
+        assert!(
+            listed.contains(page),
+            "{} is not in docs/SUMMARY.md",
+            page.display()
+        );
     }
     // mdBook would write them beside the book
-    let outside: Vec<_> = listed.iter().filter(|page| !page.starts_with(docs.canonicalize().unwrap())).collect();
+    let outside: Vec<_> = listed
+        .iter()
+        .filter(|page| !page.starts_with(docs.canonicalize().unwrap()))
+        .collect();
     assert!(outside.is_empty(), "outside of docs: {outside:?}");
 }
 
@@ -114,27 +142,50 @@ fn every_page_is_in_the_book() {
 #[test]
 fn the_subscriber_in_rust_is_that_of_the_example() {
     let topics = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
-    let (_, rest) = topics.split_once("\n### Rust\n").expect("a section on Rust");
-    let printed = rest.split_once("```rust\n").and_then(|(_, code)| code.split_once("```")).expect("its code").0;
+    let (_, rest) = topics
+        .split_once("\n### Rust\n")
+        .expect("a section on Rust");
+    let printed = rest
+        .split_once("```rust\n")
+        .and_then(|(_, code)| code.split_once("```"))
+        .expect("its code")
+        .0;
     let example = std::fs::read_to_string(root().join("crates/bus/examples/subscribe.rs")).unwrap();
-    assert!(example.ends_with(printed), "docs/topics.md does not print crates/bus/examples/subscribe.rs");
+    assert!(
+        example.ends_with(printed),
+        "docs/topics.md does not print crates/bus/examples/subscribe.rs"
+    );
 }
 
 fn help(arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
     command.args(arguments).arg("--help").env("COLUMNS", "100");
     let output = command.output().unwrap();
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let text = String::from_utf8(output.stdout).unwrap();
-    text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n").trim().to_owned()
+    text.lines()
+        .map(str::trim_end)
+        .collect::<Vec<_>>()
+        .join("\n")
+        .trim()
+        .to_owned()
 }
 
 /// The subcommands that a help lists.
 fn commands_of(help: &str) -> Vec<&str> {
-    let Some((_, commands)) = help.split_once("\nCommands:\n") else { return Vec::new() };
+    let Some((_, commands)) = help.split_once("\nCommands:\n") else {
+        return Vec::new();
+    };
     let commands = commands.lines().take_while(|line| !line.is_empty());
     let names = commands.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
-    names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect()
+    names
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect()
 }
 
 /// The page as the program says it; `UPDATE_DOCS=1` writes it.
@@ -142,15 +193,25 @@ fn commands_of(help: &str) -> Vec<&str> {
 fn the_command_line_is_as_the_program_says() {
     let whole = help(&[]);
     let names = commands_of(&whole);
-    assert!(names.contains(&"demo") && names.contains(&"estimate"), "{names:?}");
+    assert!(
+        names.contains(&"demo") && names.contains(&"estimate"),
+        "{names:?}"
+    );
     let mut text = format!(
         "# Command line\n\nWhat `spandrel --help` and `spandrel COMMAND --help` say.\n\n```text\n{whole}\n```\n"
     );
-    for name in names.iter().filter(|name| name.chars().all(|c| c.is_ascii_lowercase())) {
+    for name in names
+        .iter()
+        .filter(|name| name.chars().all(|c| c.is_ascii_lowercase()))
+    {
         let of_command = help(&[name]);
         let _ = write!(text, "\n## {name}\n\n```text\n{of_command}\n```\n");
         for part in commands_of(&of_command) {
-            let _ = write!(text, "\n### {name} {part}\n\n```text\n{}\n```\n", help(&[name, part]));
+            let _ = write!(
+                text,
+                "\n### {name} {part}\n\n```text\n{}\n```\n",
+                help(&[name, part])
+            );
         }
     }
     let path = root().join("docs/command-line.md");
@@ -158,5 +219,8 @@ fn the_command_line_is_as_the_program_says() {
         std::fs::write(&path, &text).unwrap();
     }
     let found = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(found == text, "docs/command-line.md is not what the program says: run this test with UPDATE_DOCS=1");
+    assert!(
+        found == text,
+        "docs/command-line.md is not what the program says: run this test with UPDATE_DOCS=1"
+    );
 }

@@ -6,26 +6,50 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 fn spandrel(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .args(arguments)
+        .output()
+        .unwrap()
 }
 
 fn example(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
 }
 
 fn simulate(structure: &Path, record: &Path, seconds: &str) {
-    let arguments =
-        ["simulate", structure.to_str().unwrap(), "--duration", seconds, "--record", record.to_str().unwrap()];
+    let arguments = [
+        "simulate",
+        structure.to_str().unwrap(),
+        "--duration",
+        seconds,
+        "--record",
+        record.to_str().unwrap(),
+    ];
     let output = spandrel(&arguments);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }
 
 #[track_caller]
 fn estimate(structure: &Path, record: &Path, more: &[&str]) -> Output {
-    let mut arguments = vec!["estimate", structure.to_str().unwrap(), "--record", record.to_str().unwrap()];
+    let mut arguments = vec![
+        "estimate",
+        structure.to_str().unwrap(),
+        "--record",
+        record.to_str().unwrap(),
+    ];
     arguments.extend(more);
     let output = spandrel(&arguments);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     output
 }
 
@@ -41,14 +65,22 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "40");
     let sound = summary(&structure, &record, &[]);
-    assert!(sound["samples"].is_null(), "nothing is wrong with them: {sound}");
+    assert!(
+        sound["samples"].is_null(),
+        "nothing is wrong with them: {sound}"
+    );
     let misfit = sound["misfit"].as_f64().unwrap();
     assert!((0.9..1.1).contains(&misfit), "{misfit}");
 
     // floor-3 is silent for 50 samples, and floor-5 reports 1e9 m/s² twice
     let text = std::fs::read_to_string(&record).unwrap();
     let header = text.lines().find(|line| line.contains("floor-3")).unwrap();
-    let column = |name: &str| header.split(',').position(|cell| cell.starts_with(name)).unwrap();
+    let column = |name: &str| {
+        header
+            .split(',')
+            .position(|cell| cell.starts_with(name))
+            .unwrap()
+    };
     let (third, fifth) = (column("floor-3"), column("floor-5"));
     let first = text.lines().position(|line| line == header).unwrap() + 1;
     let spoilt: Vec<String> = text
@@ -68,8 +100,14 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     let spoilt_record = folder.path().join("spoilt.csv");
     std::fs::write(&spoilt_record, spoilt.join("\n") + "\n").unwrap();
     let told = summary(&structure, &spoilt_record, &[]);
-    assert_eq!(told["samples"]["missing"], serde_json::json!({ "floor-3": 50, "floor-5": 2 }));
-    assert_eq!(told["samples"]["discarded"], serde_json::json!({ "out-of-range-values": 2 }));
+    assert_eq!(
+        told["samples"]["missing"],
+        serde_json::json!({ "floor-3": 50, "floor-5": 2 })
+    );
+    assert_eq!(
+        told["samples"]["discarded"],
+        serde_json::json!({ "out-of-range-values": 2 })
+    );
     let text = String::from_utf8(estimate(&structure, &spoilt_record, &[]).stdout).unwrap();
     for part in [
         "missing samples: floor-3 50, floor-5 2",
@@ -83,25 +121,44 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
 #[test]
 fn particles_agree_with_the_kalman_filter_where_there_are_few_states() {
     let folder = tempfile::tempdir().unwrap();
-    let (structure, record) = (example("hysteretic-oscillator.toml"), folder.path().join("oscillator.csv"));
+    let (structure, record) = (
+        example("hysteretic-oscillator.toml"),
+        folder.path().join("oscillator.csv"),
+    );
     simulate(&structure, &record, "30");
     let level = |summary: &Value, name: &str| {
         let parameter = &summary["parameters"][name];
-        (parameter["mean"].as_f64().unwrap(), parameter["std"].as_f64().unwrap())
+        (
+            parameter["mean"].as_f64().unwrap(),
+            parameter["std"].as_f64().unwrap(),
+        )
     };
     let kalman = summary(&structure, &record, &[]);
     for seed in ["1", "2", "3"] {
         let options = ["--filter", "particle", "--particles", "500", "--seed", seed];
         let particle = summary(&structure, &record, &options);
         let misfit = particle["misfit"].as_f64().unwrap();
-        assert!((misfit - 1.0).abs() < 0.2 && particle["effective_share"].as_f64().unwrap() > 0.1, "misfit {misfit}");
+        assert!(
+            (misfit - 1.0).abs() < 0.2 && particle["effective_share"].as_f64().unwrap() > 0.1,
+            "misfit {misfit}"
+        );
         for name in ["theta-1", "theta-2", "theta-4"] {
-            let ((mean, std), (yardstick, its_std)) = (level(&kalman, name), level(&particle, name));
-            println!("seed {seed}: {name} {mean:.4} ± {std:.4}, particles {yardstick:.4} ± {its_std:.4}");
-            assert!((mean - yardstick).abs() < 3.0 * std.hypot(its_std), "seed {seed}: {name} {mean} {yardstick}");
+            let ((mean, std), (yardstick, its_std)) =
+                (level(&kalman, name), level(&particle, name));
+            println!(
+                "seed {seed}: {name} {mean:.4} ± {std:.4}, particles {yardstick:.4} ± {its_std:.4}"
+            );
+            assert!(
+                (mean - yardstick).abs() < 3.0 * std.hypot(its_std),
+                "seed {seed}: {name} {mean} {yardstick}"
+            );
         }
         if seed == "1" {
-            assert_eq!(particle, summary(&structure, &record, &options), "the same seed gives the same numbers");
+            assert_eq!(
+                particle,
+                summary(&structure, &record, &options),
+                "the same seed gives the same numbers"
+            );
         }
     }
 }
@@ -121,16 +178,25 @@ fn simulated_record_is_read_with_the_same_file() {
         simulate(&path, &record, "20");
         let mapped = summary(&path, &record, &[]);
         // without the columns of the file the record has the names of the channels, and SI units
-        let plain: String =
-            text.lines().filter(|line| !line.contains("column")).map(|line| line.to_owned() + "\n").collect();
+        let plain: String = text
+            .lines()
+            .filter(|line| !line.contains("column"))
+            .map(|line| line.to_owned() + "\n")
+            .collect();
         let structure = folder.path().join("plain.toml");
         std::fs::write(&structure, plain).unwrap();
         simulate(&structure, &record, "20");
         let plain = summary(&structure, &record, &[]);
         for (name, level) in mapped["parameters"].as_object().unwrap() {
-            let (mapped, plain) =
-                (level["mean"].as_f64().unwrap(), plain["parameters"][name]["mean"].as_f64().unwrap());
-            assert!((mapped - plain).abs() < 1e-9, "{}: {name} {mapped} {plain}", path.display());
+            let (mapped, plain) = (
+                level["mean"].as_f64().unwrap(),
+                plain["parameters"][name]["mean"].as_f64().unwrap(),
+            );
+            assert!(
+                (mapped - plain).abs() < 1e-9,
+                "{}: {name} {mapped} {plain}",
+                path.display()
+            );
         }
     }
     assert!(tried >= 3, "{tried} examples with a record table");
@@ -144,16 +210,30 @@ fn channels_that_are_swapped_are_warned_of() {
     let sound = summary(&structure, &record, &[]);
     assert_eq!(sound["warnings"], serde_json::json!([]));
     let floors = &sound["noise"]["floors"];
-    assert_eq!((floors["stated_std"].as_f64(), floors["unit"].as_str()), (Some(0.005), Some("m/s2")));
-    assert!((0.9..1.1).contains(&floors["ratio"].as_f64().unwrap()), "{floors}");
+    assert_eq!(
+        (floors["stated_std"].as_f64(), floors["unit"].as_str()),
+        (Some(0.005), Some("m/s2"))
+    );
+    assert!(
+        (0.9..1.1).contains(&floors["ratio"].as_f64().unwrap()),
+        "{floors}"
+    );
     let text = std::fs::read_to_string(&record).unwrap();
-    let swapped =
-        text.replacen("floor-2", "floor-x", 1).replacen("floor-5", "floor-2", 1).replacen("floor-x", "floor-5", 1);
+    let swapped = text
+        .replacen("floor-2", "floor-x", 1)
+        .replacen("floor-5", "floor-2", 1)
+        .replacen("floor-x", "floor-5", 1);
     std::fs::write(&record, swapped).unwrap();
     let told = summary(&structure, &record, &[]);
-    println!("misfit {}, noise {}", told["misfit"], told["noise"]["floors"]);
+    println!(
+        "misfit {}, noise {}",
+        told["misfit"], told["noise"]["floors"]
+    );
     let warning = told["warnings"][0].as_str().unwrap();
-    assert!(warning.starts_with("noise of floors is ") && warning.contains("a channel swapped"), "{warning}");
+    assert!(
+        warning.starts_with("noise of floors is ") && warning.contains("a channel swapped"),
+        "{warning}"
+    );
 }
 
 #[test]
@@ -163,7 +243,9 @@ fn record_that_ends_before_the_reference_is_known_is_warned_of() {
     simulate(&structure, &record, "40");
     let told = summary(&structure, &record, &[]);
     let storeys = "storey-1, storey-2, storey-3, storey-4, storey-5";
-    let warning = format!("no alert of {storeys} is decided: the reference was still being learnt at the end");
+    let warning = format!(
+        "no alert of {storeys} is decided: the reference was still being learnt at the end"
+    );
     assert_eq!(told["warnings"], serde_json::json!([warning]));
 }
 
@@ -171,34 +253,55 @@ fn record_that_ends_before_the_reference_is_known_is_warned_of() {
 fn parameters_keep_the_order_of_the_file_and_classes_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(example("demo.toml")).unwrap();
-    let text = text.replace("name = \"storey-1\"", "name = \"zero\"").replace("at-s = 60", "at-s = 20")
+    let text = text
+        .replace("name = \"storey-1\"", "name = \"zero\"")
+        .replace("at-s = 60", "at-s = 20")
         + "\n[classes]\nkind = \"self-calibrating\"\n";
-    let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
+    let (structure, record) = (
+        folder.path().join("demo.toml"),
+        folder.path().join("demo.csv"),
+    );
     std::fs::write(&structure, text).unwrap();
     simulate(&structure, &record, "40");
     let output = estimate(&structure, &record, &["--json", "--verbose"]);
     let json = String::from_utf8(output.stdout).unwrap();
-    let places: Vec<usize> =
-        ["zero", "storey-2", "storey-5"].map(|name| json.find(&format!("\"{name}\":")).unwrap()).to_vec();
+    let places: Vec<usize> = ["zero", "storey-2", "storey-5"]
+        .map(|name| json.find(&format!("\"{name}\":")).unwrap())
+        .to_vec();
     assert!(places.is_sorted(), "{json}");
     let told: Value = serde_json::from_str(&json).unwrap();
     let classes = &told["classes"];
-    let sum: f64 =
-        classes["classes"].as_array().unwrap().iter().map(|class| class["plausibility"].as_f64().unwrap()).sum();
+    let sum: f64 = classes["classes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|class| class["plausibility"].as_f64().unwrap())
+        .sum();
     assert!((sum - 1.0).abs() < 1e-9, "{classes}");
-    assert_eq!(classes["leads"][0], serde_json::json!({ "time_s": 0.0, "class": "baseline" }));
+    assert_eq!(
+        classes["leads"][0],
+        serde_json::json!({ "time_s": 0.0, "class": "baseline" })
+    );
     let calibrations = classes["calibrations"].as_array().unwrap();
-    let of_damage =
-        calibrations.iter().find(|by| by["class"] == "storey-2" && by["time_s"].as_f64() > Some(20.0)).unwrap();
+    let of_damage = calibrations
+        .iter()
+        .find(|by| by["class"] == "storey-2" && by["time_s"].as_f64() > Some(20.0))
+        .unwrap();
     assert!(of_damage["change"].as_f64() < Some(-0.02), "{classes}");
     let log = String::from_utf8(output.stderr).unwrap();
-    let line = log.lines().find(|line| line.contains("class storey-2 recalibrated")).unwrap();
+    let line = log
+        .lines()
+        .find(|line| line.contains("class storey-2 recalibrated"))
+        .unwrap();
     for part in ["subject=\"identify\"", "time_s=2"] {
         assert!(line.contains(part), "{part} is not in {line}");
     }
     let text = String::from_utf8(estimate(&structure, &record, &[]).stdout).unwrap();
-    for part in ["leads; plausibilities: ", "calibrations, the latest first: ", "leads that lasted, the latest first: "]
-    {
+    for part in [
+        "leads; plausibilities: ",
+        "calibrations, the latest first: ",
+        "leads that lasted, the latest first: ",
+    ] {
         assert!(text.contains(part), "{part} is not in\n{text}");
     }
 }
@@ -208,11 +311,26 @@ fn options_that_would_do_nothing_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "2");
-    let paths = ["estimate", structure.to_str().unwrap(), "--record", record.to_str().unwrap()];
+    let paths = [
+        "estimate",
+        structure.to_str().unwrap(),
+        "--record",
+        record.to_str().unwrap(),
+    ];
     for (options, told) in [
-        (vec!["--particles", "50"], "--particles is of use only with --filter particle"),
         (
-            vec!["--filter", "particle", "--particles", "10", "--warm-up", "5"],
+            vec!["--particles", "50"],
+            "--particles is of use only with --filter particle",
+        ),
+        (
+            vec![
+                "--filter",
+                "particle",
+                "--particles",
+                "10",
+                "--warm-up",
+                "5",
+            ],
             "--warm-up is 5 s and the record has 2 s",
         ),
     ] {
@@ -222,7 +340,12 @@ fn options_that_would_do_nothing_are_refused() {
         assert!(log.contains(told), "{log}");
     }
     let text = folder.path().join("demo.txt");
-    let output = spandrel(&["simulate", structure.to_str().unwrap(), "--record", text.to_str().unwrap()]);
+    let output = spandrel(&[
+        "simulate",
+        structure.to_str().unwrap(),
+        "--record",
+        text.to_str().unwrap(),
+    ]);
     assert_eq!(output.status.code(), Some(2));
     assert!(!text.exists() && String::from_utf8_lossy(&output.stderr).contains(".csv"));
 }
@@ -232,63 +355,116 @@ fn particles_of_a_large_model_come_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "3");
-    let output = estimate(&structure, &record, &["--filter", "particle", "--particles", "10"]);
+    let output = estimate(
+        &structure,
+        &record,
+        &["--filter", "particle", "--particles", "10"],
+    );
     let log = String::from_utf8(output.stderr).unwrap();
     assert!(log.contains("16 states and parameters"), "{log}");
-    let output = spandrel(&["estimate", "demo.toml", "--record", "demo.csv", "--particles", "1"]);
+    let output = spandrel(&[
+        "estimate",
+        "demo.toml",
+        "--record",
+        "demo.csv",
+        "--particles",
+        "1",
+    ]);
     assert_eq!(output.status.code(), Some(2));
 }
 
 #[test]
 fn responses_and_noise_levels_are_written_where_there_are_no_parameters() {
     let folder = tempfile::tempdir().unwrap();
-    let (structure, record) = (example("fifty-storeys.toml"), folder.path().join("building.csv"));
+    let (structure, record) = (
+        example("fifty-storeys.toml"),
+        folder.path().join("building.csv"),
+    );
     simulate(&structure, &record, "20");
     let table = folder.path().join("estimates.csv");
     let found = summary(&structure, &record, &["--output", table.to_str().unwrap()]);
     assert_eq!(found["parameters"], serde_json::json!({}));
     let text = std::fs::read_to_string(&table).unwrap();
     let mut lines = text.lines();
-    let pairs = ["displacement-25", "velocity-25", "displacement-50", "velocity-50", "noise/ground", "noise/sensors"];
-    let header = pairs.map(|name| format!("{name}.mean,{name}.std")).join(",");
+    let pairs = [
+        "displacement-25",
+        "velocity-25",
+        "displacement-50",
+        "velocity-50",
+        "noise/ground",
+        "noise/sensors",
+    ];
+    let header = pairs
+        .map(|name| format!("{name}.mean,{name}.std"))
+        .join(",");
     assert_eq!(lines.next(), Some(&*format!("time,{header}")));
-    let last: Vec<f64> = lines.next_back().unwrap().split(',').map(|cell| cell.parse().unwrap()).collect();
+    let last: Vec<f64> = lines
+        .next_back()
+        .unwrap()
+        .split(',')
+        .map(|cell| cell.parse().unwrap())
+        .collect();
     assert_eq!((lines.count() + 1, last.len()), (2000, 13));
     // Yuen, Liang & Kuok (2013), table 2: errors of 4.1e-4, 1.2e-3, 5.5e-4 and 1.4e-3, which the filter states within a fifth
-    for (std, published) in
-        [last[2], last[4], last[6], last[8]].into_iter().zip([4.070e-4, 1.222e-3, 5.521e-4, 1.360e-3])
+    for (std, published) in [last[2], last[4], last[6], last[8]]
+        .into_iter()
+        .zip([4.070e-4, 1.222e-3, 5.521e-4, 1.360e-3])
     {
         assert!((std / published - 1.0).abs() < 0.2, "{std} {published}");
     }
     assert_eq!(
         (Some(last[9]), Some(last[11])),
-        (found["noise"]["ground"]["mean"].as_f64(), found["noise"]["sensors"]["mean"].as_f64())
+        (
+            found["noise"]["ground"]["mean"].as_f64(),
+            found["noise"]["sensors"]["mean"].as_f64()
+        )
     );
 }
 
 #[test]
 fn a_structure_without_parameters_has_no_baseline() {
     let folder = tempfile::tempdir().unwrap();
-    let (structure, record) = (example("sixty-storeys.toml"), folder.path().join("building.csv"));
+    let (structure, record) = (
+        example("sixty-storeys.toml"),
+        folder.path().join("building.csv"),
+    );
     simulate(&structure, &record, "1");
     let output = folder.path().join("baseline.json");
     let paths = [&structure, &record, &output].map(|path| path.to_str().unwrap());
-    let told = spandrel(&["baseline", paths[0], "--record", paths[1], "--output", paths[2]]);
+    let told = spandrel(&[
+        "baseline", paths[0], "--record", paths[1], "--output", paths[2],
+    ]);
     assert_eq!(told.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&told.stderr).contains("has no [[parameter]]"), "{told:?}");
+    assert!(
+        String::from_utf8_lossy(&told.stderr).contains("has no [[parameter]]"),
+        "{told:?}"
+    );
 }
 
 #[test]
 fn particles_follow_a_linear_structure_without_parameters_too() {
     let folder = tempfile::tempdir().unwrap();
     let file = std::fs::read_to_string(example("sixty-storeys.toml")).unwrap();
-    let two = file.replace("storeys = 60", "storeys = 2").replace("floor-10\"", "floor-2\"");
+    let two = file
+        .replace("storeys = 60", "storeys = 2")
+        .replace("floor-10\"", "floor-2\"");
     let nodes: Vec<&str> = two.split("\n[[node]]\n").collect();
     let rest = &two[two.find("\n[filter]").unwrap()..];
     let structure = folder.path().join("two.toml");
-    std::fs::write(&structure, format!("{}\n[[node]]\n{}\n[[node]]\n{}{rest}", nodes[0], nodes[1], nodes[2])).unwrap();
+    std::fs::write(
+        &structure,
+        format!(
+            "{}\n[[node]]\n{}\n[[node]]\n{}{rest}",
+            nodes[0], nodes[1], nodes[2]
+        ),
+    )
+    .unwrap();
     let record = folder.path().join("two.csv");
     simulate(&structure, &record, "10");
-    let found = summary(&structure, &record, &["--filter", "particle", "--particles", "200"]);
+    let found = summary(
+        &structure,
+        &record,
+        &["--filter", "particle", "--particles", "200"],
+    );
     assert!(found["effective_share"].as_f64().unwrap() > 0.1, "{found}");
 }

@@ -17,9 +17,23 @@ fn peak_mb(process: u32) -> Option<f64> {
 
 #[test]
 fn ten_minutes_of_the_demo_at_full_speed_stay_below_a_hundred_megabytes() {
-    let arguments = ["--speed", "max", "--duration", "600", "--headless", "--json", "--listen", "tcp/127.0.0.1:0"];
+    let arguments = [
+        "--speed",
+        "max",
+        "--duration",
+        "600",
+        "--headless",
+        "--json",
+        "--listen",
+        "tcp/127.0.0.1:0",
+    ];
     let mut demo = Command::new(env!("CARGO_BIN_EXE_spandrel"));
-    let mut child = demo.arg("demo").args(arguments).stdout(Stdio::null()).spawn().unwrap();
+    let mut child = demo
+        .arg("demo")
+        .args(arguments)
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
     let (mut peak, mut looks) = (0.0_f64, 0);
     let code = loop {
         if let Some(mb) = peak_mb(child.id()) {
@@ -33,6 +47,9 @@ fn ten_minutes_of_the_demo_at_full_speed_stay_below_a_hundred_megabytes() {
     };
     println!("largest resident size {peak:.0} MB, in {looks} looks");
     assert_eq!(code, Some(0));
-    assert!(looks > 3 && peak > 1.0, "the process was not seen at work: {looks} looks, {peak} MB");
+    assert!(
+        looks > 3 && peak > 1.0,
+        "the process was not seen at work: {looks} looks, {peak} MB"
+    );
     assert!(peak < MOST_MB, "{peak} MB");
 }

@@ -17,21 +17,41 @@ printf '%s\n' "$#" "$1" > "$OPENED.part" && mv "$OPENED.part" "$OPENED"
 #[test]
 fn demo_opens_the_page_at_the_address_it_prints() {
     let desktop = tempfile::tempdir().unwrap();
-    let (opener, opened) = (desktop.path().join("xdg-open"), desktop.path().join("opened"));
+    let (opener, opened) = (
+        desktop.path().join("xdg-open"),
+        desktop.path().join("opened"),
+    );
     std::fs::write(&opener, OPENER).unwrap();
     std::fs::set_permissions(&opener, std::fs::Permissions::from_mode(0o755)).unwrap();
-    let path = format!("{}:{}", desktop.path().display(), std::env::var("PATH").unwrap());
+    let path = format!(
+        "{}:{}",
+        desktop.path().display(),
+        std::env::var("PATH").unwrap()
+    );
     let demo = Command::new(env!("CARGO_BIN_EXE_spandrel"))
-        .args("demo --open --http 127.0.0.1:0 --listen tcp/127.0.0.1:0 --speed max --duration 5".split(' '))
+        .args(
+            "demo --open --http 127.0.0.1:0 --listen tcp/127.0.0.1:0 --speed max --duration 5"
+                .split(' '),
+        )
         .env("PATH", path)
         .env("OPENED", &opened)
         .env("XDG_STATE_HOME", desktop.path())
         .output()
         .unwrap();
     let said = String::from_utf8_lossy(&demo.stdout);
-    assert!(demo.status.success(), "{said}{}", String::from_utf8_lossy(&demo.stderr));
-    let page = said.lines().find_map(|line| line.strip_prefix("page: ")).unwrap_or_else(|| panic!("no page in {said}"));
-    assert!(page.starts_with("http://127.0.0.1:") && !page.contains(":0/"), "{page}");
+    assert!(
+        demo.status.success(),
+        "{said}{}",
+        String::from_utf8_lossy(&demo.stderr)
+    );
+    let page = said
+        .lines()
+        .find_map(|line| line.strip_prefix("page: "))
+        .unwrap_or_else(|| panic!("no page in {said}"));
+    assert!(
+        page.starts_with("http://127.0.0.1:") && !page.contains(":0/"),
+        "{page}"
+    );
     let start = Instant::now();
     let asked = loop {
         match std::fs::read_to_string(&opened) {

@@ -9,13 +9,20 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 fn spandrel(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .args(arguments)
+        .output()
+        .unwrap()
 }
 
 #[track_caller]
 fn done(arguments: &[&str]) -> String {
     let output = spandrel(arguments);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -33,7 +40,14 @@ fn demo() -> PathBuf {
 /// Ten seconds of the demo in this format.
 fn simulated(folder: &Path, name: &str) -> String {
     let record = folder.join(name).display().to_string();
-    done(&["simulate", demo().to_str().unwrap(), "--duration", "10", "--record", &record]);
+    done(&[
+        "simulate",
+        demo().to_str().unwrap(),
+        "--duration",
+        "10",
+        "--record",
+        &record,
+    ]);
     record
 }
 
@@ -42,31 +56,51 @@ fn info_tells_channels_for_people_and_for_programs() {
     let folder = tempfile::tempdir().unwrap();
     let record = simulated(folder.path(), "demo.csv");
     let text = done(&["info", &record]);
-    assert!(text.starts_with(&format!("{record}: text table (CSV), 6 channels\n")), "{text}");
+    assert!(
+        text.starts_with(&format!("{record}: text table (CSV), 6 channels\n")),
+        "{text}"
+    );
     assert!(text.contains("1000 samples at 100 Hz, 9.990 s"), "{text}");
     let json: Value = serde_json::from_str(&done(&["info", &record, "--json"])).unwrap();
     let channels = json["channels"].as_array().unwrap();
     assert_eq!(channels.len(), 6);
     assert!(
-        channels.iter().all(|channel| channel["samples"] == 1000 && channel["statistics"]["std"].as_f64() > Some(0.0))
+        channels.iter().all(|channel| channel["samples"] == 1000
+            && channel["statistics"]["std"].as_f64() > Some(0.0))
     );
 }
 
 #[test]
 fn estimates_of_the_same_record_are_the_same_from_csv_and_mcap() {
     let folder = tempfile::tempdir().unwrap();
-    let (csv, mcap) = (simulated(folder.path(), "demo.csv"), simulated(folder.path(), "demo.mcap"));
+    let (csv, mcap) = (
+        simulated(folder.path(), "demo.csv"),
+        simulated(folder.path(), "demo.mcap"),
+    );
     let estimates = |record: &str, name: &str| {
         let output = folder.path().join(name).display().to_string();
-        done(&["estimate", demo().to_str().unwrap(), "--record", record, "--output", &output]);
+        done(&[
+            "estimate",
+            demo().to_str().unwrap(),
+            "--record",
+            record,
+            "--output",
+            &output,
+        ]);
         std::fs::read_to_string(output).unwrap()
     };
     let converted = folder.path().join("converted.mcap").display().to_string();
     done(&["convert", &csv, &converted]);
     let from_csv = estimates(&csv, "from-csv.csv");
     assert_eq!(from_csv.lines().count(), 1001);
-    assert!(from_csv == estimates(&mcap, "from-mcap.csv"), "a simulation written as MCAP");
-    assert!(from_csv == estimates(&converted, "from-converted.csv"), "CSV converted to MCAP");
+    assert!(
+        from_csv == estimates(&mcap, "from-mcap.csv"),
+        "a simulation written as MCAP"
+    );
+    assert!(
+        from_csv == estimates(&converted, "from-converted.csv"),
+        "CSV converted to MCAP"
+    );
 }
 
 #[test]
@@ -84,13 +118,33 @@ fn record_of_another_rate_is_estimated_only_if_resampling_is_declared() {
             "--json".to_owned(),
         ]
     };
-    let told = refused(&estimate(&demo()).iter().map(String::as_str).collect::<Vec<_>>());
-    assert!(told.contains("160.0000 Hz") && told.contains("100 Hz"), "{told}");
+    let told = refused(
+        &estimate(&demo())
+            .iter()
+            .map(String::as_str)
+            .collect::<Vec<_>>(),
+    );
+    assert!(
+        told.contains("160.0000 Hz") && told.contains("100 Hz"),
+        "{told}"
+    );
     let structure = folder.path().join("resampled.toml");
-    std::fs::write(&structure, std::fs::read_to_string(demo()).unwrap() + "\n[record]\nresample = true\n").unwrap();
-    let json = done(&estimate(&structure).iter().map(String::as_str).collect::<Vec<_>>());
+    std::fs::write(
+        &structure,
+        std::fs::read_to_string(demo()).unwrap() + "\n[record]\nresample = true\n",
+    )
+    .unwrap();
+    let json = done(
+        &estimate(&structure)
+            .iter()
+            .map(String::as_str)
+            .collect::<Vec<_>>(),
+    );
     let summary: Value = serde_json::from_str(&json).unwrap();
-    assert!(summary["frames"].as_u64().unwrap().abs_diff(1000) <= 1, "{summary}");
+    assert!(
+        summary["frames"].as_u64().unwrap().abs_diff(1000) <= 1,
+        "{summary}"
+    );
 }
 
 #[test]
@@ -98,14 +152,20 @@ fn wrong_recordings_and_outputs_are_bad_input() {
     let folder = tempfile::tempdir().unwrap();
     let record = simulated(folder.path(), "demo.csv");
     let told = refused(&["convert", &record, "demo.xlsx"]);
-    assert!(told.contains("its name must end in .csv or .mcap"), "{told}");
+    assert!(
+        told.contains("its name must end in .csv or .mcap"),
+        "{told}"
+    );
     let told = refused(&["convert", &record, &record]);
     assert!(told.contains("would be written over"), "{told}");
     let damaged = folder.path().join("damaged.mseed");
     std::fs::write(&damaged, b"MS\x03\0too short").unwrap();
     let told = refused(&["info", damaged.to_str().unwrap()]);
     assert!(told.contains("damaged.mseed: miniSEED: byte "), "{told}");
-    assert_eq!(spandrel(&["info", &record, "--rate", "0"]).status.code(), Some(2));
+    assert_eq!(
+        spandrel(&["info", &record, "--rate", "0"]).status.code(),
+        Some(2)
+    );
 }
 
 /// What the public reader for Python finds in a file: by its index, and from the start as far as it goes.
@@ -144,7 +204,11 @@ assert messages == 4096, messages
 #[test]
 fn recordings_in_mcap_are_read_by_a_reader_that_is_not_ours() {
     let python = std::env::var("PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    if !Command::new(&python).args(["-c", "import mcap.reader"]).output().is_ok_and(|output| output.status.success()) {
+    if !Command::new(&python)
+        .args(["-c", "import mcap.reader"])
+        .output()
+        .is_ok_and(|output| output.status.success())
+    {
         let why = "skipped: python3 with the package mcap is not there";
         assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
         println!("{why}");
@@ -156,10 +220,22 @@ fn recordings_in_mcap_are_read_by_a_reader_that_is_not_ours() {
     let bytes = std::fs::read(&whole).unwrap();
     let cut = folder.path().join("cut.mcap");
     std::fs::write(&cut, &bytes[..bytes.len() / 5 * 4]).unwrap();
-    let output = Command::new(python).args(["-c", READER, &whole]).arg(&cut).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = Command::new(python)
+        .args(["-c", READER, &whole])
+        .arg(&cut)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let told = done(&["info", cut.to_str().unwrap(), "--json"]);
     let channels: Value = serde_json::from_str(&told).unwrap();
-    let samples = channels["channels"].as_array().unwrap().iter().map(|channel| channel["samples"].as_u64().unwrap());
+    let samples = channels["channels"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|channel| channel["samples"].as_u64().unwrap());
     assert_eq!(samples.sum::<u64>(), 4096);
 }

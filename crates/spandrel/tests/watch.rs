@@ -1,8 +1,13 @@
 //! `spandrel watch`, the built binary, where standard output is no terminal: lines for scripts.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a helper of tests may fail them")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a helper of tests may fail them"
+)]
 
 use spandrel_bus::{
-    AlertMessage, AlertState, Bus, BusConfig, CredibleInterval, Keys, LatestPublisher, Name, ParameterDisplay,
+    AlertMessage, AlertState, Bus, BusConfig, CredibleInterval, Keys, LatestPublisher, Name,
+    ParameterDisplay,
 };
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
@@ -24,8 +29,16 @@ impl Site {
         let free = TcpListener::bind("127.0.0.1:0").unwrap();
         let endpoint = format!("tcp/{}", free.local_addr().unwrap());
         drop(free);
-        let config = BusConfig { root: "site".into(), listen: vec![endpoint.clone()], ..BusConfig::default() };
-        Self { bus: Bus::open(&config).await.unwrap(), keys: config.keys("tower").unwrap(), endpoint }
+        let config = BusConfig {
+            root: "site".into(),
+            listen: vec![endpoint.clone()],
+            ..BusConfig::default()
+        };
+        Self {
+            bus: Bus::open(&config).await.unwrap(),
+            keys: config.keys("tower").unwrap(),
+            endpoint,
+        }
     }
 
     fn watch(&self, more: &[&str]) -> Watch {
@@ -33,7 +46,12 @@ impl Site {
         let mut child = command.args(more).stdout(Stdio::piped()).spawn().unwrap();
         let stdout = BufReader::new(child.stdout.take().unwrap());
         let (lines, said) = flume::unbounded();
-        std::thread::spawn(move || stdout.lines().map_while(Result::ok).try_for_each(|line| lines.send(line)));
+        std::thread::spawn(move || {
+            stdout
+                .lines()
+                .map_while(Result::ok)
+                .try_for_each(|line| lines.send(line))
+        });
         Watch { child, said }
     }
 
@@ -48,7 +66,11 @@ impl Site {
             rule_credibility: 0.95,
             credibility: 0.999,
             loss: Some(0.14),
-            loss_interval: Some(CredibleInterval { level: 0.95, low: 0.12, high: 0.16 }),
+            loss_interval: Some(CredibleInterval {
+                level: 0.95,
+                low: 0.12,
+                high: 0.16,
+            }),
             loss_interval_within_record: None,
             mean: 0.86,
             std: 0.01,
@@ -62,7 +84,11 @@ impl Site {
             undecided_because: None,
             revision: 0,
         };
-        let alerts = self.bus.publish_latest(self.keys.alert(&alert.parameter)).await.unwrap();
+        let alerts = self
+            .bus
+            .publish_latest(self.keys.alert(&alert.parameter))
+            .await
+            .unwrap();
         alerts.put(&alert).await.unwrap();
         alerts
     }
@@ -81,19 +107,26 @@ impl Watch {
         let found = tokio::time::timeout(DEADLINE, async {
             loop {
                 meanwhile().await;
-                match tokio::time::timeout(Duration::from_millis(100), self.said.recv_async()).await {
+                match tokio::time::timeout(Duration::from_millis(100), self.said.recv_async()).await
+                {
                     Ok(Ok(line)) if line.contains(part) => return line,
                     Ok(Ok(line)) => before.push(line),
-                    Ok(Err(flume::RecvError::Disconnected)) => panic!("ended without {part:?}: {before:#?}"),
+                    Ok(Err(flume::RecvError::Disconnected)) => {
+                        panic!("ended without {part:?}: {before:#?}")
+                    }
                     Err(_nothing_yet) => {}
                 }
             }
         });
-        found.await.unwrap_or_else(|_| panic!("no line with {part:?} within {} s", DEADLINE.as_secs()))
+        found
+            .await
+            .unwrap_or_else(|_| panic!("no line with {part:?} within {} s", DEADLINE.as_secs()))
     }
 
     fn terminate(mut self) -> Option<i32> {
-        let signalled = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        let signalled = Command::new("kill")
+            .args(["-TERM", &self.child.id().to_string()])
+            .status();
         assert!(signalled.unwrap().success());
         self.child.wait().unwrap().code()
     }
@@ -122,7 +155,10 @@ async fn an_alert_that_was_raised_before_is_told_and_sigterm_ends_with_0() {
     let _alerts = site.raise().await;
     let watch = site.watch(&[]);
     let line = watch.line(" alert ", async || {}).await;
-    assert_eq!(line, "61.00 s alert tower/storey-2 raised: storey-2 has lost 14 %");
+    assert_eq!(
+        line,
+        "61.00 s alert tower/storey-2 raised: storey-2 has lost 14 %"
+    );
     assert_eq!(watch.terminate(), Some(0));
 }
 
@@ -136,23 +172,42 @@ async fn a_structure_is_told_every_second_with_its_values() {
         time_ns: 1_000_000_000,
         mean: 0.86,
         std: 0.01,
-        interval: CredibleInterval { level: 0.95, low: 0.84, high: 0.88 },
+        interval: CredibleInterval {
+            level: 0.95,
+            low: 0.84,
+            high: 0.88,
+        },
         probability_of_loss: 0.999,
         loss: 0.05,
         reference: 1.0,
     };
-    let values = site.bus.publish_display(site.keys.parameter(&display.parameter)).await.unwrap();
-    let line = watch.line("storey-2", async || values.put(&display).await.unwrap()).await;
-    assert_eq!(line, "1.00 s of a record or simulation tower storey-2 0.860 ± 0.010");
+    let values = site
+        .bus
+        .publish_display(site.keys.parameter(&display.parameter))
+        .await
+        .unwrap();
+    let line = watch
+        .line("storey-2", async || values.put(&display).await.unwrap())
+        .await;
+    assert_eq!(
+        line,
+        "1.00 s of a record or simulation tower storey-2 0.860 ± 0.010"
+    );
     let line = watch.line("stale", async || {}).await;
-    assert!(line.starts_with("1.00 s of a record or simulation tower stale "), "{line}");
+    assert!(
+        line.starts_with("1.00 s of a record or simulation tower stale "),
+        "{line}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_silent_bus_is_told_once() {
     let site = Site::open().await;
     let line = site.watch(&[]).line("nothing heard yet", async || {}).await;
-    assert_eq!(line, "nothing heard yet below site: neither a service nor a sensor is there");
+    assert_eq!(
+        line,
+        "nothing heard yet below site: neither a service nor a sensor is there"
+    );
 }
 
 #[test]
@@ -160,15 +215,22 @@ fn nobody_there_ends_with_1_and_says_what_to_do() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", free.local_addr().unwrap());
     drop(free);
-    let output = spandrel(&["watch", "--connect", &endpoint]).output().unwrap();
+    let output = spandrel(&["watch", "--connect", &endpoint])
+        .output()
+        .unwrap();
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains(&format!("nobody answers at {endpoint}")), "{message}");
+    assert!(
+        message.contains(&format!("nobody answers at {endpoint}")),
+        "{message}"
+    );
 }
 
 #[test]
 fn a_structure_that_can_be_no_key_ends_with_2() {
-    let output = spandrel(&["watch", "Tower/1", "--listen", "tcp/127.0.0.1:0"]).output().unwrap();
+    let output = spandrel(&["watch", "Tower/1", "--listen", "tcp/127.0.0.1:0"])
+        .output()
+        .unwrap();
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2), "{message}");
     assert!(message.contains("Tower/1"), "{message}");

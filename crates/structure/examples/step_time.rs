@@ -8,25 +8,43 @@
 mod by_operator;
 
 use by_operator::ByOperator;
-use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame, ObservationModel, ProcessModel};
+use spandrel_filter::{
+    ExtendedKalmanFilter, FilterSettings, Frame, ObservationModel, ProcessModel,
+};
 use spandrel_structure::Structure;
 use std::error::Error;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-const EXAMPLES: [&str; 5] = ["demo", "high-rise", "three-pier-bridge", "fourteen-bay-truss", "tower"];
+const EXAMPLES: [&str; 5] = [
+    "demo",
+    "high-rise",
+    "three-pier-bridge",
+    "fourteen-bay-truss",
+    "tower",
+];
 const FRAMES: usize = 1500;
 const LONGEST: Duration = Duration::from_secs(10);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let named: Vec<String> = std::env::args().skip(1).collect();
-    let names = if named.is_empty() { EXAMPLES.map(str::to_owned).to_vec() } else { named };
+    let names = if named.is_empty() {
+        EXAMPLES.map(str::to_owned).to_vec()
+    } else {
+        named
+    };
     for name in names {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(&name).with_extension("toml");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../docs/examples")
+            .join(&name)
+            .with_extension("toml");
         let structure = Structure::read(&path)?;
         let n = structure.model().state_len();
         let settings = structure.filter_settings()?;
-        let trusting = FilterSettings { misfit: None, ..settings.clone() };
+        let trusting = FilterSettings {
+            misfit: None,
+            ..settings.clone()
+        };
         let by_structure = median_step(&structure, structure.model(), settings.clone())?;
         let without_misfit = median_step(&structure, structure.model(), trusting)?;
         let by_operator = median_step(&structure, ByOperator(structure.model()), settings)?;
@@ -45,11 +63,21 @@ fn median_step(
     let mut filter = ExtendedKalmanFilter::new(model, settings)?;
     let mut times = Vec::new();
     for frame in structure.simulator(1).take(FRAMES) {
-        let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
-        let excitation: Vec<f64> =
-            structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
+        let observations: Vec<f64> = structure
+            .observation_channels()
+            .iter()
+            .map(|c| frame.values[*c])
+            .collect();
+        let excitation: Vec<f64> = structure
+            .excitation_channels()
+            .iter()
+            .map(|c| c.map_or(0.0, |c| frame.values[c]))
+            .collect();
         let start = Instant::now();
-        filter.step(Frame { observations: &observations, excitation: &excitation })?;
+        filter.step(Frame {
+            observations: &observations,
+            excitation: &excitation,
+        })?;
         times.push(start.elapsed());
         if times.iter().sum::<Duration>() > LONGEST {
             break;

@@ -45,12 +45,17 @@ impl Structure {
     #[must_use]
     pub fn displayed_loss(&self, parameter: usize) -> (f64, f64) {
         let rule = self.alert_rules().iter().find_map(|rule| {
-            let position = rule.parameters.iter().position(|watched| *watched == parameter)?;
+            let position = rule
+                .parameters
+                .iter()
+                .position(|watched| *watched == parameter)?;
             Some((rule, position))
         });
         let loss = rule.map_or(UNWATCHED_LOSS, |(rule, _)| rule.loss);
         let reference = match rule.map(|(rule, position)| (&rule.reference, position)) {
-            Some((Reference::Given { mean, .. }, position)) => mean.get(position).copied().unwrap_or(1.0),
+            Some((Reference::Given { mean, .. }, position)) => {
+                mean.get(position).copied().unwrap_or(1.0)
+            }
             // a baseline is learnt by the alert service; until then a loss is counted from the design
             Some((Reference::Baseline { .. }, _)) | None => 1.0,
         };

@@ -71,11 +71,15 @@ pub(crate) struct Assembly {
 
 impl Assembly {
     pub(crate) fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
-        let stiffness: Vec<_> = (0..system.substructures.len()).map(|part| system.forces(part)).collect();
+        let stiffness: Vec<_> = (0..system.substructures.len())
+            .map(|part| system.forces(part))
+            .collect();
         let damping: Option<Vec<_>> = match &system.damping {
             Damping::Rayleigh { .. } => None,
             Damping::Matrix(matrix) => Some(vec![matrix.clone()]),
-            Damping::Dashpots(dashpots) => Some(dashpots.iter().map(|part| part.stiffness.clone()).collect()),
+            Damping::Dashpots(dashpots) => {
+                Some(dashpots.iter().map(|part| part.stiffness.clone()).collect())
+            }
         };
         let mut positions: BTreeMap<(usize, usize), usize> = BTreeMap::new();
         let matrices = stiffness.iter().chain(damping.iter().flatten());
@@ -93,10 +97,14 @@ impl Assembly {
             row_starts[row + 1] = row_starts[row + 1].max(row_starts[row]); // a row without entries
         }
         let stiffness_of = |part| {
-            parameters.iter().position(|p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)))
+            parameters.iter().position(
+                |p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)),
+            )
         };
         let damping_of = |part| {
-            parameters.iter().position(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)))
+            parameters
+                .iter()
+                .position(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)))
         };
         Self {
             stiffness: sum(&positions, &stiffness, stiffness_of),
@@ -181,7 +189,10 @@ fn sum(
     parts: &[CsrMatrix<f64>],
     scaled_by: impl Fn(usize) -> Option<usize>,
 ) -> Sum {
-    let mut total = Sum { fixed: vec![0.0; positions.len()], scaled: Vec::new() };
+    let mut total = Sum {
+        fixed: vec![0.0; positions.len()],
+        scaled: Vec::new(),
+    };
     for (index, part) in parts.iter().enumerate() {
         let entries = part.triplet_iter().map(|(row, column, value)| Entry {
             row,

@@ -121,14 +121,24 @@ impl Structure {
         let modes = self.nominal_modes();
         let frames = (duration_s * self.sampling_rate_hz).round().max(1.0) as u64;
         let information = Information::expected(self, frames, seed);
-        let identification = information.and_then(|information| self.identification(&information, frames));
+        let identification =
+            information.and_then(|information| self.identification(&information, frames));
         let time_step = self.time_step(modes.as_ref());
-        let modes = modes.map(|modes| self.mode_reports(&modes)).unwrap_or_default();
+        let modes = modes
+            .map(|modes| self.mode_reports(&modes))
+            .unwrap_or_default();
         let mut findings = find(self, identification.as_ref(), &time_step, &modes);
         findings.extend(self.particle_findings(&time_step));
         findings.sort_by_key(Finding::severity);
         let assumptions = self.assumptions();
-        CheckReport { structure: self.name.clone(), modes, time_step, identification, findings, assumptions }
+        CheckReport {
+            structure: self.name.clone(),
+            modes,
+            time_step,
+            identification,
+            findings,
+            assumptions,
+        }
     }
 
     fn time_step(&self, modes: Option<&Modes>) -> TimeStepReport {
@@ -144,16 +154,23 @@ impl Structure {
 
     fn mode_reports(&self, modes: &Modes) -> Vec<ModeReport> {
         let ratios = modes.damping_ratios(&self.system);
-        let derivatives: Vec<DMatrix<f64>> =
-            self.parameters.iter().map(|p| self.stiffness_derivative(&p.scales)).collect();
+        let derivatives: Vec<DMatrix<f64>> = self
+            .parameters
+            .iter()
+            .map(|p| self.stiffness_derivative(&p.scales))
+            .collect();
         let report = |(mode, omega): (usize, &f64)| {
-            let sensitivity = self.parameters.iter().zip(&derivatives).map(|(parameter, derivative)| {
-                let quadratic = modes.quadratic(mode, derivative);
-                match parameter.scales {
-                    Scales::Mass(_) => -0.5 * quadratic,    // ∂ω²/∂θ = −ω² φᵀ M_θ φ
-                    _ => 0.5 * quadratic / (omega * omega), // ∂ω²/∂θ = φᵀ K_θ φ
-                }
-            });
+            let sensitivity =
+                self.parameters
+                    .iter()
+                    .zip(&derivatives)
+                    .map(|(parameter, derivative)| {
+                        let quadratic = modes.quadratic(mode, derivative);
+                        match parameter.scales {
+                            Scales::Mass(_) => -0.5 * quadratic,    // ∂ω²/∂θ = −ω² φᵀ M_θ φ
+                            _ => 0.5 * quadratic / (omega * omega), // ∂ω²/∂θ = φᵀ K_θ φ
+                        }
+                    });
             ModeReport {
                 frequency_hz: omega / (2.0 * PI),
                 period_s: 2.0 * PI / omega,
@@ -161,7 +178,12 @@ impl Structure {
                 sensitivity: sensitivity.collect(),
             }
         };
-        modes.angular_frequencies.iter().enumerate().map(report).collect()
+        modes
+            .angular_frequencies
+            .iter()
+            .enumerate()
+            .map(report)
+            .collect()
     }
 
     /// Returns the part of stiffness, or of mass, that a parameter scales; zero for damping and the rest of hysteresis.

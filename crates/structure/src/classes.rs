@@ -6,7 +6,8 @@ use crate::parameter::{Parameter, Scales};
 use crate::structure::Structure;
 use nalgebra_sparse::CsrMatrix;
 use spandrel_filter::{
-    ClassBank, ClassId, ClassPlan, ClassSettings, ComponentSystem, FilterError, Grouping, PersistenceRule,
+    ClassBank, ClassId, ClassPlan, ClassSettings, ComponentSystem, FilterError, Grouping,
+    PersistenceRule,
 };
 use std::f64::consts::PI;
 
@@ -57,9 +58,14 @@ impl ComponentSystem for StructureClasses {
     fn grouped(&self, grouping: &Grouping, factors: &[f64]) -> StructureModel {
         let mut structure = self.structure.clone();
         for (component, factor) in self.components.iter().zip(factors) {
-            structure.system.scale(&self.structure.parameters[*component].scales, *factor);
+            structure
+                .system
+                .scale(&self.structure.parameters[*component].scales, *factor);
         }
-        let parts = |component: &usize| match &self.structure.parameters[self.components[*component]].scales {
+        let parts = |component: &usize| match &self.structure.parameters
+            [self.components[*component]]
+            .scales
+        {
             Scales::Stiffness(parts) => parts.clone(),
             _ => Vec::new(), // no component
         };
@@ -67,7 +73,12 @@ impl ComponentSystem for StructureClasses {
             scales: Scales::Stiffness(members.iter().flat_map(parts).collect()),
             ..self.structure.parameters[self.components[members[0]]].clone()
         };
-        let others = self.structure.parameters.iter().filter(|parameter| !parameter.is_stiffness()).cloned();
+        let others = self
+            .structure
+            .parameters
+            .iter()
+            .filter(|parameter| !parameter.is_stiffness())
+            .cloned();
         structure.parameters = grouping.groups().iter().map(group).chain(others).collect();
         structure.model()
     }
@@ -76,7 +87,9 @@ impl ComponentSystem for StructureClasses {
 impl LinearSystem {
     /// Multiplies the stiffness of the substructures that `scales` names.
     fn scale(&mut self, scales: &Scales, factor: f64) {
-        let Scales::Stiffness(parts) = scales else { return };
+        let Scales::Stiffness(parts) = scales else {
+            return;
+        };
         for part in parts {
             let stiffness: &mut CsrMatrix<f64> = &mut self.substructures[*part].stiffness;
             *stiffness *= factor;
@@ -96,26 +109,36 @@ impl Structure {
     /// # Errors
     /// When the filters refuse their settings.
     pub fn class_bank(&self) -> Result<Option<ClassBank<StructureClasses>>, FilterError> {
-        let Some(settings) = self.class_settings() else { return Ok(None) };
+        let Some(settings) = self.class_settings() else {
+            return Ok(None);
+        };
         ClassBank::new(self.class_system(), self.filter_settings()?, settings).map(Some)
     }
 
     /// Returns what makes the models of the classes, for a bank with settings of its own.
     #[must_use]
     pub fn class_system(&self) -> StructureClasses {
-        let components = (0..self.parameters.len()).filter(|index| self.parameters[*index].is_stiffness()).collect();
-        StructureClasses { structure: self.clone(), components }
+        let components = (0..self.parameters.len())
+            .filter(|index| self.parameters[*index].is_stiffness())
+            .collect();
+        StructureClasses {
+            structure: self.clone(),
+            components,
+        }
     }
 
     /// Returns which classes are compared, and how; `None` where the file declares none.
     #[must_use]
     pub fn class_settings(&self) -> Option<ClassSettings> {
         let plan = self.classes.as_ref()?;
-        let persistence_s =
-            plan.persistence_s.unwrap_or_else(|| ClassesPlan::PERSISTENCE_PERIODS * self.fundamental_period_s());
+        let persistence_s = plan
+            .persistence_s
+            .unwrap_or_else(|| ClassesPlan::PERSISTENCE_PERIODS * self.fundamental_period_s());
         let default_floor = match plan.plan {
             ClassPlan::Predefined { .. } => ClassesPlan::PREDEFINED_FLOOR,
-            ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => ClassSettings::FLOOR,
+            ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => {
+                ClassSettings::FLOOR
+            }
         };
         Some(ClassSettings {
             plan: plan.plan.clone(),
@@ -133,11 +156,14 @@ impl Structure {
         let declared = |index: usize| self.classes.as_ref().and_then(|plan| plan.names.get(index));
         match class {
             ClassId::Baseline => "baseline",
-            ClassId::Predefined(index) | ClassId::Calibrating(index) | ClassId::Substructure(index) => {
-                declared(index).map_or("unnamed", String::as_str)
-            }
+            ClassId::Predefined(index)
+            | ClassId::Calibrating(index)
+            | ClassId::Substructure(index) => declared(index).map_or("unnamed", String::as_str),
             ClassId::Component { component, .. } => {
-                let mut components = self.parameters.iter().filter(|parameter| parameter.is_stiffness());
+                let mut components = self
+                    .parameters
+                    .iter()
+                    .filter(|parameter| parameter.is_stiffness());
                 components.nth(component).map_or("unnamed", Parameter::name)
             }
         }
@@ -162,7 +188,9 @@ impl Structure {
 
     /// Returns the fundamental period `T` as designed (s), 0 where there is none.
     pub(crate) fn fundamental_period_s(&self) -> f64 {
-        let first = self.nominal_modes().and_then(|modes| modes.angular_frequencies.first().copied());
+        let first = self
+            .nominal_modes()
+            .and_then(|modes| modes.angular_frequencies.first().copied());
         first.map_or(0.0, |omega| 2.0 * PI / omega)
     }
 }

@@ -22,8 +22,16 @@ pub(crate) struct Diagnostics<'t> {
 
 impl<'t> Diagnostics<'t> {
     pub(crate) fn new(path: &'t Path, text: &str) -> Self {
-        let after_breaks = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
-        Self { path, line_starts: std::iter::once(0).chain(after_breaks).collect(), found: RefCell::default() }
+        let after_breaks = text
+            .bytes()
+            .enumerate()
+            .filter(|(_, byte)| *byte == b'\n')
+            .map(|(at, _)| at + 1);
+        Self {
+            path,
+            line_starts: std::iter::once(0).chain(after_breaks).collect(),
+            found: RefCell::default(),
+        }
     }
 
     /// Adds one mistake at the bytes `span` of the file.
@@ -34,8 +42,12 @@ impl<'t> Diagnostics<'t> {
         found: impl Into<String>,
         allowed: impl Into<String>,
     ) {
-        let line = self.line_starts.partition_point(|start| *start <= span.start);
-        self.found.borrow_mut().push(Diagnostic::new(self.path, line, key, found, allowed));
+        let line = self
+            .line_starts
+            .partition_point(|start| *start <= span.start);
+        self.found
+            .borrow_mut()
+            .push(Diagnostic::new(self.path, line, key, found, allowed));
     }
 
     /// Returns the file being read, which other files are relative to.
@@ -57,16 +69,25 @@ impl<'t> Diagnostics<'t> {
 
 /// Returns the nearest of `known` names as a hint, or the list of all of them.
 pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
-    match known.clone().map(|name| (edit_distance(unknown, name), name)).min() {
+    match known
+        .clone()
+        .map(|name| (edit_distance(unknown, name), name))
+        .min()
+    {
         Some((distance, name))
-            if distance <= CLOSEST_SUGGESTION && distance < unknown.len() && !differs_by_number(unknown, name) =>
+            if distance <= CLOSEST_SUGGESTION
+                && distance < unknown.len()
+                && !differs_by_number(unknown, name) =>
         {
             format!("did you mean \"{name}\"?")
         }
         Some(_) => match &known.collect::<Vec<_>>()[..] {
             [one] => format!("must be {one}"),
             all @ [first, second, .., last] if all.len() > MOST_LISTED => {
-                format!("must be one of {first}, {second}, …, {last} ({} in all)", all.len())
+                format!(
+                    "must be one of {first}, {second}, …, {last} ({} in all)",
+                    all.len()
+                )
             }
             all => format!("must be one of {}", all.join(", ")),
         },
@@ -76,7 +97,11 @@ pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + C
 
 /// Tells whether two names are the same but for their numbers: a storey that is not there is no slip for the first one.
 fn differs_by_number(a: &str, b: &str) -> bool {
-    let letters = |name: &str| name.chars().filter(|c| !c.is_ascii_digit()).collect::<String>();
+    let letters = |name: &str| {
+        name.chars()
+            .filter(|c| !c.is_ascii_digit())
+            .collect::<String>()
+    };
     a.bytes().any(|byte| byte.is_ascii_digit()) && letters(a) == letters(b)
 }
 
@@ -108,23 +133,38 @@ mod tests {
     #[test]
     fn a_close_name_is_suggested_and_a_far_one_brings_the_list() {
         let known = ["half-life-s", "noise-rule"];
-        assert_eq!(one_of("half-live-s", known.into_iter()), "did you mean \"half-life-s\"?");
-        assert_eq!(one_of("colour", known.into_iter()), "must be one of half-life-s, noise-rule");
+        assert_eq!(
+            one_of("half-live-s", known.into_iter()),
+            "did you mean \"half-life-s\"?"
+        );
+        assert_eq!(
+            one_of("colour", known.into_iter()),
+            "must be one of half-life-s, noise-rule"
+        );
     }
 
     #[test]
     fn a_name_with_another_number_brings_the_list() {
         let storeys: Vec<String> = (1..=40).map(|storey| format!("storey-{storey}")).collect();
         let known = |count: usize| storeys[..count].iter().map(String::as_str);
-        assert_eq!(one_of("storey-4", known(3)), "must be one of storey-1, storey-2, storey-3");
-        assert_eq!(one_of("storey-41", known(40)), "must be one of storey-1, storey-2, …, storey-40 (40 in all)");
+        assert_eq!(
+            one_of("storey-4", known(3)),
+            "must be one of storey-1, storey-2, storey-3"
+        );
+        assert_eq!(
+            one_of("storey-41", known(40)),
+            "must be one of storey-1, storey-2, …, storey-40 (40 in all)"
+        );
         assert_eq!(one_of("story-4", known(40)), "did you mean \"storey-4\"?");
         assert_eq!(one_of("storey-2", known(1)), "must be storey-1");
     }
 
     #[test]
     fn one_thing_is_counted_in_the_singular() {
-        assert_eq!([1, 2].map(|count| counted(count, "entry", "entries")), ["1 entry", "2 entries"]);
+        assert_eq!(
+            [1, 2].map(|count| counted(count, "entry", "entries")),
+            ["1 entry", "2 entries"]
+        );
     }
 
     #[test]
@@ -133,7 +173,11 @@ mod tests {
         for at in 0..5 {
             diagnostics.report(at..at, "k", "f", "a");
         }
-        let lines: Vec<usize> = diagnostics.into_sorted().iter().map(Diagnostic::line).collect();
+        let lines: Vec<usize> = diagnostics
+            .into_sorted()
+            .iter()
+            .map(Diagnostic::line)
+            .collect();
         assert_eq!(lines, [1, 1, 2, 2, 3]);
     }
 }

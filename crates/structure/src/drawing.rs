@@ -97,11 +97,17 @@ impl Structure {
             })
         });
         let sensors = sensors.collect();
-        Drawing { form, points, members, sensors }
+        Drawing {
+            form,
+            points,
+            members,
+            sensors,
+        }
     }
 
     fn drawn_storeys(&self) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
-        let floors = std::iter::once("ground").chain(self.system.degrees_of_freedom.iter().map(String::as_str));
+        let floors = std::iter::once("ground")
+            .chain(self.system.degrees_of_freedom.iter().map(String::as_str));
         let point = |(level, name): (usize, &str)| DrawnPoint {
             name: name.to_owned(),
             x: 0.0,
@@ -113,22 +119,45 @@ impl Structure {
             .flat_map(|(part, group)| group.storeys.clone().map(move |storey| (part, storey)))
             .map(|(part, storey)| self.drawn_member(part..part + 1, [storey, storey + 1]))
             .collect();
-        (DrawingForm::Storeys, floors.enumerate().map(point).collect(), members)
+        (
+            DrawingForm::Storeys,
+            floors.enumerate().map(point).collect(),
+            members,
+        )
     }
 
-    fn drawn_members(&self, skeleton: &Skeleton) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
-        let points = skeleton.points.iter().zip(&skeleton.is_held).map(|((name, at), held)| {
-            let (x, y) = seen(at, skeleton.up);
-            DrawnPoint { name: name.clone(), x, y, held: *held }
-        });
-        let members = skeleton.lines.iter().map(|line| self.drawn_member(line.parts.clone(), line.ends));
+    fn drawn_members(
+        &self,
+        skeleton: &Skeleton,
+    ) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+        let points = skeleton
+            .points
+            .iter()
+            .zip(&skeleton.is_held)
+            .map(|((name, at), held)| {
+                let (x, y) = seen(at, skeleton.up);
+                DrawnPoint {
+                    name: name.clone(),
+                    x,
+                    y,
+                    held: *held,
+                }
+            });
+        let members = skeleton
+            .lines
+            .iter()
+            .map(|line| self.drawn_member(line.parts.clone(), line.ends));
         (DrawingForm::Members, points.collect(), members.collect())
     }
 
     fn drawn_boxes(&self) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
         let parts = || self.system.substructures.iter().enumerate();
-        let points =
-            parts().map(|(index, part)| DrawnPoint { name: part.name.clone(), x: index as f64, y: 0.0, held: false });
+        let points = parts().map(|(index, part)| DrawnPoint {
+            name: part.name.clone(),
+            x: index as f64,
+            y: 0.0,
+            held: false,
+        });
         let members = parts().map(|(index, _)| self.drawn_member(index..index + 1, [index, index]));
         (DrawingForm::Boxes, points.collect(), members.collect())
     }
@@ -139,10 +168,20 @@ impl Structure {
             Scales::Mass(_) | Scales::Dashpots(_) | Scales::Hysteresis(_) => false,
             Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta => false,
         };
-        let parameters = self.parameters.iter().filter(|parameter| scaled(&parameter.scales));
+        let parameters = self
+            .parameters
+            .iter()
+            .filter(|parameter| scaled(&parameter.scales));
         let parameters = parameters.map(|parameter| parameter.name.clone()).collect();
-        let parts = self.system.substructures[parts].iter().map(|part| part.name.clone()).collect();
-        DrawnMember { parts, ends, parameters }
+        let parts = self.system.substructures[parts]
+            .iter()
+            .map(|part| part.name.clone())
+            .collect();
+        DrawnMember {
+            parts,
+            ends,
+            parameters,
+        }
     }
 
     /// Returns the point of a channel.
@@ -159,7 +198,8 @@ impl Structure {
                 points.iter().position(|point| point.name == node)
             }
             DrawingForm::Boxes => {
-                let touches = |part: &crate::linear_system::Substructure| part.stiffness.row(dof).nnz() > 0;
+                let touches =
+                    |part: &crate::linear_system::Substructure| part.stiffness.row(dof).nnz() > 0;
                 self.system.substructures.iter().position(touches)
             }
         }
@@ -188,9 +228,15 @@ mod tests {
     #[test]
     fn a_building_is_drawn_as_floors_with_its_sensors_on_them() {
         let demo = drawing("demo.toml");
-        assert_eq!((demo.form, demo.points.len(), demo.members.len()), (DrawingForm::Storeys, 6, 5));
+        assert_eq!(
+            (demo.form, demo.points.len(), demo.members.len()),
+            (DrawingForm::Storeys, 6, 5)
+        );
         let second = &demo.members[1];
-        assert_eq!((second.ends, second.parameters.as_slice()), ([1, 2], ["storey-2".to_owned()].as_slice()));
+        assert_eq!(
+            (second.ends, second.parameters.as_slice()),
+            ([1, 2], ["storey-2".to_owned()].as_slice())
+        );
         let places: Vec<Option<usize>> = demo.sensors.iter().map(|sensor| sensor.point).collect();
         assert_eq!(places, [0, 1, 2, 3, 4, 5].map(Some));
         assert!(demo.sensors[0].excitation && !demo.sensors[1].excitation);
@@ -199,11 +245,23 @@ mod tests {
     #[test]
     fn a_bridge_is_drawn_with_its_coordinates_deck_and_piers() {
         let bridge = drawing("three-pier-bridge.toml");
-        let foot = bridge.points.iter().find(|point| point.name == "21").unwrap();
-        assert_eq!((bridge.form, foot.x, foot.y, foot.held), (DrawingForm::Members, 128.0, -16.0, true));
-        let piers = bridge.members.iter().filter(|member| member.parameters == ["pier-middle"]);
+        let foot = bridge
+            .points
+            .iter()
+            .find(|point| point.name == "21")
+            .unwrap();
         assert_eq!(
-            piers.map(|member| member.ends.map(|end| bridge.points[end].name.clone())).collect::<Vec<_>>(),
+            (bridge.form, foot.x, foot.y, foot.held),
+            (DrawingForm::Members, 128.0, -16.0, true)
+        );
+        let piers = bridge
+            .members
+            .iter()
+            .filter(|member| member.parameters == ["pier-middle"]);
+        assert_eq!(
+            piers
+                .map(|member| member.ends.map(|end| bridge.points[end].name.clone()))
+                .collect::<Vec<_>>(),
             [["9", "20"], ["20", "21"]]
         );
         assert!(bridge.sensors.iter().all(|sensor| sensor.point.is_some()));
@@ -228,7 +286,9 @@ mod tests {
         assert!(width(|point| point.x) > 0.0 && width(|point| point.y) > 0.0);
         // seen straight from above or from the front some points would hide each other
         for (index, one) in dome.points.iter().enumerate() {
-            let hidden = dome.points[..index].iter().any(|other| (one.x - other.x).hypot(one.y - other.y) < 1e-6);
+            let hidden = dome.points[..index]
+                .iter()
+                .any(|other| (one.x - other.x).hypot(one.y - other.y) < 1e-6);
             assert!(!hidden, "node {} is hidden", one.name);
         }
     }
@@ -238,20 +298,36 @@ mod tests {
         let mast = drawing("matrices.toml");
         assert_eq!((mast.form, mast.points.len()), (DrawingForm::Boxes, 3));
         assert_eq!(mast.members[1].parameters, ["upper"]);
-        let head = mast.sensors.iter().find(|sensor| sensor.channel == "head").unwrap();
+        let head = mast
+            .sensors
+            .iter()
+            .find(|sensor| sensor.channel == "head")
+            .unwrap();
         assert_eq!(mast.points[head.point.unwrap()].name, "upper");
     }
 
     #[test]
     fn every_example_can_be_drawn_with_all_its_stiffness_parameters() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples");
-        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        for path in files.filter(|path| path.extension().is_some_and(|extension| extension == "toml")) {
+        let files = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path());
+        for path in files.filter(|path| {
+            path.extension()
+                .is_some_and(|extension| extension == "toml")
+        }) {
             let structure = Structure::read(&path).unwrap();
             let drawing = structure.drawing();
-            for parameter in structure.parameters().iter().filter(|parameter| parameter.is_stiffness()) {
+            for parameter in structure
+                .parameters()
+                .iter()
+                .filter(|parameter| parameter.is_stiffness())
+            {
                 let name = parameter.name();
-                let drawn = drawing.members.iter().any(|member| member.parameters.iter().any(|other| other == name));
+                let drawn = drawing
+                    .members
+                    .iter()
+                    .any(|member| member.parameters.iter().any(|other| other == name));
                 assert!(drawn, "{}: {name} is not drawn", path.display());
             }
         }

@@ -59,7 +59,13 @@ impl Diagnostic {
         found: impl Into<String>,
         allowed: impl Into<String>,
     ) -> Self {
-        Self { path: path.to_owned(), line, key: key.into(), found: found.into(), allowed: allowed.into() }
+        Self {
+            path: path.to_owned(),
+            line,
+            key: key.into(),
+            found: found.into(),
+            allowed: allowed.into(),
+        }
     }
 
     /// Returns the structure file.
@@ -95,7 +101,13 @@ impl Diagnostic {
 
 impl fmt::Display for Diagnostic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { path, line, key, found, allowed } = self;
+        let Self {
+            path,
+            line,
+            key,
+            found,
+            allowed,
+        } = self;
         write!(f, "{}:{line}: {key}: {found}, {allowed}", path.display())
     }
 }
@@ -104,8 +116,16 @@ impl fmt::Display for Diagnostic {
 const MOST_TOLD: usize = 30;
 
 fn lines(diagnostics: &[Diagnostic]) -> String {
-    let mut lines: Vec<String> = diagnostics.iter().take(MOST_TOLD).map(ToString::to_string).collect();
-    if let Some(more) = diagnostics.len().checked_sub(MOST_TOLD).filter(|more| *more > 0) {
+    let mut lines: Vec<String> = diagnostics
+        .iter()
+        .take(MOST_TOLD)
+        .map(ToString::to_string)
+        .collect();
+    if let Some(more) = diagnostics
+        .len()
+        .checked_sub(MOST_TOLD)
+        .filter(|more| *more > 0)
+    {
         lines.push(format!("and {more} more"));
     }
     lines.join("\n")

@@ -81,7 +81,8 @@ impl Excitation {
     /// channel, or the whole excitation.
     #[must_use]
     pub fn unknown_std(&self) -> f64 {
-        self.measured.map_or(self.std, |measured| measured.noise_std)
+        self.measured
+            .map_or(self.std, |measured| measured.noise_std)
     }
 
     /// Tells whether the variance of the unknown part is adapted.

@@ -41,24 +41,32 @@ impl Structure {
     pub fn parameters_spoilt_by_unmeasured_excitation(&self) -> Vec<bool> {
         let errors = self.errors_by_unmeasured_excitation();
         let pairs = self.parameters.iter().zip(&errors);
-        let mut spoilt: Vec<bool> = pairs.map(|(parameter, error)| self.spoils(parameter, *error)).collect();
+        let mut spoilt: Vec<bool> = pairs
+            .map(|(parameter, error)| self.spoils(parameter, *error))
+            .collect();
         spoilt.resize(self.parameters.len(), true); // what has no answer is not to be trusted
         spoilt
     }
 
     /// Tells whether an error (ratio to nominal) is of the size of the loss that the alert rule of a parameter looks for.
     pub(crate) fn spoils(&self, parameter: &crate::Parameter, error: f64) -> bool {
-        let index = self.parameters.iter().position(|own| own.name == parameter.name);
+        let index = self
+            .parameters
+            .iter()
+            .position(|own| own.name == parameter.name);
         index.is_some_and(|index| error > SPOILING * self.displayed_loss(index).0)
     }
 
     fn excitation_errors(&self) -> Option<Vec<f64>> {
         let theta = self.parameters.len();
-        let unmeasured: Vec<usize> = (0..self.noise_levels.len()).filter(|level| self.is_unknown(*level)).collect();
+        let unmeasured: Vec<usize> = (0..self.noise_levels.len())
+            .filter(|level| self.is_unknown(*level))
+            .collect();
         if unmeasured.is_empty() {
             return Some(vec![0.0; theta]);
         }
-        let adapted = (0..self.noise_levels.len()).filter(|level| self.noise_levels[*level].adapted);
+        let adapted =
+            (0..self.noise_levels.len()).filter(|level| self.noise_levels[*level].adapted);
         let mut directions: Vec<Direction> = (0..theta).map(Direction::Parameter).collect();
         directions.extend(adapted.map(Direction::Level));
         let estimated = directions.len();
@@ -75,17 +83,25 @@ impl Structure {
         }
         let model = SpectralModel::new(self, &self.prior_means(), &self.expected_variances());
         let information = model.sums(None, &directions)?.information;
-        let mut own = information.view((0, 0), (estimated, estimated)).into_owned();
+        let mut own = information
+            .view((0, 0), (estimated, estimated))
+            .into_owned();
         let memory_frames = self.memory_frames()?;
         for (index, parameter) in self.parameters.iter().enumerate() {
             own[(index, index)] += 1.0 / (memory_frames * parameter.std().powi(2));
         }
-        let mut errors = information.view((0, estimated), (estimated, deviations.len())).into_owned();
+        let mut errors = information
+            .view((0, estimated), (estimated, deviations.len()))
+            .into_owned();
         for (mut column, deviation) in errors.column_iter_mut().zip(&deviations) {
             column *= *deviation;
         }
         let shifts: DMatrix<f64> = own.cholesky()?.solve(&errors);
-        Some((0..theta).map(|parameter| shifts.row(parameter).norm()).collect())
+        Some(
+            (0..theta)
+                .map(|parameter| shifts.row(parameter).norm())
+                .collect(),
+        )
     }
 
     /// Tells whether a noise level (from 0) is that of an excitation that nobody measures.
@@ -106,13 +122,19 @@ impl Structure {
 
     /// Returns the variance that each noise level is expected to have.
     pub(crate) fn expected_variances(&self) -> Vec<f64> {
-        (0..self.noise_levels.len()).map(|level| self.expected_level_std(level).powi(2)).collect()
+        (0..self.noise_levels.len())
+            .map(|level| self.expected_level_std(level).powi(2))
+            .collect()
     }
 
     /// Returns the frames that the memory of the filter amounts to, `1/(λ − 1)`; without limit where nothing is forgotten.
     pub(crate) fn memory_frames(&self) -> Option<f64> {
         let fading = self.fading().ok()?;
-        Some(if fading == FadingFactor::NONE { f64::INFINITY } else { 1.0 / (fading.value() - 1.0) })
+        Some(if fading == FadingFactor::NONE {
+            f64::INFINITY
+        } else {
+            1.0 / (fading.value() - 1.0)
+        })
     }
 
     /// Returns the lowest frequency (rad/s) that has an octave of its own.
@@ -127,7 +149,9 @@ impl Structure {
 
     /// Returns what an octave (from 0) counts at a frequency (rad/s): 1 at its own, falling to 0 at its neighbours'.
     pub(crate) fn octave_share(&self, octave: usize, omega: f64) -> f64 {
-        let place = (omega / self.lowest_octave()).log2().clamp(0.0, (self.octaves() - 1) as f64);
+        let place = (omega / self.lowest_octave())
+            .log2()
+            .clamp(0.0, (self.octaves() - 1) as f64);
         (1.0 - (place - octave as f64).abs()).max(0.0)
     }
 }

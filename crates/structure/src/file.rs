@@ -60,15 +60,32 @@ impl<'t> StructureFile<'t> {
             return Ok(Self { text, document });
         }
         let diagnostics = Diagnostics::new(path, text);
-        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv")) {
-            diagnostics.report(0..0, "syntax", "is a recording", "must be a structure file (TOML)");
-            return Err(StructureError::Invalid { diagnostics: diagnostics.into_sorted() });
+        if path
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
+        {
+            diagnostics.report(
+                0..0,
+                "syntax",
+                "is a recording",
+                "must be a structure file (TOML)",
+            );
+            return Err(StructureError::Invalid {
+                diagnostics: diagnostics.into_sorted(),
+            });
         }
         for error in errors {
             let found = error.message().trim().replace('\n', ", ");
-            diagnostics.report(error.span().unwrap_or(0..0), "syntax", found, "must be TOML");
+            diagnostics.report(
+                error.span().unwrap_or(0..0),
+                "syntax",
+                found,
+                "must be TOML",
+            );
         }
-        Err(StructureError::Invalid { diagnostics: diagnostics.into_sorted() })
+        Err(StructureError::Invalid {
+            diagnostics: diagnostics.into_sorted(),
+        })
     }
 
     /// Checks everything and puts the structure together.
@@ -78,7 +95,9 @@ impl<'t> StructureFile<'t> {
         let clean = diagnostics.is_empty();
         match structure {
             Some(structure) if clean => Ok(structure),
-            _ => Err(StructureError::Invalid { diagnostics: diagnostics.into_sorted() }),
+            _ => Err(StructureError::Invalid {
+                diagnostics: diagnostics.into_sorted(),
+            }),
         }
     }
 
@@ -87,7 +106,8 @@ impl<'t> StructureFile<'t> {
         let head = read_head(&mut file);
         let mut system = file.required_table("model").and_then(model::read_model);
         let damping_section = file.required_table("damping");
-        let damping = damping_section.and_then(|section| damping::read_damping(section, system.as_ref()));
+        let damping =
+            damping_section.and_then(|section| damping::read_damping(section, system.as_ref()));
         let damping_is_known = damping.as_ref().is_some_and(|read| read.is_known);
         let damping = damping.map(|read| read.damping);
         if let (Some(system), Some(damping)) = (&mut system, &damping) {
@@ -96,17 +116,38 @@ impl<'t> StructureFile<'t> {
         let system = system.as_ref();
         let nodes = node::read_nodes(&mut file, head.rate_hz, system);
         let channels = (!nodes.incomplete).then_some(&nodes.channels[..]);
-        let (declared_excitations, excitations) =
-            excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
-        let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
-        if let Some(distributed) =
-            head.distributed.as_ref().filter(|distributed| *distributed.get_ref() && declared == 0)
+        let (declared_excitations, excitations) = excitation::read_excitations(
+            &mut file,
+            &excitation::Context {
+                rate_hz: head.rate_hz,
+                system,
+                channels,
+            },
+        );
+        let (declared, parameters) =
+            parameter::read_parameters(&mut file, system, damping.as_ref());
+        if let Some(distributed) = head
+            .distributed
+            .as_ref()
+            .filter(|distributed| *distributed.get_ref() && declared == 0)
         {
             let allowed = "must not be distributed without a [[parameter]]: parameters are what nodes find and share";
-            diagnostics.report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+            diagnostics.report(
+                distributed.span(),
+                "structure.identification",
+                "is \"distributed\"",
+                allowed,
+            );
         }
-        let follows = if declared > 0 { filter::Follows::Parameters } else { filter::Follows::MotionAlone };
-        let measured = match excitations.iter().any(|read| read.excitation.channel().is_some()) {
+        let follows = if declared > 0 {
+            filter::Follows::Parameters
+        } else {
+            filter::Follows::MotionAlone
+        };
+        let measured = match excitations
+            .iter()
+            .any(|read| read.excitation.channel().is_some())
+        {
             true => filter::Measures::Excitation,
             false => filter::Measures::ResponsesAlone,
         };
@@ -125,20 +166,34 @@ impl<'t> StructureFile<'t> {
             &file,
             (head.rate_hz, &nodes.nodes, classes.is_some()),
         );
-        let parameter_names: Vec<&str> = parameters.iter().map(|read| read.parameter.name()).collect();
+        let parameter_names: Vec<&str> = parameters
+            .iter()
+            .map(|read| read.parameter.name())
+            .collect();
         let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
         let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
         let node_names = (!nodes.incomplete).then_some(&node_names[..]);
         let parameter_spans = parameters.iter().map(|read| read.name.clone());
         let responses = response::read_responses(&mut file, system, parameter_spans);
-        if let Some(distributed) = head.distributed.as_ref().filter(|is| *is.get_ref() && !responses.is_empty()) {
+        if let Some(distributed) = head
+            .distributed
+            .as_ref()
+            .filter(|is| *is.get_ref() && !responses.is_empty())
+        {
             let allowed = "must not be distributed beside [[response]]: a station follows parameters, not the motion";
-            diagnostics.report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+            diagnostics.report(
+                distributed.span(),
+                "structure.identification",
+                "is \"distributed\"",
+                allowed,
+            );
         }
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
-        let watchable: Vec<(&str, bool)> =
-            parameters.iter().map(|read| (read.parameter.name(), read.parameter.is_stiffness())).collect();
+        let watchable: Vec<(&str, bool)> = parameters
+            .iter()
+            .map(|read| (read.parameter.name(), read.parameter.is_stiffness()))
+            .collect();
         let context = alert::Context {
             parameters: (declared == parameters.len()).then_some(&watchable[..]),
             learn_s: system.map_or(0.0, |system| alert::learning_s(plan.half_life_s, system)),
@@ -146,10 +201,15 @@ impl<'t> StructureFile<'t> {
         let alert_rules = alert::read_alerts(&mut file, &context);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
-        let levels = (!nodes.incomplete && declared_excitations == excitations.len()).then_some(&noise_levels[..]);
+        let levels = (!nodes.incomplete && declared_excitations == excitations.len())
+            .then_some(&noise_levels[..]);
         let simulation = simulation::read_simulation(
             file.table("simulation"),
-            &simulation::Context { parameters: parameter_names, nodes: node_names, levels },
+            &simulation::Context {
+                parameters: parameter_names,
+                nodes: node_names,
+                levels,
+            },
         );
         file.finish();
         Some(Structure {
@@ -163,7 +223,10 @@ impl<'t> StructureFile<'t> {
             parameters: parameters.into_iter().map(|read| read.parameter).collect(),
             excitation_channels: excitations.iter().flat_map(component_channels).collect(),
             observation_channels: observation_channels(&nodes.channels),
-            excitations: excitations.into_iter().map(|read| read.excitation).collect(),
+            excitations: excitations
+                .into_iter()
+                .map(|read| read.excitation)
+                .collect(),
             nodes: nodes.nodes,
             noise_levels,
             responses,
@@ -187,10 +250,17 @@ fn read_head(file: &mut Section<'_>) -> Head {
         display_rate_hz: DISPLAY_RATE_HZ,
         distributed: None,
     };
-    let Some(mut section) = file.required_table("structure") else { return head };
+    let Some(mut section) = file.required_table("structure") else {
+        return head;
+    };
     head.name = section.required_name("name").map(Spanned::into_inner);
-    head.description = section.text("description").map(Spanned::into_inner).unwrap_or_default();
-    head.rate_hz = section.required_number("sampling-rate-hz", Allowed::RATE).map(Spanned::into_inner);
+    head.description = section
+        .text("description")
+        .map(Spanned::into_inner)
+        .unwrap_or_default();
+    head.rate_hz = section
+        .required_number("sampling-rate-hz", Allowed::RATE)
+        .map(Spanned::into_inner);
     head.distributed = section.choice("identification", &fusion::IDENTIFICATIONS);
     head.display_rate_hz = section.number_or("display-rate-hz", Allowed::POSITIVE, DISPLAY_RATE_HZ);
     section.finish();
@@ -204,7 +274,10 @@ fn component_channels(read: &excitation::ExcitationRead) -> impl Iterator<Item =
 
 /// Returns the frame channels that are responses, in frame order.
 fn observation_channels(channels: &[ChannelRead]) -> Vec<usize> {
-    let responses = channels.iter().enumerate().filter(|(_, read)| !read.channel.quantity.is_excitation());
+    let responses = channels
+        .iter()
+        .enumerate()
+        .filter(|(_, read)| !read.channel.quantity.is_excitation());
     responses.map(|(index, _)| index).collect()
 }
 
@@ -214,7 +287,8 @@ fn read_noise_levels(
     channels: &[ChannelRead],
     excitations: &[excitation::ExcitationRead],
 ) -> Vec<NoiseLevel> {
-    let mut names: Vec<Spanned<String>> = excitations.iter().map(|read| read.name.clone()).collect();
+    let mut names: Vec<Spanned<String>> =
+        excitations.iter().map(|read| read.name.clone()).collect();
     let of_excitation = |(index, read): (usize, &excitation::ExcitationRead)| NoiseLevel {
         name: read.excitation.name.clone(),
         std: read.excitation.unknown_std(),
@@ -222,12 +296,14 @@ fn read_noise_levels(
         source: NoiseSource::Excitation(index),
     };
     let mut levels: Vec<NoiseLevel> = excitations.iter().enumerate().map(of_excitation).collect();
-    let responses = channels.iter().filter(|read| !read.channel.quantity.is_excitation());
+    let responses = channels
+        .iter()
+        .filter(|read| !read.channel.quantity.is_excitation());
     for (row, read) in responses.enumerate() {
         let group = read.noise_group.as_ref().map(|group| {
-            levels
-                .iter()
-                .position(|level| matches!(level.source, NoiseSource::Sensors(_)) && level.name == *group.get_ref())
+            levels.iter().position(|level| {
+                matches!(level.source, NoiseSource::Sensors(_)) && level.name == *group.get_ref()
+            })
         });
         match group.flatten().map(|index| &mut levels[index]) {
             Some(level) => {
@@ -254,20 +330,37 @@ fn read_noise_levels(
 
 /// Channels of a group share one variance, so they must agree on it.
 fn check_group(file: &Section<'_>, read: &ChannelRead, level: &NoiseLevel) {
-    let (same_std, same_choice) = (read.channel.noise_std == level.std, read.adapts_noise == level.adapted);
+    let (same_std, same_choice) = (
+        read.channel.noise_std == level.std,
+        read.adapts_noise == level.adapted,
+    );
     if !(same_std && same_choice) {
         let found = format!("differs from the others of noise group \"{}\"", level.name);
-        let key = if same_std { "node.channel.adapt-noise" } else { "node.channel.noise-std" };
-        file.diagnostics().report(read.name.span(), key, found, "must be the same within a group");
+        let key = if same_std {
+            "node.channel.adapt-noise"
+        } else {
+            "node.channel.noise-std"
+        };
+        file.diagnostics().report(
+            read.name.span(),
+            key,
+            found,
+            "must be the same within a group",
+        );
     }
 }
 
 /// Reports every name that occurs twice.
 fn check_unique(section: &Section<'_>, key: &str, names: &[Spanned<String>]) {
     for (index, name) in names.iter().enumerate() {
-        if names[..index].iter().any(|earlier| earlier.get_ref() == name.get_ref()) {
+        if names[..index]
+            .iter()
+            .any(|earlier| earlier.get_ref() == name.get_ref())
+        {
             let found = format!("is \"{}\" once more", name.get_ref());
-            section.diagnostics().report(name.span(), key, found, "must be unique");
+            section
+                .diagnostics()
+                .report(name.span(), key, found, "must be unique");
         }
     }
 }
@@ -288,7 +381,11 @@ fn read_time(
     }
     let found = match count {
         few if few < least => {
-            format!("is {}, {} at {rate_hz} Hz", short(*time_s.get_ref()), counted(few as usize, "sample", "samples"))
+            format!(
+                "is {}, {} at {rate_hz} Hz",
+                short(*time_s.get_ref()),
+                counted(few as usize, "sample", "samples")
+            )
         }
         _ => format!("is {}", short(*time_s.get_ref())),
     };
@@ -299,7 +396,9 @@ fn read_time(
         samples.start(),
         samples.end()
     );
-    section.diagnostics().report(time_s.span(), section.key(key), found, allowed);
+    section
+        .diagnostics()
+        .report(time_s.span(), section.key(key), found, allowed);
     None
 }
 
@@ -313,7 +412,12 @@ fn find_name<'k>(
     let found = known.clone().position(|known| known == name.get_ref());
     if found.is_none() {
         let hint = one_of(name.get_ref(), known);
-        section.diagnostics().report(name.span(), section.key(key), format!("is \"{}\"", name.get_ref()), hint);
+        section.diagnostics().report(
+            name.span(),
+            section.key(key),
+            format!("is \"{}\"", name.get_ref()),
+            hint,
+        );
     }
     found
 }

@@ -54,7 +54,13 @@ impl OutlierPlan {
 
 impl Default for OutlierPlan {
     fn default() -> Self {
-        Self { gated: true, training_s: None, window_s: None, fault_window_s: None, fault_share: 0.2 }
+        Self {
+            gated: true,
+            training_s: None,
+            window_s: None,
+            fault_window_s: None,
+            fault_share: 0.2,
+        }
     }
 }
 
@@ -78,7 +84,10 @@ impl Default for FilterPlan {
             // a quiet hour must not make the filter believe the first seconds of shaking a hundredfold
             noise_floor: 0.1,
             // start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off
-            annealing: Annealing { amount: 100.0, time_s: 2.0 },
+            annealing: Annealing {
+                amount: 100.0,
+                time_s: 2.0,
+            },
             particles: None,
             outliers: None,
             variance_bound: 1.0,

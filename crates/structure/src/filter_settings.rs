@@ -6,8 +6,8 @@ use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::outlier::upper_bound;
 use spandrel_filter::{
-    Annealing, FadingFactor, FilterError, FilterSettings, MisfitSettings, NoiseModel, NoiseParameter, NoiseRule,
-    NoiseSettings, NoiseTarget, OutlierSettings, OutlierTraining,
+    Annealing, FadingFactor, FilterError, FilterSettings, MisfitSettings, NoiseModel,
+    NoiseParameter, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings, OutlierTraining,
 };
 use std::ops::RangeInclusive;
 
@@ -43,19 +43,28 @@ impl Structure {
     /// When a half-life is so short that it has no fading factor.
     pub fn filter_settings(&self) -> Result<FilterSettings, FilterError> {
         let (plan, free) = (&self.plan, self.system.len());
-        let of_parameters =
-            |value: &dyn Fn(&crate::Parameter) -> f64| -> Vec<f64> { self.parameters.iter().map(value).collect() };
+        let of_parameters = |value: &dyn Fn(&crate::Parameter) -> f64| -> Vec<f64> {
+            self.parameters.iter().map(value).collect()
+        };
         let state = |physical: [f64; 2], parameters: Vec<f64>| {
             let [x, v] = physical.map(|value| std::iter::repeat_n(value, free));
             DVector::from_iterator(2 * free + parameters.len(), x.chain(v).chain(parameters))
         };
-        let fading = |half_life_s: f64| FadingFactor::from_half_life(half_life_s * self.sampling_rate_hz);
+        let fading =
+            |half_life_s: f64| FadingFactor::from_half_life(half_life_s * self.sampling_rate_hz);
         let mut mean = state([0.0, 0.0], of_parameters(&|p| p.mean()));
-        mean.rows_mut(0, 2 * free).copy_from(&self.static_state(&of_parameters(&|p| p.mean())));
-        let std = state([plan.displacement_std_m, plan.velocity_std_m_per_s], of_parameters(&|p| p.std()));
+        mean.rows_mut(0, 2 * free)
+            .copy_from(&self.static_state(&of_parameters(&|p| p.mean())));
+        let std = state(
+            [plan.displacement_std_m, plan.velocity_std_m_per_s],
+            of_parameters(&|p| p.std()),
+        );
         let mut settings = FilterSettings::new(self.step_s(), mean, std, self.noise_model());
         settings.fading = self.fading()?;
-        settings.variance_bound = state([f64::INFINITY; 2], of_parameters(&|p| plan.variance_bound * p.std().powi(2)));
+        settings.variance_bound = state(
+            [f64::INFINITY; 2],
+            of_parameters(&|p| plan.variance_bound * p.std().powi(2)),
+        );
         settings.lower = state([f64::NEG_INFINITY; 2], of_parameters(&|p| p.bounds().0));
         settings.upper = state([f64::INFINITY; 2], of_parameters(&|p| p.bounds().1));
         settings.noise_settings = NoiseSettings {
@@ -64,19 +73,30 @@ impl Structure {
             training_steps: self.training_steps(),
             training_limit_steps: TRAINING_LIMIT * self.training_steps(),
             // a level is a variance; zero would never move again
-            floor: self.plan.noise_floor.powi(2).max(NoiseSettings::default().floor),
+            floor: self
+                .plan
+                .noise_floor
+                .powi(2)
+                .max(NoiseSettings::default().floor),
             ..NoiseSettings::default()
         };
-        settings.annealing = (plan.annealing.amount > 0.0)
-            .then_some(Annealing { amount: plan.annealing.amount, time_constant_s: plan.annealing.time_s });
+        settings.annealing = (plan.annealing.amount > 0.0).then_some(Annealing {
+            amount: plan.annealing.amount,
+            time_constant_s: plan.annealing.time_s,
+        });
         settings.input_hold = plan.input_hold;
         settings.misfit = self.misfit_settings(settings.fading);
-        for (considered, error) in
-            settings.considered_std.iter_mut().skip(2 * free).zip(self.errors_by_unmeasured_excitation())
+        for (considered, error) in settings
+            .considered_std
+            .iter_mut()
+            .skip(2 * free)
+            .zip(self.errors_by_unmeasured_excitation())
         {
             *considered = error;
         }
-        settings.outliers = plan.outliers.map(|outliers| self.outlier_settings(&outliers));
+        settings.outliers = plan
+            .outliers
+            .map(|outliers| self.outlier_settings(&outliers));
         Ok(settings)
     }
 
@@ -109,7 +129,10 @@ impl Structure {
             jump_threshold: JUMP_THRESHOLD,
             jump_steps: (JUMP_PERIODS * period_steps) as u64,
             lag_steps: (period_steps as usize).max(1),
-            excitation_is_measured: self.excitations.iter().all(|excitation| excitation.channel().is_some()),
+            excitation_is_measured: self
+                .excitations
+                .iter()
+                .all(|excitation| excitation.channel().is_some()),
         })
     }
 
@@ -117,7 +140,8 @@ impl Structure {
     fn outlier_settings(&self, plan: &OutlierPlan) -> OutlierSettings {
         let steps = |seconds: f64| (seconds * self.sampling_rate_hz).round() as usize;
         let at_most = |count: usize, range: RangeInclusive<usize>| count.min(*range.end());
-        let mut settings = OutlierSettings::for_period(self.fundamental_period_s() * self.sampling_rate_hz);
+        let mut settings =
+            OutlierSettings::for_period(self.fundamental_period_s() * self.sampling_rate_hz);
         // of a structure that hardly moves a hundred periods would not fit into memory
         settings.window = at_most(settings.window, OutlierPlan::WINDOW);
         settings.upper = upper_bound(settings.window);
@@ -154,7 +178,10 @@ impl Structure {
     /// A variance that is known to a factor `F` of the standard deviation has `2 ln F`. The published rules start an
     /// unmeasured level like any other, unless the file says otherwise.
     pub(crate) fn level_prior_std(&self, level: usize) -> f64 {
-        let published = matches!(self.plan.noise_rule, NoiseRule::Published | NoiseRule::HalfOrDouble);
+        let published = matches!(
+            self.plan.noise_rule,
+            NoiseRule::Published | NoiseRule::HalfOrDouble
+        );
         match self.noise_levels[level].source() {
             NoiseSource::Excitation(index) if self.is_unmeasured(level) => {
                 let excitation = &self.excitations[*index];
@@ -169,15 +196,24 @@ impl Structure {
 
     /// Splits the noise levels into what is known and what is adapted.
     fn noise_model(&self) -> NoiseModel {
-        let (inputs, rows) = (self.excitation_channels.len(), self.observation_channels.len());
-        let mut model = NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(rows, rows));
+        let (inputs, rows) = (
+            self.excitation_channels.len(),
+            self.observation_channels.len(),
+        );
+        let mut model =
+            NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(rows, rows));
         for (index, level) in self.noise_levels.iter().enumerate() {
             let variance = level.std.powi(2);
             let (target, pattern) = match &level.source {
-                NoiseSource::Excitation(excitation) => (NoiseTarget::Excitation, self.excitation_pattern(*excitation)),
+                NoiseSource::Excitation(excitation) => (
+                    NoiseTarget::Excitation,
+                    self.excitation_pattern(*excitation),
+                ),
                 NoiseSource::Sensors(rows_of_group) => {
                     let mut pattern = DMatrix::zeros(rows, rows);
-                    rows_of_group.iter().for_each(|row| pattern[(*row, *row)] = 1.0);
+                    rows_of_group
+                        .iter()
+                        .for_each(|row| pattern[(*row, *row)] = 1.0);
                     (NoiseTarget::Sensors, pattern)
                 }
             };

@@ -37,7 +37,11 @@ impl Freedoms {
                 }
             }
         }
-        Self { directions, free, names }
+        Self {
+            directions,
+            free,
+            names,
+        }
     }
 
     /// Returns the number of degrees of freedom that are not fixed.
@@ -48,20 +52,31 @@ impl Freedoms {
     /// Returns the degrees of freedom of two nodes in the order of an element matrix.
     fn of_element(&self, ends: [usize; 2]) -> Vec<Option<usize>> {
         let per_node = self.directions.len();
-        ends.iter().flat_map(|node| &self.free[node * per_node..(node + 1) * per_node]).copied().collect()
+        ends.iter()
+            .flat_map(|node| &self.free[node * per_node..(node + 1) * per_node])
+            .copied()
+            .collect()
     }
 
     /// Returns how every degree of freedom moves with the ground, for each direction in which some does.
     fn ground_directions(&self) -> Vec<GroundDirection> {
         let per_node = self.directions.len();
         let mut found = Vec::new();
-        for (index, direction) in self.directions.iter().enumerate().filter(|(_, name)| TRANSLATIONS.contains(name)) {
+        for (index, direction) in self
+            .directions
+            .iter()
+            .enumerate()
+            .filter(|(_, name)| TRANSLATIONS.contains(name))
+        {
             let mut influence = vec![0.0; self.len()];
             for dof in self.free.iter().skip(index).step_by(per_node).flatten() {
                 influence[*dof] = 1.0;
             }
             if influence.contains(&1.0) {
-                found.push(GroundDirection { name: direction, influence });
+                found.push(GroundDirection {
+                    name: direction,
+                    influence,
+                });
             }
         }
         found
@@ -80,33 +95,47 @@ impl FiniteElements {
     pub(crate) fn new(freedoms: Freedoms, parts: impl Iterator<Item = String>) -> Self {
         let len = freedoms.len();
         let parts = parts.map(|name| (name, CooMatrix::new(len, len))).collect();
-        Self { freedoms, mass: DMatrix::zeros(len, len), parts }
+        Self {
+            freedoms,
+            mass: DMatrix::zeros(len, len),
+            parts,
+        }
     }
 
     /// Adds the mass of an element between two nodes (kg, kg m², ...).
     pub(crate) fn add_mass(&mut self, ends: [usize; 2], element: &DMatrix<f64>) {
         let dofs = self.freedoms.of_element(ends);
-        for_each_free(&dofs, element, |row, column, value| self.mass[(row, column)] += value);
+        for_each_free(&dofs, element, |row, column, value| {
+            self.mass[(row, column)] += value
+        });
     }
 
     /// Adds the stiffness of an element between two nodes (N/m, N m, ...) to a substructure.
     pub(crate) fn add_stiffness(&mut self, part: usize, ends: [usize; 2], element: &DMatrix<f64>) {
         let dofs = self.freedoms.of_element(ends);
         let stiffness = &mut self.parts[part].1;
-        for_each_free(&dofs, element, |row, column, value| stiffness.push(row, column, value));
+        for_each_free(&dofs, element, |row, column, value| {
+            stiffness.push(row, column, value)
+        });
     }
 
     /// Returns the structure, still without damping; `None` if its mass is not positive definite.
     pub(crate) fn finish(self) -> Option<LinearSystem> {
-        let is_diagonal = self.mass.iter().filter(|entry| **entry != 0.0).count() <= self.mass.nrows();
+        let is_diagonal =
+            self.mass.iter().filter(|entry| **entry != 0.0).count() <= self.mass.nrows();
         let diagonal: DVector<f64> = self.mass.diagonal();
         let mass = if is_diagonal && diagonal.iter().all(|mass| *mass > 0.0) {
             Mass::Lumped(diagonal)
         } else {
-            Mass::Consistent { factor: SparseCholesky::new(&self.mass)?, matrix: self.mass }
+            Mass::Consistent {
+                factor: SparseCholesky::new(&self.mass)?,
+                matrix: self.mass,
+            }
         };
-        let substructure =
-            |(name, stiffness): (String, CooMatrix<f64>)| Substructure { name, stiffness: CsrMatrix::from(&stiffness) };
+        let substructure = |(name, stiffness): (String, CooMatrix<f64>)| Substructure {
+            name,
+            stiffness: CsrMatrix::from(&stiffness),
+        };
         Some(LinearSystem {
             mass,
             substructures: self.parts.into_iter().map(substructure).collect(),
@@ -121,7 +150,11 @@ impl FiniteElements {
 }
 
 /// Calls `add` with every entry that is not zero and whose degrees of freedom are free.
-fn for_each_free(dofs: &[Option<usize>], element: &DMatrix<f64>, mut add: impl FnMut(usize, usize, f64)) {
+fn for_each_free(
+    dofs: &[Option<usize>],
+    element: &DMatrix<f64>,
+    mut add: impl FnMut(usize, usize, f64),
+) {
     for (i, row) in dofs.iter().enumerate() {
         for (j, column) in dofs.iter().enumerate() {
             if let (Some(row), Some(column)) = (row, column)

@@ -11,7 +11,11 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 pub(crate) const DIRECTIONS: &[&str] = &["x", "y", "r"];
 
 /// Returns stiffness and mass of a member of `section` along a vector (m) in the plane.
-pub(crate) fn element(section: &MemberSection, along: Vector3<f64>, form: MassForm) -> ElementMatrices {
+pub(crate) fn element(
+    section: &MemberSection,
+    along: Vector3<f64>,
+    form: MassForm,
+) -> ElementMatrices {
     let l = along.norm();
     let local_from_global = rotation(along / l);
     let turned = |matrix: Matrix6<f64>| {
@@ -22,7 +26,10 @@ pub(crate) fn element(section: &MemberSection, along: Vector3<f64>, form: MassFo
         MassForm::Consistent => consistent_mass(section, l),
         MassForm::Lumped => lumped_mass(section, l),
     };
-    ElementMatrices { stiffness: turned(stiffness(section, l)), mass: turned(mass) }
+    ElementMatrices {
+        stiffness: turned(stiffness(section, l)),
+        mass: turned(mass),
+    }
 }
 
 /// Returns the directions of the member (6 × 6) by the global ones, for a unit vector along it.
@@ -42,7 +49,13 @@ fn rotation(along: Vector3<f64>) -> Matrix6<f64> {
 fn stiffness(section: &MemberSection, l: f64) -> Matrix6<f64> {
     let axial = section.modulus_pa * section.area_m2 / l;
     let bending = section.modulus_pa * section.second_moment_m4 / l.powi(3);
-    let (a, b, c, d, e) = (axial, 12.0 * bending, 6.0 * l * bending, 4.0 * l * l * bending, 2.0 * l * l * bending);
+    let (a, b, c, d, e) = (
+        axial,
+        12.0 * bending,
+        6.0 * l * bending,
+        4.0 * l * l * bending,
+        2.0 * l * l * bending,
+    );
     #[rustfmt::skip]
     let matrix = Matrix6::new(
           a, 0.0, 0.0,  -a, 0.0, 0.0,
@@ -85,12 +98,23 @@ mod tests {
     use std::f64::consts::PI;
     use std::path::Path;
 
-    const SECTION: MemberSection =
-        MemberSection { area_m2: 0.02, second_moment_m4: 3e-4, modulus_pa: 2.1e11, density_kg_per_m3: 7850.0 };
+    const SECTION: MemberSection = MemberSection {
+        area_m2: 0.02,
+        second_moment_m4: 3e-4,
+        modulus_pa: 2.1e11,
+        density_kg_per_m3: 7850.0,
+    };
 
     fn frequencies(text: &str) -> Vec<f64> {
-        let structure = Structure::parse(text, Path::new("bridge.toml")).unwrap_or_else(|error| panic!("{error}"));
-        structure.nominal_modes().unwrap().angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect()
+        let structure = Structure::parse(text, Path::new("bridge.toml"))
+            .unwrap_or_else(|error| panic!("{error}"));
+        structure
+            .nominal_modes()
+            .unwrap()
+            .angular_frequencies
+            .iter()
+            .map(|omega| omega / (2.0 * PI))
+            .collect()
     }
 
     const BRIDGE: &str = include_str!("../../../docs/examples/three-pier-bridge.toml");
@@ -101,7 +125,10 @@ mod tests {
         let found = frequencies(BRIDGE);
         assert_eq!(found.len(), 59);
         for (found, expected) in found.iter().zip([0.466, 0.531, 0.699, 0.890, 1.332]) {
-            assert!((found - expected).abs() < 0.001, "{found} instead of {expected}");
+            assert!(
+                (found - expected).abs() < 0.001,
+                "{found} instead of {expected}"
+            );
         }
         assert!((found[58] - 36.3).abs() < 0.05, "{}", found[58]);
     }
@@ -142,9 +169,15 @@ mod tests {
         let exact = PI / 2.0 * (2.1e11_f64 * 3e-4 / (7850.0 * 0.02)).sqrt() / 100.0;
         let error = |members, form| beam(members, form) / exact - 1.0;
         let [coarse, fine] = [4, 8].map(|members| error(members, "consistent"));
-        assert!(fine > 0.0 && (coarse / fine - 16.0).abs() < 1.0, "{coarse:e}, {fine:e}");
+        assert!(
+            fine > 0.0 && (coarse / fine - 16.0).abs() < 1.0,
+            "{coarse:e}, {fine:e}"
+        );
         let [coarse, fine] = [4, 8].map(|members| error(members, "lumped"));
-        assert!(fine.abs() < 0.01 && (coarse / fine - 4.0).abs() < 0.5, "{coarse:e}, {fine:e}");
+        assert!(
+            fine.abs() < 0.01 && (coarse / fine - 4.0).abs() < 0.5,
+            "{coarse:e}, {fine:e}"
+        );
     }
 
     /// A rigid motion costs no energy, and its kinetic energy is that of the whole mass.
@@ -155,7 +188,11 @@ mod tests {
         for form in [MassForm::Consistent, MassForm::Lumped] {
             let matrices = element(&SECTION, along, form);
             for direction in [0, 1] {
-                let moved = nalgebra::DVector::from_fn(6, |dof, _| if dof % 3 == direction { 1.0 } else { 0.0 });
+                let moved =
+                    nalgebra::DVector::from_fn(
+                        6,
+                        |dof, _| if dof % 3 == direction { 1.0 } else { 0.0 },
+                    );
                 assert!((&matrices.stiffness * &moved).norm() < 1e-6 * matrices.stiffness.norm());
                 assert!(((&matrices.mass * &moved).dot(&moved) - mass).abs() < 1e-9 * mass);
             }
@@ -165,21 +202,34 @@ mod tests {
         }
         let turned = nalgebra::DVector::from_column_slice(&[0.0, 0.0, 1.0, 4.0, 3.0, 1.0]);
         let inertia = (element(&SECTION, along, MassForm::Consistent).mass * &turned).dot(&turned);
-        assert!((inertia / (mass * 25.0 / 3.0) - 1.0).abs() < 1e-12, "{inertia}");
+        assert!(
+            (inertia / (mass * 25.0 / 3.0) - 1.0).abs() < 1e-12,
+            "{inertia}"
+        );
     }
 
     /// A cantilever under a force and a moment at its tip: `w = F L³/3EI + M L²/2EI`, `φ = F L²/2EI + M L/EI`, `u = N L/EA`.
     #[test]
     fn the_tip_of_a_cantilever_bends_as_in_the_textbook() {
         let (l, ei, ea) = (5.0, 2.1e11 * 3e-4, 2.1e11 * 0.02);
-        let stiffness = element(&SECTION, Vector3::new(l, 0.0, 0.0), MassForm::Consistent).stiffness;
+        let stiffness =
+            element(&SECTION, Vector3::new(l, 0.0, 0.0), MassForm::Consistent).stiffness;
         let tip = stiffness.view((3, 3), (3, 3)).into_owned();
         let (n, f, m) = (7e4, 3e3, 2e3);
-        let found = tip.lu().solve(&nalgebra::DVector::from_column_slice(&[n, f, m])).unwrap();
-        let expected =
-            [n * l / ea, f * l.powi(3) / (3.0 * ei) + m * l * l / (2.0 * ei), f * l * l / (2.0 * ei) + m * l / ei];
+        let found = tip
+            .lu()
+            .solve(&nalgebra::DVector::from_column_slice(&[n, f, m]))
+            .unwrap();
+        let expected = [
+            n * l / ea,
+            f * l.powi(3) / (3.0 * ei) + m * l * l / (2.0 * ei),
+            f * l * l / (2.0 * ei) + m * l / ei,
+        ];
         for (found, expected) in found.iter().zip(expected) {
-            assert!((found / expected - 1.0).abs() < 1e-12, "{found} instead of {expected}");
+            assert!(
+                (found / expected - 1.0).abs() < 1e-12,
+                "{found} instead of {expected}"
+            );
         }
     }
 }

@@ -8,8 +8,9 @@ use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_filter::fusion::{
-    CompressedMotion, CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis,
-    MotionExchange, NodeSettings, Responses, SampleExchange, Station, StationSettings, Weights,
+    CompressedMotion, CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector,
+    LocalFilter, ModalBasis, MotionExchange, NodeSettings, Responses, SampleExchange, Station,
+    StationSettings, Weights,
 };
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
@@ -91,7 +92,10 @@ impl Structure {
     ///
     /// # Errors
     /// When the filter refuses its settings.
-    pub fn local_filter(&self, position: usize) -> Option<Result<LocalFilter<StructureModel>, FilterError>> {
+    pub fn local_filter(
+        &self,
+        position: usize,
+    ) -> Option<Result<LocalFilter<StructureModel>, FilterError>> {
         self.local_filter_with(position, |_settings| {})
     }
 
@@ -138,14 +142,24 @@ impl Structure {
         let plan = self.fusion.as_ref()?;
         let make = || {
             let settings = self.filter_settings()?;
-            let (first, len) = (settings.prior_mean.len() - self.parameters.len(), self.parameters.len());
+            let (first, len) = (
+                settings.prior_mean.len() - self.parameters.len(),
+                self.parameters.len(),
+            );
             let prior_std = settings.prior_std.rows(first, len);
             // the prior of a filter is for its first sample
-            let covariance = DMatrix::from_diagonal(&prior_std.map(|std| std * std / settings.fading.value()));
+            let covariance =
+                DMatrix::from_diagonal(&prior_std.map(|std| std * std / settings.fading.value()));
             Station::new(StationSettings {
                 nodes: self.nodes.len(),
-                prior: Gaussian { mean: settings.prior_mean.rows(first, len).into_owned(), covariance },
-                growth_per_period: settings.fading.value().powf(self.sampling_rate_hz / plan.rate_hz),
+                prior: Gaussian {
+                    mean: settings.prior_mean.rows(first, len).into_owned(),
+                    covariance,
+                },
+                growth_per_period: settings
+                    .fading
+                    .value()
+                    .powf(self.sampling_rate_hz / plan.rate_hz),
                 variance_bound: settings.variance_bound.rows(first, len).into_owned(),
                 rule: plan.rule,
                 feedback: plan.feedback,
@@ -175,7 +189,9 @@ impl Structure {
     /// its directions. `None` where nodes send no modes.
     #[must_use]
     pub fn sent_modes(&self) -> Option<(usize, f64)> {
-        let MotionPlan::Modes(asked) = self.fusion.as_ref()?.motion else { return None };
+        let MotionPlan::Modes(asked) = self.fusion.as_ref()?.motion else {
+            return None;
+        };
         let (basis, missed) = self.modal_basis(asked)?;
         Some((basis.modes(), missed))
     }
@@ -197,11 +213,19 @@ impl Structure {
             MotionExchange::Modes(basis) => (with_modes(basis.modes()), with_modes(basis.modes())),
             MotionExchange::Responses(nodes) => {
                 let all: usize = nodes.iter().map(|node| 2 * node.rows().nrows()).sum();
-                (density + 2 * nodes.get(position)?.rows().nrows(), density + all)
+                (
+                    density + 2 * nodes.get(position)?.rows().nrows(),
+                    density + all,
+                )
             }
             MotionExchange::Samples(exchange) => {
-                let all: usize = (0..exchange.nodes()).map(|node| exchange.numbers(node)).sum();
-                (density + exchange.numbers(position), density + all - exchange.numbers(position))
+                let all: usize = (0..exchange.nodes())
+                    .map(|node| exchange.numbers(node))
+                    .sum();
+                (
+                    density + exchange.numbers(position),
+                    density + all - exchange.numbers(position),
+                )
             }
         })
     }
@@ -220,22 +244,26 @@ impl Structure {
     #[must_use]
     pub fn extract_motion(&self, motion: &CompressedMotion) -> Option<DVector<f64>> {
         match self.motion_exchange().ok()? {
-            MotionExchange::Modes(basis) if motion.mean.len() == 2 * basis.modes() => Some(basis.extract(&motion.mean)),
+            MotionExchange::Modes(basis) if motion.mean.len() == 2 * basis.modes() => {
+                Some(basis.extract(&motion.mean))
+            }
             _ => None,
         }
     }
 
     fn motion_exchange(&self) -> Result<MotionExchange, FilterError> {
-        let Some(plan) = &self.fusion else { return Ok(MotionExchange::None) };
+        let Some(plan) = &self.fusion else {
+            return Ok(MotionExchange::None);
+        };
         Ok(match plan.motion {
             MotionPlan::None => MotionExchange::None,
             MotionPlan::Modes(asked) => match self.modal_basis(asked) {
                 Some((basis, _)) => MotionExchange::Modes(basis),
                 None => MotionExchange::None,
             },
-            MotionPlan::Responses => {
-                MotionExchange::Responses(self.nodes.iter().map(|node| self.responses(node)).collect())
-            }
+            MotionPlan::Responses => MotionExchange::Responses(
+                self.nodes.iter().map(|node| self.responses(node)).collect(),
+            ),
             MotionPlan::Samples(instants) => {
                 let exchange = SampleExchange::new(&self.observations_by_node(), instants);
                 MotionExchange::Samples(exchange.rounded_to(self.sample_units()))
@@ -259,11 +287,17 @@ impl Structure {
             .map(|influence| all.effective_mass_shares(&influence, &mass))
             .collect();
         let missed = |kept: &[usize]| {
-            let of_direction = |shares: &Vec<f64>| 1.0 - kept.iter().map(|mode| shares[*mode]).sum::<f64>();
+            let of_direction =
+                |shares: &Vec<f64>| 1.0 - kept.iter().map(|mode| shares[*mode]).sum::<f64>();
             shares.iter().map(of_direction).fold(0.0, f64::max)
         };
         // in whole parts of a million: modes that carry nothing stay in the order of frequency
-        let carried = |mode: usize| shares.iter().map(|shares| (shares[mode] * 1e6).round()).fold(0.0, f64::max);
+        let carried = |mode: usize| {
+            shares
+                .iter()
+                .map(|shares| (shares[mode] * 1e6).round())
+                .fold(0.0, f64::max)
+        };
         let mut order: Vec<usize> = (0..shapes.ncols()).collect();
         order.sort_by(|one, other| carried(*other).total_cmp(&carried(*one)));
         let count = match asked {
@@ -294,6 +328,8 @@ impl Structure {
                 other => debug_assert!(!other.is_told_as_response()),
             }
         }
-        Responses::new(DMatrix::from_fn(rows.len(), 2 * free, |row, column| rows[row][column]))
+        Responses::new(DMatrix::from_fn(rows.len(), 2 * free, |row, column| {
+            rows[row][column]
+        }))
     }
 }

@@ -65,7 +65,11 @@ const SMALLEST: f64 = 1e-12;
 
 /// Returns `|r|^exponent`, 0 where `r` is.
 fn power(r: f64, exponent: f64) -> f64 {
-    if r.abs() < SMALLEST { 0.0 } else { r.abs().powf(exponent) }
+    if r.abs() < SMALLEST {
+        0.0
+    } else {
+        r.abs().powf(exponent)
+    }
 }
 
 /// Returns the sign, 0 of 0: at rest the law is that of a linear spring.
@@ -103,7 +107,9 @@ impl Hysteresis {
     pub(crate) fn slopes(&self, w: f64, r: f64) -> Slopes {
         Slopes {
             by_velocity: self.a - (self.mu * sign(w) * sign(r) + self.kappa) * power(r, self.eta),
-            by_displacement: -self.eta * (self.mu * w.abs() + self.kappa * w * sign(r)) * power(r, self.eta - 1.0),
+            by_displacement: -self.eta
+                * (self.mu * w.abs() + self.kappa * w * sign(r))
+                * power(r, self.eta - 1.0),
         }
     }
 
@@ -114,7 +120,9 @@ impl Hysteresis {
             Constant::Mu => -w.abs() * sign(r) * power(r, self.eta),
             Constant::Kappa => -w * power(r, self.eta),
             Constant::Eta if r.abs() < SMALLEST => 0.0,
-            Constant::Eta => -(self.mu * w.abs() * sign(r) + self.kappa * w) * power(r, self.eta) * r.abs().ln(),
+            Constant::Eta => {
+                -(self.mu * w.abs() * sign(r) + self.kappa * w) * power(r, self.eta) * r.abs().ln()
+            }
         }
     }
 }
@@ -123,7 +131,13 @@ impl Hysteresis {
 mod tests {
     use super::*;
 
-    const LAW: Hysteresis = Hysteresis { drive: Drive::Drift, a: 1.0, mu: 1000.0, kappa: 1500.0, eta: 2.0 };
+    const LAW: Hysteresis = Hysteresis {
+        drive: Drive::Drift,
+        a: 1.0,
+        mu: 1000.0,
+        kappa: 1500.0,
+        eta: 2.0,
+    };
 
     #[test]
     fn a_spring_pushed_on_settles_at_its_yield_amplitude() {
@@ -139,20 +153,35 @@ mod tests {
     #[test]
     fn unloading_is_stiffer_than_loading() {
         let [loading, unloading] = [0.1, -0.1].map(|w| LAW.rate(w, 0.015) / w);
-        assert!((loading - (1.0 - 2500.0 * 0.015_f64.powi(2))).abs() < 1e-12, "{loading}");
-        assert!((unloading - (1.0 - 500.0 * 0.015_f64.powi(2))).abs() < 1e-12, "{unloading}");
+        assert!(
+            (loading - (1.0 - 2500.0 * 0.015_f64.powi(2))).abs() < 1e-12,
+            "{loading}"
+        );
+        assert!(
+            (unloading - (1.0 - 500.0 * 0.015_f64.powi(2))).abs() < 1e-12,
+            "{unloading}"
+        );
     }
 
     #[test]
     fn slopes_are_derivatives() {
-        let law = Hysteresis { a: 6.0, mu: 0.9, kappa: -0.08, eta: 1.3, ..LAW };
+        let law = Hysteresis {
+            a: 6.0,
+            mu: 0.9,
+            kappa: -0.08,
+            eta: 1.3,
+            ..LAW
+        };
         let h = 1e-6;
         for (w, r) in [(0.7, 1.1), (-0.7, 1.1), (0.7, -1.1), (-0.4, -0.3)] {
             let difference = |up: f64, down: f64| (up - down) / (2.0 * h);
             let slopes = law.slopes(w, r);
             let by_w = difference(law.rate(w + h, r), law.rate(w - h, r));
             let by_r = difference(law.rate(w, r + h), law.rate(w, r - h));
-            assert!((slopes.by_velocity - by_w).abs() < 1e-8 && (slopes.by_displacement - by_r).abs() < 1e-8);
+            assert!(
+                (slopes.by_velocity - by_w).abs() < 1e-8
+                    && (slopes.by_displacement - by_r).abs() < 1e-8
+            );
             for constant in [Constant::A, Constant::Mu, Constant::Kappa, Constant::Eta] {
                 let moved = |by: f64| {
                     let mut law = law;
@@ -160,7 +189,10 @@ mod tests {
                     law.rate(w, r)
                 };
                 let expected = difference(moved(h), moved(-h));
-                assert!((law.slope_by(constant, w, r) - expected).abs() < 1e-8, "{constant:?} at {w}, {r}");
+                assert!(
+                    (law.slope_by(constant, w, r) - expected).abs() < 1e-8,
+                    "{constant:?} at {w}, {r}"
+                );
             }
         }
     }
@@ -169,7 +201,13 @@ mod tests {
     fn a_spring_at_rest_is_linear() {
         for eta in [0.6, 1.0, 2.0] {
             let law = Hysteresis { a: 6.0, eta, ..LAW };
-            assert_eq!(law.slopes(0.0, 0.0), Slopes { by_velocity: 6.0, by_displacement: 0.0 });
+            assert_eq!(
+                law.slopes(0.0, 0.0),
+                Slopes {
+                    by_velocity: 6.0,
+                    by_displacement: 0.0
+                }
+            );
             assert_eq!(law.slope_by(Constant::Eta, 0.3, 0.0), 0.0);
         }
     }

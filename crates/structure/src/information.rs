@@ -52,7 +52,8 @@ impl Information {
         let nominal = Moved::new(structure, None);
         let filter = nominal.filter()?;
         let pair = |unknown| {
-            let [up, down] = [DIFFERENCE, -DIFFERENCE].map(|by| Moved::new(structure, Some((unknown, by))).filter());
+            let [up, down] = [DIFFERENCE, -DIFFERENCE]
+                .map(|by| Moved::new(structure, Some((unknown, by))).filter());
             Some([up?, down?])
         };
         let held_pair = |unknown| {
@@ -62,20 +63,35 @@ impl Information {
         let mut pairs: Vec<Pair> = unknowns.into_iter().map(pair).collect::<Option<_>>()?;
         let mut held_pairs: Vec<Pair> = parameters.map(held_pair).collect();
         let lower = filter.innovation_covariance.clone().cholesky()?.l();
-        let whole: Vec<DMatrix<f64>> = pairs.iter().map(|pair| whitened(covariance_difference(pair), &lower)).collect();
-        let own: Vec<DMatrix<f64>> = nominal.level_patterns(structure).map(|u| whitened(u, &lower)).collect();
+        let whole: Vec<DMatrix<f64>> = pairs
+            .iter()
+            .map(|pair| whitened(covariance_difference(pair), &lower))
+            .collect();
+        let own: Vec<DMatrix<f64>> = nominal
+            .level_patterns(structure)
+            .map(|u| whitened(u, &lower))
+            .collect();
         let traces = |a: &[DMatrix<f64>], b: &[DMatrix<f64>]| {
             DMatrix::from_fn(a.len(), b.len(), |i, j| 0.5 * a[i].dot(&b[j])) // ½ tr(S⁻¹ A S⁻¹ B)
         };
         let (theta, all) = (held_pairs.len(), pairs.len());
         let means = Means::simulated(structure, &mut pairs, &mut held_pairs, &lower, frames, seed);
         let mut counted = DMatrix::zeros(all, all);
-        counted.view_mut((0, 0), (theta, theta)).copy_from(&means.counted);
-        counted.view_mut((theta, theta), (all - theta, all - theta)).copy_from(&traces(&own, &own));
+        counted
+            .view_mut((0, 0), (theta, theta))
+            .copy_from(&means.counted);
+        counted
+            .view_mut((theta, theta), (all - theta, all - theta))
+            .copy_from(&traces(&own, &own));
         let mut pull = DMatrix::zeros(all, all);
         pull.rows_mut(0, theta).copy_from(&means.pull);
-        pull.rows_mut(theta, all - theta).copy_from(&traces(&own, &whole));
-        Some(Self { held: means.held + traces(&whole, &whole), counted, pull })
+        pull.rows_mut(theta, all - theta)
+            .copy_from(&traces(&own, &whole));
+        Some(Self {
+            held: means.held + traces(&whole, &whole),
+            counted,
+            pull,
+        })
     }
 }
 
@@ -88,9 +104,15 @@ struct Moved {
 
 impl Moved {
     fn new(structure: &Structure, moved: Option<(Unknown, f64)>) -> Self {
-        let mut theta: Vec<f64> = structure.parameters.iter().map(crate::Parameter::mean).collect();
+        let mut theta: Vec<f64> = structure
+            .parameters
+            .iter()
+            .map(crate::Parameter::mean)
+            .collect();
         let levels = structure.noise_levels.len();
-        let mut variances: Vec<f64> = (0..levels).map(|level| structure.expected_level_std(level).powi(2)).collect();
+        let mut variances: Vec<f64> = (0..levels)
+            .map(|level| structure.expected_level_std(level).powi(2))
+            .collect();
         match moved {
             Some((Unknown::Parameter(parameter), by)) => theta[parameter] += by,
             Some((Unknown::Level(level), by)) => variances[level] *= by.exp(),
@@ -105,14 +127,22 @@ impl Moved {
         let every = |row: usize| frames_per_sample[structure.observation_channels[row]] as f64;
         for (level, variance) in structure.noise_levels.iter().zip(variances) {
             match level.source() {
-                NoiseSource::Excitation(index) => noise.excitation += structure.excitation_pattern(*index) * variance,
+                NoiseSource::Excitation(index) => {
+                    noise.excitation += structure.excitation_pattern(*index) * variance
+                }
                 // the simulation spreads what a slower node measures over all frames
-                NoiseSource::Sensors(rows) => rows.iter().for_each(|row| noise.sensors[*row] = variance * every(*row)),
+                NoiseSource::Sensors(rows) => rows
+                    .iter()
+                    .for_each(|row| noise.sensors[*row] = variance * every(*row)),
             }
         }
         let form = LinearForm::new(&mut structure.model(), &theta);
         let recursion = form.recursion(structure.step_s(), &structure.input_holds());
-        Self { form, recursion, noise }
+        Self {
+            form,
+            recursion,
+            noise,
+        }
     }
 
     fn filter(&self) -> Option<SteadyFilter> {
@@ -124,20 +154,35 @@ impl Moved {
     }
 
     /// Returns `U` of each level: what its variance adds to `S` within one step.
-    fn level_patterns<'m>(&'m self, structure: &'m Structure) -> impl Iterator<Item = DMatrix<f64>> + 'm {
+    fn level_patterns<'m>(
+        &'m self,
+        structure: &'m Structure,
+    ) -> impl Iterator<Item = DMatrix<f64>> + 'm {
         let one_step = &self.form.observation * &self.recursion.input; // H B
-        structure.noise_levels.iter().enumerate().map(move |(number, level)| match level.source() {
-            NoiseSource::Excitation(index) => {
-                let (hb, d) = (&one_step, &self.form.direct);
-                let variance = structure.expected_level_std(number).powi(2);
-                let covariance = structure.excitation_pattern(*index) * variance;
-                hb * &covariance * hb.transpose() + d * covariance * d.transpose()
-            }
-            NoiseSource::Sensors(rows) => {
-                let variance = |row| if rows.contains(&row) { self.noise.sensors[row] } else { 0.0 };
-                DMatrix::from_diagonal(&DVector::from_fn(self.noise.sensors.len(), |row, _| variance(row)))
-            }
-        })
+        structure
+            .noise_levels
+            .iter()
+            .enumerate()
+            .map(move |(number, level)| match level.source() {
+                NoiseSource::Excitation(index) => {
+                    let (hb, d) = (&one_step, &self.form.direct);
+                    let variance = structure.expected_level_std(number).powi(2);
+                    let covariance = structure.excitation_pattern(*index) * variance;
+                    hb * &covariance * hb.transpose() + d * covariance * d.transpose()
+                }
+                NoiseSource::Sensors(rows) => {
+                    let variance = |row| {
+                        if rows.contains(&row) {
+                            self.noise.sensors[row]
+                        } else {
+                            0.0
+                        }
+                    };
+                    DMatrix::from_diagonal(&DVector::from_fn(self.noise.sensors.len(), |row, _| {
+                        variance(row)
+                    }))
+                }
+            })
     }
 }
 
@@ -175,10 +220,18 @@ impl Means {
         let (rows, all, theta) = (lower.nrows(), pairs.len(), held_pairs.len());
         let mut simulator = structure.undamaged_simulator(seed);
         let split = |values: &[f64]| {
-            let z = structure.observation_channels.iter().map(|channel| values[*channel]);
-            let known =
-                structure.excitation_channels.iter().map(|channel| channel.map_or(0.0, |channel| values[channel]));
-            (DVector::from_iterator(z.len(), z), DVector::from_iterator(known.len(), known))
+            let z = structure
+                .observation_channels
+                .iter()
+                .map(|channel| values[*channel]);
+            let known = structure
+                .excitation_channels
+                .iter()
+                .map(|channel| channel.map_or(0.0, |channel| values[channel]));
+            (
+                DVector::from_iterator(z.len(), z),
+                DVector::from_iterator(known.len(), known),
+            )
         };
         let mut derivatives = DMatrix::zeros(rows, all + theta);
         let mut products = DMatrix::zeros(all + theta, all + theta);

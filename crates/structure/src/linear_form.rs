@@ -60,26 +60,48 @@ impl LinearForm {
     pub(crate) fn rest(&self, excitation: &DVector<f64>) -> DVector<f64> {
         let pushed = -(&self.input * excitation);
         // the stiffness is positive definite, checked when the file was read
-        self.system.clone().lu().solve(&pushed).unwrap_or_else(|| DVector::zeros(self.system.nrows()))
+        self.system
+            .clone()
+            .lu()
+            .solve(&pushed)
+            .unwrap_or_else(|| DVector::zeros(self.system.nrows()))
     }
 
     /// Makes the recursion for a step of `step_s` (s), read off one exponential of an augmented matrix; `holds` says how each
     /// component of the excitation runs.
     pub(crate) fn recursion(&self, step_s: f64, holds: &[InputHold]) -> Recursion {
         let (n, inputs) = (self.input.nrows(), self.input.ncols());
-        let with_slope = if holds.contains(&InputHold::First) { inputs } else { 0 };
+        let with_slope = if holds.contains(&InputHold::First) {
+            inputs
+        } else {
+            0
+        };
         let mut augmented = DMatrix::zeros(n + inputs + with_slope, n + inputs + with_slope);
-        augmented.view_mut((0, 0), (n, n)).copy_from(&(&self.system * step_s));
-        augmented.view_mut((0, n), (n, inputs)).copy_from(&(&self.input * step_s));
+        augmented
+            .view_mut((0, 0), (n, n))
+            .copy_from(&(&self.system * step_s));
+        augmented
+            .view_mut((0, n), (n, inputs))
+            .copy_from(&(&self.input * step_s));
         for input in 0..with_slope {
             augmented[(n + input, n + inputs + input)] = 1.0; // f = f_i + (t/Δt)(f_{i+1} − f_i)
         }
         let exponential = augmented.exp();
         let block = |column, width| exponential.view((0, column), (n, width)).into_owned();
         let mut slope = DMatrix::zeros(n, inputs);
-        for (input, _) in holds.iter().enumerate().filter(|(_, hold)| **hold == InputHold::First) {
-            slope.column_mut(input).copy_from(&block(n + inputs + input, 1));
+        for (input, _) in holds
+            .iter()
+            .enumerate()
+            .filter(|(_, hold)| **hold == InputHold::First)
+        {
+            slope
+                .column_mut(input)
+                .copy_from(&block(n + inputs + input, 1));
         }
-        Recursion { transition: block(0, n), input: block(n, inputs), slope }
+        Recursion {
+            transition: block(0, n),
+            input: block(n, inputs),
+            slope,
+        }
     }
 }

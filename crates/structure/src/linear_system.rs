@@ -21,7 +21,10 @@ pub(crate) enum Mass {
     /// A diagonal matrix, by its diagonal.
     Lumped(DVector<f64>),
     /// Any symmetric matrix, with its factor.
-    Consistent { matrix: DMatrix<f64>, factor: SparseCholesky },
+    Consistent {
+        matrix: DMatrix<f64>,
+        factor: SparseCholesky,
+    },
 }
 
 impl Mass {
@@ -65,16 +68,26 @@ pub(crate) enum Damping {
 
 impl Damping {
     /// None yet: the file says it in a table of its own.
-    pub(crate) const NONE: Self = Self::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 };
+    pub(crate) const NONE: Self = Self::Rayleigh {
+        alpha_per_s: 0.0,
+        beta_s: 0.0,
+    };
 
     /// Returns the same damping, `factor` times as strong.
     pub(crate) fn times(&self, factor: f64) -> Self {
         match self {
-            Self::Rayleigh { alpha_per_s, beta_s } => {
-                Self::Rayleigh { alpha_per_s: factor * alpha_per_s, beta_s: factor * beta_s }
-            }
+            Self::Rayleigh {
+                alpha_per_s,
+                beta_s,
+            } => Self::Rayleigh {
+                alpha_per_s: factor * alpha_per_s,
+                beta_s: factor * beta_s,
+            },
             Self::Dashpots(parts) => {
-                let scale = |part: &Substructure| Substructure { stiffness: &part.stiffness * factor, ..part.clone() };
+                let scale = |part: &Substructure| Substructure {
+                    stiffness: &part.stiffness * factor,
+                    ..part.clone()
+                };
                 Self::Dashpots(parts.iter().map(scale).collect())
             }
             Self::Matrix(matrix) => Self::Matrix(matrix * factor),
@@ -85,7 +98,9 @@ impl Damping {
     pub(crate) fn matrix(&self, len: usize) -> Option<DMatrix<f64>> {
         match self {
             Self::Rayleigh { .. } => None,
-            Self::Dashpots(dashpots) => Some(sum(len, dashpots.iter().map(|part| (&part.stiffness, 1.0)))),
+            Self::Dashpots(dashpots) => {
+                Some(sum(len, dashpots.iter().map(|part| (&part.stiffness, 1.0))))
+            }
             Self::Matrix(matrix) => Some(dense(matrix)),
         }
     }

@@ -21,7 +21,10 @@ pub(crate) struct Unusable {
 
 impl Unusable {
     pub(crate) fn new(found: impl Into<String>, allowed: impl Into<String>) -> Self {
-        Self { found: found.into(), allowed: allowed.into() }
+        Self {
+            found: found.into(),
+            allowed: allowed.into(),
+        }
     }
 }
 
@@ -34,14 +37,22 @@ pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
     // the reader refuses a last line without a line break and lines ending in CR LF
     let text = text.replace("\r\n", "\n");
     check_sizes(&text).map_err(|found| Unusable::new(format!("{shown} {found}"), SIZE_RULE))?;
-    let entries: CooMatrix<f64> = load_coo_from_matrix_market_str(text.trim_end()).map_err(|error| {
-        let message = error.message().lines().collect::<Vec<_>>().join(" ");
-        Unusable::new(format!("{shown} is not readable ({message})"), allowed)
-    })?;
+    let entries: CooMatrix<f64> =
+        load_coo_from_matrix_market_str(text.trim_end()).map_err(|error| {
+            let message = error.message().lines().collect::<Vec<_>>().join(" ");
+            Unusable::new(format!("{shown} is not readable ({message})"), allowed)
+        })?;
     let matrix = CsrMatrix::from(&entries);
-    match matrix.triplet_iter().find(|(_, _, value)| !value.is_finite()) {
+    match matrix
+        .triplet_iter()
+        .find(|(_, _, value)| !value.is_finite())
+    {
         Some((row, column, value)) => Err(Unusable::new(
-            format!("{shown} has {value} at row {}, column {}", row + 1, column + 1),
+            format!(
+                "{shown} has {value} at row {}, column {}",
+                row + 1,
+                column + 1
+            ),
             "must hold finite numbers",
         )),
         None => Ok(matrix),
@@ -53,8 +64,13 @@ const SIZE_RULE: &str = "must have at most 1000 degrees of freedom (reduce the m
 
 /// Checks the numbers that count something, because the reader takes any for granted.
 fn check_sizes(text: &str) -> Result<(), String> {
-    let is_coordinate = text.lines().next().is_some_and(|header| header.to_ascii_lowercase().contains("coordinate"));
-    let lines = text.lines().filter(|line| !line.starts_with('%') && !line.trim().is_empty());
+    let is_coordinate = text
+        .lines()
+        .next()
+        .is_some_and(|header| header.to_ascii_lowercase().contains("coordinate"));
+    let lines = text
+        .lines()
+        .filter(|line| !line.starts_with('%') && !line.trim().is_empty());
     for (number, line) in lines.enumerate() {
         let (shape, indices) = (number == 0, is_coordinate);
         let counting = if shape {
@@ -65,7 +81,11 @@ fn check_sizes(text: &str) -> Result<(), String> {
             0
         };
         for (place, word) in line.split_whitespace().take(counting).enumerate() {
-            let largest = if place == 2 { LARGEST_MODEL * LARGEST_MODEL } else { LARGEST_MODEL };
+            let largest = if place == 2 {
+                LARGEST_MODEL * LARGEST_MODEL
+            } else {
+                LARGEST_MODEL
+            };
             let counts = !word.is_empty() && word.bytes().all(|digit| digit.is_ascii_digit());
             if counts && !word.parse::<usize>().is_ok_and(|count| count <= largest) {
                 return Err(format!("has {word} in {line:?}"));
@@ -83,12 +103,19 @@ pub(crate) fn read_symmetric(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
         let found = format!("{shown} is {} × {}", matrix.nrows(), matrix.ncols());
         return Err(Unusable::new(found, "must be square"));
     }
-    let largest = matrix.values().iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let largest = matrix
+        .values()
+        .iter()
+        .fold(0.0_f64, |largest, value| largest.max(value.abs()));
     let transposed = matrix.transpose();
     let difference = &matrix - &transposed;
     for (row, column, value) in difference.triplet_iter() {
         if value.abs() > SYMMETRY_TOLERANCE * largest {
-            let entry = |row, column| matrix.get_entry(row, column).map_or(0.0, |entry| entry.into_value());
+            let entry = |row, column| {
+                matrix
+                    .get_entry(row, column)
+                    .map_or(0.0, |entry| entry.into_value())
+            };
             let found = format!(
                 "{shown} has {} at row {}, column {} but {} at row {}, column {}",
                 entry(row, column),
@@ -107,7 +134,9 @@ pub(crate) fn read_symmetric(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
 /// Checks that a symmetric matrix has no negative eigenvalue.
 pub(crate) fn check_semidefinite(matrix: &DMatrix<f64>) -> Result<(), Unusable> {
     let eigenvalues = matrix.symmetric_eigenvalues();
-    let largest = eigenvalues.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let largest = eigenvalues
+        .iter()
+        .fold(0.0_f64, |largest, value| largest.max(value.abs()));
     let smallest = eigenvalues.min();
     if smallest < -ZERO_EIGENVALUE * largest {
         return Err(Unusable::new(

@@ -64,7 +64,11 @@ pub(crate) struct Mesh {
 impl Mesh {
     /// Returns the number of degrees of freedom that are not fixed.
     pub(crate) fn free_len(&self) -> usize {
-        self.nodes.iter().flat_map(|node| &node.fixed).filter(|fixed| !**fixed).count()
+        self.nodes
+            .iter()
+            .flat_map(|node| &node.fixed)
+            .filter(|fixed| !**fixed)
+            .count()
     }
 
     /// Puts the members together, with `element` for the matrices of one along a vector (m) from end to end.
@@ -75,8 +79,11 @@ impl Mesh {
         element: impl Fn(&MemberSection, Vector3<f64>, MassForm) -> ElementMatrices,
     ) -> Option<LinearSystem> {
         let names = self.nodes.iter().map(|node| node.name.as_str());
-        let freedoms = Freedoms::new(names, self.directions, |node, direction| self.nodes[node].fixed[direction]);
-        let mut elements = FiniteElements::new(freedoms, self.groups.iter().map(|group| group.name.clone()));
+        let freedoms = Freedoms::new(names, self.directions, |node, direction| {
+            self.nodes[node].fixed[direction]
+        });
+        let mut elements =
+            FiniteElements::new(freedoms, self.groups.iter().map(|group| group.name.clone()));
         for (part, group) in self.groups.iter().enumerate() {
             for &[from, to] in &group.members {
                 let along = self.nodes[to].at - self.nodes[from].at;
@@ -86,6 +93,9 @@ impl Mesh {
             }
         }
         let system = elements.finish()?;
-        Some(LinearSystem { skeleton: Some(Skeleton::of_mesh(self)), ..system })
+        Some(LinearSystem {
+            skeleton: Some(Skeleton::of_mesh(self)),
+            ..system
+        })
     }
 }

@@ -91,8 +91,10 @@ impl Structure {
 impl StructureModel {
     fn new(structure: &Structure) -> Self {
         let fixed = Fixed::new(structure);
-        let responses: Vec<Response> =
-            structure.observations().map(|channel| Response::new(channel, &fixed, &structure.system.mass)).collect();
+        let responses: Vec<Response> = structure
+            .observations()
+            .map(|channel| Response::new(channel, &fixed, &structure.system.mass))
+            .collect();
         let inputs = structure.excitation_channels.len();
         let point = Point::new(&fixed, inputs);
         let feedthrough = DMatrix::zeros(responses.len(), inputs);
@@ -123,7 +125,10 @@ impl Fixed {
         let system = &structure.system;
         let len = system.len();
         let (alpha_per_s, beta_s) = match &system.damping {
-            Damping::Rayleigh { alpha_per_s, beta_s } => (*alpha_per_s, *beta_s),
+            Damping::Rayleigh {
+                alpha_per_s,
+                beta_s,
+            } => (*alpha_per_s, *beta_s),
             Damping::Dashpots(_) | Damping::Matrix(_) => (0.0, 0.0),
         };
         let (mass_factor, reciprocal_masses) = match &system.mass {
@@ -152,10 +157,12 @@ impl Fixed {
         }
         let assembly = Assembly::new(system, &structure.parameters);
         let reach = |(index, parameter): (usize, &Parameter)| match &parameter.scales {
-            Scales::Stiffness(_) if mass_factor.is_none() => assembly.stiffness().scaled_rows(index),
-            Scales::Dashpots(_) if mass_factor.is_none() => {
-                assembly.damping().map_or(0..0, |damping| damping.scaled_rows(index))
+            Scales::Stiffness(_) if mass_factor.is_none() => {
+                assembly.stiffness().scaled_rows(index)
             }
+            Scales::Dashpots(_) if mass_factor.is_none() => assembly
+                .damping()
+                .map_or(0..0, |damping| damping.scaled_rows(index)),
             Scales::Hysteresis(_) => 0..0, // moves the rate of r only
             Scales::Mass(dofs) => {
                 let first = dofs.iter().min().map_or(0, |first| *first);
@@ -187,11 +194,19 @@ impl Fixed {
 impl RateBounds {
     fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
         // ω² of a pencil whose mass is positive definite, checked when the file was read
-        let largest = |matrix| Modes::new(system.mass.to_dense(), matrix).map_or(0.0, |modes| modes.highest().powi(2));
-        let scaled =
-            |part| parameters.iter().any(|p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)));
-        let damped =
-            |part| parameters.iter().any(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)));
+        let largest = |matrix| {
+            Modes::new(system.mass.to_dense(), matrix).map_or(0.0, |modes| modes.highest().powi(2))
+        };
+        let scaled = |part| {
+            parameters
+                .iter()
+                .any(|p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)))
+        };
+        let damped = |part| {
+            parameters
+                .iter()
+                .any(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)))
+        };
         Self {
             stiffness: largest(system.nominal_stiffness() / system.initial_slope()),
             damping: system.damping.matrix(system.len()).map_or(0.0, largest),
@@ -243,7 +258,8 @@ impl ProcessModel for StructureModel {
         out.fill(0.0);
         for input in 0..self.excitation_len() {
             for dof in 0..free {
-                out[(free + dof, input)] = self.process.mass_factors_inverse[dof] * self.fixed.forces[(dof, input)]
+                out[(free + dof, input)] = self.process.mass_factors_inverse[dof]
+                    * self.fixed.forces[(dof, input)]
                     + self.fixed.grounds[(dof, input)];
             }
         }
@@ -261,7 +277,9 @@ impl ProcessModel for StructureModel {
         let (alpha, beta) = (self.process.alpha_per_s.abs(), self.process.beta_s.abs());
         let c = alpha + beta * k + given;
         if self.fixed.hysteresis.is_some() {
-            let largest = |slope: fn(&Slopes) -> f64| self.process.slopes.iter().map(slope).fold(0.0, f64::max);
+            let largest = |slope: fn(&Slopes) -> f64| {
+                self.process.slopes.iter().map(slope).fold(0.0, f64::max)
+            };
             let by_displacement = largest(|slopes| slopes.by_displacement.abs());
             let by_velocity = largest(|slopes| slopes.by_velocity.abs());
             return by_displacement.max(c) + (by_velocity * k).sqrt();
@@ -270,19 +288,28 @@ impl ProcessModel for StructureModel {
             return k.sqrt().max(c);
         }
         let discriminant = c * c - 4.0 * k;
-        if discriminant > 0.0 { alpha.max((c + discriminant.sqrt()) / 2.0) } else { alpha.max(k.sqrt()) }
+        if discriminant > 0.0 {
+            alpha.max((c + discriminant.sqrt()) / 2.0)
+        } else {
+            alpha.max(k.sqrt())
+        }
     }
 
     fn proportional_form(&self) -> Option<ProportionalForm<'_>> {
-        self.stiffness_by_mass.as_ref().map(|StiffnessByMass { matrix, half_bandwidth }| ProportionalForm {
-            stiffness: matrix,
-            stiffness_bound: self.largest_quotients().0,
-            half_bandwidth: *half_bandwidth,
-            alpha_per_s: self.process.alpha_per_s,
-            beta_s: self.process.beta_s,
-            acceleration_by_theta: &self.process.acceleration_by_theta,
-            reach: &self.fixed.reach,
-        })
+        self.stiffness_by_mass.as_ref().map(
+            |StiffnessByMass {
+                 matrix,
+                 half_bandwidth,
+             }| ProportionalForm {
+                stiffness: matrix,
+                stiffness_bound: self.largest_quotients().0,
+                half_bandwidth: *half_bandwidth,
+                alpha_per_s: self.process.alpha_per_s,
+                beta_s: self.process.beta_s,
+                acceleration_by_theta: &self.process.acceleration_by_theta,
+                reach: &self.fixed.reach,
+            },
+        )
     }
 
     /// A linear structure without parameters never changes: its filter is the Kalman filter.
@@ -304,7 +331,8 @@ impl StructureModel {
     fn is_densely_faster(&self, step_s: f64) -> bool {
         let (n, inputs) = (self.state_len(), self.excitation_len());
         let Series { substeps, order } = Series::choose(self.rate_bound(), step_s);
-        let series = LOOKING_UP * substeps * order * (2 * self.fixed.assembly.entry_count() + 4 * n);
+        let series =
+            LOOKING_UP * substeps * order * (2 * self.fixed.assembly.entry_count() + 4 * n);
         n * n <= series + n * inputs * inputs // of each column; the last for B Σ_f Bᵀ
     }
 
@@ -315,7 +343,12 @@ impl StructureModel {
 
     /// Returns bounds of the Rayleigh quotients of `M⁻¹ K` of the springs (1/s²) and of `M⁻¹ C` but for `α` and `β` (1/s).
     fn largest_quotients(&self) -> (f64, f64) {
-        let RateBounds { stiffness, damping, has_fixed_stiffness, has_fixed_damping } = &self.fixed.bounds;
+        let RateBounds {
+            stiffness,
+            damping,
+            has_fixed_stiffness,
+            has_fixed_damping,
+        } = &self.fixed.bounds;
         let floor = |is_there: bool| if is_there { 1.0 } else { 0.0 };
         let mut largest_stiffness: f64 = floor(*has_fixed_stiffness);
         let mut largest_damping: f64 = floor(*has_fixed_damping);
@@ -325,10 +358,16 @@ impl StructureModel {
                 Scales::Stiffness(_) => largest_stiffness = theta.abs().max(largest_stiffness),
                 Scales::Dashpots(_) => largest_damping = theta.abs().max(largest_damping),
                 Scales::Mass(_) => smallest_mass = smallest_mass.min(theta.abs()),
-                Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta | Scales::Hysteresis(_) => {}
+                Scales::Damping
+                | Scales::DampingAlpha
+                | Scales::DampingBeta
+                | Scales::Hysteresis(_) => {}
             }
         }
-        (stiffness * largest_stiffness / smallest_mass, damping * largest_damping / smallest_mass)
+        (
+            stiffness * largest_stiffness / smallest_mass,
+            damping * largest_damping / smallest_mass,
+        )
     }
 }
 
@@ -346,7 +385,8 @@ impl ObservationModel for StructureModel {
         for (row, response) in self.responses.iter_mut().enumerate() {
             response.linearise(&self.fixed, &self.observation);
             for input in 0..self.feedthrough.ncols() {
-                self.feedthrough[(row, input)] = response.direct_effect(&self.fixed, &self.observation, input);
+                self.feedthrough[(row, input)] =
+                    response.direct_effect(&self.fixed, &self.observation, input);
             }
         }
     }
@@ -363,7 +403,11 @@ impl ObservationModel for StructureModel {
         if rows == 0 {
             return; // a node that measures nothing but the excitation
         }
-        for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(rows)) {
+        for (column, out) in columns
+            .as_slice()
+            .chunks_exact(len)
+            .zip(out.as_mut_slice().chunks_exact_mut(rows))
+        {
             for (entry, response) in out.iter_mut().zip(&self.responses) {
                 *entry = response.jacobian_dot(free, column);
             }
@@ -373,7 +417,11 @@ impl ObservationModel for StructureModel {
     fn observation_matrix(&self, transposed: &mut DMatrix<f64>) -> bool {
         let (len, free) = (self.state_len(), self.fixed.assembly.len());
         transposed.as_mut_slice().fill(0.0);
-        for (column, response) in transposed.as_mut_slice().chunks_exact_mut(len).zip(&self.responses) {
+        for (column, response) in transposed
+            .as_mut_slice()
+            .chunks_exact_mut(len)
+            .zip(&self.responses)
+        {
             response.add_row_to(free, column);
         }
         true

@@ -30,8 +30,14 @@ impl Modes {
         order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
         let mut shapes = eigen.eigenvectors.select_columns(&order);
         l.tr_solve_lower_triangular_mut(&mut shapes);
-        let angular_frequencies = order.iter().map(|mode| eigen.eigenvalues[*mode].max(0.0).sqrt()).collect();
-        Some(Self { angular_frequencies, shapes })
+        let angular_frequencies = order
+            .iter()
+            .map(|mode| eigen.eigenvalues[*mode].max(0.0).sqrt())
+            .collect();
+        Some(Self {
+            angular_frequencies,
+            shapes,
+        })
     }
 
     /// Solves for the modes of `system` with each substructure scaled by its entry of `factors`.
@@ -57,7 +63,13 @@ impl Modes {
         let matrix = system.damping.matrix(system.len());
         let ratio = |(mode, omega): (usize, &f64)| {
             let modal = match (&system.damping, &matrix) {
-                (Damping::Rayleigh { alpha_per_s, beta_s }, _) => {
+                (
+                    Damping::Rayleigh {
+                        alpha_per_s,
+                        beta_s,
+                    },
+                    _,
+                ) => {
                     alpha_per_s + beta_s * omega * omega / system.initial_slope() // β K is that of the springs
                 }
                 (_, Some(matrix)) => self.quadratic(mode, matrix),
@@ -65,6 +77,10 @@ impl Modes {
             };
             modal / (2.0 * omega)
         };
-        self.angular_frequencies.iter().enumerate().map(ratio).collect()
+        self.angular_frequencies
+            .iter()
+            .enumerate()
+            .map(ratio)
+            .collect()
     }
 }

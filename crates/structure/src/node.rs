@@ -66,7 +66,14 @@ impl Quantity {
             | Self::RestoringAcceleration
             | Self::GroundAcceleration => {
                 // standard gravity, exact by definition; 1 Gal = 1 cm/s²
-                &[("m/s2", 1.0), ("g", 9.806_65), ("mg", 9.806_65e-3), ("cm/s2", 0.01), ("gal", 0.01), ("mm/s2", 1e-3)]
+                &[
+                    ("m/s2", 1.0),
+                    ("g", 9.806_65),
+                    ("mg", 9.806_65e-3),
+                    ("cm/s2", 0.01),
+                    ("gal", 0.01),
+                    ("mm/s2", 1e-3),
+                ]
             }
             Self::Force => &[("N", 1.0), ("kN", 1e3), ("MN", 1e6)],
             Self::Velocity => &[("m/s", 1.0), ("cm/s", 0.01), ("mm/s", 1e-3)],
@@ -101,7 +108,10 @@ impl Quantity {
 
 impl fmt::Display for Quantity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = Self::WORDS.iter().find(|(_, quantity)| quantity == self).map_or("", |(word, _)| word);
+        let word = Self::WORDS
+            .iter()
+            .find(|(_, quantity)| quantity == self)
+            .map_or("", |(word, _)| word);
         f.write_str(word)
     }
 }

@@ -27,14 +27,18 @@ impl Structure {
             });
             excitation.std *= (sampling_rate_hz / self.sampling_rate_hz).sqrt();
         }
-        let rows: Vec<usize> =
-            (0..self.observation_channels.len()).filter(|row| own.contains(&self.observation_channels[*row])).collect();
+        let rows: Vec<usize> = (0..self.observation_channels.len())
+            .filter(|row| own.contains(&self.observation_channels[*row]))
+            .collect();
         let level = |level: &NoiseLevel| {
             let mut level = level.clone();
             match &mut level.source {
                 NoiseSource::Excitation(index) => level.std = excitations[*index].unknown_std(),
                 NoiseSource::Sensors(of_group) => {
-                    *of_group = of_group.iter().filter_map(|row| rows.iter().position(|own| own == row)).collect();
+                    *of_group = of_group
+                        .iter()
+                        .filter_map(|row| rows.iter().position(|own| own == row))
+                        .collect();
                     if of_group.is_empty() {
                         return None;
                     }
@@ -47,17 +51,28 @@ impl Structure {
         simulation.clock_offsets_s = vec![self.simulation.clock_offsets_s[position]];
         simulation.clock_drifts_ppm = vec![self.simulation.clock_drifts_ppm[position]];
         simulation.faults.retain(|fault| fault.node == position);
-        simulation.faults.iter_mut().for_each(|fault| fault.node = 0);
+        simulation
+            .faults
+            .iter_mut()
+            .for_each(|fault| fault.node = 0);
         simulation.levels.clear(); // they are numbered as in the whole structure, which is what is simulated
         Some(Self {
             sampling_rate_hz,
             excitation_channels: excitations
                 .iter()
-                .flat_map(|excitation| std::iter::repeat_n(excitation.channel(), excitation.component_len()))
+                .flat_map(|excitation| {
+                    std::iter::repeat_n(excitation.channel(), excitation.component_len())
+                })
                 .collect(),
-            observation_channels: rows.iter().map(|row| self.observation_channels[*row] - first).collect(),
+            observation_channels: rows
+                .iter()
+                .map(|row| self.observation_channels[*row] - first)
+                .collect(),
             excitations,
-            nodes: vec![Node { sampling_rate_hz: None, ..node }],
+            nodes: vec![Node {
+                sampling_rate_hz: None,
+                ..node
+            }],
             noise_levels,
             classes: None,
             fusion: None,
@@ -95,21 +110,30 @@ impl Structure {
     pub(crate) fn observations_by_node(&self) -> Vec<usize> {
         let of = |position| {
             let own = self.channels_of(position);
-            self.observation_channels.iter().filter(|channel| own.contains(channel)).count()
+            self.observation_channels
+                .iter()
+                .filter(|channel| own.contains(channel))
+                .count()
         };
         (0..self.nodes.len()).map(of).collect()
     }
 
     /// Returns the exponents of the units in which nodes tell their samples, by observation.
     pub(crate) fn sample_units(&self) -> Vec<i16> {
-        let channels: Vec<&crate::Channel> = self.nodes.iter().flat_map(|node| node.channels()).collect();
-        let exponent = |channel: &usize| spandrel_filter::fusion::unit_exponent(channels[*channel].noise_std());
+        let channels: Vec<&crate::Channel> =
+            self.nodes.iter().flat_map(|node| node.channels()).collect();
+        let exponent = |channel: &usize| {
+            spandrel_filter::fusion::unit_exponent(channels[*channel].noise_std())
+        };
         self.observation_channels.iter().map(exponent).collect()
     }
 
     /// Returns the numbers of the channels of a node, in the whole structure.
     fn channels_of(&self, position: usize) -> std::ops::Range<usize> {
-        let first: usize = self.nodes[..position].iter().map(|node| node.channels().len()).sum();
+        let first: usize = self.nodes[..position]
+            .iter()
+            .map(|node| node.channels().len())
+            .sum();
         first..first + self.nodes[position].channels().len()
     }
 }
@@ -128,20 +152,33 @@ mod tests {
     fn a_node_sees_its_own_channels_and_no_excitation_of_others() {
         let floor = demo().of_node("floor-3").unwrap();
         assert_eq!(floor.channel_count(), 1);
-        assert_eq!((floor.observation_channels(), floor.excitation_channels()), (&[0][..], &[None][..]));
-        let names: Vec<&str> = floor.noise_levels().iter().map(|level| level.name()).collect();
+        assert_eq!(
+            (floor.observation_channels(), floor.excitation_channels()),
+            (&[0][..], &[None][..])
+        );
+        let names: Vec<&str> = floor
+            .noise_levels()
+            .iter()
+            .map(|level| level.name())
+            .collect();
         assert_eq!(names, ["ground", "floors"]);
         // the ground motion itself, no longer the noise of the sensor at the ground
         assert_eq!(floor.noise_levels()[0].std(), 0.1);
         let model = floor.model();
-        assert_eq!(spandrel_filter::ObservationModel::observation_len(&model), 1);
+        assert_eq!(
+            spandrel_filter::ObservationModel::observation_len(&model),
+            1
+        );
         assert!(demo().of_node("floor-9").is_none());
     }
 
     #[test]
     fn a_node_that_measures_the_excitation_knows_it() {
         let ground = demo().of_node("ground").unwrap();
-        assert_eq!((ground.observation_channels(), ground.excitation_channels()), (&[][..], &[Some(0)][..]));
+        assert_eq!(
+            (ground.observation_channels(), ground.excitation_channels()),
+            (&[][..], &[Some(0)][..])
+        );
         assert_eq!(ground.noise_levels()[0].std(), 0.005);
     }
 

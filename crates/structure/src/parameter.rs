@@ -59,7 +59,10 @@ impl Parameter {
     /// Tells whether the parameter scales damping.
     #[must_use]
     pub fn is_damping(&self) -> bool {
-        matches!(self.scales, Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta | Scales::Dashpots(_))
+        matches!(
+            self.scales,
+            Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta | Scales::Dashpots(_)
+        )
     }
 
     /// Tells whether the parameter scales a stiffness, so that `1 − θ` is a loss of stiffness.

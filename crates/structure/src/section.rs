@@ -17,24 +17,57 @@ pub(crate) struct Allowed {
 }
 
 impl Allowed {
-    pub(crate) const ANY: Self = Self { low: Bound::Unbounded, high: Bound::Unbounded };
-    pub(crate) const POSITIVE: Self = Self { low: Bound::Excluded(0.0), high: Bound::Unbounded };
-    pub(crate) const NOT_NEGATIVE: Self = Self { low: Bound::Included(0.0), high: Bound::Unbounded };
-    pub(crate) const FROM_ONE: Self = Self { low: Bound::Included(1.0), high: Bound::Unbounded };
+    pub(crate) const ANY: Self = Self {
+        low: Bound::Unbounded,
+        high: Bound::Unbounded,
+    };
+    pub(crate) const POSITIVE: Self = Self {
+        low: Bound::Excluded(0.0),
+        high: Bound::Unbounded,
+    };
+    pub(crate) const NOT_NEGATIVE: Self = Self {
+        low: Bound::Included(0.0),
+        high: Bound::Unbounded,
+    };
+    pub(crate) const FROM_ONE: Self = Self {
+        low: Bound::Included(1.0),
+        high: Bound::Unbounded,
+    };
     /// Factors by which a level may be off.
-    pub(crate) const FACTOR: Self = Self { low: Bound::Included(1.0), high: Bound::Included(1000.0) };
+    pub(crate) const FACTOR: Self = Self {
+        low: Bound::Included(1.0),
+        high: Bound::Included(1000.0),
+    };
     /// Above 0 and below 1.
-    pub(crate) const INSIDE_UNIT: Self = Self { low: Bound::Excluded(0.0), high: Bound::Excluded(1.0) };
+    pub(crate) const INSIDE_UNIT: Self = Self {
+        low: Bound::Excluded(0.0),
+        high: Bound::Excluded(1.0),
+    };
     /// Rates of frames (Hz): what the bus carries, and no faster than structures can move.
-    pub(crate) const RATE: Self = Self { low: Bound::Included(1e-3), high: Bound::Included(20_000.0) };
+    pub(crate) const RATE: Self = Self {
+        low: Bound::Included(1e-3),
+        high: Bound::Included(20_000.0),
+    };
     /// Standard deviations whose squares, sums and ratios are all numbers.
-    pub(crate) const DEVIATION: Self = Self { low: Bound::Included(1e-30), high: Bound::Included(1e30) };
+    pub(crate) const DEVIATION: Self = Self {
+        low: Bound::Included(1e-30),
+        high: Bound::Included(1e30),
+    };
     /// Standard deviations of ratios.
-    pub(crate) const RATIO_DEVIATION: Self = Self { low: Bound::Included(1e-9), high: Bound::Included(1e6) };
+    pub(crate) const RATIO_DEVIATION: Self = Self {
+        low: Bound::Included(1e-9),
+        high: Bound::Included(1e6),
+    };
     /// How far the rate of a clock may be off (parts per million): a hundred times what crystals are.
-    pub(crate) const DRIFT: Self = Self { low: Bound::Included(-10_000.0), high: Bound::Included(10_000.0) };
+    pub(crate) const DRIFT: Self = Self {
+        low: Bound::Included(-10_000.0),
+        high: Bound::Included(10_000.0),
+    };
     /// From 0, below 1.
-    pub(crate) const SHARE: Self = Self { low: Bound::Included(0.0), high: Bound::Excluded(1.0) };
+    pub(crate) const SHARE: Self = Self {
+        low: Bound::Included(0.0),
+        high: Bound::Excluded(1.0),
+    };
 
     fn contains(self, value: f64) -> bool {
         value.is_finite() && std::ops::RangeBounds::contains(&(self.low, self.high), &value)
@@ -44,7 +77,11 @@ impl Allowed {
 /// Writes a bound with an exponent where zeros would have to be counted.
 pub(crate) fn short(bound: f64) -> String {
     let plain = bound == 0.0 || (1e-3..1e6).contains(&bound.abs());
-    if plain { bound.to_string() } else { format!("{bound:e}") }
+    if plain {
+        bound.to_string()
+    } else {
+        format!("{bound:e}")
+    }
 }
 
 impl fmt::Display for Allowed {
@@ -91,7 +128,13 @@ impl<'t> Section<'t> {
         span: Range<usize>,
         diagnostics: &'t Diagnostics<'t>,
     ) -> Self {
-        Self { table, name: name.into(), span, known: Vec::new(), diagnostics }
+        Self {
+            table,
+            name: name.into(),
+            span,
+            known: Vec::new(),
+            diagnostics,
+        }
     }
 
     /// Returns where the table begins.
@@ -101,7 +144,11 @@ impl<'t> Section<'t> {
 
     /// Returns `table.key`, as messages show it.
     pub(crate) fn key(&self, key: &str) -> String {
-        if self.name.is_empty() { key.to_owned() } else { format!("{}.{key}", self.name) }
+        if self.name.is_empty() {
+            key.to_owned()
+        } else {
+            format!("{}.{key}", self.name)
+        }
     }
 
     pub(crate) fn diagnostics(&self) -> &'t Diagnostics<'t> {
@@ -114,13 +161,25 @@ impl<'t> Section<'t> {
 
     /// Returns where the value of a key stands; where the table begins, if it has none.
     pub(crate) fn span_of(&self, key: &str) -> Range<usize> {
-        self.table.get(key).map_or_else(|| self.span(), Spanned::span)
+        self.table
+            .get(key)
+            .map_or_else(|| self.span(), Spanned::span)
     }
 
     /// Reports that `key` is missing, unless it is there (a value that was wrong has been reported already).
-    pub(crate) fn require<T>(&self, key: &str, allowed: impl fmt::Display, value: Option<T>) -> Option<T> {
+    pub(crate) fn require<T>(
+        &self,
+        key: &str,
+        allowed: impl fmt::Display,
+        value: Option<T>,
+    ) -> Option<T> {
         if !self.contains(key) {
-            self.diagnostics.report(self.span(), self.key(key), "is missing", allowed.to_string());
+            self.diagnostics.report(
+                self.span(),
+                self.key(key),
+                "is missing",
+                allowed.to_string(),
+            );
         }
         value
     }
@@ -135,14 +194,29 @@ impl<'t> Section<'t> {
         for (key, _) in self.table {
             if !self.known.contains(&key.get_ref().as_ref()) {
                 let hint = one_of(key.get_ref(), self.known.iter().copied());
-                self.diagnostics.report(key.span(), self.key(key.get_ref()), "is not a known key", hint);
+                self.diagnostics.report(
+                    key.span(),
+                    self.key(key.get_ref()),
+                    "is not a known key",
+                    hint,
+                );
             }
         }
     }
 
     /// Reports a value that is not what its key allows.
-    pub(crate) fn refuse(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: impl fmt::Display) {
-        self.diagnostics.report(value.span(), self.key(key), describe(value.get_ref()), allowed.to_string());
+    pub(crate) fn refuse(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'t>>,
+        allowed: impl fmt::Display,
+    ) {
+        self.diagnostics.report(
+            value.span(),
+            self.key(key),
+            describe(value.get_ref()),
+            allowed.to_string(),
+        );
     }
 
     fn value(&mut self, key: &'static str) -> Option<&'t Spanned<DeValue<'t>>> {
@@ -157,18 +231,27 @@ impl<'t> Section<'t> {
     }
 
     /// Reads a number that must be there.
-    pub(crate) fn required_number(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<f64>> {
+    pub(crate) fn required_number(
+        &mut self,
+        key: &'static str,
+        allowed: Allowed,
+    ) -> Option<Spanned<f64>> {
         let value = self.number(key, allowed);
         self.require(key, allowed, value)
     }
 
     /// Reads a number, or takes the default of the key.
     pub(crate) fn number_or(&mut self, key: &'static str, allowed: Allowed, default: f64) -> f64 {
-        self.number(key, allowed).map_or(default, Spanned::into_inner)
+        self.number(key, allowed)
+            .map_or(default, Spanned::into_inner)
     }
 
     /// Reads a list of numbers.
-    pub(crate) fn numbers(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
+    pub(crate) fn numbers(
+        &mut self,
+        key: &'static str,
+        allowed: Allowed,
+    ) -> Option<Spanned<Vec<f64>>> {
         let value = self.value(key)?;
         self.check_numbers(key, value, allowed)
     }
@@ -184,28 +267,57 @@ impl<'t> Section<'t> {
         self.check_numbers(&format!("{key}.{}", name.get_ref()), value, allowed)
     }
 
-    fn check_numbers(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
+    fn check_numbers(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'t>>,
+        allowed: Allowed,
+    ) -> Option<Spanned<Vec<f64>>> {
         let Some(entries) = value.get_ref().as_array() else {
             self.refuse(key, value, "must be a list of numbers");
             return None;
         };
-        let numbers: Vec<_> = entries.iter().map(|entry| self.check_number(key, entry, allowed)).collect();
-        let numbers: Option<Vec<f64>> = numbers.into_iter().map(|n| n.map(Spanned::into_inner)).collect();
+        let numbers: Vec<_> = entries
+            .iter()
+            .map(|entry| self.check_number(key, entry, allowed))
+            .collect();
+        let numbers: Option<Vec<f64>> = numbers
+            .into_iter()
+            .map(|n| n.map(Spanned::into_inner))
+            .collect();
         numbers.map(|numbers| Spanned::new(value.span(), numbers))
     }
 
     /// Reads a number, which then holds for each of `len` entries, or a list of as many.
-    pub(crate) fn number_for_each(&mut self, key: &'static str, allowed: Allowed, len: usize) -> Option<Vec<f64>> {
-        if self.table.get(key).is_some_and(|value| value.get_ref().is_array()) {
+    pub(crate) fn number_for_each(
+        &mut self,
+        key: &'static str,
+        allowed: Allowed,
+        len: usize,
+    ) -> Option<Vec<f64>> {
+        if self
+            .table
+            .get(key)
+            .is_some_and(|value| value.get_ref().is_array())
+        {
             let numbers = self.numbers(key, allowed)?;
             if numbers.get_ref().len() != len {
-                let found = format!("has {}", counted(numbers.get_ref().len(), "entry", "entries"));
-                self.diagnostics.report(numbers.span(), self.key(key), found, format!("must have {len}"));
+                let found = format!(
+                    "has {}",
+                    counted(numbers.get_ref().len(), "entry", "entries")
+                );
+                self.diagnostics.report(
+                    numbers.span(),
+                    self.key(key),
+                    found,
+                    format!("must have {len}"),
+                );
                 return None;
             }
             return Some(numbers.into_inner());
         }
-        self.number(key, allowed).map(|number| vec![number.into_inner(); len])
+        self.number(key, allowed)
+            .map(|number| vec![number.into_inner(); len])
     }
 
     /// Reads a number under a name chosen by the user, an entry of [`Section::entries`].
@@ -216,15 +328,21 @@ impl<'t> Section<'t> {
         value: &Spanned<DeValue<'t>>,
         allowed: Allowed,
     ) -> Option<f64> {
-        self.check_number(&format!("{key}.{}", name.get_ref()), value, allowed).map(Spanned::into_inner)
+        self.check_number(&format!("{key}.{}", name.get_ref()), value, allowed)
+            .map(Spanned::into_inner)
     }
 
-    fn check_number(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: Allowed) -> Option<Spanned<f64>> {
+    fn check_number(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'t>>,
+        allowed: Allowed,
+    ) -> Option<Spanned<f64>> {
         let number = match value.get_ref() {
             DeValue::Float(float) => float.as_str().parse().ok(),
-            DeValue::Integer(integer) => {
-                i64::from_str_radix(integer.as_str(), integer.radix()).ok().map(|whole| whole as f64)
-            }
+            DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix())
+                .ok()
+                .map(|whole| whole as f64),
             _ => None,
         };
         match number {
@@ -237,13 +355,22 @@ impl<'t> Section<'t> {
     }
 
     /// Reads a whole number from `low` up to `high`.
-    pub(crate) fn whole(&mut self, key: &'static str, low: usize, high: usize) -> Option<Spanned<usize>> {
+    pub(crate) fn whole(
+        &mut self,
+        key: &'static str,
+        low: usize,
+        high: usize,
+    ) -> Option<Spanned<usize>> {
         let value = self.value(key)?;
         let whole = whole_number(value.get_ref()).and_then(|whole| usize::try_from(whole).ok());
         match whole {
             Some(whole) if (low..=high).contains(&whole) => Some(Spanned::new(value.span(), whole)),
             _ => {
-                self.refuse(key, value, format!("must be a whole number from {low} to {high}"));
+                self.refuse(
+                    key,
+                    value,
+                    format!("must be a whole number from {low} to {high}"),
+                );
                 None
             }
         }
@@ -303,12 +430,18 @@ impl<'t> Section<'t> {
             self.refuse(key, value, "must be a list of names");
             return None;
         };
-        let names = entries.iter().filter_map(|entry| self.check_name(key, entry)).collect();
+        let names = entries
+            .iter()
+            .filter_map(|entry| self.check_name(key, entry))
+            .collect();
         Some(Spanned::new(value.span(), names))
     }
 
     /// Reads a list of lists of names; the wrong ones are reported and left out.
-    pub(crate) fn name_lists(&mut self, key: &'static str) -> Option<Vec<Spanned<Vec<Spanned<String>>>>> {
+    pub(crate) fn name_lists(
+        &mut self,
+        key: &'static str,
+    ) -> Option<Vec<Spanned<Vec<Spanned<String>>>>> {
         let value = self.value(key)?;
         let allowed = "must be a list of lists of names";
         let Some(lists) = value.get_ref().as_array() else {
@@ -317,7 +450,10 @@ impl<'t> Section<'t> {
         };
         let read = |list: &'t Spanned<DeValue<'t>>| match list.get_ref().as_array() {
             Some(entries) => {
-                let names = entries.iter().filter_map(|entry| self.check_name(key, entry)).collect();
+                let names = entries
+                    .iter()
+                    .filter_map(|entry| self.check_name(key, entry))
+                    .collect();
                 Some(Spanned::new(list.span(), names))
             }
             None => {
@@ -329,9 +465,16 @@ impl<'t> Section<'t> {
     }
 
     /// Reads one of a closed set of words.
-    pub(crate) fn choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
+    pub(crate) fn choice<T: Copy>(
+        &mut self,
+        key: &'static str,
+        choices: &[(&str, T)],
+    ) -> Option<Spanned<T>> {
         let value = self.value(key)?;
-        let chosen = value.get_ref().as_str().and_then(|word| choices.iter().find(|(name, _)| *name == word));
+        let chosen = value
+            .get_ref()
+            .as_str()
+            .and_then(|word| choices.iter().find(|(name, _)| *name == word));
         if chosen.is_none() {
             self.refuse(key, value, choice_rule(choices));
         }
@@ -339,7 +482,11 @@ impl<'t> Section<'t> {
     }
 
     /// Reads one of a closed set of words that must be there.
-    pub(crate) fn required_choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
+    pub(crate) fn required_choice<T: Copy>(
+        &mut self,
+        key: &'static str,
+        choices: &[(&str, T)],
+    ) -> Option<Spanned<T>> {
         let chosen = self.choice(key, choices);
         self.require(key, choice_rule(choices), chosen)
     }
@@ -351,25 +498,37 @@ impl<'t> Section<'t> {
     }
 
     /// Reads a list of numbers from 1 or names; `None` as soon as one is neither.
-    pub(crate) fn numbers_or_names(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+    pub(crate) fn numbers_or_names(
+        &mut self,
+        key: &'static str,
+    ) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
         let value = self.value(key)?;
         self.check_numbers_or_names(key, value, "degree of freedom")
     }
 
     /// Reads a list of nodes by number or name; `None` as soon as one is neither.
-    pub(crate) fn nodes(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+    pub(crate) fn nodes(
+        &mut self,
+        key: &'static str,
+    ) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
         let value = self.value(key)?;
         self.check_numbers_or_names(key, value, "node")
     }
 
     /// Reads a list of lists of nodes; `None` as soon as one is none.
-    pub(crate) fn paths(&mut self, key: &'static str) -> Option<Vec<Spanned<Vec<Spanned<NumberOrName>>>>> {
+    pub(crate) fn paths(
+        &mut self,
+        key: &'static str,
+    ) -> Option<Vec<Spanned<Vec<Spanned<NumberOrName>>>>> {
         let value = self.value(key)?;
         let Some(entries) = value.get_ref().as_array() else {
             self.refuse(key, value, "must be a list of lists of nodes");
             return None;
         };
-        let all: Vec<_> = entries.iter().map(|entry| self.check_numbers_or_names(key, entry, "node")).collect();
+        let all: Vec<_> = entries
+            .iter()
+            .map(|entry| self.check_numbers_or_names(key, entry, "node"))
+            .collect();
         all.into_iter().collect()
     }
 
@@ -380,26 +539,47 @@ impl<'t> Section<'t> {
         of: &str,
     ) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
         let Some(entries) = value.get_ref().as_array() else {
-            self.refuse(key, value, format!("must be a list, each the number or the name of a {of}"));
+            self.refuse(
+                key,
+                value,
+                format!("must be a list, each the number or the name of a {of}"),
+            );
             return None;
         };
-        let all: Vec<_> = entries.iter().map(|entry| self.check_number_or_name(key, entry, of)).collect();
+        let all: Vec<_> = entries
+            .iter()
+            .map(|entry| self.check_number_or_name(key, entry, of))
+            .collect();
         let all: Option<Vec<_>> = all.into_iter().collect();
         all.map(|all| Spanned::new(value.span(), all))
     }
 
-    fn check_number_or_name(&self, key: &str, value: &Spanned<DeValue<'t>>, of: &str) -> Option<Spanned<NumberOrName>> {
-        let name = value.get_ref().as_str().map(|name| NumberOrName::Name(name.to_owned()));
+    fn check_number_or_name(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'t>>,
+        of: &str,
+    ) -> Option<Spanned<NumberOrName>> {
+        let name = value
+            .get_ref()
+            .as_str()
+            .map(|name| NumberOrName::Name(name.to_owned()));
         let read = name.or_else(|| whole_number(value.get_ref()).map(NumberOrName::Number));
         if read.is_none() {
-            self.refuse(key, value, format!("must be the number or the name of a {of}"));
+            self.refuse(
+                key,
+                value,
+                format!("must be the number or the name of a {of}"),
+            );
         }
         read.map(|read| Spanned::new(value.span(), read))
     }
 
     /// Tells whether the value of `key` is a text (some keys allow a word or a table).
     pub(crate) fn is_text(&self, key: &str) -> bool {
-        self.table.get(key).is_some_and(|value| value.get_ref().is_str())
+        self.table
+            .get(key)
+            .is_some_and(|value| value.get_ref().is_str())
     }
 
     /// Opens a table inside this one.
@@ -416,19 +596,33 @@ impl<'t> Section<'t> {
 
     /// Opens every table of a list of tables; a missing list is an empty one.
     pub(crate) fn tables(&mut self, key: &'static str) -> Vec<Section<'t>> {
-        let Some(value) = self.value(key) else { return Vec::new() };
+        let Some(value) = self.value(key) else {
+            return Vec::new();
+        };
         match value.get_ref().as_array() {
-            Some(entries) => entries.iter().filter_map(|entry| self.open(key, entry)).collect(),
+            Some(entries) => entries
+                .iter()
+                .filter_map(|entry| self.open(key, entry))
+                .collect(),
             None => {
-                self.refuse(key, value, format!("must be a list of tables: [[{}]]", self.key(key)));
+                self.refuse(
+                    key,
+                    value,
+                    format!("must be a list of tables: [[{}]]", self.key(key)),
+                );
                 Vec::new()
             }
         }
     }
 
     /// Opens a table whose keys are names chosen by the user, in the order of the file.
-    pub(crate) fn entries(&mut self, key: &'static str) -> Vec<(Spanned<String>, &'t Spanned<DeValue<'t>>)> {
-        let Some(section) = self.table(key) else { return Vec::new() };
+    pub(crate) fn entries(
+        &mut self,
+        key: &'static str,
+    ) -> Vec<(Spanned<String>, &'t Spanned<DeValue<'t>>)> {
+        let Some(section) = self.table(key) else {
+            return Vec::new();
+        };
         let mut entries: Vec<_> = section.table.iter().collect();
         entries.sort_by_key(|(name, _)| name.span().start);
         entries
@@ -440,7 +634,12 @@ impl<'t> Section<'t> {
     /// Opens `value`, which belongs to `key` of this table, as a table of its own.
     pub(crate) fn open(&self, key: &str, value: &'t Spanned<DeValue<'t>>) -> Option<Section<'t>> {
         match value.get_ref().as_table() {
-            Some(table) => Some(Section::new(table, self.key(key), value.span(), self.diagnostics)),
+            Some(table) => Some(Section::new(
+                table,
+                self.key(key),
+                value.span(),
+                self.diagnostics,
+            )),
             None => {
                 self.refuse(key, value, "must be a table");
                 None
@@ -458,11 +657,16 @@ const LONGEST_NAME: usize = 64;
 /// Tells whether `name` can be one chunk of a key expression: `[a-z0-9-]{1,64}`.
 pub(crate) fn is_name(name: &str) -> bool {
     (1..=LONGEST_NAME).contains(&name.len())
-        && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+        && name
+            .bytes()
+            .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
 }
 
 fn choice_rule<T>(choices: &[(&str, T)]) -> String {
-    let words: Vec<String> = choices.iter().map(|(word, _)| format!("\"{word}\"")).collect();
+    let words: Vec<String> = choices
+        .iter()
+        .map(|(word, _)| format!("\"{word}\""))
+        .collect();
     match words.as_slice() {
         [one] => format!("must be {one}"),
         _ => format!("must be one of {}", words.join(", ")),

@@ -18,7 +18,12 @@ pub struct ParticleKeys {
 impl Default for ParticleKeys {
     /// 2000 particles from the optimal density after two seconds, and a drift of 1 % in four seconds.
     fn default() -> Self {
-        Self { particles: 2000, density: ImportanceDensity::Optimal, drift_per_root_s: 0.005, warm_up_s: 2.0 }
+        Self {
+            particles: 2000,
+            density: ImportanceDensity::Optimal,
+            drift_per_root_s: 0.005,
+            warm_up_s: 2.0,
+        }
     }
 }
 

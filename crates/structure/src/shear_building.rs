@@ -22,7 +22,10 @@ impl ShearBuilding {
         let first = 2.0 * std::f64::consts::PI * first_frequency_hz;
         let of_unit_chain = 2.0 * (std::f64::consts::PI / (4 * storeys + 2) as f64).sin();
         let stiffness = mass_kg * (first / of_unit_chain).powi(2);
-        Self { masses_kg: vec![mass_kg; storeys], stiffnesses_n_per_m: vec![stiffness; storeys] }
+        Self {
+            masses_kg: vec![mass_kg; storeys],
+            stiffnesses_n_per_m: vec![stiffness; storeys],
+        }
     }
 
     pub(crate) fn mass(&self) -> Mass {
@@ -36,7 +39,9 @@ impl ShearBuilding {
 
     /// Returns `floor-1`, `floor-2`, ... from the bottom up.
     pub(crate) fn degrees_of_freedom(&self) -> Vec<String> {
-        (1..=self.masses_kg.len()).map(|floor| format!("floor-{floor}")).collect()
+        (1..=self.masses_kg.len())
+            .map(|floor| format!("floor-{floor}"))
+            .collect()
     }
 }
 
@@ -53,15 +58,24 @@ pub(crate) fn chain(groups: &[StoreyGroup], constants: &[f64]) -> Vec<Substructu
                 matrix.push(above, below, -k);
             }
         }
-        Substructure { name: group.name.clone(), stiffness: CsrMatrix::from(&matrix) }
+        Substructure {
+            name: group.name.clone(),
+            stiffness: CsrMatrix::from(&matrix),
+        }
     };
     groups.iter().map(group).collect()
 }
 
 /// Puts each storey that is in none of `groups` into one of its own, `storey-1` for the lowest, and sorts them upwards.
-pub(crate) fn with_single_storeys(mut groups: Vec<StoreyGroup>, storeys: usize) -> Vec<StoreyGroup> {
+pub(crate) fn with_single_storeys(
+    mut groups: Vec<StoreyGroup>,
+    storeys: usize,
+) -> Vec<StoreyGroup> {
     let alone = |storey: &usize| !groups.iter().any(|group| group.storeys.contains(storey));
-    let single = |storey| StoreyGroup { name: format!("storey-{}", storey + 1), storeys: storey..storey + 1 };
+    let single = |storey| StoreyGroup {
+        name: format!("storey-{}", storey + 1),
+        storeys: storey..storey + 1,
+    };
     let singles: Vec<StoreyGroup> = (0..storeys).filter(alone).map(single).collect();
     groups.extend(singles);
     groups.sort_by_key(|group| group.storeys.start);

@@ -84,9 +84,17 @@ pub(crate) struct Damage {
 impl Damage {
     /// Returns the share of nominal that is lost at `time_s`.
     pub(crate) fn lost(&self, time_s: f64) -> f64 {
-        let progress = if self.over_s > 0.0 { (time_s - self.at_s) / self.over_s } else { 1.0 };
+        let progress = if self.over_s > 0.0 {
+            (time_s - self.at_s) / self.over_s
+        } else {
+            1.0
+        };
         let reached = (progress.clamp(0.0, 1.0) * RAMP_STEPS).floor() / RAMP_STEPS;
-        if time_s < self.at_s { 0.0 } else { self.loss * reached }
+        if time_s < self.at_s {
+            0.0
+        } else {
+            self.loss * reached
+        }
     }
 }
 
@@ -124,7 +132,11 @@ impl SimulationPlan {
             modulation: None,
             damage: Vec::new(),
             dropped_share: 0.0,
-            spikes: Spikes { share: 0.0, height: Self::SPIKE_HEIGHT, kind: SpikeKind::Added },
+            spikes: Spikes {
+                share: 0.0,
+                height: Self::SPIKE_HEIGHT,
+                kind: SpikeKind::Added,
+            },
             clock_offsets_s: vec![0.0; nodes],
             clock_drifts_ppm: vec![0.0; nodes],
             faults: Vec::new(),

@@ -52,7 +52,12 @@ enum Shaking {
     /// A component of this standard deviation.
     Single { std: f64 },
     /// Components that are drawn together: `m + σ L w` with white `w`.
-    Field { mean: DVector<f64>, factor: DMatrix<f64>, white: DVector<f64>, std: f64 },
+    Field {
+        mean: DVector<f64>,
+        factor: DMatrix<f64>,
+        white: DVector<f64>,
+        std: f64,
+    },
 }
 
 /// Simulates a structure from rest, frame by frame, without end.
@@ -81,7 +86,13 @@ impl Structure {
     /// Makes a simulation of the structure that depends on nothing but the file and `seed`.
     #[must_use]
     pub fn simulator(&self, seed: u64) -> Simulator {
-        Simulator::new(self, self.simulation.clone(), vec![1.0; self.parameters.len()], Amplitude::Any, seed)
+        Simulator::new(
+            self,
+            self.simulation.clone(),
+            vec![1.0; self.parameters.len()],
+            Amplitude::Any,
+            seed,
+        )
     }
 
     /// Makes a simulation of the same motion whose samples are all there and free of noise.
@@ -90,7 +101,13 @@ impl Structure {
         let mut plan = self.simulation.clone();
         (plan.dropped_share, plan.spikes.share) = (0.0, 0.0);
         plan.faults.clear();
-        let mut simulator = Simulator::new(self, plan, vec![1.0; self.parameters.len()], Amplitude::Any, seed);
+        let mut simulator = Simulator::new(
+            self,
+            plan,
+            vec![1.0; self.parameters.len()],
+            Amplitude::Any,
+            seed,
+        );
         for channel in &mut simulator.channels {
             (channel.noise_std, channel.every) = (0.0, 1);
         }
@@ -114,7 +131,11 @@ impl Structure {
     /// Returns the true parameters (ratios to nominal) of the simulation at a frame.
     #[must_use]
     pub fn true_parameters(&self, index: u64) -> Vec<f64> {
-        true_parameters(&self.simulation, &vec![1.0; self.parameters.len()], index as f64 * self.step_s())
+        true_parameters(
+            &self.simulation,
+            &vec![1.0; self.parameters.len()],
+            index as f64 * self.step_s(),
+        )
     }
 }
 
@@ -127,7 +148,13 @@ fn true_parameters(plan: &SimulationPlan, undamaged: &[f64], time_s: f64) -> Vec
 }
 
 impl Simulator {
-    fn new(structure: &Structure, plan: SimulationPlan, undamaged: Vec<f64>, amplitude: Amplitude, seed: u64) -> Self {
+    fn new(
+        structure: &Structure,
+        plan: SimulationPlan,
+        undamaged: Vec<f64>,
+        amplitude: Amplitude,
+        seed: u64,
+    ) -> Self {
         let theta = true_parameters(&plan, &undamaged, 0.0);
         let step_s = structure.step_s();
         let inputs = structure.excitation_channels.len();
@@ -135,7 +162,14 @@ impl Simulator {
             Amplitude::Any => structure.static_state(&theta),
             Amplitude::Small => DVector::zeros(2 * structure.system.len()),
         };
-        let motion = Motion::new(structure.model(), &theta, step_s, structure.input_holds(), amplitude, start);
+        let motion = Motion::new(
+            structure.model(),
+            &theta,
+            step_s,
+            structure.input_holds(),
+            amplitude,
+            start,
+        );
         // streams of their own, so that a dropped sample changes neither the motion nor the noise
         let random = |stream| {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -173,7 +207,10 @@ impl Simulator {
     /// Draws the excitation of frame `index` into the place of the next one.
     fn draw_excitation(&mut self, index: u64) {
         let time_s = index as f64 * self.step_s;
-        let amplitude = self.plan.modulation.map_or(1.0, |modulation| modulation.amplitude(time_s));
+        let amplitude = self
+            .plan
+            .modulation
+            .map_or(1.0, |modulation| modulation.amplitude(time_s));
         let mut first = 0;
         for shaking in &mut self.shaking {
             match shaking {
@@ -182,8 +219,15 @@ impl Simulator {
                     self.next_excitation[first] = amplitude * *std * normal;
                     first += 1;
                 }
-                Shaking::Field { mean, factor, white, std } => {
-                    white.iter_mut().for_each(|entry| *entry = self.excitation_random.sample(StandardNormal));
+                Shaking::Field {
+                    mean,
+                    factor,
+                    white,
+                    std,
+                } => {
+                    white
+                        .iter_mut()
+                        .for_each(|entry| *entry = self.excitation_random.sample(StandardNormal));
                     let mut forces = self.next_excitation.rows_mut(first, mean.len());
                     forces.copy_from(mean);
                     forces.gemv(amplitude * *std, factor, white, 1.0);
@@ -213,16 +257,29 @@ impl Simulator {
             };
             let normal: f64 = self.noise_random.sample(StandardNormal);
             let [dropped, spiked, side]: [f64; 3] = self.fault_random.random();
-            let Spikes { share, height, kind } = self.plan.spikes;
+            let Spikes {
+                share,
+                height,
+                kind,
+            } = self.plan.spikes;
             let sample = match kind {
                 _ if spiked >= share => truth + channel.noise_std * normal,
-                SpikeKind::Added => truth + channel.noise_std * (normal + if side < 0.5 { height } else { -height }),
+                SpikeKind::Added => {
+                    truth + channel.noise_std * (normal + if side < 0.5 { height } else { -height })
+                }
                 SpikeKind::Replaced => channel.noise_std * height * (2.0 * side - 1.0),
             };
             let time_s = self.index as f64 * self.step_s;
-            let of_node = self.plan.faults.iter().filter(|fault| fault.node == channel.node);
-            let sample = of_node.fold(sample, |sample, fault| fault.apply(sample, channel.noise_std, time_s));
-            let missing = dropped < self.plan.dropped_share || !self.index.is_multiple_of(channel.every);
+            let of_node = self
+                .plan
+                .faults
+                .iter()
+                .filter(|fault| fault.node == channel.node);
+            let sample = of_node.fold(sample, |sample, fault| {
+                fault.apply(sample, channel.noise_std, time_s)
+            });
+            let missing =
+                dropped < self.plan.dropped_share || !self.index.is_multiple_of(channel.every);
             values.push(if missing { f64::NAN } else { sample });
         }
         values
@@ -255,7 +312,9 @@ impl Iterator for Simulator {
 fn shaking(structure: &Structure, amplitude: Amplitude) -> Vec<Shaking> {
     let shaking = |(index, excitation): (usize, &crate::Excitation)| {
         // the level of a measured one is that of its channel's noise
-        let is_own = |source: &NoiseSource| excitation.measured.is_none() && *source == NoiseSource::Excitation(index);
+        let is_own = |source: &NoiseSource| {
+            excitation.measured.is_none() && *source == NoiseSource::Excitation(index)
+        };
         let std = actual_std(structure, is_own).unwrap_or(excitation.std());
         match &excitation.action {
             Action::Ground { .. } | Action::Force { .. } => Shaking::Single { std },
@@ -264,16 +323,29 @@ fn shaking(structure: &Structure, amplitude: Amplitude) -> Vec<Shaking> {
                 if amplitude == Amplitude::Small {
                     mean.fill(0.0);
                 }
-                Shaking::Field { white: mean.clone(), mean, factor: field.factor.clone(), std }
+                Shaking::Field {
+                    white: mean.clone(),
+                    mean,
+                    factor: field.factor.clone(),
+                    std,
+                }
             }
         }
     };
-    structure.excitations.iter().enumerate().map(shaking).collect()
+    structure
+        .excitations
+        .iter()
+        .enumerate()
+        .map(shaking)
+        .collect()
 }
 
 /// Returns the actual standard deviation of the noise level that `is_meant`.
 fn actual_std(structure: &Structure, is_meant: impl Fn(&NoiseSource) -> bool) -> Option<f64> {
-    let level = structure.noise_levels.iter().position(|level| is_meant(&level.source));
+    let level = structure
+        .noise_levels
+        .iter()
+        .position(|level| is_meant(&level.source));
     level.map(|level| structure.expected_level_std(level))
 }
 
@@ -285,8 +357,14 @@ fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
             let frame_channel = channels.len();
             let position = |of: &[usize]| of.iter().position(|channel| *channel == frame_channel);
             let row = position(&structure.observation_channels);
-            let input = structure.excitation_channels.iter().position(|channel| *channel == Some(frame_channel));
-            let measured = structure.excitations.iter().position(|e| e.channel() == Some(frame_channel));
+            let input = structure
+                .excitation_channels
+                .iter()
+                .position(|channel| *channel == Some(frame_channel));
+            let measured = structure
+                .excitations
+                .iter()
+                .position(|e| e.channel() == Some(frame_channel));
             let is_own = |source: &NoiseSource| match source {
                 NoiseSource::Sensors(rows) => row.is_some_and(|row| rows.contains(&row)),
                 NoiseSource::Excitation(index) => measured == Some(*index),
@@ -295,7 +373,12 @@ fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
             // a channel is one or the other, checked when the file was read
             if let Some(source) = row.map(Source::Response).or(input.map(Source::Excitation)) {
                 let every = frames_per_sample[frame_channel];
-                channels.push(SimulatedChannel { source, noise_std, every, node: place });
+                channels.push(SimulatedChannel {
+                    source,
+                    noise_std,
+                    every,
+                    node: place,
+                });
             }
         }
     }

@@ -39,13 +39,28 @@ impl Skeleton {
     /// Returns that of a frame or truss, whose groups are its substructures.
     pub(crate) fn of_mesh(mesh: &Mesh) -> Self {
         let lines = mesh.groups.iter().enumerate().flat_map(|(part, group)| {
-            group.members.iter().map(move |ends| Line { ends: *ends, parts: part..part + 1 })
+            group.members.iter().map(move |ends| Line {
+                ends: *ends,
+                parts: part..part + 1,
+            })
         });
         Self {
-            points: mesh.nodes.iter().map(|node| (node.name.clone(), node.at)).collect(),
-            is_held: mesh.nodes.iter().map(|node| node.fixed.contains(&true)).collect(),
+            points: mesh
+                .nodes
+                .iter()
+                .map(|node| (node.name.clone(), node.at))
+                .collect(),
+            is_held: mesh
+                .nodes
+                .iter()
+                .map(|node| node.fixed.contains(&true))
+                .collect(),
             lines: lines.collect(),
-            up: if mesh.directions.contains(&"z") { Up::Z } else { Up::Y },
+            up: if mesh.directions.contains(&"z") {
+                Up::Z
+            } else {
+                Up::Y
+            },
         }
     }
 
@@ -66,6 +81,11 @@ impl Skeleton {
             foot_m += segment.height_m;
         }
         let is_held = (0..points.len()).map(|point| point == 0).collect();
-        Self { points, is_held, lines, up: Up::Z }
+        Self {
+            points,
+            is_held,
+            lines,
+            up: Up::Z,
+        }
     }
 }

@@ -27,7 +27,11 @@ impl SparseCholesky {
         let n = matrix.nrows();
         let mut rest = matrix.clone();
         let mut neighbours: Vec<BTreeSet<usize>> = (0..n)
-            .map(|row| (0..n).filter(|column| *column != row && matrix[(row, *column)] != 0.0).collect())
+            .map(|row| {
+                (0..n)
+                    .filter(|column| *column != row && matrix[(row, *column)] != 0.0)
+                    .collect()
+            })
             .collect();
         let mut left: BTreeSet<usize> = (0..n).collect();
         let mut factor = Self {
@@ -37,7 +41,11 @@ impl SparseCholesky {
             rows: Vec::new(),
             values: Vec::new(),
         };
-        while let Some(pivot_row) = left.iter().copied().min_by_key(|row| neighbours[*row].len()) {
+        while let Some(pivot_row) = left
+            .iter()
+            .copied()
+            .min_by_key(|row| neighbours[*row].len())
+        {
             left.remove(&pivot_row);
             let pivot = rest[(pivot_row, pivot_row)];
             // written so that NaN fails too
@@ -80,7 +88,8 @@ impl SparseCholesky {
             }
         }
         for (step, row) in self.order.iter().enumerate().rev() {
-            let mut entries: [f64; C] = std::array::from_fn(|c| columns[c][*row] * self.reciprocal_pivots[step]);
+            let mut entries: [f64; C] =
+                std::array::from_fn(|c| columns[c][*row] * self.reciprocal_pivots[step]);
             for (below, value) in self.column(step) {
                 for (entry, b) in entries.iter_mut().zip(columns.iter()) {
                     *entry -= value * b[*below];
@@ -119,7 +128,9 @@ mod tests {
         let matrix = star();
         let expected = DVector::from_fn(6, |row, _| (1.7 * row as f64).sin());
         let mut b = &matrix * &expected;
-        SparseCholesky::new(&matrix).unwrap().solve_mut(b.as_mut_slice());
+        SparseCholesky::new(&matrix)
+            .unwrap()
+            .solve_mut(b.as_mut_slice());
         assert!((b - expected).norm() < 1e-14);
     }
 

@@ -77,11 +77,20 @@ impl<'s> SpectralModel<'s> {
             }
         }
         let known = |excitation: &crate::Excitation| {
-            let known = excitation.channel().map_or(0.0, |_| excitation.std().hypot(excitation.unknown_std()));
+            let known = excitation
+                .channel()
+                .map_or(0.0, |_| excitation.std().hypot(excitation.unknown_std()));
             std::iter::repeat_n(known, excitation.component_len())
         };
         let known = structure.excitations.iter().flat_map(known).collect();
-        Self { structure, linearised: Linearised::new(structure, theta), parts, unknown, noise, known }
+        Self {
+            structure,
+            linearised: Linearised::new(structure, theta),
+            parts,
+            unknown,
+            noise,
+            known,
+        }
     }
 
     /// Sums over all frequencies what the model learns about `directions` while `truth` makes the data; without one, the
@@ -89,7 +98,10 @@ impl<'s> SpectralModel<'s> {
     ///
     /// `None` where some frequency has no finite answer.
     pub(crate) fn sums(&self, truth: Option<&Self>, directions: &[Direction]) -> Option<Sums> {
-        let resolved: Vec<&Linearised> = std::iter::once(self).chain(truth).map(|model| &model.linearised).collect();
+        let resolved: Vec<&Linearised> = std::iter::once(self)
+            .chain(truth)
+            .map(|model| &model.linearised)
+            .collect();
         let mut products = DMatrix::zeros(directions.len() + 1, directions.len() + 1);
         let mut misfit = 0.0;
         for frequency in frequencies(&resolved, self.structure.step_s()) {
@@ -107,15 +119,27 @@ impl<'s> SpectralModel<'s> {
 
     /// Returns a real column for each direction, and one for the truth, whose products are those of the sums; and the
     /// misfit `ln |Φ| + tr(Φ⁻¹ Φ_t)` with what the known excitation leaves unexplained.
-    fn columns(&self, truth: Option<&Self>, at: Frequency, directions: &[Direction]) -> Option<(DMatrix<f64>, f64)> {
+    fn columns(
+        &self,
+        truth: Option<&Self>,
+        at: Frequency,
+        directions: &[Direction],
+    ) -> Option<(DMatrix<f64>, f64)> {
         let own = self.linearised.response(at.omega)?;
         let phi = self.unpredicted(&own.transfer);
         let lower = phi.clone().cholesky()?.unpack();
-        let mut misfit: f64 = lower.diagonal().iter().map(|entry| 2.0 * entry.re.ln()).sum();
+        let mut misfit: f64 = lower
+            .diagonal()
+            .iter()
+            .map(|entry| 2.0 * entry.re.ln())
+            .sum();
         let mut columns = Vec::with_capacity(directions.len() + 1);
         for direction in directions {
             let (of_phi, of_g) = self.derivatives(&own, *direction, at.omega);
-            columns.push(stacked(&whitened(of_phi, &lower)?, &lower.solve_lower_triangular(&of_g)?));
+            columns.push(stacked(
+                &whitened(of_phi, &lower)?,
+                &lower.solve_lower_triangular(&of_g)?,
+            ));
         }
         columns.push(match truth {
             None => DVector::zeros(columns.first().map_or(0, DVector::len)),
@@ -132,7 +156,12 @@ impl<'s> SpectralModel<'s> {
     }
 
     /// Returns `∂Φ` and `∂G Σ_k^½` along a direction.
-    fn derivatives(&self, own: &Response, direction: Direction, omega: f64) -> (Complexes, Complexes) {
+    fn derivatives(
+        &self,
+        own: &Response,
+        direction: Direction,
+        omega: f64,
+    ) -> (Complexes, Complexes) {
         let g = &own.transfer;
         let none = || Complexes::zeros(g.nrows(), g.ncols());
         match direction {
@@ -144,7 +173,10 @@ impl<'s> SpectralModel<'s> {
             Direction::Level(level) => (self.parts[level].seen_through(g), none()),
             Direction::Colour { level, octave } => {
                 let share = self.structure.octave_share(octave, omega);
-                (self.parts[level].seen_through(g) * Complex::new(share, 0.0), none())
+                (
+                    self.parts[level].seen_through(g) * Complex::new(share, 0.0),
+                    none(),
+                )
             }
         }
     }
@@ -152,7 +184,10 @@ impl<'s> SpectralModel<'s> {
     /// Returns `Φ` (N_0 × N_0).
     fn unpredicted(&self, transfer: &Complexes) -> Complexes {
         let mut phi = transfer * &self.unknown * transfer.adjoint();
-        self.noise.iter().enumerate().for_each(|(row, variance)| phi[(row, row)] += variance);
+        self.noise
+            .iter()
+            .enumerate()
+            .for_each(|(row, variance)| phi[(row, row)] += variance);
         phi
     }
 
@@ -160,12 +195,18 @@ impl<'s> SpectralModel<'s> {
     /// below which the `share` of all motion lies that is seen over that noise.
     pub(crate) fn motion(&self, share: f64) -> Option<(DVector<f64>, f64)> {
         let mut excitation = self.unknown.clone();
-        self.known.iter().enumerate().for_each(|(input, known)| excitation[(input, input)] += known * known);
+        self.known
+            .iter()
+            .enumerate()
+            .for_each(|(input, known)| excitation[(input, input)] += known * known);
         let mut variances = DVector::zeros(self.noise.len());
         let mut seen = Vec::new();
-        for Frequency { omega, weight } in frequencies(&[&self.linearised], self.structure.step_s()) {
+        for Frequency { omega, weight } in frequencies(&[&self.linearised], self.structure.step_s())
+        {
             let g = self.linearised.response(omega)?.transfer;
-            let spectrum = (&g * &excitation * g.adjoint()).diagonal().map(|entry| entry.re * weight);
+            let spectrum = (&g * &excitation * g.adjoint())
+                .diagonal()
+                .map(|entry| entry.re * weight);
             seen.push((omega, spectrum.component_div(&self.noise).sum()));
             variances += spectrum;
         }
@@ -184,16 +225,20 @@ impl Part {
     fn seen_through(&self, transfer: &Complexes) -> Complexes {
         match self {
             Self::Excitation(covariance) => transfer * covariance * transfer.adjoint(),
-            Self::Sensors(variances) => Complexes::from_diagonal(&variances.map(|entry| Complex::new(entry, 0.0))),
+            Self::Sensors(variances) => {
+                Complexes::from_diagonal(&variances.map(|entry| Complex::new(entry, 0.0)))
+            }
         }
     }
 }
 
 fn part(structure: &Structure, level: &NoiseLevel, variance: f64) -> Part {
     match level.source() {
-        NoiseSource::Excitation(index) => {
-            Part::Excitation(structure.excitation_pattern(*index).map(|entry| Complex::new(entry * variance, 0.0)))
-        }
+        NoiseSource::Excitation(index) => Part::Excitation(
+            structure
+                .excitation_pattern(*index)
+                .map(|entry| Complex::new(entry * variance, 0.0)),
+        ),
         NoiseSource::Sensors(rows) => {
             let every = structure.frames_per_sample();
             let mut variances = DVector::zeros(structure.observation_channels.len());
@@ -224,8 +269,14 @@ fn whitened(x: Complexes, lower: &Complexes) -> Option<Complexes> {
 /// Puts a matrix that counts by half and one that counts in full into one real column.
 fn stacked(half: &Complexes, full: &Complexes) -> DVector<f64> {
     let root = 0.5_f64.sqrt();
-    let parts = half.iter().map(|entry| *entry * root).chain(full.iter().copied());
-    DVector::from_iterator(2 * (half.len() + full.len()), parts.flat_map(|entry| [entry.re, entry.im]))
+    let parts = half
+        .iter()
+        .map(|entry| *entry * root)
+        .chain(full.iter().copied());
+    DVector::from_iterator(
+        2 * (half.len() + full.len()),
+        parts.flat_map(|entry| [entry.re, entry.im]),
+    )
 }
 
 #[cfg(test)]
@@ -247,17 +298,28 @@ mod tests {
         for text in [DEMO, OUTPUT_ONLY] {
             let structure = parse(text);
             let simulated = Information::expected(&structure, 6000, 1).unwrap().held;
-            let means: Vec<f64> = structure.parameters.iter().map(crate::Parameter::mean).collect();
+            let means: Vec<f64> = structure
+                .parameters
+                .iter()
+                .map(crate::Parameter::mean)
+                .collect();
             let model = SpectralModel::new(&structure, &means, &structure.expected_variances());
             let theta = means.len();
             let levels = (0..structure.noise_levels.len()).map(Direction::Level);
-            let directions: Vec<Direction> = (0..theta).map(Direction::Parameter).chain(levels).collect();
-            let Sums { information, slope, .. } = model.sums(Some(&model), &directions).unwrap();
+            let directions: Vec<Direction> =
+                (0..theta).map(Direction::Parameter).chain(levels).collect();
+            let Sums {
+                information, slope, ..
+            } = model.sums(Some(&model), &directions).unwrap();
             for index in 0..directions.len() {
                 let (found, expected) = (information[(index, index)], simulated[(index, index)]);
                 // 60 s of a mode of 1 Hz with 2 % of damping have some ten independent amplitudes: a deviation of 20 % of the
                 // measured excitation's share, and a held one is weaker by 2 % at 10 Hz
-                assert!((found / expected - 1.0).abs() < 0.5, "{:?}: {found} for {expected}", directions[index]);
+                assert!(
+                    (found / expected - 1.0).abs() < 0.5,
+                    "{:?}: {found} for {expected}",
+                    directions[index]
+                );
             }
             assert!(slope.amax() < 1e-9, "the truth pulls nothing: {slope}");
         }

@@ -71,12 +71,22 @@ impl Linearised {
             };
             difference(moved(DIFFERENCE), &moved(-DIFFERENCE))
         };
-        let slopes = (0..theta.len()).map(|parameter| slope(parameter, &mut model)).collect();
+        let slopes = (0..theta.len())
+            .map(|parameter| slope(parameter, &mut model))
+            .collect();
         let at = LinearForm::new(&mut model, theta);
         let free = at.system.nrows() / 2;
         let block = |row, column| at.system.view((row, column), (free, free)).into_owned();
-        let (rate, restoring, damping) = (block(0, free), block(free, 0), complex(&block(free, free)));
-        Self { spring: &restoring * &rate, rate, restoring, damping, slopes, at }
+        let (rate, restoring, damping) =
+            (block(0, free), block(free, 0), complex(&block(free, free)));
+        Self {
+            spring: &restoring * &rate,
+            rate,
+            restoring,
+            damping,
+            slopes,
+            at,
+        }
     }
 
     /// Returns `G` and its derivatives at `omega` (rad/s); `None` at the resonance of a mode that nothing damps.
@@ -112,7 +122,10 @@ fn complex(matrix: &DMatrix<f64>) -> Complexes {
 
 /// Returns the product of a real and a complex matrix, by two real products.
 fn product(real: &DMatrix<f64>, x: &Complexes) -> Complexes {
-    let [re, im] = [real * x.map(|entry| entry.re), real * x.map(|entry| entry.im)];
+    let [re, im] = [
+        real * x.map(|entry| entry.re),
+        real * x.map(|entry| entry.im),
+    ];
     re.zip_map(&im, Complex::new)
 }
 
@@ -127,17 +140,27 @@ struct Solver<'l> {
 impl<'l> Solver<'l> {
     fn new(linearised: &'l Linearised, omega: f64) -> Option<Self> {
         let s = Complex::new(0.0, omega);
-        let mut z = linearised.spring.zip_map(&linearised.damping, |spring, damping| -s.inv() * spring - damping);
+        let mut z = linearised
+            .spring
+            .zip_map(&linearised.damping, |spring, damping| {
+                -s.inv() * spring - damping
+            });
         (0..z.nrows()).for_each(|row| z[(row, row)] += s);
         let factor = z.lu();
-        factor.is_invertible().then_some(Self { s, of: linearised, factor })
+        factor.is_invertible().then_some(Self {
+            s,
+            of: linearised,
+            factor,
+        })
     }
 
     /// Returns `(s I − A_u)⁻¹ X` for columns `X` (2 N_d).
     fn solve(&self, columns: &Complexes) -> Option<Complexes> {
         let (free, width) = (columns.nrows() / 2, columns.ncols());
         let upper = columns.rows(0, free) * self.s.inv();
-        let v = self.factor.solve(&(columns.rows(free, free) + product(&self.of.restoring, &upper)))?;
+        let v = self
+            .factor
+            .solve(&(columns.rows(free, free) + product(&self.of.restoring, &upper)))?;
         let x = upper + product(&self.of.rate, &v) * self.s.inv();
         let mut out = Complexes::zeros(2 * free, width);
         out.rows_mut(0, free).copy_from(&x);
@@ -149,26 +172,45 @@ impl<'l> Solver<'l> {
 /// Chooses the frequencies up to half the sampling rate at which the resonances of all `forms` are resolved.
 pub(crate) fn frequencies(forms: &[&Linearised], step_s: f64) -> Vec<Frequency> {
     let highest = PI / step_s;
-    let mut omegas: Vec<f64> = (0..EVEN).map(|index| (index as f64 + 0.5) / EVEN as f64 * highest).collect();
+    let mut omegas: Vec<f64> = (0..EVEN)
+        .map(|index| (index as f64 + 0.5) / EVEN as f64 * highest)
+        .collect();
     for form in forms {
-        let mut poles: Vec<Complex<f64>> = form.at.system.complex_eigenvalues().iter().copied().collect();
+        let mut poles: Vec<Complex<f64>> = form
+            .at
+            .system
+            .complex_eigenvalues()
+            .iter()
+            .copied()
+            .collect();
         poles.retain(|pole| pole.im > 0.0 && pole.im < highest);
         poles.sort_by(|a, b| a.im.total_cmp(&b.im));
         for pole in poles.iter().take(RESOLVED) {
             let half_width = pole.re.abs().max(NARROWEST * pole.im);
-            let sides = DISTANCES.iter().flat_map(|distance| [-distance * half_width, distance * half_width]);
-            omegas.extend(sides.map(|side| pole.im + side).filter(|omega| *omega > 0.0 && *omega < highest));
+            let sides = DISTANCES
+                .iter()
+                .flat_map(|distance| [-distance * half_width, distance * half_width]);
+            omegas.extend(
+                sides
+                    .map(|side| pole.im + side)
+                    .filter(|omega| *omega > 0.0 && *omega < highest),
+            );
         }
     }
     omegas.sort_by(f64::total_cmp);
     omegas.dedup();
     // each stands for the band up to the middle between it and its neighbours
-    let middle = |index: usize| match (index.checked_sub(1).and_then(|before| omegas.get(before)), omegas.get(index)) {
+    let middle = |index: usize| match (
+        index.checked_sub(1).and_then(|before| omegas.get(before)),
+        omegas.get(index),
+    ) {
         (Some(before), Some(at)) => 0.5 * (before + at),
         (None, _) => 0.0,
         (Some(_), None) => highest,
     };
-    let weigh =
-        |index: usize| Frequency { omega: omegas[index], weight: (middle(index + 1) - middle(index)) / highest };
+    let weigh = |index: usize| Frequency {
+        omega: omegas[index],
+        weight: (middle(index + 1) - middle(index)) / highest,
+    };
     (0..omegas.len()).map(weigh).collect()
 }

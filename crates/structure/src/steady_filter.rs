@@ -37,7 +37,11 @@ pub(crate) struct SteadyFilter {
 
 impl SteadyFilter {
     /// Makes the filter; `None` if there is no stationary one (a mode neither damped nor observed).
-    pub(crate) fn new(form: &LinearForm, recursion: Recursion, noise: &NoiseCovariances) -> Option<Self> {
+    pub(crate) fn new(
+        form: &LinearForm,
+        recursion: Recursion,
+        noise: &NoiseCovariances,
+    ) -> Option<Self> {
         let (a, b) = (&recursion.transition, &recursion.input);
         let (h, d) = (&form.observation, &form.direct);
         let b_f = b * &noise.excitation; // B Σ_f
@@ -59,7 +63,12 @@ impl SteadyFilter {
 
     /// Makes the filter of another structure with the updates of this one: what an extended filter differentiates.
     pub(crate) fn with_frozen_update(&self, form: &LinearForm, recursion: Recursion) -> Self {
-        Self::with_update(form, recursion, self.update.clone(), self.innovation_covariance.clone())
+        Self::with_update(
+            form,
+            recursion,
+            self.update.clone(),
+            self.innovation_covariance.clone(),
+        )
     }
 
     fn with_update(
@@ -83,11 +92,21 @@ impl SteadyFilter {
     }
 
     /// Takes the datum `z` (N_0) with the known excitation `f̄` (N_f) of this instant and of the next.
-    pub(crate) fn step(&mut self, z: &DVector<f64>, known: &DVector<f64>, next_known: &DVector<f64>) {
+    pub(crate) fn step(
+        &mut self,
+        z: &DVector<f64>,
+        known: &DVector<f64>,
+        next_known: &DVector<f64>,
+    ) {
         self.innovation.copy_from(z);
-        self.innovation.gemv(-1.0, &self.observation, &self.state, 1.0);
+        self.innovation
+            .gemv(-1.0, &self.observation, &self.state, 1.0);
         self.innovation.gemv(-1.0, &self.direct, known, 1.0);
-        let Recursion { transition, input, slope } = &self.recursion;
+        let Recursion {
+            transition,
+            input,
+            slope,
+        } = &self.recursion;
         self.next.gemv(1.0, transition, &self.state, 0.0);
         self.next.gemv(1.0, input, known, 1.0);
         self.next.gemv(1.0, slope, next_known, 1.0);

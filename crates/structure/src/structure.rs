@@ -66,12 +66,22 @@ impl Structure {
     /// # Errors
     /// When the file cannot be read, or with all its mistakes.
     pub fn read(path: &Path) -> Result<Self, StructureError> {
-        let unreadable = |source| StructureError::Unreadable { path: path.to_owned(), source };
+        let unreadable = |source| StructureError::Unreadable {
+            path: path.to_owned(),
+            source,
+        };
         let mut text = String::new();
         // what is no file, such as a device, states no length and need not end
-        File::open(path).map_err(unreadable)?.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(unreadable)?;
+        File::open(path)
+            .map_err(unreadable)?
+            .take(MAX_BYTES + 1)
+            .read_to_string(&mut text)
+            .map_err(unreadable)?;
         if text.len() as u64 > MAX_BYTES {
-            return Err(StructureError::TooLarge { path: path.to_owned(), most: MAX_BYTES });
+            return Err(StructureError::TooLarge {
+                path: path.to_owned(),
+                most: MAX_BYTES,
+            });
         }
         Self::parse(&text, path)
     }
@@ -116,11 +126,21 @@ impl Structure {
         for of_others in ["alert", "simulation", "record"] {
             table.remove(of_others);
         }
-        if let Some(structure) = table.get_mut("structure").and_then(toml::Value::as_table_mut) {
+        if let Some(structure) = table
+            .get_mut("structure")
+            .and_then(toml::Value::as_table_mut)
+        {
             structure.remove("description");
         }
-        let kind = table.get("model").and_then(|model| model.get("kind")).and_then(toml::Value::as_str);
-        let matrices = if kind == Some("matrices") { format!("{:?}", self.system) } else { String::new() };
+        let kind = table
+            .get("model")
+            .and_then(|model| model.get("kind"))
+            .and_then(toml::Value::as_str);
+        let matrices = if kind == Some("matrices") {
+            format!("{:?}", self.system)
+        } else {
+            String::new()
+        };
         format!("{table}{matrices}")
     }
 
@@ -155,7 +175,10 @@ impl Structure {
 
     /// Returns for each channel of a frame how many frames come for one of its samples: 1 unless its node is slower.
     pub(crate) fn frames_per_sample(&self) -> Vec<u64> {
-        let every = |node: &Node| node.sampling_rate_hz().map_or(1.0, |rate_hz| self.sampling_rate_hz / rate_hz);
+        let every = |node: &Node| {
+            node.sampling_rate_hz()
+                .map_or(1.0, |rate_hz| self.sampling_rate_hz / rate_hz)
+        };
         let of_node = |node: &Node| vec![every(node).round() as u64; node.channels().len()];
         self.nodes.iter().flat_map(of_node).collect()
     }
@@ -186,17 +209,21 @@ impl Structure {
 
     /// Returns how each excitation component (N_f) runs between frames: what nobody measures is white noise, and held.
     pub(crate) fn input_holds(&self) -> Vec<InputHold> {
-        let hold = |channel: &Option<usize>| channel.map_or(InputHold::Zero, |_| self.plan.input_hold);
+        let hold =
+            |channel: &Option<usize>| channel.map_or(InputHold::Zero, |_| self.plan.input_hold);
         self.excitation_channels.iter().map(hold).collect()
     }
 
     /// Returns the known mean of each excitation component (N_f, m/s² or N): 0 but for fields of forces.
     #[must_use]
     pub fn mean_excitation(&self) -> DVector<f64> {
-        let means = self.excitations.iter().flat_map(|excitation| match &excitation.action {
-            Action::Ground { .. } | Action::Force { .. } => vec![0.0],
-            Action::ForceField(field) => field.mean.clone(),
-        });
+        let means = self
+            .excitations
+            .iter()
+            .flat_map(|excitation| match &excitation.action {
+                Action::Ground { .. } | Action::Force { .. } => vec![0.0],
+                Action::ForceField(field) => field.mean.clone(),
+            });
         DVector::from_iterator(self.excitation_channels.len(), means)
     }
 
@@ -213,13 +240,20 @@ impl Structure {
     /// Returns the standard deviation that a noise level (from 0) is expected to have: the actual one of a simulation, or
     /// the one that the file states.
     pub(crate) fn expected_level_std(&self, level: usize) -> f64 {
-        let actual = self.simulation.levels.iter().find(|(simulated, _)| *simulated == level);
+        let actual = self
+            .simulation
+            .levels
+            .iter()
+            .find(|(simulated, _)| *simulated == level);
         actual.map_or(self.noise_levels[level].std, |(_, std)| *std)
     }
 
     /// Returns the components (from 0) of one excitation.
     pub(crate) fn components(&self, excitation: usize) -> Range<usize> {
-        let first = self.excitations[..excitation].iter().map(Excitation::component_len).sum();
+        let first = self.excitations[..excitation]
+            .iter()
+            .map(Excitation::component_len)
+            .sum();
         first..first + self.excitations[excitation].component_len()
     }
 
@@ -228,7 +262,10 @@ impl Structure {
         let inputs = self.excitation_channels.len();
         let mut pattern = DMatrix::zeros(inputs, inputs);
         let components = self.components(excitation);
-        let mut own = pattern.view_mut((components.start, components.start), (components.len(), components.len()));
+        let mut own = pattern.view_mut(
+            (components.start, components.start),
+            (components.len(), components.len()),
+        );
         match &self.excitations[excitation].action {
             Action::Ground { .. } | Action::Force { .. } => own.fill(1.0),
             Action::ForceField(field) => own.copy_from(&field.covariance),
@@ -252,7 +289,9 @@ impl Structure {
     #[must_use]
     pub fn noise_unit(&self, level: &NoiseLevel) -> &'static str {
         match level.source() {
-            NoiseSource::Excitation(index) => self.excitations.get(*index).map_or("", Excitation::unit),
+            NoiseSource::Excitation(index) => {
+                self.excitations.get(*index).map_or("", Excitation::unit)
+            }
             NoiseSource::Sensors(rows) => {
                 let channel = rows.first().and_then(|row| self.observations().nth(*row));
                 channel.map_or("", |channel| channel.quantity().unit())
@@ -317,14 +356,21 @@ impl Structure {
 
     /// Returns the channel of each observation row.
     pub(crate) fn observations(&self) -> impl Iterator<Item = &Channel> {
-        self.channels().filter(|channel| !channel.quantity().is_excitation())
+        self.channels()
+            .filter(|channel| !channel.quantity().is_excitation())
     }
 
     /// Returns the natural frequencies as designed (Hz), lowest first; none where they cannot be computed.
     #[must_use]
     pub fn natural_frequencies_hz(&self) -> Vec<f64> {
-        let modes = self.nominal_modes().map(|modes| modes.angular_frequencies).unwrap_or_default();
-        modes.iter().map(|omega| omega / (2.0 * std::f64::consts::PI)).collect()
+        let modes = self
+            .nominal_modes()
+            .map(|modes| modes.angular_frequencies)
+            .unwrap_or_default();
+        modes
+            .iter()
+            .map(|omega| omega / (2.0 * std::f64::consts::PI))
+            .collect()
     }
 
     /// Returns the undamped modes as designed.

@@ -41,8 +41,12 @@ pub(crate) struct Segment {
 pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSystem> {
     let beams: usize = segments.iter().map(|segment| segment.elements).sum();
     let names: Vec<String> = (0..=beams).map(|node| node.to_string()).collect();
-    let freedoms = Freedoms::new(names.iter().map(String::as_str), DIRECTIONS, |node, _| node == 0);
-    let parts = segments.iter().flat_map(|segment| WAYS.map(|way| format!("{}-{way}", segment.name)));
+    let freedoms = Freedoms::new(names.iter().map(String::as_str), DIRECTIONS, |node, _| {
+        node == 0
+    });
+    let parts = segments
+        .iter()
+        .flat_map(|segment| WAYS.map(|way| format!("{}-{way}", segment.name)));
     let mut elements = FiniteElements::new(freedoms, parts);
     let mut below = 0;
     for (index, segment) in segments.iter().enumerate() {
@@ -50,11 +54,15 @@ pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSyste
         for beam in 0..segment.elements {
             let middle = (beam as f64 + 0.5) / segment.elements as f64;
             let share = 1.0 + (segment.top_share - 1.0) * middle;
-            let [bending_x, bending_y, torsion] = segment.stiffnesses_n_m2.map(|at_foot| at_foot * share);
+            let [bending_x, bending_y, torsion] =
+                segment.stiffnesses_n_m2.map(|at_foot| at_foot * share);
             let ends = [below, below + 1];
             let (along_x, along_y) = ([0, 3, 5, 8], [1, 2, 6, 7]);
-            for (way, bending, dofs, turn) in [(0, bending_x, along_x, 1.0), (1, bending_y, along_y, -1.0)] {
-                let (stiffness, mass) = beam_matrices(bending, segment.mass_kg_per_m, length, turn, form);
+            for (way, bending, dofs, turn) in
+                [(0, bending_x, along_x, 1.0), (1, bending_y, along_y, -1.0)]
+            {
+                let (stiffness, mass) =
+                    beam_matrices(bending, segment.mass_kg_per_m, length, turn, form);
                 elements.add_stiffness(3 * index + way, ends, &placed(&stiffness, &dofs));
                 elements.add_mass(ends, &placed(&mass, &dofs));
             }
@@ -71,7 +79,10 @@ pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSyste
         }
     }
     let system = elements.finish()?;
-    Some(LinearSystem { skeleton: Some(Skeleton::of_tower(segments)), ..system })
+    Some(LinearSystem {
+        skeleton: Some(Skeleton::of_tower(segments)),
+        ..system
+    })
 }
 
 /// Returns stiffness and mass of bending in one plane (4 × 4): deflection and rotation of the lower end, then of
@@ -94,7 +105,9 @@ fn beam_matrices(
     let across = |matrix: &DMatrix<f64>| {
         let sense = |dof: usize| if dof % 2 == 1 { turn } else { 1.0 };
         let of_beam = [1, 2, 4, 5];
-        DMatrix::from_fn(4, 4, |i, j| sense(i) * sense(j) * matrix[(of_beam[i], of_beam[j])])
+        DMatrix::from_fn(4, 4, |i, j| {
+            sense(i) * sense(j) * matrix[(of_beam[i], of_beam[j])]
+        })
     };
     (across(&beam.stiffness), across(&beam.mass))
 }
@@ -125,9 +138,16 @@ mod tests {
         let tower = crate::Structure::parse(TOWER, std::path::Path::new("tower.toml")).unwrap();
         let modes = tower.nominal_modes().unwrap();
         assert_eq!(modes.angular_frequencies.len(), 185);
-        for (omega, expected) in modes.angular_frequencies.iter().zip([0.111, 0.159, 0.356, 0.371, 0.549, 0.691]) {
+        for (omega, expected) in modes
+            .angular_frequencies
+            .iter()
+            .zip([0.111, 0.159, 0.356, 0.371, 0.549, 0.691])
+        {
             let found = omega / (2.0 * PI);
-            assert!((found - expected).abs() < 0.001, "{found} instead of {expected}");
+            assert!(
+                (found - expected).abs() < 0.001,
+                "{found} instead of {expected}"
+            );
         }
     }
 
@@ -149,10 +169,20 @@ mod tests {
         let system = system(&[uniform(12)], MassForm::Consistent).unwrap();
         let modes = Modes::of(&system, &[1.0; 3]).unwrap();
         let bending = |ei: f64| (1.875_104_f64 / 50.0).powi(2) * (ei / 3000.0).sqrt();
-        for expected in [bending(1e10), bending(4e10), PI / 100.0 * (2e10_f64 / 6000.0).sqrt()] {
-            let nearest =
-                modes.angular_frequencies.iter().map(|omega| (omega / expected - 1.0).abs()).fold(1.0, f64::min);
-            assert!(nearest < 1e-3, "nothing at {expected} rad/s, nearest off by {nearest:e}");
+        for expected in [
+            bending(1e10),
+            bending(4e10),
+            PI / 100.0 * (2e10_f64 / 6000.0).sqrt(),
+        ] {
+            let nearest = modes
+                .angular_frequencies
+                .iter()
+                .map(|omega| (omega / expected - 1.0).abs())
+                .fold(1.0, f64::min);
+            assert!(
+                nearest < 1e-3,
+                "nothing at {expected} rad/s, nearest off by {nearest:e}"
+            );
         }
     }
 
@@ -160,11 +190,16 @@ mod tests {
     #[test]
     fn lumped_masses_are_shared_by_the_ends_of_each_beam() {
         let system = system(&[uniform(2)], MassForm::Lumped).unwrap();
-        let crate::linear_system::Mass::Lumped(masses) = &system.mass else { panic!("not lumped") };
+        let crate::linear_system::Mass::Lumped(masses) = &system.mass else {
+            panic!("not lumped")
+        };
         let whole = 3000.0 * 50.0;
         for (direction, share) in [(0, whole), (1, whole), (4, whole * 2.0)] {
             let sum = masses[direction] + masses[5 + direction];
-            assert!((sum - 0.75 * share).abs() < 1e-9 * share, "{direction}: {sum}");
+            assert!(
+                (sum - 0.75 * share).abs() < 1e-9 * share,
+                "{direction}: {sum}"
+            );
         }
     }
 
@@ -172,10 +207,24 @@ mod tests {
     #[test]
     fn ways_of_bending_are_apart() {
         let system = system(&[uniform(2)], MassForm::Consistent).unwrap();
-        for (part, moved) in system.substructures.iter().zip([["x", "ry"], ["y", "rx"], ["rz", "rz"]]) {
-            for (row, _, value) in part.stiffness.triplet_iter().filter(|(_, _, value)| **value != 0.0) {
+        for (part, moved) in
+            system
+                .substructures
+                .iter()
+                .zip([["x", "ry"], ["y", "rx"], ["rz", "rz"]])
+        {
+            for (row, _, value) in part
+                .stiffness
+                .triplet_iter()
+                .filter(|(_, _, value)| **value != 0.0)
+            {
                 let name = &system.degrees_of_freedom[row];
-                assert!(moved.iter().any(|direction| name.ends_with(&format!("-{direction}"))), "{name}: {value}");
+                assert!(
+                    moved
+                        .iter()
+                        .any(|direction| name.ends_with(&format!("-{direction}"))),
+                    "{name}: {value}"
+                );
             }
         }
     }
@@ -186,10 +235,18 @@ mod tests {
         let system = system(&[uniform(1)], MassForm::Consistent).unwrap();
         let force = nalgebra::DVector::from_column_slice(&[1.0, 1.0, 0.0, 0.0, 0.0]);
         let bent = system.nominal_stiffness().cholesky().unwrap().solve(&force);
-        let [x, y, rx, ry, rz] = bent.as_slice() else { panic!("five degrees of freedom") };
+        let [x, y, rx, ry, rz] = bent.as_slice() else {
+            panic!("five degrees of freedom")
+        };
         // w = F L³/3EI, w' = F L²/2EI
-        assert!((x / (50.0_f64.powi(3) / 1.2e11) - 1.0).abs() < 1e-9 && (ry / (2500.0 / 8e10) - 1.0).abs() < 1e-9);
-        assert!((y / (50.0_f64.powi(3) / 3e10) - 1.0).abs() < 1e-9 && (rx / (-2500.0 / 2e10) - 1.0).abs() < 1e-9);
+        assert!(
+            (x / (50.0_f64.powi(3) / 1.2e11) - 1.0).abs() < 1e-9
+                && (ry / (2500.0 / 8e10) - 1.0).abs() < 1e-9
+        );
+        assert!(
+            (y / (50.0_f64.powi(3) / 3e10) - 1.0).abs() < 1e-9
+                && (rx / (-2500.0 / 2e10) - 1.0).abs() < 1e-9
+        );
         assert_eq!(*rz, 0.0);
     }
 }

@@ -20,7 +20,13 @@ pub(crate) fn element(
     let l = along.norm();
     let axial = section.modulus_pa * section.area_m2 / l;
     let unit = along / l;
-    let sign = |i: usize, j: usize| if i / dimension == j / dimension { 1.0 } else { -1.0 };
+    let sign = |i: usize, j: usize| {
+        if i / dimension == j / dimension {
+            1.0
+        } else {
+            -1.0
+        }
+    };
     let stiffness = DMatrix::from_fn(2 * dimension, 2 * dimension, |i, j| {
         sign(i, j) * axial * unit[i % dimension] * unit[j % dimension]
     });
@@ -42,14 +48,24 @@ mod tests {
     use std::path::Path;
 
     fn frequencies(text: &str) -> Vec<f64> {
-        let structure = Structure::parse(text, Path::new("truss.toml")).unwrap_or_else(|error| panic!("{error}"));
-        structure.nominal_modes().unwrap().angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect()
+        let structure = Structure::parse(text, Path::new("truss.toml"))
+            .unwrap_or_else(|error| panic!("{error}"));
+        structure
+            .nominal_modes()
+            .unwrap()
+            .angular_frequencies
+            .iter()
+            .map(|omega| omega / (2.0 * PI))
+            .collect()
     }
 
     #[track_caller]
     fn assert_frequencies(found: &[f64], expected: [f64; 5], tolerance: f64) {
         for (found, expected) in found.iter().zip(expected) {
-            assert!((found - expected).abs() < tolerance, "{found} instead of {expected}");
+            assert!(
+                (found - expected).abs() < tolerance,
+                "{found} instead of {expected}"
+            );
         }
     }
 
@@ -68,7 +84,10 @@ mod tests {
     /// Consistent mass is what the publication did not use: 0.427, 1.467, 2.104, 2.980, 4.664 Hz.
     #[test]
     fn consistent_masses_raise_the_frequencies_of_the_truss() {
-        let found = frequencies(&BRIDGE.replace("kind = \"truss\"", "kind = \"truss\"\nmass = \"consistent\""));
+        let found = frequencies(&BRIDGE.replace(
+            "kind = \"truss\"",
+            "kind = \"truss\"\nmass = \"consistent\"",
+        ));
         assert_frequencies(&found, [0.427, 1.467, 2.104, 2.980, 4.664], 1e-3);
     }
 

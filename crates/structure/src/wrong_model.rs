@@ -48,14 +48,23 @@ impl Structure {
 
     fn shifts(&self, truth: &SpectralModel<'_>) -> Option<Vec<f64>> {
         let (means, memory_frames) = (self.prior_means(), self.memory_frames()?);
-        let adapted: Vec<usize> =
-            (0..self.noise_levels.len()).filter(|level| self.noise_levels[*level].adapted).collect();
+        let adapted: Vec<usize> = (0..self.noise_levels.len())
+            .filter(|level| self.noise_levels[*level].adapted)
+            .collect();
         let levels = adapted.iter().map(|level| Direction::Level(*level));
-        let directions: Vec<Direction> = (0..means.len()).map(Direction::Parameter).chain(levels).collect();
+        let directions: Vec<Direction> = (0..means.len())
+            .map(Direction::Parameter)
+            .chain(levels)
+            .collect();
         let (mut theta, mut variances) = (means.clone(), self.expected_variances());
-        let mut sums = SpectralModel::new(self, &theta, &variances).sums(Some(truth), &directions)?;
+        let mut sums =
+            SpectralModel::new(self, &theta, &variances).sums(Some(truth), &directions)?;
         for _ in 0..if self.system.len() > LARGE { 1 } else { STEPS } {
-            let Sums { mut information, mut slope, misfit } = sums.clone();
+            let Sums {
+                mut information,
+                mut slope,
+                misfit,
+            } = sums.clone();
             for (index, parameter) in self.parameters.iter().enumerate() {
                 let precision = 1.0 / (memory_frames * parameter.std().powi(2));
                 information[(index, index)] += precision;
@@ -65,7 +74,9 @@ impl Structure {
             // the whole step is shortened, so that it keeps its direction
             let longest = step.rows(0, means.len()).amax();
             let largest = step.rows(means.len(), adapted.len()).amax();
-            let mut share = (LONGEST_PARAMETER_STEP / longest).min(LONGEST_LEVEL_STEP / largest).min(1.0);
+            let mut share = (LONGEST_PARAMETER_STEP / longest)
+                .min(LONGEST_LEVEL_STEP / largest)
+                .min(1.0);
             loop {
                 let moved = |index: usize| theta[index] + share * step[index];
                 let within = |(index, parameter): (usize, &crate::Parameter)| {
@@ -77,7 +88,8 @@ impl Structure {
                 for (entry, level) in adapted.iter().enumerate() {
                     levels[*level] *= (share * step[means.len() + entry]).exp();
                 }
-                let at_next = SpectralModel::new(self, &next, &levels).sums(Some(truth), &directions)?;
+                let at_next =
+                    SpectralModel::new(self, &next, &levels).sums(Some(truth), &directions)?;
                 if at_next.misfit <= misfit || share < SHORTEST_SHARE {
                     (theta, variances, sums) = (next, levels, at_next);
                     break;
@@ -88,24 +100,38 @@ impl Structure {
                 break;
             }
         }
-        Some(theta.iter().zip(&means).map(|(theta, mean)| theta - mean).collect())
+        Some(
+            theta
+                .iter()
+                .zip(&means)
+                .map(|(theta, mean)| theta - mean)
+                .collect(),
+        )
     }
 
     /// Tells whether some damping is neither identified nor stated to be known.
     pub(crate) fn damping_is_assumed(&self) -> bool {
         use crate::linear_system::Damping;
         use crate::parameter::Scales;
-        let scaled =
-            |wanted: &dyn Fn(&Scales) -> bool| self.parameters.iter().any(|parameter| wanted(&parameter.scales));
+        let scaled = |wanted: &dyn Fn(&Scales) -> bool| {
+            self.parameters
+                .iter()
+                .any(|parameter| wanted(&parameter.scales))
+        };
         let identified = match &self.system.damping {
-            Damping::Rayleigh { alpha_per_s, beta_s } => {
+            Damping::Rayleigh {
+                alpha_per_s,
+                beta_s,
+            } => {
                 let whole = scaled(&|scales| *scales == Scales::Damping);
-                let alpha = *alpha_per_s == 0.0 || scaled(&|scales| *scales == Scales::DampingAlpha);
+                let alpha =
+                    *alpha_per_s == 0.0 || scaled(&|scales| *scales == Scales::DampingAlpha);
                 let beta = *beta_s == 0.0 || scaled(&|scales| *scales == Scales::DampingBeta);
                 whole || (alpha && beta)
             }
-            Damping::Dashpots(parts) => (0..parts.len())
-                .all(|part| scaled(&|scales| matches!(scales, Scales::Dashpots(of) if of.contains(&part)))),
+            Damping::Dashpots(parts) => (0..parts.len()).all(|part| {
+                scaled(&|scales| matches!(scales, Scales::Dashpots(of) if of.contains(&part)))
+            }),
             Damping::Matrix(_) => scaled(&|scales| matches!(scales, Scales::Dashpots(_))),
         };
         !identified && !self.damping_is_known && !self.parameters.is_empty()
@@ -115,7 +141,9 @@ impl Structure {
     /// known.
     pub(crate) fn assumed_levels(&self) -> Vec<usize> {
         let assumed = |level: &usize| match self.noise_levels[*level].source() {
-            NoiseSource::Excitation(_) => self.is_unknown(*level) && !self.noise_levels[*level].adapted,
+            NoiseSource::Excitation(_) => {
+                self.is_unknown(*level) && !self.noise_levels[*level].adapted
+            }
             NoiseSource::Sensors(_) => false,
         };
         (0..self.noise_levels.len()).filter(assumed).collect()

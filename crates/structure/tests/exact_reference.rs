@@ -3,13 +3,18 @@
 //! Notation: Huang & Yuen (2023), §2.4, for the state and the unknown excitation of the frame's own instant together, `[y, w]`:
 //! before a frame `w` is white and independent of `y`; a frame is a datum of both, `[H, D]`; and the next state is
 //! `A y + B w`, for the means as for the covariance. Where `D = 0` the frame says nothing of `w`.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests are no tests to clippy"
+)]
 
 mod structures;
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    ExtendedKalmanFilter, FilterSettings, Frame, InputHold, NoiseTarget, ObservationModel, ProcessModel,
+    ExtendedKalmanFilter, FilterSettings, Frame, InputHold, NoiseTarget, ObservationModel,
+    ProcessModel,
 };
 use spandrel_structure::{Structure, StructureModel};
 use structures::{building_with_masses, example, portal, small_truss, smallest_tower};
@@ -28,11 +33,16 @@ struct Exact {
 
 impl Exact {
     fn new(structure: &Structure, settings: FilterSettings) -> Self {
-        let (n, inputs) = (settings.prior_mean.len(), structure.excitation_channels().len());
+        let (n, inputs) = (
+            settings.prior_mean.len(),
+            structure.excitation_channels().len(),
+        );
         let mut covariance = DMatrix::zeros(n + inputs, n + inputs);
         covariance
             .view_mut((0, 0), (n, n))
-            .copy_from(&DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)));
+            .copy_from(&DMatrix::from_diagonal(
+                &settings.prior_std.map(|std| std * std),
+            ));
         Self {
             model: structure.model(),
             state: settings.prior_mean.clone(),
@@ -53,7 +63,9 @@ impl Exact {
         self.excitation.fill(0.0);
         self.covariance.view_mut((0, n), (n, inputs)).fill(0.0);
         self.covariance.view_mut((n, 0), (inputs, n)).fill(0.0);
-        self.covariance.view_mut((n, n), (inputs, inputs)).copy_from(&self.settings.noise.excitation);
+        self.covariance
+            .view_mut((n, n), (inputs, inputs))
+            .copy_from(&self.settings.noise.excitation);
         self.update(samples, known);
         self.keep_within_bounds();
         self.steps += 1;
@@ -75,9 +87,11 @@ impl Exact {
 
     fn update(&mut self, samples: &[f64], known: &[f64]) {
         let (n, inputs) = (self.state.len(), self.excitation.len());
-        self.model.linearise_observation(self.state.as_slice(), known);
+        self.model
+            .linearise_observation(self.state.as_slice(), known);
         let mut h = DMatrix::zeros(samples.len(), n);
-        self.model.observation_jacobian_mul(&DMatrix::identity(n, n), &mut h);
+        self.model
+            .observation_jacobian_mul(&DMatrix::identity(n, n), &mut h);
         let mut both = DMatrix::zeros(samples.len(), n + inputs);
         both.columns_mut(0, n).copy_from(&h);
         if let Some(direct) = self.model.feedthrough() {
@@ -87,10 +101,16 @@ impl Exact {
         self.model.observe(predicted.as_mut_slice());
         let innovation = DVector::from_column_slice(samples) - predicted;
         let elapsed_s = self.steps as f64 * self.settings.step_s;
-        let aid = self.settings.annealing.map_or(0.0, |aid| aid.amount * (-elapsed_s / aid.time_constant_s).exp());
+        let aid = self.settings.annealing.map_or(0.0, |aid| {
+            aid.amount * (-elapsed_s / aid.time_constant_s).exp()
+        });
         let sensors = (1.0 + aid) * &self.settings.noise.sensors;
         let s = &both * &self.covariance * both.transpose() + &sensors;
-        let gain = s.cholesky().unwrap().solve(&(&both * &self.covariance)).transpose();
+        let gain = s
+            .cholesky()
+            .unwrap()
+            .solve(&(&both * &self.covariance))
+            .transpose();
         let correction = &gain * innovation;
         self.state += correction.rows(0, n);
         self.excitation += correction.rows(n, inputs);
@@ -102,11 +122,17 @@ impl Exact {
     }
 
     fn predict(&mut self, known: &[f64]) {
-        let (n, inputs, step_s) = (self.state.len(), self.excitation.len(), self.settings.step_s);
+        let (n, inputs, step_s) = (
+            self.state.len(),
+            self.excitation.len(),
+            self.settings.step_s,
+        );
         let held = &self.last_known + &self.excitation;
-        self.model.linearise_process(self.state.as_slice(), held.as_slice());
+        self.model
+            .linearise_process(self.state.as_slice(), held.as_slice());
         let (mut jacobian, mut input) = (DMatrix::zeros(n, n), DMatrix::zeros(n, inputs));
-        self.model.jacobian_mul(&DMatrix::identity(n, n), &mut jacobian);
+        self.model
+            .jacobian_mul(&DMatrix::identity(n, n), &mut jacobian);
         self.model.excitation_matrix(&mut input);
         let mut rate = DVector::zeros(n);
         self.model.derivative(rate.as_mut_slice());
@@ -115,24 +141,40 @@ impl Exact {
         let mut augmented = DMatrix::zeros(size, size);
         augmented.view_mut((0, 0), (n, n)).copy_from(&jacobian);
         augmented.column_mut(n).rows_mut(0, n).copy_from(&rate);
-        augmented.view_mut((0, n + 1), (n, inputs)).copy_from(&input);
+        augmented
+            .view_mut((0, n + 1), (n, inputs))
+            .copy_from(&input);
         if self.settings.input_hold == InputHold::First {
             let slope = (DVector::from_column_slice(known) - held) / step_s;
-            augmented.column_mut(size - 2).rows_mut(0, n).copy_from(&(input * slope));
+            augmented
+                .column_mut(size - 2)
+                .rows_mut(0, n)
+                .copy_from(&(input * slope));
             augmented[(size - 2, size - 1)] = 1.0;
         }
         // an exponential is exact by the norm of its matrix: displacements are measured by what the fastest mode makes of them
         let free = (n - self.model.parameter_len()) / 2;
         let rate = self.model.rate_bound();
         let scale = DVector::from_fn(size, |row, _| if row < free { rate } else { 1.0 });
-        let balanced = DMatrix::from_fn(size, size, |i, j| scale[i] * augmented[(i, j)] * step_s / scale[j]).exp();
-        let exponential = DMatrix::from_fn(size, size, |i, j| balanced[(i, j)] * scale[j] / scale[i]);
+        let balanced = DMatrix::from_fn(size, size, |i, j| {
+            scale[i] * augmented[(i, j)] * step_s / scale[j]
+        })
+        .exp();
+        let exponential =
+            DMatrix::from_fn(size, size, |i, j| balanced[(i, j)] * scale[j] / scale[i]);
         self.state += exponential.column(n).rows(0, n) + exponential.column(size - 1).rows(0, n);
         let mut transition = DMatrix::zeros(n, n + inputs);
-        transition.columns_mut(0, n).copy_from(&exponential.view((0, 0), (n, n)));
-        transition.columns_mut(n, inputs).copy_from(&exponential.view((0, n + 1), (n, inputs)));
-        let predicted = &transition * &self.covariance * transition.transpose() * self.settings.fading.value();
-        self.covariance.view_mut((0, 0), (n, n)).copy_from(&predicted);
+        transition
+            .columns_mut(0, n)
+            .copy_from(&exponential.view((0, 0), (n, n)));
+        transition
+            .columns_mut(n, inputs)
+            .copy_from(&exponential.view((0, n + 1), (n, inputs)));
+        let predicted =
+            &transition * &self.covariance * transition.transpose() * self.settings.fading.value();
+        self.covariance
+            .view_mut((0, 0), (n, n))
+            .copy_from(&predicted);
     }
 }
 
@@ -142,7 +184,9 @@ fn settings(structure: &Structure) -> FilterSettings {
     settings.misfit = None; // the reference is the published filter
     for parameter in std::mem::take(&mut settings.noise.parameters) {
         match parameter.target {
-            NoiseTarget::Excitation => settings.noise.excitation += parameter.start * parameter.pattern,
+            NoiseTarget::Excitation => {
+                settings.noise.excitation += parameter.start * parameter.pattern
+            }
             NoiseTarget::Sensors => settings.noise.sensors += parameter.start * parameter.pattern,
         }
     }
@@ -160,8 +204,9 @@ fn kinds(n: usize, parameters: usize) -> [std::ops::Range<usize>; 3] {
 fn level(entries: &DVector<f64>, parameters: usize) -> DVector<f64> {
     let mut levels = entries.clone();
     for kind in kinds(entries.len(), parameters) {
-        let largest =
-            entries.as_slice()[kind.clone()].iter().fold(f64::MIN_POSITIVE, |most, entry| most.max(entry.abs()));
+        let largest = entries.as_slice()[kind.clone()]
+            .iter()
+            .fold(f64::MIN_POSITIVE, |most, entry| most.max(entry.abs()));
         levels.as_mut_slice()[kind].fill(largest);
     }
     levels
@@ -177,19 +222,43 @@ fn assert_exact(structure: Structure) {
     let n = filter.mean().len();
     let mut largest = DVector::zeros(n);
     for (index, frame) in structure.simulator(1).take(FRAMES).enumerate() {
-        let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
-        let excitation: Vec<f64> =
-            structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
-        filter.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+        let observations: Vec<f64> = structure
+            .observation_channels()
+            .iter()
+            .map(|c| frame.values[*c])
+            .collect();
+        let excitation: Vec<f64> = structure
+            .excitation_channels()
+            .iter()
+            .map(|c| c.map_or(0.0, |c| frame.values[c]))
+            .collect();
+        filter
+            .step(Frame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
         exact.step(&observations, &excitation);
-        largest.zip_apply(&exact.state, |largest: &mut f64, entry| *largest = largest.max(entry.abs()));
-        let mean = (filter.mean() - &exact.state).component_div(&level(&largest, parameters)).amax();
+        largest.zip_apply(&exact.state, |largest: &mut f64, entry| {
+            *largest = largest.max(entry.abs())
+        });
+        let mean = (filter.mean() - &exact.state)
+            .component_div(&level(&largest, parameters))
+            .amax();
         let covariance = exact.covariance.view((0, 0), (n, n));
         let std = level(&covariance.diagonal().map(f64::sqrt), parameters);
-        let off = (filter.covariance() - covariance).component_div(&(&std * std.transpose())).amax();
-        assert!(mean < 1e-9 && off < 1e-9, "frame {index}: mean off by {mean:e}, covariance by {off:e}");
+        let off = (filter.covariance() - covariance)
+            .component_div(&(&std * std.transpose()))
+            .amax();
+        assert!(
+            mean < 1e-9 && off < 1e-9,
+            "frame {index}: mean off by {mean:e}, covariance by {off:e}"
+        );
         if index + 1 == FRAMES {
-            println!("{}: mean off by {mean:e}, covariance by {off:e}", structure.name());
+            println!(
+                "{}: mean off by {mean:e}, covariance by {off:e}",
+                structure.name()
+            );
         }
     }
 }

@@ -6,7 +6,10 @@ use spandrel_structure::{SimulatedFrame, Structure, StructureModel};
 use std::path::Path;
 
 fn example(name: &str) -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .with_extension("toml");
     Structure::read(&path).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -39,30 +42,71 @@ struct Run {
 
 impl Run {
     fn new(structure: Structure) -> Self {
-        let settings = structure.filter_settings().unwrap_or_else(|error| panic!("{error}"));
-        let filter = ExtendedKalmanFilter::new(structure.model(), settings).unwrap_or_else(|error| panic!("{error}"));
+        let settings = structure
+            .filter_settings()
+            .unwrap_or_else(|error| panic!("{error}"));
+        let filter = ExtendedKalmanFilter::new(structure.model(), settings)
+            .unwrap_or_else(|error| panic!("{error}"));
         let mean_excitation = structure.mean_excitation().as_slice().to_vec();
-        Self { filter, structure, mean_excitation }
+        Self {
+            filter,
+            structure,
+            mean_excitation,
+        }
     }
 
     fn step(&mut self, frame: &SimulatedFrame) -> Step {
-        let observations: Vec<f64> =
-            self.structure.observation_channels().iter().map(|channel| frame.values[*channel]).collect();
-        let channels = self.structure.excitation_channels().iter().zip(&self.mean_excitation);
-        let excitation: Vec<f64> =
-            channels.map(|(channel, mean)| channel.map_or(*mean, |channel| frame.values[channel])).collect();
-        let frame = Frame { observations: &observations, excitation: &excitation };
-        self.filter.step(frame).unwrap_or_else(|error| panic!("{error}"))
+        let observations: Vec<f64> = self
+            .structure
+            .observation_channels()
+            .iter()
+            .map(|channel| frame.values[*channel])
+            .collect();
+        let channels = self
+            .structure
+            .excitation_channels()
+            .iter()
+            .zip(&self.mean_excitation);
+        let excitation: Vec<f64> = channels
+            .map(|(channel, mean)| channel.map_or(*mean, |channel| frame.values[channel]))
+            .collect();
+        let frame = Frame {
+            observations: &observations,
+            excitation: &excitation,
+        };
+        self.filter
+            .step(frame)
+            .unwrap_or_else(|error| panic!("{error}"))
     }
 }
 
 #[track_caller]
 fn assert_can_be_checked(name: &str, duration_s: f64) {
     let report = example(name).check(duration_s, 1);
-    assert!(report.modes.iter().all(|mode| mode.frequency_hz > 0.0 && mode.damping_ratio >= 0.0), "{name}");
-    let identification = report.identification.unwrap_or_else(|| panic!("{name} has no stationary filter"));
-    assert!(identification.parameters.iter().all(|p| p.std_after <= p.prior_std * (1.0 + 1e-9)), "{name}");
-    assert!(identification.noise_levels.iter().all(|level| level.relative_std_after.is_finite()), "{name}");
+    assert!(
+        report
+            .modes
+            .iter()
+            .all(|mode| mode.frequency_hz > 0.0 && mode.damping_ratio >= 0.0),
+        "{name}"
+    );
+    let identification = report
+        .identification
+        .unwrap_or_else(|| panic!("{name} has no stationary filter"));
+    assert!(
+        identification
+            .parameters
+            .iter()
+            .all(|p| p.std_after <= p.prior_std * (1.0 + 1e-9)),
+        "{name}"
+    );
+    assert!(
+        identification
+            .noise_levels
+            .iter()
+            .all(|level| level.relative_std_after.is_finite()),
+        "{name}"
+    );
 }
 
 #[test]
@@ -81,19 +125,31 @@ fn the_tower_can_be_checked() {
 fn every_example_can_be_simulated() {
     for name in EXAMPLES.into_iter().chain(["tower"]) {
         for frame in example(name).simulator(1).take(100) {
-            assert!(frame.values.iter().all(|value| value.is_finite()), "{name}, frame {}", frame.index);
+            assert!(
+                frame.values.iter().all(|value| value.is_finite()),
+                "{name}, frame {}",
+                frame.index
+            );
         }
     }
 }
 
 #[test]
 fn every_example_can_be_estimated() {
-    for (name, count) in EXAMPLES.map(|name| (name, 100)).into_iter().chain([("tower", 5)]) {
+    for (name, count) in EXAMPLES
+        .map(|name| (name, 100))
+        .into_iter()
+        .chain([("tower", 5)])
+    {
         let structure = example(name);
         let frames: Vec<_> = structure.simulator(1).take(count).collect();
         let mut run = Run::new(structure);
         for frame in &frames {
-            assert!(run.step(frame).log_evidence.is_finite(), "{name}, frame {}", frame.index);
+            assert!(
+                run.step(frame).log_evidence.is_finite(),
+                "{name}, frame {}",
+                frame.index
+            );
         }
     }
 }
@@ -119,7 +175,10 @@ fn levels(name: &str, seed: u64, actual: [f64; 2], from_s: f64, seconds: f64) ->
     let mut run = Run::new(structure);
     let (mut training_steps, mut count) = (0, 0.0);
     let (mut sum, mut squares, mut stated, mut coverage) = ([0.0; 2], [0.0; 2], [0.0; 2], [0.0; 2]);
-    for (index, frame) in simulator.take((seconds / step_s).round() as usize).enumerate() {
+    for (index, frame) in simulator
+        .take((seconds / step_s).round() as usize)
+        .enumerate()
+    {
         if run.step(&frame).training_ended {
             training_steps = index + 1;
         }
@@ -143,11 +202,18 @@ fn levels(name: &str, seed: u64, actual: [f64; 2], from_s: f64, seconds: f64) ->
         replaced: run.filter.noise().working_fallbacks,
         clipped: run.filter.noise().limited,
         mean,
-        scatter: std::array::from_fn(|level| (squares[level] / count - mean[level] * mean[level]).sqrt()),
+        scatter: std::array::from_fn(|level| {
+            (squares[level] / count - mean[level] * mean[level]).sqrt()
+        }),
         stated: stated.map(|sum| sum / count),
         coverage: coverage.map(|sum| sum / count),
     };
-    let Levels { scatter, stated, coverage, .. } = &found;
+    let Levels {
+        scatter,
+        stated,
+        coverage,
+        ..
+    } = &found;
     println!(
         "{name}, seed {seed}, {seconds} s: estimate/actual {mean:.3?}, scatter {scatter:.3?}, stated {stated:.4?}, \
          coverage {coverage:.3?}"
@@ -171,12 +237,26 @@ fn tolerance(scatter: f64) -> f64 {
 fn assert_finds_its_levels(name: &str, actual: [f64; 2], scatter: [f64; 2]) -> Vec<Levels> {
     let of_seed = |seed| {
         let found = levels(name, seed, actual, 50.0, 150.0);
-        assert_eq!(found.training_steps, 500, "{name}, seed {seed}: one fundamental period");
-        assert_eq!((found.replaced, found.clipped), (0, 0), "{name}, seed {seed}");
+        assert_eq!(
+            found.training_steps, 500,
+            "{name}, seed {seed}: one fundamental period"
+        );
+        assert_eq!(
+            (found.replaced, found.clipped),
+            (0, 0),
+            "{name}, seed {seed}"
+        );
         for level in 0..2 {
             let (mean, allowed) = (found.mean[level], tolerance(scatter[level]));
-            assert!((mean - 1.0).abs() <= allowed, "{name}, seed {seed}: level {level} {mean} ± {allowed}");
-            assert!(found.coverage[level] >= 0.99, "{name}, seed {seed}: level {level} {:?}", found.coverage);
+            assert!(
+                (mean - 1.0).abs() <= allowed,
+                "{name}, seed {seed}: level {level} {mean} ± {allowed}"
+            );
+            assert!(
+                found.coverage[level] >= 0.99,
+                "{name}, seed {seed}: level {level} {:?}",
+                found.coverage
+            );
         }
         found
     };
@@ -187,7 +267,11 @@ fn assert_finds_its_levels(name: &str, actual: [f64; 2], scatter: [f64; 2]) -> V
 fn levels_of_unmeasured_ground_motion_and_of_sensors_are_found_from_far_too_large_ones() {
     for found in assert_finds_its_levels("fifty-storeys", GROUND, [0.048, 0.017]) {
         for (stated, expected) in found.stated.into_iter().zip([0.079, 0.0244]) {
-            assert!((stated / expected - 1.0).abs() <= 0.15, "{:?}", found.stated);
+            assert!(
+                (stated / expected - 1.0).abs() <= 0.15,
+                "{:?}",
+                found.stated
+            );
         }
     }
 }
@@ -200,14 +284,23 @@ fn levels_of_a_field_of_fifty_wind_forces_and_of_sensors_are_found() {
 #[test]
 #[ignore = "takes minutes: the published length"]
 fn levels_over_the_published_length_are_found_within_the_published_tolerances() {
-    for (name, actual, allowed, scatter) in
-        [("fifty-storeys", GROUND, 0.02, Some([0.048, 0.017])), ("fifty-storeys-wind", WIND, 0.03, None)]
-    {
+    for (name, actual, allowed, scatter) in [
+        ("fifty-storeys", GROUND, 0.02, Some([0.048, 0.017])),
+        ("fifty-storeys-wind", WIND, 0.03, None),
+    ] {
         for seed in SEEDS {
             let found = levels(name, seed, actual, 100.0, 1000.0);
             for level in 0..2 {
-                assert!((found.mean[level] - 1.0).abs() <= allowed, "{name}, seed {seed}: {:?}", found.mean);
-                assert!(found.coverage[level] >= 0.99, "{name}, seed {seed}: {:?}", found.coverage);
+                assert!(
+                    (found.mean[level] - 1.0).abs() <= allowed,
+                    "{name}, seed {seed}: {:?}",
+                    found.mean
+                );
+                assert!(
+                    found.coverage[level] >= 0.99,
+                    "{name}, seed {seed}: {:?}",
+                    found.coverage
+                );
                 let expected = scatter.map_or(found.scatter[level], |scatter| scatter[level]);
                 assert!(
                     (found.scatter[level] / expected - 1.0).abs() <= 0.3,
@@ -234,21 +327,33 @@ struct Followed {
 fn sixty_storeys_with_the_noise_of(seed: u64, seconds: f64) -> Structure {
     let structure = example("sixty-storeys");
     let (mut squares, mut count) = (vec![0.0; structure.channel_count()], 0.0);
-    for frame in structure.clean_simulator(seed).take((seconds * structure.sampling_rate_hz()) as usize) {
+    for frame in structure
+        .clean_simulator(seed)
+        .take((seconds * structure.sampling_rate_hz()) as usize)
+    {
         count += 1.0;
-        squares.iter_mut().zip(&frame.values).for_each(|(sum, value)| *sum += value * value);
+        squares
+            .iter_mut()
+            .zip(&frame.values)
+            .for_each(|(sum, value)| *sum += value * value);
     }
     let mut stds = squares.iter().map(|sum: &f64| 0.05 * (sum / count).sqrt());
     let stated = |line: &str| match line.starts_with("noise-std") {
-        true => stds.next().map_or_else(String::new, |std| format!("noise-std = {std:e}\n")),
+        true => stds
+            .next()
+            .map_or_else(String::new, |std| format!("noise-std = {std:e}\n")),
         false => format!("{line}\n"),
     };
     let text: String = structure.text().lines().map(stated).collect();
-    Structure::parse(&text, Path::new("sixty-storeys.toml")).unwrap_or_else(|error| panic!("{error}"))
+    Structure::parse(&text, Path::new("sixty-storeys.toml"))
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn follow_sixty_storeys(structure: Structure, seed: u64, seconds: f64) -> Followed {
-    let (floors, rate_hz) = (structure.degrees_of_freedom().len(), structure.sampling_rate_hz());
+    let (floors, rate_hz) = (
+        structure.degrees_of_freedom().len(),
+        structure.sampling_rate_hz(),
+    );
     let mut simulator = structure.simulator(seed);
     let mut run = Run::new(structure);
     let (mut errors, mut squares) = (vec![0.0; 2 * floors], vec![0.0; 2 * floors]);
@@ -266,7 +371,9 @@ fn follow_sixty_storeys(structure: Structure, seed: u64, seconds: f64) -> Follow
             let error = estimate - truth;
             errors[j] += error * error;
             squares[j] += truth * truth;
-            inside += f64::from(u8::from(error.abs() <= 3.0 * run.filter.covariance()[(j, j)].sqrt()));
+            inside += f64::from(u8::from(
+                error.abs() <= 3.0 * run.filter.covariance()[(j, j)].sqrt(),
+            ));
         }
     }
     let relative = |j: usize| (errors[j] / squares[j]).sqrt();
@@ -275,11 +382,18 @@ fn follow_sixty_storeys(structure: Structure, seed: u64, seconds: f64) -> Follow
     let relative_velocity = worst(floors..2 * floors);
     let followed = Followed {
         relative_displacement: worst(0..floors),
-        velocity: velocity.fold((f64::INFINITY, 0.0), |(low, high), error| (error.min(low), error.max(high))),
+        velocity: velocity.fold((f64::INFINITY, 0.0), |(low, high), error| {
+            (error.min(low), error.max(high))
+        }),
         inside: inside / (count * 2.0 * floors as f64),
         misfit: misfit / count,
     };
-    let Followed { relative_displacement, velocity: (low, high), inside, misfit } = &followed;
+    let Followed {
+        relative_displacement,
+        velocity: (low, high),
+        inside,
+        misfit,
+    } = &followed;
     println!(
         "sixty-storeys, seed {seed}, {seconds} s: relative errors {relative_displacement:.4} and {relative_velocity:.4}, \
          velocity {low:.3e} to {high:.3e} m/s, inside {inside:.4}, misfit {misfit:.4}"
@@ -311,7 +425,8 @@ fn motion_of_the_sixty_storeys_is_followed_from_seven_sensors() {
 #[ignore = "takes minutes: the published length"]
 fn motion_of_the_sixty_storeys_is_followed_over_the_published_length() {
     for seed in SEEDS {
-        let followed = follow_sixty_storeys(sixty_storeys_with_the_noise_of(seed, 200.0), seed, 200.0);
+        let followed =
+            follow_sixty_storeys(sixty_storeys_with_the_noise_of(seed, 200.0), seed, 200.0);
         assert_follows(&followed);
         let relative = followed.relative_displacement;
         assert!(relative <= 0.005, "seed {seed}: {relative}");

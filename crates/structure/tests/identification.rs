@@ -1,12 +1,18 @@
 //! The filter identifies what the simulator has done to the structure.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests are no tests to clippy"
+)]
 
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, Frame, ProcessModel};
 use spandrel_structure::{Structure, StructureModel};
 use std::path::Path;
 
 fn example(name: &str) -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name);
     Structure::read(&path).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -16,7 +22,12 @@ fn run(structure: &Structure, seconds: f64, seed: u64) -> ExtendedKalmanFilter<S
 }
 
 /// Does so with parameters that start too high and too low in turn, by `error`.
-fn run_from(structure: &Structure, error: f64, seconds: f64, seed: u64) -> ExtendedKalmanFilter<StructureModel> {
+fn run_from(
+    structure: &Structure,
+    error: f64,
+    seconds: f64,
+    seed: u64,
+) -> ExtendedKalmanFilter<StructureModel> {
     run_on(structure, structure, error, seconds, seed)
 }
 
@@ -36,21 +47,39 @@ fn run_on(
     let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).unwrap();
     let frames = (seconds * structure.sampling_rate_hz()) as usize;
     for frame in simulated.simulator(seed).take(frames) {
-        let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
-        let excitation: Vec<f64> =
-            structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
-        filter.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+        let observations: Vec<f64> = structure
+            .observation_channels()
+            .iter()
+            .map(|c| frame.values[*c])
+            .collect();
+        let excitation: Vec<f64> = structure
+            .excitation_channels()
+            .iter()
+            .map(|c| c.map_or(0.0, |c| frame.values[c]))
+            .collect();
+        filter
+            .step(Frame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
     }
     filter
 }
 
 /// The first parameters of `filter` within five of its standard deviations of `truth`, and these below `largest_std`.
 #[track_caller]
-fn assert_identified(filter: &ExtendedKalmanFilter<StructureModel>, truth: &[f64], largest_std: f64) {
+fn assert_identified(
+    filter: &ExtendedKalmanFilter<StructureModel>,
+    truth: &[f64],
+    largest_std: f64,
+) {
     let physical = filter.mean().len() - filter.model().parameter_len();
     for (index, truth) in truth.iter().enumerate() {
-        let (mean, std) =
-            (filter.mean()[physical + index], filter.covariance()[(physical + index, physical + index)].sqrt());
+        let (mean, std) = (
+            filter.mean()[physical + index],
+            filter.covariance()[(physical + index, physical + index)].sqrt(),
+        );
         assert!(
             (mean - truth).abs() < 5.0 * std && std < largest_std,
             "parameter {index}: expected {truth}, found {mean}, standard deviation {std}, allowed {largest_std}"
@@ -70,8 +99,11 @@ fn the_demo_is_identified_before_and_after_its_damage() {
 fn damping_that_the_file_does_not_know_is_identified_and_stays_positive() {
     let demo = example("demo.toml");
     for factor in [3.0, 1.0 / 3.0] {
-        let text = demo.text().replace("ratio = 0.02", &format!("ratio = {}", 0.02 * factor));
-        let other = Structure::parse(&text, Path::new("other.toml")).unwrap_or_else(|error| panic!("{error}"));
+        let text = demo
+            .text()
+            .replace("ratio = 0.02", &format!("ratio = {}", 0.02 * factor));
+        let other = Structure::parse(&text, Path::new("other.toml"))
+            .unwrap_or_else(|error| panic!("{error}"));
         let filter = run_on(&demo, &other, 0.0, 59.0, 1);
         let damping = filter.mean()[15];
         println!(
@@ -81,7 +113,11 @@ fn damping_that_the_file_does_not_know_is_identified_and_stays_positive() {
         );
         assert_identified(&filter, &[1.0, 1.0, 1.0, 1.0, 1.0, factor], 0.5);
         for storey in 10..15 {
-            assert!((filter.mean()[storey] - 1.0).abs() < 0.02, "{factor}: {}", filter.mean()[storey]);
+            assert!(
+                (filter.mean()[storey] - 1.0).abs() < 0.02,
+                "{factor}: {}",
+                filter.mean()[storey]
+            );
         }
     }
 }
@@ -97,7 +133,10 @@ fn assert_converges(name: &str, stiffnesses: usize, seconds: f64, largest_error:
     let filter = run_from(&example(name), 0.1, seconds, 1);
     let physical = filter.mean().len() - example(name).parameters().len();
     for index in physical..physical + stiffnesses {
-        let (mean, std) = (filter.mean()[index], filter.covariance()[(index, index)].sqrt());
+        let (mean, std) = (
+            filter.mean()[index],
+            filter.covariance()[(index, index)].sqrt(),
+        );
         assert!(
             (mean - 1.0).abs() < (5.0 * std).min(largest_error),
             "{name}, parameter {}: found {mean}, standard deviation {std}, allowed error {largest_error}",
@@ -136,8 +175,11 @@ fn the_hysteretic_chain_of_five_is_identified() {
 /// The same with devices that answer to the drift between two floors.
 #[test]
 fn springs_that_are_driven_by_their_drift_are_identified() {
-    let text = example("bouc-wen-five.toml").text().replace("drive = \"floor\"", "drive = \"drift\"");
-    let chain = Structure::parse(&text, Path::new("chain.toml")).unwrap_or_else(|error| panic!("{error}"));
+    let text = example("bouc-wen-five.toml")
+        .text()
+        .replace("drive = \"floor\"", "drive = \"drift\"");
+    let chain =
+        Structure::parse(&text, Path::new("chain.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert_identified(&run_from(&chain, 0.2, 40.0, 1), &[1.0; 10], 0.2);
 }
 
@@ -151,8 +193,11 @@ fn the_hysteretic_oscillator_is_identified() {
 fn stiffnesses_and_dashpots_of_a_building_are_identified() {
     // The memory of the example follows a sudden loss, and is too short for dashpots: a longer one here. The second storey begins
     // to soften after 8 s.
-    let text = example("dashpot-building.toml").text().replace("half-life-s = 1\n", "half-life-s = 10\n");
-    let building = Structure::parse(&text, Path::new("building.toml")).unwrap_or_else(|error| panic!("{error}"));
+    let text = example("dashpot-building.toml")
+        .text()
+        .replace("half-life-s = 1\n", "half-life-s = 10\n");
+    let building = Structure::parse(&text, Path::new("building.toml"))
+        .unwrap_or_else(|error| panic!("{error}"));
     assert_identified(&run_from(&building, 0.1, 7.9, 1), &[1.0; 8], 0.2);
 }
 
@@ -164,12 +209,24 @@ fn the_high_rise_converges_from_wrong_stiffnesses() {
 /// The tower with 12 beams in place of 37: a step of the whole one takes longer than a test should.
 #[test]
 fn the_tower_converges_from_wrong_stiffnesses() {
-    let mut text =
-        example("tower.toml").text().replace("elements = 27", "elements = 8").replace("elements = 10", "elements = 4");
-    for (node, nearest) in [(4, 1), (8, 2), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)] {
+    let mut text = example("tower.toml")
+        .text()
+        .replace("elements = 27", "elements = 8")
+        .replace("elements = 10", "elements = 4");
+    for (node, nearest) in [
+        (4, 1),
+        (8, 2),
+        (13, 4),
+        (18, 5),
+        (23, 7),
+        (27, 8),
+        (32, 10),
+        (37, 12),
+    ] {
         text = text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"));
     }
-    let tower = Structure::parse(&text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
+    let tower =
+        Structure::parse(&text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert_identified(&run_from(&tower, 0.2, 1.0, 1), &[1.0; 2], 0.01);
 }
 
@@ -187,10 +244,15 @@ fn step_with_variance(variance: f64) -> Result<f64, FilterError> {
         entries[index * (last + 1) + last] = 0.0.into();
     }
     entries[last * (last + 1) + last] = variance.into();
-    filter.restore(serde_json::from_value(checkpoint).unwrap()).unwrap();
+    filter
+        .restore(serde_json::from_value(checkpoint).unwrap())
+        .unwrap();
     let missing = vec![f64::NAN; demo.observation_channels().len()];
     let excitation = vec![f64::NAN; demo.excitation_channels().len()];
-    filter.step(Frame { observations: &missing, excitation: &excitation })?;
+    filter.step(Frame {
+        observations: &missing,
+        excitation: &excitation,
+    })?;
     Ok(filter.covariance()[(last, last)])
 }
 

@@ -1,13 +1,20 @@
 //! The structures whose nodes identify for themselves have the constants that are printed of them, and their messages as many numbers.
 //!
 //! Source: Huang & Yuen (2023), chapters 6 and 7; models without printed numbers as they were recomputed from the description.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests are no tests to clippy"
+)]
 
 use spandrel_structure::Structure;
 use std::path::Path;
 
 fn text(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .with_extension("toml");
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -18,34 +25,78 @@ fn parse(text: &str) -> Structure {
 /// The example with another `[fusion]`.
 fn with_fusion(name: &str, fusion: &str) -> Structure {
     let text = text(name);
-    let (start, end) = (text.find("[fusion]").unwrap(), text.find("[simulation]").unwrap());
-    parse(&format!("{}[fusion]\n{fusion}\n\n{}", &text[..start], &text[end..]))
+    let (start, end) = (
+        text.find("[fusion]").unwrap(),
+        text.find("[simulation]").unwrap(),
+    );
+    parse(&format!(
+        "{}[fusion]\n{fusion}\n\n{}",
+        &text[..start],
+        &text[end..]
+    ))
 }
 
 #[track_caller]
 fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
-    assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected} ± {tolerance}");
+    assert!(
+        (found - expected).abs() <= tolerance,
+        "{what}: {found}, expected {expected} ± {tolerance}"
+    );
 }
 
 #[test]
 fn frequencies_and_damping_are_as_recomputed() {
     for (name, degrees, frequencies, tolerance, damping) in [
-        ("forty-storey-building", 40, &[0.2530, 0.7586, 1.2631, 1.7656, 2.2656][..], 1e-4, Some([0.0099, 0.0097])),
-        ("two-pier-bridge", 49, &[0.315, 0.790, 0.968, 1.087, 1.110, 1.202, 1.872], 1e-3, Some([0.0203, 0.0206])),
-        ("two-degrees-of-freedom", 2, &[3.111], 5e-4, Some([0.01, 0.01])),
-        ("sixteen-bay-truss", 58, &[2.1757, 2.3440, 5.2496, 5.6024, 8.3385], 5e-5, None),
+        (
+            "forty-storey-building",
+            40,
+            &[0.2530, 0.7586, 1.2631, 1.7656, 2.2656][..],
+            1e-4,
+            Some([0.0099, 0.0097]),
+        ),
+        (
+            "two-pier-bridge",
+            49,
+            &[0.315, 0.790, 0.968, 1.087, 1.110, 1.202, 1.872],
+            1e-3,
+            Some([0.0203, 0.0206]),
+        ),
+        (
+            "two-degrees-of-freedom",
+            2,
+            &[3.111],
+            5e-4,
+            Some([0.01, 0.01]),
+        ),
+        (
+            "sixteen-bay-truss",
+            58,
+            &[2.1757, 2.3440, 5.2496, 5.6024, 8.3385],
+            5e-5,
+            None,
+        ),
         ("forty-storey-spikes", 40, &[0.2869], 5e-5, None),
     ] {
         let structure = parse(&text(name));
         assert_eq!(structure.degrees_of_freedom().len(), degrees, "{name}");
         let found = structure.natural_frequencies_hz();
         for (mode, (found, expected)) in found.iter().zip(frequencies).enumerate() {
-            assert_close(&format!("{name}, frequency {}", mode + 1), *found, *expected, tolerance);
+            assert_close(
+                &format!("{name}, frequency {}", mode + 1),
+                *found,
+                *expected,
+                tolerance,
+            );
         }
         let Some(damping) = damping else { continue };
         let modes = structure.check(0.1, 1).modes;
         for (mode, (found, expected)) in modes.iter().zip(damping).enumerate() {
-            assert_close(&format!("{name}, damping ratio {}", mode + 1), found.damping_ratio, expected, 5e-5);
+            assert_close(
+                &format!("{name}, damping ratio {}", mode + 1),
+                found.damping_ratio,
+                expected,
+                5e-5,
+            );
         }
     }
 }
@@ -54,30 +105,61 @@ fn frequencies_and_damping_are_as_recomputed() {
 fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
     // mixed weights are those of the whole covariance of the parameters beside variances of the modes, vector weights those of
     // variances alone: 4 N_m + N_θ (N_θ + 3) / 2 and 4 N_m + 2 N_θ
-    for (name, nodes, modes, mixed, vector, seconds, total) in
-        [("forty-storey-building", 16, 5, 85, 40, 300, 408_000), ("two-pier-bridge", 15, 6, 68, 40, 300, 306_000)]
-    {
+    for (name, nodes, modes, mixed, vector, seconds, total) in [
+        ("forty-storey-building", 16, 5, 85, 40, 300, 408_000),
+        ("two-pier-bridge", 15, 6, 68, 40, 300, 306_000),
+    ] {
         let motion = format!("motion = \"modes\"\nmodes = {modes}");
         let structure = with_fusion(name, &motion);
         assert_eq!(structure.sent_modes().map(|(kept, _)| kept), Some(modes));
-        assert_eq!(structure.numbers_per_period(0), Some((mixed, mixed)), "{name}");
-        assert_eq!(structure.nodes().len() * mixed * seconds, total, "{name}, all nodes for {seconds} s");
+        assert_eq!(
+            structure.numbers_per_period(0),
+            Some((mixed, mixed)),
+            "{name}"
+        );
+        assert_eq!(
+            structure.nodes().len() * mixed * seconds,
+            total,
+            "{name}, all nodes for {seconds} s"
+        );
         assert_eq!(structure.nodes().len(), nodes);
         let structure = with_fusion(name, &format!("{motion}\ncovariance = \"variances\""));
-        assert_eq!(structure.numbers_per_period(0), Some((vector, vector)), "{name}");
+        assert_eq!(
+            structure.numbers_per_period(0),
+            Some((vector, vector)),
+            "{name}"
+        );
     }
     // chapter 7: 128 bytes of variances and 352 of a whole covariance, up and down; 0.8 and 3.2 % of the raw samples
-    for (name, seconds, rate_hz, share) in
-        [("sixteen-bay-truss", 200.0, 1000.0, 0.008), ("forty-storey-spikes", 500.0, 250.0, 0.032)]
-    {
+    for (name, seconds, rate_hz, share) in [
+        ("sixteen-bay-truss", 200.0, 1000.0, 0.008),
+        ("forty-storey-spikes", 500.0, 250.0, 0.032),
+    ] {
         let structure = with_fusion(name, "covariance = \"variances\"");
-        assert_eq!(structure.numbers_per_period(0), Some((128 / 8, 128 / 8)), "{name}");
+        assert_eq!(
+            structure.numbers_per_period(0),
+            Some((128 / 8, 128 / 8)),
+            "{name}"
+        );
         let nodes = structure.nodes().len() as f64;
         let (sent, raw) = (nodes * 16.0 * seconds, nodes * 2.0 * rate_hz * seconds);
-        assert_close(&format!("{name}, share of the raw samples"), sent / raw, share, 1e-12);
-        assert_eq!((structure.sampling_rate_hz(), raw), (rate_hz, 4e6), "{name}");
+        assert_close(
+            &format!("{name}, share of the raw samples"),
+            sent / raw,
+            share,
+            1e-12,
+        );
+        assert_eq!(
+            (structure.sampling_rate_hz(), raw),
+            (rate_hz, 4e6),
+            "{name}"
+        );
         let structure = with_fusion(name, "covariance = \"full\"");
-        assert_eq!(structure.numbers_per_period(0), Some((352 / 8, 352 / 8)), "{name}");
+        assert_eq!(
+            structure.numbers_per_period(0),
+            Some((352 / 8, 352 / 8)),
+            "{name}"
+        );
     }
 }
 
@@ -89,9 +171,17 @@ fn modes_are_kept_by_the_mass_that_they_carry() {
         structure.sent_modes().unwrap().1
     };
     for (modes, kept) in [(1, 0.82), (2, 0.91), (5, 0.97)] {
-        assert_close(&format!("building, {modes} modes"), 1.0 - missed("forty-storey-building", modes), kept, 0.01);
+        assert_close(
+            &format!("building, {modes} modes"),
+            1.0 - missed("forty-storey-building", modes),
+            kept,
+            0.01,
+        );
     }
     for (modes, kept) in [(1, 0.677), (2, 0.891), (3, 0.909)] {
-        assert!(1.0 - missed("two-pier-bridge", modes) >= kept - 1e-3, "bridge, {modes} modes");
+        assert!(
+            1.0 - missed("two-pier-bridge", modes) >= kept - 1e-3,
+            "bridge, {modes} modes"
+        );
     }
 }

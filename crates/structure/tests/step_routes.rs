@@ -1,5 +1,9 @@
 //! The step by the blocks of a structure with proportional damping against the step by its Jacobian as an operator.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests are no tests to clippy"
+)]
 
 mod by_operator;
 mod structures;
@@ -26,51 +30,95 @@ impl Routes {
             *mean *= 1.0 + 0.3 * (seed as f64 * 7.3 + 2.1 * index as f64).sin();
         }
         let model = structure.model();
-        assert!(model.proportional_form().is_some() && ByOperator(model.clone()).proportional_form().is_none());
-        let operator = ExtendedKalmanFilter::new(ByOperator(model.clone()), settings.clone()).unwrap();
-        Self { blocks: ExtendedKalmanFilter::new(model, settings).unwrap(), structure, operator }
+        assert!(
+            model.proportional_form().is_some()
+                && ByOperator(model.clone()).proportional_form().is_none()
+        );
+        let operator =
+            ExtendedKalmanFilter::new(ByOperator(model.clone()), settings.clone()).unwrap();
+        Self {
+            blocks: ExtendedKalmanFilter::new(model, settings).unwrap(),
+            structure,
+            operator,
+        }
     }
 
     fn samples(&self, frame: &SimulatedFrame) -> (Vec<f64>, Vec<f64>) {
-        let observations = self.structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
-        let excitation =
-            self.structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
+        let observations = self
+            .structure
+            .observation_channels()
+            .iter()
+            .map(|c| frame.values[*c])
+            .collect();
+        let excitation = self
+            .structure
+            .excitation_channels()
+            .iter()
+            .map(|c| c.map_or(0.0, |c| frame.values[c]))
+            .collect();
         (observations, excitation)
     }
 
     fn step_blocks(&mut self, frame: &SimulatedFrame) {
         let (observations, excitation) = self.samples(frame);
-        self.blocks.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+        self.blocks
+            .step(Frame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
     }
 
     fn step_operator(&mut self, frame: &SimulatedFrame) {
         let (observations, excitation) = self.samples(frame);
-        self.operator.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+        self.operator
+            .step(Frame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
     }
 
     /// Returns the largest differences of mean and covariance, by the standard deviations of the filter by the operator.
     fn differences(&self) -> (f64, f64) {
         let std: DVector<f64> = self.operator.covariance().diagonal().map(f64::sqrt);
-        let mean = (self.blocks.mean() - self.operator.mean()).component_div(&std).amax();
+        let mean = (self.blocks.mean() - self.operator.mean())
+            .component_div(&std)
+            .amax();
         let difference = self.blocks.covariance() - self.operator.covariance();
-        (mean, difference.component_div(&(&std * std.transpose())).amax())
+        (
+            mean,
+            difference.component_div(&(&std * std.transpose())).amax(),
+        )
     }
 }
 
 fn structures() -> Vec<(&'static str, Structure)> {
-    let lumped_bridge = text_of("three-pier-bridge").replace("kind = \"frame\"", "kind = \"frame\"\nmass = \"lumped\"");
-    let consistent_truss =
-        text_of("fourteen-bay-truss").replace("kind = \"truss\"", "kind = \"truss\"\nmass = \"consistent\"");
+    let lumped_bridge = text_of("three-pier-bridge")
+        .replace("kind = \"frame\"", "kind = \"frame\"\nmass = \"lumped\"");
+    let consistent_truss = text_of("fourteen-bay-truss").replace(
+        "kind = \"truss\"",
+        "kind = \"truss\"\nmass = \"consistent\"",
+    );
     vec![
         ("five storeys", example("demo")),
         ("noisy storeys", example("noisy")),
-        ("fifty storeys with damping parameters", example("high-rise")),
+        (
+            "fifty storeys with damping parameters",
+            example("high-rise"),
+        ),
         ("storeys with scaled masses", building_with_masses()),
         ("matrices", example("matrices")),
         ("frame, consistent mass", example("three-pier-bridge")),
-        ("frame, lumped mass", parse("three-pier-bridge", &lumped_bridge)),
+        (
+            "frame, lumped mass",
+            parse("three-pier-bridge", &lumped_bridge),
+        ),
         ("truss, lumped mass", example("fourteen-bay-truss")),
-        ("truss, consistent mass", parse("fourteen-bay-truss", &consistent_truss)),
+        (
+            "truss, consistent mass",
+            parse("fourteen-bay-truss", &consistent_truss),
+        ),
         ("tower", small_tower()),
     ]
 }
@@ -83,7 +131,9 @@ fn one_step_is_the_same_by_blocks_and_by_the_operator() {
         for seed in 0..3 {
             let frames: Vec<SimulatedFrame> = structure.simulator(seed).take(22).collect();
             let mut routes = Routes::new(structure.clone(), seed);
-            frames[..20].iter().for_each(|frame| routes.step_blocks(frame));
+            frames[..20]
+                .iter()
+                .for_each(|frame| routes.step_blocks(frame));
             let state: FilterState = routes.blocks.state().clone();
             let reach = structure.model().rate_bound() * routes.blocks.settings().step_s;
             let tolerance = if reach < 1.5 { 1e-12 } else { 1e-11 };
@@ -114,7 +164,10 @@ fn assert_same_run(structure: Structure, frames: usize) {
         routes.step_operator(&frame);
     }
     let (mean, covariance) = routes.differences();
-    assert!(mean < 1e-9 && covariance < 1e-9, "mean off by {mean:e}, covariance by {covariance:e}");
+    assert!(
+        mean < 1e-9 && covariance < 1e-9,
+        "mean off by {mean:e}, covariance by {covariance:e}"
+    );
 }
 
 #[test]

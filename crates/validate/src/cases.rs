@@ -266,8 +266,13 @@ static CASES: [Case; 29] = [
 /// Returns all cases: the published ones in the order of their sources, then those of robustness and of the example files.
 #[must_use]
 pub fn cases() -> &'static [&'static Case] {
-    static ALL: LazyLock<Vec<&'static Case>> =
-        LazyLock::new(|| CASES.iter().chain(robustness::CASES).chain(fit::CASES).collect());
+    static ALL: LazyLock<Vec<&'static Case>> = LazyLock::new(|| {
+        CASES
+            .iter()
+            .chain(robustness::CASES)
+            .chain(fit::CASES)
+            .collect()
+    });
     &ALL
 }
 
@@ -277,11 +282,21 @@ pub fn cases() -> &'static [&'static Case] {
 /// When a name stands for no case.
 pub fn select(names: &[String]) -> Result<Vec<&'static Case>, ValidateError> {
     let stands_for = |name: &str, case: &Case| {
-        case.name == name || case.name.strip_prefix(name).is_some_and(|rest| rest.starts_with('.'))
+        case.name == name
+            || case
+                .name
+                .strip_prefix(name)
+                .is_some_and(|rest| rest.starts_with('.'))
     };
-    if let Some(found) = names.iter().find(|name| !cases().iter().any(|case| stands_for(name, case))) {
+    if let Some(found) = names
+        .iter()
+        .find(|name| !cases().iter().any(|case| stands_for(name, case)))
+    {
         let known: Vec<&str> = cases().iter().map(|case| case.name).collect();
-        return Err(ValidateError::UnknownCase { found: found.clone(), known: known.join(", ") });
+        return Err(ValidateError::UnknownCase {
+            found: found.clone(),
+            known: known.join(", "),
+        });
     }
     Ok(cases()
         .iter()
@@ -298,12 +313,19 @@ mod tests {
     fn names_select_cases_and_groups() {
         let names = |names: &[&str]| -> Vec<&str> {
             let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
-            select(&names).unwrap().iter().map(|case| case.name).collect()
+            select(&names)
+                .unwrap()
+                .iter()
+                .map(|case| case.name)
+                .collect()
         };
         assert_eq!(names(&[]).len(), cases().len());
         assert_eq!(names(&["kalman.vehicle"]), ["kalman.vehicle"]);
         assert_eq!(names(&["kalman"]), ["kalman.vehicle", "kalman.building-60"]);
         let error = select(&["kalma".to_owned()]).unwrap_err().to_string();
-        assert!(error.contains("kalma;") && error.contains("kalman.vehicle"), "{error}");
+        assert!(
+            error.contains("kalma;") && error.contains("kalman.vehicle"),
+            "{error}"
+        );
     }
 }

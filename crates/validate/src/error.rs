@@ -73,6 +73,9 @@ impl ValidateError {
 
     /// Makes the error of a filter that could not be built.
     pub(crate) fn setting(source: spandrel_filter::FilterError) -> Self {
-        Self::Filter { time_s: 0.0, source }
+        Self::Filter {
+            time_s: 0.0,
+            source,
+        }
     }
 }

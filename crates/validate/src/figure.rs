@@ -32,7 +32,10 @@ impl Required {
     /// Within a share of a value, such as 0.05 for ± 5 %.
     #[must_use]
     pub fn relative(of: f64, share: f64) -> Self {
-        Self::Within { of, by: of.abs() * share }
+        Self::Within {
+            of,
+            by: of.abs() * share,
+        }
     }
 
     /// Says whether a measured number is what it must be; a number that is none never is.
@@ -53,7 +56,9 @@ impl std::fmt::Display for Required {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match *self {
             // a value that is required to a part in 10⁵ has to be seen to that part
-            Self::Within { of, by } => write!(formatter, "{} ± {}", measured_number(of, self), number(by)),
+            Self::Within { of, by } => {
+                write!(formatter, "{} ± {}", measured_number(of, self), number(by))
+            }
             Self::Between { low, high } => write!(formatter, "{} to {}", number(low), number(high)),
             Self::AtLeast(least) => write!(formatter, "≥ {}", number(least)),
             Self::AtMost(most) => write!(formatter, "≤ {}", number(most)),
@@ -85,7 +90,10 @@ pub(crate) fn measured_number(value: f64, required: &Required) -> String {
         fine && required.holds(printed) == required.holds(value)
     };
     let texts = (DIGITS..MOST_DIGITS).map(|digits| with_digits(value, digits));
-    texts.into_iter().find(decides).unwrap_or_else(|| with_digits(value, MOST_DIGITS))
+    texts
+        .into_iter()
+        .find(decides)
+        .unwrap_or_else(|| with_digits(value, MOST_DIGITS))
 }
 
 fn with_digits(value: f64, digits: usize) -> String {
@@ -143,7 +151,14 @@ impl Figure {
     #[must_use]
     pub fn new(name: impl Into<String>, measured: f64, required: Required) -> Self {
         let measured = measured.is_finite().then_some(measured);
-        Self { name: name.into(), published: None, required, judgement: Judgement::Each, measured, known_miss: None }
+        Self {
+            name: name.into(),
+            published: None,
+            required,
+            judgement: Judgement::Each,
+            measured,
+            known_miss: None,
+        }
     }
 
     /// Adds what the source printed.
@@ -180,12 +195,23 @@ mod tests {
         assert!(Required::Within { of: 1.0, by: 0.5 }.holds(1.5));
         assert!(!Required::relative(2.0, 0.05).holds(2.11));
         assert!(
-            Required::Within { of: 1.0, by: 0.03 }.holds(1.03) && Required::Within { of: 1.0, by: 0.03 }.holds(0.97)
+            Required::Within { of: 1.0, by: 0.03 }.holds(1.03)
+                && Required::Within { of: 1.0, by: 0.03 }.holds(0.97)
         );
         assert!(Required::relative(-2.0, 0.05).holds(-2.09));
-        assert!(Required::Between { low: 0.0, high: 1.0 }.holds(0.0));
+        assert!(
+            Required::Between {
+                low: 0.0,
+                high: 1.0
+            }
+            .holds(0.0)
+        );
         assert!(!Required::AtLeast(1.0).holds(0.999));
-        for required in [Required::AtLeast(0.0), Required::AtMost(0.0), Required::relative(1.0, 1.0)] {
+        for required in [
+            Required::AtLeast(0.0),
+            Required::AtMost(0.0),
+            Required::relative(1.0, 1.0),
+        ] {
             assert!(!required.holds(f64::NAN), "{required}");
         }
     }
@@ -208,7 +234,14 @@ mod tests {
     #[test]
     fn a_measured_number_is_written_as_finely_as_it_is_judged() {
         for (value, required, text) in [
-            (0.075_398_22, Required::Within { of: 0.075_398_2, by: 1e-6 }, "0.0753982"),
+            (
+                0.075_398_22,
+                Required::Within {
+                    of: 0.075_398_2,
+                    by: 1e-6,
+                },
+                "0.0753982",
+            ),
             (0.950_04, Required::AtLeast(0.95), "0.95"),
             (0.949_96, Required::AtLeast(0.95), "0.94996"),
             (1.030_04, Required::Within { of: 1.0, by: 0.03 }, "1.03004"),
@@ -217,6 +250,13 @@ mod tests {
         ] {
             assert_eq!(measured_number(value, &required), text);
         }
-        assert_eq!(Required::Within { of: 0.075_398_2, by: 1e-6 }.to_string(), "0.0753982 ± 1e-6");
+        assert_eq!(
+            Required::Within {
+                of: 0.075_398_2,
+                by: 1e-6
+            }
+            .to_string(),
+            "0.0753982 ± 1e-6"
+        );
     }
 }

@@ -28,7 +28,11 @@ use spandrel_structure::Structure;
 /// Share of the judged time with the right verdict.
 const MOST_OF_THE_TIME: f64 = 0.95;
 
-const VERDICTS: [FitVerdict; 3] = [FitVerdict::Supported, FitVerdict::Doubtful, FitVerdict::Contradicted];
+const VERDICTS: [FitVerdict; 3] = [
+    FitVerdict::Supported,
+    FitVerdict::Doubtful,
+    FitVerdict::Contradicted,
+];
 
 /// Runs one example for one seed.
 fn measure(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
@@ -41,18 +45,37 @@ fn measure(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     }
     let shares = course::run(&structure, example.seconds, run)?;
     let tables = vec![right_table(example), reasons_table(&shares)];
-    Ok(Outcome { figures: figures(example, &shares), tables, ..Outcome::default() })
+    Ok(Outcome {
+        figures: figures(example, &shares),
+        tables,
+        ..Outcome::default()
+    })
 }
 
 /// Counts the sensor nodes whose filter judges its fit.
 fn nodes_without_verdict(structure: &Structure) -> Result<Outcome, ValidateError> {
     let mut judging = 0;
     for position in 0..structure.nodes().len() {
-        let Some(filter) = structure.local_filter(position) else { continue };
-        judging += usize::from(!filter.map_err(ValidateError::setting)?.filter().channel_fits().is_empty());
+        let Some(filter) = structure.local_filter(position) else {
+            continue;
+        };
+        judging += usize::from(
+            !filter
+                .map_err(ValidateError::setting)?
+                .filter()
+                .channel_fits()
+                .is_empty(),
+        );
     }
-    let figure = Figure::new("sensor nodes that judge the fit", judging as f64, Required::AtMost(0.0));
-    Ok(Outcome { figures: vec![figure], ..Outcome::default() })
+    let figure = Figure::new(
+        "sensor nodes that judge the fit",
+        judging as f64,
+        Required::AtMost(0.0),
+    );
+    Ok(Outcome {
+        figures: vec![figure],
+        ..Outcome::default()
+    })
 }
 
 fn figures(example: &Example, shares: &Shares) -> Vec<Figure> {
@@ -66,26 +89,45 @@ fn figures(example: &Example, shares: &Shares) -> Vec<Figure> {
         Right::Doubtful => FitVerdict::Doubtful,
         Right::NoVerdict => {
             let name = "share of the time with a verdict that nobody has measured";
-            return vec![known(Figure::new(name, shares.unmeasured(), Required::AtMost(0.0)))];
+            return vec![known(Figure::new(
+                name,
+                shares.unmeasured(),
+                Required::AtMost(0.0),
+            ))];
         }
     };
     let mut figures = Vec::new();
     for verdict in VERDICTS {
-        let figure = reported(format!("{}, share of the judged time", verdict.as_str()), shares.settled(verdict));
+        let figure = reported(
+            format!("{}, share of the judged time", verdict.as_str()),
+            shares.settled(verdict),
+        );
         figures.push(if verdict == right {
-            known(Figure { required: Required::AtLeast(MOST_OF_THE_TIME), ..figure })
+            known(Figure {
+                required: Required::AtLeast(MOST_OF_THE_TIME),
+                ..figure
+            })
         } else {
             figure
         });
     }
     if shares.changes() {
         for verdict in VERDICTS {
-            let name = format!("{}, share of the two half-lives after a change", verdict.as_str());
+            let name = format!(
+                "{}, share of the two half-lives after a change",
+                verdict.as_str()
+            );
             figures.push(reported(name, shares.after_a_change(verdict)));
         }
     }
-    for (when, held) in ["supported", "not supported"].into_iter().zip(shares.held()) {
-        figures.push(reported(format!("95 % intervals that hold the truth while {when}"), held));
+    for (when, held) in ["supported", "not supported"]
+        .into_iter()
+        .zip(shares.held())
+    {
+        figures.push(reported(
+            format!("95 % intervals that hold the truth while {when}"),
+            held,
+        ));
     }
     figures.push(reported(
         "supported before anything was measured, share of the working time".into(),
@@ -97,16 +139,25 @@ fn figures(example: &Example, shares: &Shares) -> Vec<Figure> {
 fn right_table(example: &Example) -> Table {
     Table {
         title: "What is right".to_owned(),
-        columns: ["simulated (s)", "right", "why"].map(str::to_owned).to_vec(),
-        rows: vec![vec![example.seconds.to_string(), example.right.words().to_owned(), example.why.to_owned()]],
+        columns: ["simulated (s)", "right", "why"]
+            .map(str::to_owned)
+            .to_vec(),
+        rows: vec![vec![
+            example.seconds.to_string(),
+            example.right.words().to_owned(),
+            example.why.to_owned(),
+        ]],
     }
 }
 
 fn reasons_table(shares: &Shares) -> Table {
-    let row = |(reason, share): (FitReason, f64)| vec![reason.words().to_owned(), format!("{share:.3}")];
+    let row =
+        |(reason, share): (FitReason, f64)| vec![reason.words().to_owned(), format!("{share:.3}")];
     Table {
         title: "Reasons against the fit, outside of the time after a change".to_owned(),
-        columns: ["reason", "share of the judged time"].map(str::to_owned).to_vec(),
+        columns: ["reason", "share of the judged time"]
+            .map(str::to_owned)
+            .to_vec(),
         rows: shares.reasons().map(row).collect(),
     }
 }

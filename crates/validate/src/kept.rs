@@ -29,13 +29,21 @@ pub(crate) struct Kept {
 impl Done {
     /// Makes one of this program.
     pub(crate) fn new(mark: &str, seconds: f64, outcome: Outcome) -> Self {
-        Self { mark: mark.to_owned(), version: env!("CARGO_PKG_VERSION").to_owned(), seconds, outcome }
+        Self {
+            mark: mark.to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            seconds,
+            outcome,
+        }
     }
 }
 
 impl Kept {
     pub(crate) fn new(directory: &Path, mark: String) -> Self {
-        Self { directory: directory.to_owned(), mark }
+        Self {
+            directory: directory.to_owned(),
+            mark,
+        }
     }
 
     pub(crate) fn mark(&self) -> &str {
@@ -48,7 +56,10 @@ impl Kept {
         let ignore = path.join(".gitignore");
         std::fs::create_dir_all(path)
             .and_then(|()| std::fs::write(&ignore, "*\n"))
-            .map_err(|source| ValidateError::File { path: path.clone(), source })
+            .map_err(|source| ValidateError::File {
+                path: path.clone(),
+                source,
+            })
     }
 
     fn prefix(case: &Case, length: Length) -> String {
@@ -60,7 +71,8 @@ impl Kept {
     }
 
     fn path(&self, case: &Case, seed: u64, length: Length) -> PathBuf {
-        self.directory.join(format!("{}{seed}.json", Self::prefix(case, length)))
+        self.directory
+            .join(format!("{}{seed}.json", Self::prefix(case, length)))
     }
 
     fn any(&self, case: &Case, seed: u64, length: Length) -> Option<Done> {
@@ -71,17 +83,31 @@ impl Kept {
 
     /// Returns the outcome of a run that this program made.
     pub(crate) fn read(&self, case: &Case, seed: u64, length: Length) -> Option<Done> {
-        self.any(case, seed, length).filter(|done| done.mark == self.mark)
+        self.any(case, seed, length)
+            .filter(|done| done.mark == self.mark)
     }
 
     /// Returns all outcomes of a case with their seeds in order, whichever program made them.
     pub(crate) fn read_all(&self, case: &Case, length: Length) -> Vec<(u64, Done)> {
         let prefix = Self::prefix(case, length);
-        let entries = std::fs::read_dir(&self.directory).into_iter().flatten().flatten();
-        let seed = |name: &str| name.strip_prefix(&prefix)?.strip_suffix(".json")?.parse::<u64>().ok();
-        let mut seeds: Vec<u64> = entries.filter_map(|entry| seed(entry.file_name().to_str()?)).collect();
+        let entries = std::fs::read_dir(&self.directory)
+            .into_iter()
+            .flatten()
+            .flatten();
+        let seed = |name: &str| {
+            name.strip_prefix(&prefix)?
+                .strip_suffix(".json")?
+                .parse::<u64>()
+                .ok()
+        };
+        let mut seeds: Vec<u64> = entries
+            .filter_map(|entry| seed(entry.file_name().to_str()?))
+            .collect();
         seeds.sort_unstable();
-        seeds.into_iter().filter_map(|seed| Some((seed, self.any(case, seed, length)?))).collect()
+        seeds
+            .into_iter()
+            .filter_map(|seed| Some((seed, self.any(case, seed, length)?)))
+            .collect()
     }
 
     /// Says whether this program made an outcome.
@@ -89,7 +115,13 @@ impl Kept {
         done.mark == self.mark
     }
 
-    pub(crate) fn write(&self, case: &Case, seed: u64, length: Length, done: &Done) -> Result<(), ValidateError> {
+    pub(crate) fn write(
+        &self,
+        case: &Case,
+        seed: u64,
+        length: Length,
+        done: &Done,
+    ) -> Result<(), ValidateError> {
         let path = self.path(case, seed, length);
         let text = serde_json::to_string(done).map_err(std::io::Error::from);
         let write = |text: String| {
@@ -97,6 +129,9 @@ impl Kept {
             std::fs::write(&unfinished, text)?;
             std::fs::rename(&unfinished, &path)
         };
-        text.and_then(write).map_err(|source| ValidateError::File { path: path.clone(), source })
+        text.and_then(write).map_err(|source| ValidateError::File {
+            path: path.clone(),
+            source,
+        })
     }
 }

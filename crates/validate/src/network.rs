@@ -47,7 +47,11 @@ impl Network<'_> {
     fn set_noise(&self, first: usize, settings: &mut FilterSettings) {
         settings.noise.sensors.fill(0.0);
         // a filter that is told samples of others knows the channels of all
-        let first = if settings.noise.sensors.nrows() == self.noise_std.len() { 0 } else { first };
+        let first = if settings.noise.sensors.nrows() == self.noise_std.len() {
+            0
+        } else {
+            first
+        };
         for channel in 0..settings.noise.sensors.nrows() {
             settings.noise.sensors[(channel, channel)] = self.noise_std[first + channel].powi(2);
         }
@@ -64,13 +68,21 @@ impl Network<'_> {
     ) -> Result<Fused, ValidateError> {
         let structure = self.structure;
         let missing = || ValidateError::Example { what: "fusion" };
-        let mut station = structure.station().ok_or_else(missing)?.map_err(ValidateError::setting)?;
+        let mut station = structure
+            .station()
+            .ok_or_else(missing)?
+            .map_err(ValidateError::setting)?;
         let mut nodes = Vec::new();
         let mut first = 0;
         for (position, node) in structure.nodes().iter().enumerate() {
-            let of_node =
-                structure.local_filter_with(position, |own| self.set_noise(first, own)).ok_or_else(missing)?;
-            nodes.push((of_node.map_err(ValidateError::setting)?, first, node.channels().len()));
+            let of_node = structure
+                .local_filter_with(position, |own| self.set_noise(first, own))
+                .ok_or_else(missing)?;
+            nodes.push((
+                of_node.map_err(ValidateError::setting)?,
+                first,
+                node.channels().len(),
+            ));
             first += node.channels().len();
         }
         let parameters = structure.parameters().len();
@@ -86,9 +98,14 @@ impl Network<'_> {
         for frame in 0..self.frames {
             for (filter, first, channels) in &mut nodes {
                 observations.clear();
-                observations.extend((*first..*first + *channels).map(|channel| (self.data)(frame, channel)));
+                observations.extend(
+                    (*first..*first + *channels).map(|channel| (self.data)(frame, channel)),
+                );
                 filter
-                    .step(Frame { observations: &observations, excitation: &excitation })
+                    .step(Frame {
+                        observations: &observations,
+                        excitation: &excitation,
+                    })
                     .map_err(ValidateError::at(self.time_s(frame)))?;
                 look(frame, *first, filter.filter());
             }
@@ -101,7 +118,12 @@ impl Network<'_> {
                 let report = filter.report();
                 for (j, course) in fused.local[position].iter_mut().enumerate() {
                     let density = &report.parameters;
-                    course.take(time_s, density.mean[j], density.covariance[(j, j)], truth[j]);
+                    course.take(
+                        time_s,
+                        density.mean[j],
+                        density.covariance[(j, j)],
+                        truth[j],
+                    );
                 }
                 // a node that is of no use in this fusion is reported as not heard
                 let _ = station.receive(position, report, index);
@@ -114,7 +136,12 @@ impl Network<'_> {
                 }
             }
             for (j, course) in fused.courses.iter_mut().enumerate() {
-                course.take(time_s, result.parameters.mean[j], result.parameters.covariance[(j, j)], truth[j]);
+                course.take(
+                    time_s,
+                    result.parameters.mean[j],
+                    result.parameters.covariance[(j, j)],
+                    truth[j],
+                );
             }
             fused.reports.push(result.nodes);
             fused.motion.push(result.motion);
@@ -128,27 +155,45 @@ impl Network<'_> {
 
     /// Runs one filter that has the samples of all nodes and screens none of them; its estimates at the instants of the
     /// fusions, by parameter.
-    pub(crate) fn in_one_filter(&self, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<Course>, ValidateError> {
+    pub(crate) fn in_one_filter(
+        &self,
+        shares: (f64, f64),
+        run: &Run<'_>,
+    ) -> Result<Vec<Course>, ValidateError> {
         let structure = self.structure;
-        let mut settings = structure.filter_settings().map_err(ValidateError::setting)?;
+        let mut settings = structure
+            .filter_settings()
+            .map_err(ValidateError::setting)?;
         settings.misfit = None; // the method as it was published
         self.set_noise(0, &mut settings);
         settings.outliers = None;
-        let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
+        let mut filter = ExtendedKalmanFilter::new(structure.model(), settings)
+            .map_err(ValidateError::setting)?;
         let mut courses = vec![Course::default(); structure.parameters().len()];
         let excitation = vec![0.0; structure.excitations().len()];
         let mut observations = vec![0.0; self.noise_std.len()];
         for frame in 0..self.frames {
-            observations.iter_mut().enumerate().for_each(|(channel, value)| *value = (self.data)(frame, channel));
+            observations
+                .iter_mut()
+                .enumerate()
+                .for_each(|(channel, value)| *value = (self.data)(frame, channel));
             filter
-                .step(Frame { observations: &observations, excitation: &excitation })
+                .step(Frame {
+                    observations: &observations,
+                    excitation: &excitation,
+                })
                 .map_err(ValidateError::at(self.time_s(frame)))?;
             if (frame + 1) % self.period() != 0 {
                 continue;
             }
             let (density, truth) = (filter.parameters(), structure.true_parameters(frame as u64));
             for (j, course) in courses.iter_mut().enumerate() {
-                course.take(self.time_s(frame), density.mean[j], density.covariance[(j, j)], truth[j]);
+                course.take(
+                    self.time_s(frame),
+                    density.mean[j],
+                    density.covariance[(j, j)],
+                    truth[j],
+                );
             }
             if !run.advance(shares.0 + (shares.1 - shares.0) * frame as f64 / self.frames as f64) {
                 return Err(ValidateError::Stopped);
@@ -161,7 +206,12 @@ impl Network<'_> {
 /// Accuracy of one course outside of the start and of the time after each damage.
 pub(crate) fn settled(course: &Course, from_s: f64, damages: &[f64], after_s: f64) -> Accuracy {
     let mut accuracy = Accuracy::default();
-    let counts = |time_s: f64| time_s > from_s && !damages.iter().any(|at| (*at..at + after_s).contains(&time_s));
+    let counts = |time_s: f64| {
+        time_s > from_s
+            && !damages
+                .iter()
+                .any(|at| (*at..at + after_s).contains(&time_s))
+    };
     for [_, mean, std, truth] in course.points.iter().filter(|point| counts(point[0])) {
         accuracy.take(*mean, *std, *truth);
     }

@@ -32,7 +32,11 @@ impl Series {
     /// Makes a series.
     #[must_use]
     pub fn new(label: impl Into<String>, kind: SeriesKind, points: Vec<(f32, f32)>) -> Self {
-        Self { label: label.into(), kind, points }
+        Self {
+            label: label.into(),
+            kind,
+            points,
+        }
     }
 }
 
@@ -54,18 +58,42 @@ pub struct Plot {
 impl Plot {
     /// Makes a diagram over time.
     #[must_use]
-    pub fn over_time(title: impl Into<String>, ordinate: impl Into<String>, series: Vec<Series>) -> Self {
-        Self { title: title.into(), abscissa: "time (s)".to_owned(), ordinate: ordinate.into(), range: None, series }
+    pub fn over_time(
+        title: impl Into<String>,
+        ordinate: impl Into<String>,
+        series: Vec<Series>,
+    ) -> Self {
+        Self {
+            title: title.into(),
+            abscissa: "time (s)".to_owned(),
+            ordinate: ordinate.into(),
+            range: None,
+            series,
+        }
     }
 
     /// Makes a diagram of estimates over what is true, which lie on the line of 45° where they agree.
     #[must_use]
     pub fn against_truth(title: impl Into<String>, unit: &str, points: Vec<(f32, f32)>) -> Self {
-        let all = || points.iter().flat_map(|&(truth, estimate)| [truth, estimate]).filter(|value| value.is_finite());
-        let (low, high) = (all().fold(f32::INFINITY, f32::min), all().fold(f32::NEG_INFINITY, f32::max));
-        let line = if low <= high { vec![(low, low), (high, high)] } else { Vec::new() };
-        let series =
-            vec![Series::new("estimated", SeriesKind::Points, points), Series::new("45°", SeriesKind::Truth, line)];
+        let all = || {
+            points
+                .iter()
+                .flat_map(|&(truth, estimate)| [truth, estimate])
+                .filter(|value| value.is_finite())
+        };
+        let (low, high) = (
+            all().fold(f32::INFINITY, f32::min),
+            all().fold(f32::NEG_INFINITY, f32::max),
+        );
+        let line = if low <= high {
+            vec![(low, low), (high, high)]
+        } else {
+            Vec::new()
+        };
+        let series = vec![
+            Series::new("estimated", SeriesKind::Points, points),
+            Series::new("45°", SeriesKind::Truth, line),
+        ];
         Self {
             title: title.into(),
             abscissa: format!("true ({unit})"),

@@ -16,7 +16,13 @@ pub trait Watch: Sync {
     /// A run has done this share of its work (0 to 1).
     fn advanced(&self, case: &Case, seed: u64, share: f64);
     /// A run is over: its outcome, or why there is none; `kept` when it had been done before.
-    fn finished(&self, case: &Case, seed: u64, result: Result<&Outcome, &ValidateError>, kept: bool);
+    fn finished(
+        &self,
+        case: &Case,
+        seed: u64,
+        result: Result<&Outcome, &ValidateError>,
+        kept: bool,
+    );
 }
 
 /// Hears nothing.
@@ -45,7 +51,14 @@ impl Plan {
     /// Plans each case once for each seed, on one thread.
     #[must_use]
     pub fn new(cases: Vec<&'static Case>, seeds: Vec<u64>, length: Length) -> Self {
-        Self { cases, seeds, length, threads: 1, kept: None, stopped: AtomicBool::new(false) }
+        Self {
+            cases,
+            seeds,
+            length,
+            threads: 1,
+            kept: None,
+            stopped: AtomicBool::new(false),
+        }
     }
 
     /// Runs so many cases at the same time.
@@ -85,8 +98,12 @@ impl Plan {
         // the longest first, so that no thread is left with a long one at the end
         jobs.sort_by(|a, b| self.cases[b.0].weight.total_cmp(&self.cases[a.0].weight));
         let next = AtomicUsize::new(0);
-        let results: Mutex<Vec<Vec<Option<Result1>>>> =
-            Mutex::new(self.cases.iter().map(|_| self.seeds.iter().map(|_| None).collect()).collect());
+        let results: Mutex<Vec<Vec<Option<Result1>>>> = Mutex::new(
+            self.cases
+                .iter()
+                .map(|_| self.seeds.iter().map(|_| None).collect())
+                .collect(),
+        );
         let trouble: Mutex<Option<ValidateError>> = Mutex::new(None);
         std::thread::scope(|scope| {
             for _ in 0..self.threads.min(jobs.len()) {
@@ -110,38 +127,79 @@ impl Plan {
         }
         let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
         let report = self.cases.iter().zip(results).map(|(case, results)| {
-            let outcomes = results.into_iter().map(|result| result.unwrap_or(Err(ValidateError::Stopped)));
-            CaseReport::new(case, self.seeds.iter().copied().zip(outcomes).collect(), Program::This)
+            let outcomes = results
+                .into_iter()
+                .map(|result| result.unwrap_or(Err(ValidateError::Stopped)));
+            CaseReport::new(
+                case,
+                self.seeds.iter().copied().zip(outcomes).collect(),
+                Program::This,
+            )
         });
-        Ok(Report { length: self.length, cases: report.collect(), others: self.others() })
+        Ok(Report {
+            length: self.length,
+            cases: report.collect(),
+            others: self.others(),
+        })
     }
 
     /// What is kept of the cases that are not planned.
     fn others(&self) -> Vec<CaseReport> {
-        let Some(kept) = &self.kept else { return Vec::new() };
+        let Some(kept) = &self.kept else {
+            return Vec::new();
+        };
         let planned = |case: &Case| self.cases.iter().any(|planned| planned.name == case.name);
         let report = |case: &Case| {
             let runs = kept.read_all(case, self.length);
-            let program = if runs.iter().all(|(_, done)| kept.is_own(done)) { Program::This } else { Program::Another };
-            let outcomes = runs.into_iter().map(|(seed, done)| (seed, Ok(done))).collect::<Vec<_>>();
+            let program = if runs.iter().all(|(_, done)| kept.is_own(done)) {
+                Program::This
+            } else {
+                Program::Another
+            };
+            let outcomes = runs
+                .into_iter()
+                .map(|(seed, done)| (seed, Ok(done)))
+                .collect::<Vec<_>>();
             (!outcomes.is_empty()).then(|| CaseReport::new(case, outcomes, program))
         };
-        cases().iter().copied().filter(|case| !planned(case)).filter_map(report).collect()
+        cases()
+            .iter()
+            .copied()
+            .filter(|case| !planned(case))
+            .filter_map(report)
+            .collect()
     }
 
     /// Runs one case for one seed, or takes what is kept.
-    fn one(&self, case: &'static Case, seed: u64, watch: &dyn Watch) -> Result<Result1, ValidateError> {
-        if let Some(done) = self.kept.as_ref().and_then(|kept| kept.read(case, seed, self.length)) {
+    fn one(
+        &self,
+        case: &'static Case,
+        seed: u64,
+        watch: &dyn Watch,
+    ) -> Result<Result1, ValidateError> {
+        if let Some(done) = self
+            .kept
+            .as_ref()
+            .and_then(|kept| kept.read(case, seed, self.length))
+        {
             watch.finished(case, seed, Ok(&done.outcome), true);
             return Ok(Ok(done));
         }
         let advanced = |share: f64| watch.advanced(case, seed, share);
-        #[expect(clippy::disallowed_methods, reason = "the report tells how long each case takes")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "the report tells how long each case takes"
+        )]
         let start = Instant::now();
         let result = if self.stopped.load(Ordering::Relaxed) {
             Err(ValidateError::Stopped)
         } else {
-            (case.run)(&Run { seed, length: self.length, advanced: &advanced, stopped: &self.stopped })
+            (case.run)(&Run {
+                seed,
+                length: self.length,
+                advanced: &advanced,
+                stopped: &self.stopped,
+            })
         };
         watch.finished(case, seed, result.as_ref(), false);
         let mark = self.kept.as_ref().map_or("", Kept::mark);
@@ -171,7 +229,10 @@ mod tests {
 
     fn seed_as_figure(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let figure = Figure::new("seed", run.seed as f64, Required::AtMost(2.0));
-        Ok(Outcome { figures: vec![figure], ..Outcome::default() })
+        Ok(Outcome {
+            figures: vec![figure],
+            ..Outcome::default()
+        })
     }
 
     fn without_result(_: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -179,80 +240,175 @@ mod tests {
     }
 
     /// Its runs are counted, so one test alone has it.
-    static COUNTED: Case = Case { name: "test.counted", title: "seeds", source: "here", weight: 1.0, run: counted };
-    static PLAIN: Case = Case { name: "test.plain", title: "seeds", source: "here", weight: 1.0, run: seed_as_figure };
-    static FAILED: Case =
-        Case { name: "test.failed", title: "nothing", source: "here", weight: 2.0, run: without_result };
+    static COUNTED: Case = Case {
+        name: "test.counted",
+        title: "seeds",
+        source: "here",
+        weight: 1.0,
+        run: counted,
+    };
+    static PLAIN: Case = Case {
+        name: "test.plain",
+        title: "seeds",
+        source: "here",
+        weight: 1.0,
+        run: seed_as_figure,
+    };
+    static FAILED: Case = Case {
+        name: "test.failed",
+        title: "nothing",
+        source: "here",
+        weight: 2.0,
+        run: without_result,
+    };
 
     #[test]
     fn a_stopped_plan_goes_on_where_it_was() {
         let directory = tempfile::tempdir().unwrap();
-        let plan = |mark: &str| Plan::new(vec![&COUNTED], vec![1, 2], Length::Quick).keep(directory.path(), mark);
+        let plan = |mark: &str| {
+            Plan::new(vec![&COUNTED], vec![1, 2], Length::Quick).keep(directory.path(), mark)
+        };
         let first = plan("a").run(&Quiet).unwrap();
         let done = RUNS.load(Ordering::Relaxed);
         assert_eq!(plan("a").run(&Quiet).unwrap(), first);
-        assert_eq!(RUNS.load(Ordering::Relaxed), done, "kept outcomes are not made again");
+        assert_eq!(
+            RUNS.load(Ordering::Relaxed),
+            done,
+            "kept outcomes are not made again"
+        );
         plan("b").run(&Quiet).unwrap();
-        assert_eq!(RUNS.load(Ordering::Relaxed), done + 2, "another program makes them again");
-        std::fs::write(directory.path().join("test.counted.quick.seed-1.json"), "{\"mark\": \"b\", \"fig").unwrap();
+        assert_eq!(
+            RUNS.load(Ordering::Relaxed),
+            done + 2,
+            "another program makes them again"
+        );
+        std::fs::write(
+            directory.path().join("test.counted.quick.seed-1.json"),
+            "{\"mark\": \"b\", \"fig",
+        )
+        .unwrap();
         let again = plan("b").run(&Quiet).unwrap();
-        assert_eq!(again.cases[0].figures, first.cases[0].figures, "a file that was cut off is made again");
+        assert_eq!(
+            again.cases[0].figures, first.cases[0].figures,
+            "a file that was cut off is made again"
+        );
         assert_eq!(RUNS.load(Ordering::Relaxed), done + 3);
     }
 
     #[test]
     fn a_report_of_one_case_keeps_what_was_kept_of_the_others() {
         let directory = tempfile::tempdir().unwrap();
-        let vehicle = cases().iter().find(|case| case.name == "kalman.vehicle").unwrap();
-        let plan = |case, mark: &str| Plan::new(vec![case], vec![1, 2], Length::Quick).keep(directory.path(), mark);
+        let vehicle = cases()
+            .iter()
+            .find(|case| case.name == "kalman.vehicle")
+            .unwrap();
+        let plan = |case, mark: &str| {
+            Plan::new(vec![case], vec![1, 2], Length::Quick).keep(directory.path(), mark)
+        };
         let first = plan(vehicle, "a").run(&Quiet).unwrap();
         assert!(first.others.is_empty());
         for (mark, program) in [("a", Program::This), ("b", Program::Another)] {
             let second = plan(&PLAIN, mark).run(&Quiet).unwrap();
             assert_eq!(second.others.len(), 1);
             let kept = &second.others[0];
-            assert_eq!((kept.name, &kept.seeds, kept.program), ("kalman.vehicle", &vec![1, 2], program));
+            assert_eq!(
+                (kept.name, &kept.seeds, kept.program),
+                ("kalman.vehicle", &vec![1, 2], program)
+            );
             assert_eq!(kept.figures.len(), first.cases[0].figures.len());
-            assert!(kept.passed() && kept.seconds.iter().all(Option::is_some) && !kept.plots.is_empty());
+            assert!(
+                kept.passed() && kept.seconds.iter().all(Option::is_some) && !kept.plots.is_empty()
+            );
         }
-        assert_eq!(std::fs::read_to_string(directory.path().join(".gitignore")).unwrap(), "*\n");
+        assert_eq!(
+            std::fs::read_to_string(directory.path().join(".gitignore")).unwrap(),
+            "*\n"
+        );
         let pages = tempfile::tempdir().unwrap();
-        plan(&PLAIN, "a").run(&Quiet).unwrap().write(pages.path()).unwrap();
+        plan(&PLAIN, "a")
+            .run(&Quiet)
+            .unwrap()
+            .write(pages.path())
+            .unwrap();
         let page = std::fs::read_to_string(pages.path().join("figures.md")).unwrap();
-        assert!(page.contains("`kalman.vehicle`") && page.contains("`test.plain`"), "{page}");
-        assert!(page.contains("No outcome is kept of") && page.contains("`ekf.tower`"), "{page}");
+        assert!(
+            page.contains("`kalman.vehicle`") && page.contains("`test.plain`"),
+            "{page}"
+        );
+        assert!(
+            page.contains("No outcome is kept of") && page.contains("`ekf.tower`"),
+            "{page}"
+        );
     }
 
     fn misses(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-        let known = Figure::new("known", run.seed as f64, Required::AtMost(1.0)).known_miss("the record is short");
-        let holding = Figure::new("holding", 0.0, Required::AtMost(1.0)).known_miss("it used to miss");
-        Ok(Outcome { figures: vec![known, holding], ..Outcome::default() })
+        let known = Figure::new("known", run.seed as f64, Required::AtMost(1.0))
+            .known_miss("the record is short");
+        let holding =
+            Figure::new("holding", 0.0, Required::AtMost(1.0)).known_miss("it used to miss");
+        Ok(Outcome {
+            figures: vec![known, holding],
+            ..Outcome::default()
+        })
     }
 
-    static MISSED: Case = Case { name: "test.missed", title: "known misses", source: "here", weight: 1.0, run: misses };
+    static MISSED: Case = Case {
+        name: "test.missed",
+        title: "known misses",
+        source: "here",
+        weight: 1.0,
+        run: misses,
+    };
 
     #[test]
     fn a_known_miss_is_shown_with_its_requirement_and_reason_and_does_not_fail_the_run() {
-        let report = Plan::new(vec![&MISSED], vec![101, 102], Length::Full).run(&Quiet).unwrap();
-        assert!(report.passed() && !report.cases[0].figures[0].passed && !report.cases[0].figures[0].is_surprise());
+        let report = Plan::new(vec![&MISSED], vec![101, 102], Length::Full)
+            .run(&Quiet)
+            .unwrap();
+        assert!(
+            report.passed()
+                && !report.cases[0].figures[0].passed
+                && !report.cases[0].figures[0].is_surprise()
+        );
         let text = report.text();
         let line = "MISSED   known: 101, 102 (required ≤ 1); known: the record is short";
         assert!(text.contains(line), "{text}");
-        assert!(text.contains("holds    holding: 0, 0 (required ≤ 1)\n"), "{text}");
-        assert!(text.contains("1 of 2 figures as required, 1 missed (1 of them known), 0 runs failed"), "{text}");
+        assert!(
+            text.contains("holds    holding: 0, 0 (required ≤ 1)\n"),
+            "{text}"
+        );
+        assert!(
+            text.contains("1 of 2 figures as required, 1 missed (1 of them known), 0 runs failed"),
+            "{text}"
+        );
         let pages = tempfile::tempdir().unwrap();
         report.write(pages.path()).unwrap();
         let page = std::fs::read_to_string(pages.path().join("figures.md")).unwrap();
-        assert!(page.contains("| known | – | ≤ 1 | 101 | 102 | MISSED; known: the record is short |"), "{page}");
-        assert!(page.contains("`spandrel validate --seeds 101..102 --report DIRECTORY`"), "{page}");
+        assert!(
+            page.contains("| known | – | ≤ 1 | 101 | 102 | MISSED; known: the record is short |"),
+            "{page}"
+        );
+        assert!(
+            page.contains("`spandrel validate --seeds 101..102 --report DIRECTORY`"),
+            "{page}"
+        );
     }
 
     #[test]
     fn a_case_without_result_fails_and_the_others_go_on() {
-        let report = Plan::new(vec![&FAILED, &PLAIN], vec![1, 2, 3], Length::Full).threads(2).run(&Quiet).unwrap();
+        let report = Plan::new(vec![&FAILED, &PLAIN], vec![1, 2, 3], Length::Full)
+            .threads(2)
+            .run(&Quiet)
+            .unwrap();
         assert!(!report.passed());
         assert_eq!(report.cases[0].failures.len(), 3);
-        assert_eq!(report.cases[1].figures[0].measured, [Some(1.0), Some(2.0), Some(3.0)]);
-        assert!(!report.cases[1].figures[0].passed, "seed 3 misses what is required");
+        assert_eq!(
+            report.cases[1].figures[0].measured,
+            [Some(1.0), Some(2.0), Some(3.0)]
+        );
+        assert!(
+            !report.cases[1].figures[0].passed,
+            "seed 3 misses what is required"
+        );
     }
 }

@@ -96,7 +96,11 @@ pub struct Report {
 }
 
 impl CaseReport {
-    pub(crate) fn new(case: &Case, runs: Vec<(u64, Result<Done, ValidateError>)>, program: Program) -> Self {
+    pub(crate) fn new(
+        case: &Case,
+        runs: Vec<(u64, Result<Done, ValidateError>)>,
+        program: Program,
+    ) -> Self {
         let mut report = Self {
             name: case.name,
             title: case.title,
@@ -111,7 +115,9 @@ impl CaseReport {
             failures: Vec::new(),
         };
         for (position, (seed, run)) in runs.into_iter().enumerate() {
-            report.seconds.push(run.as_ref().ok().map(|done| done.seconds));
+            report
+                .seconds
+                .push(run.as_ref().ok().map(|done| done.seconds));
             match run {
                 Ok(done) => {
                     if !report.versions.contains(&done.version) {
@@ -130,7 +136,10 @@ impl CaseReport {
 
     fn take(&mut self, position: usize, outcome: Outcome) {
         for figure in outcome.figures {
-            let known = self.figures.iter().position(|known| known.figure == figure.name);
+            let known = self
+                .figures
+                .iter()
+                .position(|known| known.figure == figure.name);
             let at = known.unwrap_or_else(|| {
                 self.figures.push(FigureReport {
                     case: self.name,
@@ -161,11 +170,19 @@ impl CaseReport {
 
 /// Says whether a figure holds over its seeds; a seed without the number does not hold it.
 fn holds(figure: &FigureReport) -> bool {
-    let FigureReport { required, judgement, measured, .. } = figure;
+    let FigureReport {
+        required,
+        judgement,
+        measured,
+        ..
+    } = figure;
     if *required == Required::Reported {
         return true;
     }
-    let holding = measured.iter().filter(|measured| measured.is_some_and(|value| required.holds(value))).count();
+    let holding = measured
+        .iter()
+        .filter(|measured| measured.is_some_and(|value| required.holds(value)))
+        .count();
     match judgement {
         Judgement::Each => holding == measured.len(),
         Judgement::TwoThirds => 3 * holding >= 2 * measured.len(),

@@ -5,7 +5,9 @@ use crate::network::Network;
 use crate::outcome::{Plot, Series, SeriesKind};
 use crate::run::Run;
 use crate::statistics::{Accuracy, Mean, Normal, rms};
-use spandrel_filter::{ClassBank, ClassSettings, ExtendedKalmanFilter, FilterSettings, Frame, Step};
+use spandrel_filter::{
+    ClassBank, ClassSettings, ExtendedKalmanFilter, FilterSettings, Frame, Step,
+};
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 use std::path::Path;
 
@@ -47,7 +49,11 @@ pub(crate) struct Plan<'p> {
 pub(crate) fn states_of(structure: &Structure, names: &[&str], velocities: bool) -> Vec<usize> {
     let all = structure.degrees_of_freedom();
     let shift = if velocities { all.len() } else { 0 };
-    names.iter().filter_map(|name| all.iter().position(|known| known == name)).map(|at| at + shift).collect()
+    names
+        .iter()
+        .filter_map(|name| all.iter().position(|known| known == name))
+        .map(|at| at + shift)
+        .collect()
 }
 
 impl Scene {
@@ -57,7 +63,11 @@ impl Scene {
     }
 
     /// As [`Scene::simulate`], with another seed than the run's.
-    pub(crate) fn simulate_seeded(plan: &Plan<'_>, seed: u64, run: &Run<'_>) -> Result<Self, ValidateError> {
+    pub(crate) fn simulate_seeded(
+        plan: &Plan<'_>,
+        seed: u64,
+        run: &Run<'_>,
+    ) -> Result<Self, ValidateError> {
         let structure = Structure::parse(plan.text, Path::new("example.toml"))?;
         let step_s = structure.step_s();
         let frames = (plan.seconds / step_s).round() as usize;
@@ -69,20 +79,33 @@ impl Scene {
         let mut simulator = structure.clean_simulator(seed);
         for frame in 0..frames {
             states.extend(watched.iter().map(|state| simulator.state()[*state]));
-            let Some(values) = simulator.next() else { break };
+            let Some(values) = simulator.next() else {
+                break;
+            };
             clean.extend(rows.iter().map(|row| values.values[*row]));
-            excitation.extend(inputs.iter().map(|input| input.map_or(0.0, |channel| values.values[channel])));
+            excitation.extend(
+                inputs
+                    .iter()
+                    .map(|input| input.map_or(0.0, |channel| values.values[channel])),
+            );
             if frame % LOOK_EVERY == 0 && !run.advance(0.0) {
                 return Err(ValidateError::Stopped);
             }
         }
         let channels = rows.len();
-        let noise_std: Vec<f64> =
-            (0..channels).map(|c| plan.noise_share * rms(clean.iter().skip(c).step_by(channels).copied())).collect();
+        let noise_std: Vec<f64> = (0..channels)
+            .map(|c| plan.noise_share * rms(clean.iter().skip(c).step_by(channels).copied()))
+            .collect();
         let mut noise = Normal::stream(seed, 7);
-        let data = clean.iter().enumerate().map(|(i, value)| value + noise_std[i % channels] * noise.draw()).collect();
+        let data = clean
+            .iter()
+            .enumerate()
+            .map(|(i, value)| value + noise_std[i % channels] * noise.draw())
+            .collect();
         let excitation_noise_std: Vec<f64> = (0..inputs.len())
-            .map(|j| plan.noise_share * rms(excitation.iter().skip(j).step_by(inputs.len()).copied()))
+            .map(|j| {
+                plan.noise_share * rms(excitation.iter().skip(j).step_by(inputs.len()).copied())
+            })
             .collect();
         for (i, value) in excitation.iter_mut().enumerate() {
             let std = excitation_noise_std[i % inputs.len()];
@@ -106,13 +129,21 @@ impl Scene {
 
     /// The settings of the file, with the noise of the sensors as it is.
     pub(crate) fn settings(&self) -> Result<FilterSettings, ValidateError> {
-        let mut settings = self.structure.filter_settings().map_err(ValidateError::setting)?;
+        let mut settings = self
+            .structure
+            .filter_settings()
+            .map_err(ValidateError::setting)?;
         settings.misfit = None; // the method as it was published
         settings.noise.sensors.fill(0.0);
         for (channel, std) in self.noise_std.iter().enumerate() {
             settings.noise.sensors[(channel, channel)] = std * std;
         }
-        for (input, std) in self.excitation_noise_std.iter().enumerate().filter(|(_, std)| **std > 0.0) {
+        for (input, std) in self
+            .excitation_noise_std
+            .iter()
+            .enumerate()
+            .filter(|(_, std)| **std > 0.0)
+        {
             settings.noise.excitation[(input, input)] = std * std;
         }
         Ok(settings)
@@ -120,7 +151,12 @@ impl Scene {
 
     /// The nodes of the structure, with samples of their channels by frame and channel.
     pub(crate) fn network<'s>(&'s self, data: &'s dyn Fn(usize, usize) -> f64) -> Network<'s> {
-        Network { structure: &self.structure, frames: self.frames, noise_std: &self.noise_std, data }
+        Network {
+            structure: &self.structure,
+            frames: self.frames,
+            noise_std: &self.noise_std,
+            data,
+        }
     }
 
     /// What is measured of the excitation at a frame, 0 where nothing is.
@@ -138,11 +174,14 @@ impl Scene {
         run: &Run<'_>,
         mut look: impl FnMut(usize, &ClassBank<StructureClasses>),
     ) -> Result<(), ValidateError> {
-        let mut bank =
-            ClassBank::new(self.structure.class_system(), settings, classes).map_err(ValidateError::setting)?;
+        let mut bank = ClassBank::new(self.structure.class_system(), settings, classes)
+            .map_err(ValidateError::setting)?;
         for frame in 0..self.frames {
-            bank.step(Frame { observations: self.data(frame), excitation: self.excitation(frame) })
-                .map_err(ValidateError::at(self.time_s(frame)))?;
+            bank.step(Frame {
+                observations: self.data(frame),
+                excitation: self.excitation(frame),
+            })
+            .map_err(ValidateError::at(self.time_s(frame)))?;
             look(frame, &bank);
             let done = frame as f64 / self.frames as f64;
             if frame % LOOK_EVERY == 0 && !run.advance(shares.0 + (shares.1 - shares.0) * done) {
@@ -198,10 +237,14 @@ impl Scene {
         run: &Run<'_>,
         mut look: impl FnMut(usize, &ExtendedKalmanFilter<StructureModel>, &Step),
     ) -> Result<(), ValidateError> {
-        let mut filter = ExtendedKalmanFilter::new(self.structure.model(), settings).map_err(ValidateError::setting)?;
+        let mut filter = ExtendedKalmanFilter::new(self.structure.model(), settings)
+            .map_err(ValidateError::setting)?;
         for frame in 0..frames {
             let step = filter
-                .step(Frame { observations: data(frame), excitation: self.excitation(frame) })
+                .step(Frame {
+                    observations: data(frame),
+                    excitation: self.excitation(frame),
+                })
                 .map_err(ValidateError::at(self.time_s(frame)))?;
             look(frame, &filter, &step);
             let done = frame as f64 / frames as f64;
@@ -222,7 +265,8 @@ pub(crate) struct Course {
 
 impl Course {
     pub(crate) fn take(&mut self, time_s: f64, mean: f64, variance: f64, truth: f64) {
-        self.points.push([time_s, mean, variance.max(0.0).sqrt(), truth]);
+        self.points
+            .push([time_s, mean, variance.max(0.0).sqrt(), truth]);
     }
 
     /// Mean of the estimate over a window (s).
@@ -242,7 +286,10 @@ impl Course {
 
     fn over(&self, from_s: f64, to_s: f64, of: impl Fn(&[f64; 4]) -> f64) -> f64 {
         let mut mean = Mean::default();
-        self.points.iter().filter(|point| (from_s..to_s).contains(&point[0])).for_each(|point| mean.take(of(point)));
+        self.points
+            .iter()
+            .filter(|point| (from_s..to_s).contains(&point[0]))
+            .for_each(|point| mean.take(of(point)));
         mean.value()
     }
 
@@ -257,19 +304,35 @@ impl Course {
 
     /// Time (s) after `jump_s` at which the estimate first has gone this share of the way between two values.
     pub(crate) fn delay(&self, jump_s: f64, from: f64, to: f64, share: f64) -> f64 {
-        let gone = |point: &&[f64; 4]| point[0] >= jump_s && (point[1] - from) / (to - from) >= share;
-        self.points.iter().find(gone).map_or(f64::NAN, |point| point[0] - jump_s)
+        let gone =
+            |point: &&[f64; 4]| point[0] >= jump_s && (point[1] - from) / (to - from) >= share;
+        self.points
+            .iter()
+            .find(gone)
+            .map_or(f64::NAN, |point| point[0] - jump_s)
     }
 
     /// Truth, estimate and the interval of three deviations.
     pub(crate) fn plot(&self, title: &str, unit: &str, range: (f32, f32)) -> Plot {
         let every = (self.points.len() / 1200).max(1);
         let curve = |of: &dyn Fn(&[f64; 4]) -> f64| {
-            self.points.iter().step_by(every).map(|point| (point[0] as f32, of(point) as f32)).collect()
+            self.points
+                .iter()
+                .step_by(every)
+                .map(|point| (point[0] as f32, of(point) as f32))
+                .collect()
         };
         let series = vec![
-            Series::new("99.7 %", SeriesKind::Bound, curve(&|[_, mean, std, _]| mean - 3.0 * std)),
-            Series::new("", SeriesKind::Bound, curve(&|[_, mean, std, _]| mean + 3.0 * std)),
+            Series::new(
+                "99.7 %",
+                SeriesKind::Bound,
+                curve(&|[_, mean, std, _]| mean - 3.0 * std),
+            ),
+            Series::new(
+                "",
+                SeriesKind::Bound,
+                curve(&|[_, mean, std, _]| mean + 3.0 * std),
+            ),
             Series::new("true", SeriesKind::Truth, curve(&|point| point[3])),
             Series::new("estimated", SeriesKind::Estimate, curve(&|point| point[1])),
         ];

@@ -23,7 +23,9 @@ impl Seeds {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SeedsError {
     /// The text is neither a number nor two numbers with two full stops between them.
-    #[error("`{found}` is no range of seeds, must be a number such as 5 (seeds 1 to 5) or a range such as 4..8")]
+    #[error(
+        "`{found}` is no range of seeds, must be a number such as 5 (seeds 1 to 5) or a range such as 4..8"
+    )]
     Form {
         /// The text.
         found: String,
@@ -48,7 +50,9 @@ impl FromStr for Seeds {
     type Err = SeedsError;
 
     fn from_str(text: &str) -> Result<Self, SeedsError> {
-        let form = || SeedsError::Form { found: text.to_owned() };
+        let form = || SeedsError::Form {
+            found: text.to_owned(),
+        };
         let number = |text: &str| text.parse::<u64>().map_err(|_| form());
         let (first, last) = match text.split_once("..") {
             Some((first, last)) => (number(first)?, number(last)?),
@@ -56,7 +60,9 @@ impl FromStr for Seeds {
         };
         match last.checked_sub(first) {
             None => Err(SeedsError::Empty { first, last }),
-            Some(more) if more >= MOST => Err(SeedsError::TooMany { count: more.saturating_add(1) }),
+            Some(more) if more >= MOST => Err(SeedsError::TooMany {
+                count: more.saturating_add(1),
+            }),
             Some(_) => Ok(Self { first, last }),
         }
     }

@@ -23,7 +23,9 @@ impl Normal {
 
 /// Root mean square of a sequence.
 pub(crate) fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
+        (sum + value * value, count + 1.0)
+    });
     (sum / count).sqrt()
 }
 
@@ -124,7 +126,13 @@ impl Mean {
 
 /// Least of some shares, at most 1; not a number where one of them is none, which no requirement is met by.
 pub(crate) fn least(shares: impl Iterator<Item = f64>) -> f64 {
-    shares.fold(1.0, |least: f64, share| if least.is_nan() || share.is_nan() { f64::NAN } else { least.min(share) })
+    shares.fold(1.0, |least: f64, share| {
+        if least.is_nan() || share.is_nan() {
+            f64::NAN
+        } else {
+            least.min(share)
+        }
+    })
 }
 
 /// Independent numbers, uniform between 0 and 1.
@@ -165,7 +173,11 @@ mod tests {
         for i in 0..1000 {
             let truth = (f64::from(i) * 0.02 * std::f64::consts::PI).sin();
             same.take(3.0 + 0.5 * truth, 1.0, truth);
-            unrelated.take((f64::from(i) * 0.04 * std::f64::consts::PI).sin(), 1.0, truth);
+            unrelated.take(
+                (f64::from(i) * 0.04 * std::f64::consts::PI).sin(),
+                1.0,
+                truth,
+            );
         }
         assert!((same.correlation() - 1.0).abs() < 1e-12 && unrelated.correlation().abs() < 1e-12);
     }

@@ -8,5 +8,9 @@ pub(crate) mod hysteretic;
 pub(crate) mod linear;
 pub(crate) mod oscillator;
 
-#[allow(dead_code, unreachable_pub, reason = "the tests of the filter use the rest")]
+#[allow(
+    dead_code,
+    unreachable_pub,
+    reason = "the tests of the filter use the rest"
+)]
 pub(crate) mod tall_building;

@@ -58,17 +58,38 @@ impl Baseline {
     /// # Errors
     /// The file cannot be read, is no baseline of these versions, or holds a value that cannot be a reference.
     pub fn read(path: &Path) -> Result<Self, AlertError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| AlertError::File { path: path.to_owned(), source })?;
-        let syntax = |source| AlertError::BaselineSyntax { path: path.to_owned(), source };
+        let text = std::fs::read_to_string(path).map_err(|source| AlertError::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        let syntax = |source| AlertError::BaselineSyntax {
+            path: path.to_owned(),
+            source,
+        };
         let Versioned { format } = serde_json::from_str(&text).map_err(syntax)?;
         let baseline = match format.as_str() {
             FORMAT => {
-                let File { structure, records, parameters, .. } = serde_json::from_str(&text).map_err(syntax)?;
-                Self { structure, records, parameters, is_old_file: false }
+                let File {
+                    structure,
+                    records,
+                    parameters,
+                    ..
+                } = serde_json::from_str(&text).map_err(syntax)?;
+                Self {
+                    structure,
+                    records,
+                    parameters,
+                    is_old_file: false,
+                }
             }
             FORMAT_1 => Self::from_version_1(serde_json::from_str(&text).map_err(syntax)?),
-            _ => return Err(AlertError::BaselineFormat { path: path.to_owned(), found: format, expected: FORMAT }),
+            _ => {
+                return Err(AlertError::BaselineFormat {
+                    path: path.to_owned(),
+                    found: format,
+                    expected: FORMAT,
+                });
+            }
         };
         if baseline.records == 0 {
             return Err(AlertError::NoRecords);
@@ -86,7 +107,12 @@ impl Baseline {
             between_std: (records > 1).then_some(old.between_std),
             degrees_of_freedom: (records > 1).then_some(records as f64 - 1.0),
         });
-        Self { structure: file.structure, records, parameters: parameters.collect(), is_old_file: true }
+        Self {
+            structure: file.structure,
+            records,
+            parameters: parameters.collect(),
+            is_old_file: true,
+        }
     }
 
     /// Writes the baseline file, in version 2.
@@ -100,8 +126,14 @@ impl Baseline {
             records: self.records,
             parameters: self.parameters.clone(),
         };
-        let text = serde_json::to_string_pretty(&file)
-            .map_err(|source| AlertError::BaselineSyntax { path: path.to_owned(), source })?;
-        std::fs::write(path, text + "\n").map_err(|source| AlertError::File { path: path.to_owned(), source })
+        let text =
+            serde_json::to_string_pretty(&file).map_err(|source| AlertError::BaselineSyntax {
+                path: path.to_owned(),
+                source,
+            })?;
+        std::fs::write(path, text + "\n").map_err(|source| AlertError::File {
+            path: path.to_owned(),
+            source,
+        })
     }
 }

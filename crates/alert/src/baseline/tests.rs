@@ -17,7 +17,11 @@ fn stated(records: &[RecordSummary], std: f64) -> Result<Baseline, AlertError> {
 }
 
 fn estimate(mean: f64, std: f64) -> ParameterEstimate {
-    ParameterEstimate { time_ns: 0, mean, std }
+    ParameterEstimate {
+        time_ns: 0,
+        mean,
+        std,
+    }
 }
 
 #[test]
@@ -26,15 +30,26 @@ fn scatter_between_records_widens_the_reference() {
     let records = [record(0.9, 0.02), record(1.0, 0.02), record(1.1, 0.02)];
     let reference = estimated(&records).unwrap().reference("storey-1").unwrap();
     assert!((reference.mean() - 1.0).abs() < 1e-12);
-    assert!((reference.std().powi(2) - 0.013_333_333_333).abs() < 1e-9, "{}", reference.std());
+    assert!(
+        (reference.std().powi(2) - 0.013_333_333_333).abs() < 1e-9,
+        "{}",
+        reference.std()
+    );
     assert_eq!(reference.scatter().unwrap().degrees_of_freedom, 2.0);
 }
 
 #[test]
 fn one_record_knows_no_scatter_and_is_no_reference_for_another() {
     let baseline = estimated(&[record(0.9, 0.02)]).unwrap();
-    assert!(matches!(baseline.claim("storey-1"), Some(Err(AlertError::OneRecord))));
-    assert!(baseline.for_structure("storey-1", &estimate(0.9, 0.02)).is_none());
+    assert!(matches!(
+        baseline.claim("storey-1"),
+        Some(Err(AlertError::OneRecord))
+    ));
+    assert!(
+        baseline
+            .for_structure("storey-1", &estimate(0.9, 0.02))
+            .is_none()
+    );
     assert_eq!(baseline.parameter("storey-1").unwrap().between_std, None);
 }
 
@@ -52,21 +67,43 @@ fn stated_scatter_that_the_records_contradict_is_refused() {
     // b = 0.0707 with one degree of freedom: χ²/1 = 50 where 0.01 is stated, 2 where 0.05 is.
     let records = [record(0.9, 1e-6), record(1.0, 1e-6)];
     let error = stated(&records, 0.01).unwrap_err();
-    assert!(std::error::Error::source(&error).unwrap().to_string().contains("0.0707"), "{error:?}");
+    assert!(
+        std::error::Error::source(&error)
+            .unwrap()
+            .to_string()
+            .contains("0.0707"),
+        "{error:?}"
+    );
     assert!(stated(&records, 0.05).is_ok());
     // χ² of 10.828 with one, 16.266 with three degrees of freedom is exceeded with probability 0.001 (Abramowitz & Stegun
     // 1964, table 26.8)
-    assert!((largest_mean_square(1.0) - 10.828).abs() < 1e-3, "{}", largest_mean_square(1.0));
-    assert!((3.0 * largest_mean_square(3.0) - 16.266).abs() < 1e-3, "{}", largest_mean_square(3.0));
+    assert!(
+        (largest_mean_square(1.0) - 10.828).abs() < 1e-3,
+        "{}",
+        largest_mean_square(1.0)
+    );
+    assert!(
+        (3.0 * largest_mean_square(3.0) - 16.266).abs() < 1e-3,
+        "{}",
+        largest_mean_square(3.0)
+    );
 }
 
 #[test]
 fn scatter_too_large_for_so_few_records_is_no_reference() {
     let baseline = estimated(&[record(0.3, 0.01), record(1.0, 0.01)]).unwrap();
-    assert!(matches!(baseline.claim("storey-1"), Some(Err(AlertError::FewRecords { .. }))), "{baseline:?}");
+    assert!(
+        matches!(
+            baseline.claim("storey-1"),
+            Some(Err(AlertError::FewRecords { .. }))
+        ),
+        "{baseline:?}"
+    );
     assert!(baseline.reference("storey-1").is_none());
     // a smaller one is known well enough from ten
-    let ten: Vec<RecordSummary> = (0..10).map(|i| record(0.7 + 0.3 * f64::from(i % 2), 0.01)).collect();
+    let ten: Vec<RecordSummary> = (0..10)
+        .map(|i| record(0.7 + 0.3 * f64::from(i % 2), 0.01))
+        .collect();
     assert!(estimated(&ten).unwrap().reference("storey-1").is_some());
 }
 
@@ -94,11 +131,15 @@ fn bound_of_99_percent_is_exceeded_by_about_one_percent_of_sound_records() {
                 let further = estimate(show(), within_std);
                 // too few records for a reference never raise anything
                 let reference = parameter.reference(n).ok();
-                let probability = reference.map_or(0.0, |known| probability_of_loss(&further, &known, 0.0));
+                let probability =
+                    reference.map_or(0.0, |known| probability_of_loss(&further, &known, 0.0));
                 exceeded += u32::from(probability >= 0.99);
             }
             let share = f64::from(exceeded) / f64::from(DRAWS);
-            assert!((least..0.012).contains(&share), "{n} records, within ±{within_std}: {share}");
+            assert!(
+                (least..0.012).contains(&share),
+                "{n} records, within ±{within_std}: {share}"
+            );
         }
     }
 }
@@ -113,29 +154,47 @@ fn bound_of_99_percent_is_nearly_kept_by_structures_that_scatter_much() {
         let between = Normal::new(1.0, scatter).unwrap();
         let mut exceeded = 0;
         for _ in 0..DRAWS {
-            let mut span =
-                || SpanSummary { mean: between.sample(&mut random), estimate_variance: 1e-10, drift_variance: 0.0 };
+            let mut span = || SpanSummary {
+                mean: between.sample(&mut random),
+                estimate_variance: 1e-10,
+                drift_variance: 0.0,
+            };
             let spans: Vec<SpanSummary> = (0..n).map(|_| span()).collect();
             let further = estimate(span().mean, 1e-5);
-            let reference = join_spans("storey-1", &spans, BetweenRecords::Estimated).unwrap().reference(n).ok();
-            let probability = reference.map_or(0.0, |known| probability_of_loss(&further, &known, 0.0));
+            let reference = join_spans("storey-1", &spans, BetweenRecords::Estimated)
+                .unwrap()
+                .reference(n)
+                .ok();
+            let probability =
+                reference.map_or(0.0, |known| probability_of_loss(&further, &known, 0.0));
             exceeded += u32::from(probability >= 0.99);
         }
         let share = f64::from(exceeded) / f64::from(DRAWS);
-        assert!((0.008..0.025).contains(&share), "{n} records, scatter {scatter}: {share}");
+        assert!(
+            (0.008..0.025).contains(&share),
+            "{n} records, scatter {scatter}: {share}"
+        );
     }
 }
 
 #[test]
 fn interval_of_a_loss_ends_where_its_probability_is_0_975_and_0_025() {
-    for records in [vec![0.99, 1.01], vec![0.95, 1.0, 1.02], vec![0.9, 1.0, 1.1, 1.05, 0.97]] {
-        let records: Vec<RecordSummary> = records.into_iter().map(|mean| record(mean, 0.01)).collect();
+    for records in [
+        vec![0.99, 1.01],
+        vec![0.95, 1.0, 1.02],
+        vec![0.9, 1.0, 1.1, 1.05, 0.97],
+    ] {
+        let records: Vec<RecordSummary> =
+            records.into_iter().map(|mean| record(mean, 0.01)).collect();
         let reference = estimated(&records).unwrap().reference("storey-1").unwrap();
         for found in [estimate(0.7, 0.01), estimate(1.0, 0.05), estimate(0.1, 0.1)] {
             let interval = loss_estimate(&found, &reference);
             let at_low = probability_of_loss(&found, &reference, interval.low);
             let at_high = probability_of_loss(&found, &reference, interval.high);
-            assert!((at_low - 0.975).abs() < 1e-9 && (at_high - 0.025).abs() < 1e-9, "{at_low} {at_high}");
+            assert!(
+                (at_low - 0.975).abs() < 1e-9 && (at_high - 0.025).abs() < 1e-9,
+                "{at_low} {at_high}"
+            );
             assert!(interval.low < interval.loss && interval.loss < interval.high);
         }
     }
@@ -145,28 +204,45 @@ fn interval_of_a_loss_ends_where_its_probability_is_0_975_and_0_025() {
 fn two_records_cannot_raise_what_ten_can() {
     // Two records 0.03 apart, the scatter bounded at 0.25: a bound of 0.99 lies 0.24935 below (a sum over σ by hand; without the
     // bound 31.8·0.026). Ten with the same b: 2.82·0.0222.
-    let two = estimated(&[record(0.985, 0.001), record(1.015, 0.001)]).unwrap().reference("storey-1").unwrap();
-    let ten: Vec<RecordSummary> = (0..10).map(|i| record(if i % 2 == 0 { 0.98 } else { 1.02 }, 0.001)).collect();
+    let two = estimated(&[record(0.985, 0.001), record(1.015, 0.001)])
+        .unwrap()
+        .reference("storey-1")
+        .unwrap();
+    let ten: Vec<RecordSummary> = (0..10)
+        .map(|i| record(if i % 2 == 0 { 0.98 } else { 1.02 }, 0.001))
+        .collect();
     let ten = estimated(&ten).unwrap().reference("storey-1").unwrap();
     let few = two.largest_credible(0.2, 0.99).unwrap();
     assert!((few - 0.8 * (1.0 - 0.24935)).abs() < 1e-3, "{few}");
     let many = ten.largest_credible(0.2, 0.99).unwrap();
-    assert!((many - 0.8 * (1.0 - 2.821 * 0.021_082 * 1.1_f64.sqrt())).abs() < 1e-4, "{many}");
+    assert!(
+        (many - 0.8 * (1.0 - 2.821 * 0.021_082 * 1.1_f64.sqrt())).abs() < 1e-4,
+        "{many}"
+    );
     assert!(Reference::DESIGN.largest_credible(0.2, 0.99) == Some(0.8));
 }
 
 #[test]
 fn interval_for_the_structure_holds_the_scatter_between_records() {
     // b = 0.001 with two degrees of freedom: 0.975 point of Student 4.303 (Abramowitz & Stegun 1964, table 26.10)
-    let baseline = estimated(&[record(0.999, 1e-5), record(1.0, 1e-5), record(1.001, 1e-5)]).unwrap();
-    let interval = baseline.for_structure("storey-1", &estimate(0.95, 1e-8)).unwrap();
+    let baseline =
+        estimated(&[record(0.999, 1e-5), record(1.0, 1e-5), record(1.001, 1e-5)]).unwrap();
+    let interval = baseline
+        .for_structure("storey-1", &estimate(0.95, 1e-8))
+        .unwrap();
     assert!(
-        (interval.high - 0.95 - 0.004_303).abs() < 1e-5 && (0.95 - interval.low - 0.004_303).abs() < 1e-5,
+        (interval.high - 0.95 - 0.004_303).abs() < 1e-5
+            && (0.95 - interval.low - 0.004_303).abs() < 1e-5,
         "{interval:?}"
     );
     let known = stated(&[record(0.9, 0.03)], 0.04).unwrap();
-    let interval = known.for_structure("storey-1", &estimate(0.95, 0.03)).unwrap();
-    assert!((interval.high - 0.95 - 1.959_964 * 0.05).abs() < 1e-4, "{interval:?}");
+    let interval = known
+        .for_structure("storey-1", &estimate(0.95, 0.03))
+        .unwrap();
+    assert!(
+        (interval.high - 0.95 - 1.959_964 * 0.05).abs() < 1e-4,
+        "{interval:?}"
+    );
 }
 
 #[test]
@@ -198,10 +274,22 @@ fn file_of_version_1_is_read_as_what_its_records_support() {
     let three = Baseline::read(&path).unwrap();
     assert!(three.is_old_file());
     let scatter = three.reference("storey-1").unwrap().scatter().unwrap();
-    assert_eq!((scatter.degrees_of_freedom, three.parameter("storey-1").unwrap().between_std), (2.0, Some(0.04)));
+    assert_eq!(
+        (
+            scatter.degrees_of_freedom,
+            three.parameter("storey-1").unwrap().between_std
+        ),
+        (2.0, Some(0.04))
+    );
     for (records, between_std) in [(1, 0.0), (2, 0.4)] {
         std::fs::write(&path, version_1(records, between_std)).unwrap();
-        assert!(Baseline::read(&path).unwrap().reference("storey-1").is_none(), "{records} records");
+        assert!(
+            Baseline::read(&path)
+                .unwrap()
+                .reference("storey-1")
+                .is_none(),
+            "{records} records"
+        );
     }
 }
 
@@ -209,9 +297,16 @@ fn file_of_version_1_is_read_as_what_its_records_support() {
 fn file_of_another_version_is_refused_with_both_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("baseline.json");
-    std::fs::write(&path, r#"{"format":"spandrel.baseline.v9","structure":"a","records":1,"parameters":[]}"#).unwrap();
+    std::fs::write(
+        &path,
+        r#"{"format":"spandrel.baseline.v9","structure":"a","records":1,"parameters":[]}"#,
+    )
+    .unwrap();
     let message = Baseline::read(&path).unwrap_err().to_string();
-    assert!(message.contains("spandrel.baseline.v9") && message.contains("spandrel.baseline.v2"), "{message}");
+    assert!(
+        message.contains("spandrel.baseline.v9") && message.contains("spandrel.baseline.v2"),
+        "{message}"
+    );
 }
 
 #[test]

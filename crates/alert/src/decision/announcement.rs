@@ -30,7 +30,9 @@ impl Decision {
             return;
         }
         let has_jumped = last.follows_jump && !flags.follows_jump;
-        let has_moved = last.loss.is_none_or(|told| disagree(&told, &loss_estimate(estimate, reference)));
+        let has_moved = last
+            .loss
+            .is_none_or(|told| disagree(&told, &loss_estimate(estimate, reference)));
         if has_jumped || has_moved {
             self.announce(alerts);
         }
@@ -51,8 +53,9 @@ impl Decision {
             since_ns: self.since_ns(),
             rule_loss: self.rule.loss(),
             rule_credibility: self.rule.credibility(),
-            probability_of_loss: reference
-                .map_or(0.0, |reference| probability_of_loss(&estimate, &reference, self.rule.loss())),
+            probability_of_loss: reference.map_or(0.0, |reference| {
+                probability_of_loss(&estimate, &reference, self.rule.loss())
+            }),
             reference,
             loss: reference.map(|reference| loss_estimate(&estimate, &reference)),
             acknowledgement: self.acknowledgement().cloned(),
@@ -63,8 +66,11 @@ impl Decision {
             undecided_because: self.support.undecided_because(),
             revision: 0,
         };
-        alert.revision =
-            self.last_alert.as_ref().filter(|last| alert.says_the_same(last)).map_or(0, |last| last.revision + 1);
+        alert.revision = self
+            .last_alert
+            .as_ref()
+            .filter(|last| alert.says_the_same(last))
+            .map_or(0, |last| last.revision + 1);
         alert.why = describe(&self.subject, &self.rule, &alert, self.last_alert.as_ref());
         Some(alert)
     }
@@ -72,9 +78,16 @@ impl Decision {
     /// The estimate that an alert in `state` is about: the last one, and of an alert that is not confirmed the last one that was.
     fn told_estimate(&self, state: AlertState) -> Option<(ParameterEstimate, EstimateFlags)> {
         let (estimate, flags) = self.last?;
-        let is_unsupported = state == AlertState::Unconfirmed && self.support.undecided_because().is_some();
-        let told = self.last_alert.as_ref().filter(|last| is_unsupported && last.since_ns == self.since_ns());
-        let told = told.map_or(estimate, |last| ParameterEstimate { time_ns: estimate.time_ns, ..last.estimate });
+        let is_unsupported =
+            state == AlertState::Unconfirmed && self.support.undecided_because().is_some();
+        let told = self
+            .last_alert
+            .as_ref()
+            .filter(|last| is_unsupported && last.since_ns == self.since_ns());
+        let told = told.map_or(estimate, |last| ParameterEstimate {
+            time_ns: estimate.time_ns,
+            ..last.estimate
+        });
         Some((told, flags))
     }
 }

@@ -22,7 +22,8 @@ impl Decision {
     /// Goes on where `former`, a decision on the parameter of the same name, stood; appends what has changed by that.
     pub(crate) fn succeed(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
         let learns = matches!(self.rule.reference(), ReferenceRule::Learnt { .. });
-        let keeps_reference = former.rule.reference() == self.rule.reference() && (model == Model::Same || !learns);
+        let keeps_reference =
+            former.rule.reference() == self.rule.reference() && (model == Model::Same || !learns);
         (self.knowledge, self.last) = (former.knowledge, former.last);
         (self.support, self.jump) = (former.support, former.jump);
         if keeps_reference {
@@ -42,7 +43,9 @@ impl Decision {
     /// The end of this decision, which no rule of the structure file continues; `None` where nothing of it stood.
     pub(crate) fn ended(mut self, end: &End) -> Option<Alert> {
         let state = match self.state() {
-            AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed => AlertState::Cleared,
+            AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed => {
+                AlertState::Cleared
+            }
             AlertState::Pending | AlertState::Undecided => AlertState::Normal,
             AlertState::Learning | AlertState::Normal | AlertState::Cleared => return None,
         };
@@ -51,7 +54,10 @@ impl Decision {
         }
         self.support = Support::default();
         let alert = self.alert(state)?;
-        Some(Alert { why: describe_end(&self.subject, end), ..alert })
+        Some(Alert {
+            why: describe_end(&self.subject, end),
+            ..alert
+        })
     }
 
     /// Takes up by its own rule what stood by another.
@@ -68,15 +74,31 @@ impl Decision {
                 self.take_up(Watching::Normal);
                 self.announce(alerts);
             }
-            Watching::Raised { since_ns, acknowledged, is_confirmed, .. } => match self.end(former, model) {
+            Watching::Raised {
+                since_ns,
+                acknowledged,
+                is_confirmed,
+                ..
+            } => match self.end(former, model) {
                 None => {
-                    self.take_up(Watching::Raised { since_ns, acknowledged, low_since_ns: None, is_confirmed });
+                    self.take_up(Watching::Raised {
+                        since_ns,
+                        acknowledged,
+                        low_since_ns: None,
+                        is_confirmed,
+                    });
                     self.last_alert = self.alert(self.state()); // the same state, with the numbers of this rule
                 }
                 Some(end) => {
-                    self.take_up(if acknowledged.is_some() { Watching::Normal } else { Watching::ClearedUnseen });
+                    self.take_up(if acknowledged.is_some() {
+                        Watching::Normal
+                    } else {
+                        Watching::ClearedUnseen
+                    });
                     let why = describe_end(&self.subject, &end);
-                    self.last_alert = self.alert(AlertState::Cleared).map(|alert| Alert { why, ..alert });
+                    self.last_alert = self
+                        .alert(AlertState::Cleared)
+                        .map(|alert| Alert { why, ..alert });
                     alerts.extend(self.last_alert.clone());
                     if self.state() != AlertState::Cleared {
                         self.announce(alerts);
@@ -96,7 +118,8 @@ impl Decision {
 
     /// Why an alert that `former` had raised is over by the rule of this decision; `None` while it stands.
     fn end(&self, former: &Self, model: Model) -> Option<End> {
-        let (Stage::Watching { reference, .. }, Some((estimate, _))) = (&self.stage, &self.last) else {
+        let (Stage::Watching { reference, .. }, Some((estimate, _))) = (&self.stage, &self.last)
+        else {
             return Some(End::ReferenceLearntAnew);
         };
         if model == Model::Changed {
@@ -104,7 +127,11 @@ impl Decision {
         }
         let probability = probability_of_loss(estimate, reference, self.rule.loss());
         let (from, to) = (former.rule.clone(), self.rule.clone());
-        (probability < self.rule.credibility()).then_some(End::RuleChanged { from, to, probability })
+        (probability < self.rule.credibility()).then_some(End::RuleChanged {
+            from,
+            to,
+            probability,
+        })
     }
 
     fn take_up(&mut self, next: Watching) {
@@ -114,6 +141,10 @@ impl Decision {
     }
 
     fn renumbered(&self, alert: Alert) -> Alert {
-        Alert { rule: self.rule_number, parameter: self.subject.parameter, ..alert }
+        Alert {
+            rule: self.rule_number,
+            parameter: self.subject.parameter,
+            ..alert
+        }
     }
 }

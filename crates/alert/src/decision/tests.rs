@@ -1,5 +1,6 @@
 use spandrel_bus::AlertState::{
-    Acknowledged as Seen, Cleared, Learning as Learns, Normal, Pending, Raised, Unconfirmed, Undecided,
+    Acknowledged as Seen, Cleared, Learning as Learns, Normal, Pending, Raised, Unconfirmed,
+    Undecided,
 };
 use spandrel_bus::FitReason;
 
@@ -8,7 +9,13 @@ use super::*;
 const S: i64 = 1_000_000_000;
 
 fn subject() -> Subject {
-    Subject { parameter: 1, name: "storey-2".into(), quantity: "stiffness".into(), prior_std: 0.3, bounds: (0.1, 2.0) }
+    Subject {
+        parameter: 1,
+        name: "storey-2".into(),
+        quantity: "stiffness".into(),
+        prior_std: 0.3,
+        bounds: (0.1, 2.0),
+    }
 }
 
 /// More than 5 % with 95 % for 10 s.
@@ -24,7 +31,10 @@ struct Drive {
 
 impl Drive {
     fn new(rule: Rule) -> Self {
-        Self { decision: Decision::new(0, rule, subject()), alerts: Vec::new() }
+        Self {
+            decision: Decision::new(0, rule, subject()),
+            alerts: Vec::new(),
+        }
     }
 
     /// One estimate each second from `seconds.start` on.
@@ -33,10 +43,21 @@ impl Drive {
     }
 
     /// The same, of frames with these flags.
-    fn flagged(&mut self, seconds: std::ops::Range<i64>, mean: f64, std: f64, flags: EstimateFlags) -> &mut Self {
+    fn flagged(
+        &mut self,
+        seconds: std::ops::Range<i64>,
+        mean: f64,
+        std: f64,
+        flags: EstimateFlags,
+    ) -> &mut Self {
         for second in seconds {
-            let estimate = ParameterEstimate { time_ns: second * S, mean, std };
-            self.decision.handle(Input::Estimate(estimate, flags), &mut self.alerts);
+            let estimate = ParameterEstimate {
+                time_ns: second * S,
+                mean,
+                std,
+            };
+            self.decision
+                .handle(Input::Estimate(estimate, flags), &mut self.alerts);
         }
         self
     }
@@ -47,20 +68,31 @@ impl Drive {
     }
 
     fn acknowledge(&mut self) -> bool {
-        let by = Acknowledged { who: "Ada".into(), note: "crew is under way".into() };
-        self.decision.handle(Input::Acknowledge(by), &mut self.alerts)
+        let by = Acknowledged {
+            who: "Ada".into(),
+            note: "crew is under way".into(),
+        };
+        self.decision
+            .handle(Input::Acknowledge(by), &mut self.alerts)
     }
 
     /// States with their times in s; revisions are left out.
     fn states(&self) -> Vec<(AlertState, i64)> {
         let changes = self.alerts.iter().filter(|alert| alert.revision == 0);
-        changes.map(|alert| (alert.state, alert.estimate.time_ns / S)).collect()
+        changes
+            .map(|alert| (alert.state, alert.estimate.time_ns / S))
+            .collect()
     }
 
     /// Revisions of a state with their times in s.
     fn revisions(&self, state: AlertState) -> Vec<(u32, i64)> {
-        let revisions = self.alerts.iter().filter(|alert| alert.revision > 0 && alert.state == state);
-        revisions.map(|alert| (alert.revision, alert.estimate.time_ns / S)).collect()
+        let revisions = self
+            .alerts
+            .iter()
+            .filter(|alert| alert.revision > 0 && alert.state == state);
+        revisions
+            .map(|alert| (alert.revision, alert.estimate.time_ns / S))
+            .collect()
     }
 }
 
@@ -71,11 +103,18 @@ const SURE: f64 = 0.01;
 /// Flags of a frame at which the data contradict the model.
 fn contradicted() -> EstimateFlags {
     let fit_reasons = [FitReason::ExcessNoise].into_iter().collect();
-    EstimateFlags { fit: Some(FitVerdict::Contradicted), fit_reasons, ..EstimateFlags::working() }
+    EstimateFlags {
+        fit: Some(FitVerdict::Contradicted),
+        fit_reasons,
+        ..EstimateFlags::working()
+    }
 }
 
 fn jumping() -> EstimateFlags {
-    EstimateFlags { follows_jump: true, ..EstimateFlags::working() }
+    EstimateFlags {
+        follows_jump: true,
+        ..EstimateFlags::working()
+    }
 }
 
 #[test]
@@ -87,7 +126,9 @@ fn sound_parameter_gives_no_alert() {
 #[test]
 fn sustained_loss_is_pending_then_raised_after_the_sustain_time() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..5, SOUND, SURE).estimates(5..30, SOFT, SURE);
+    drive
+        .estimates(0..5, SOUND, SURE)
+        .estimates(5..30, SOFT, SURE);
     assert_eq!(drive.states(), [(Pending, 5), (Raised, 15)]);
     assert_eq!(drive.alerts[1].since_ns, Some(5 * S));
 }
@@ -95,8 +136,14 @@ fn sustained_loss_is_pending_then_raised_after_the_sustain_time() {
 #[test]
 fn interrupted_loss_starts_its_sustain_time_anew() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..9, SOFT, SURE).estimates(9..10, SOUND, SURE).estimates(10..30, SOFT, SURE);
-    assert_eq!(drive.states(), [(Pending, 0), (Normal, 9), (Pending, 10), (Raised, 20)]);
+    drive
+        .estimates(0..9, SOFT, SURE)
+        .estimates(9..10, SOUND, SURE)
+        .estimates(10..30, SOFT, SURE);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Normal, 9), (Pending, 10), (Raised, 20)]
+    );
 }
 
 #[test]
@@ -128,7 +175,10 @@ fn raised_alert_does_not_flap_around_the_credibility() {
 fn recovery_must_be_sustained_to_clear() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..11, SOFT, SURE);
-    drive.estimates(11..20, SOUND, SURE).estimates(20..21, SOFT, SURE).estimates(21..40, SOUND, SURE);
+    drive
+        .estimates(11..20, SOUND, SURE)
+        .estimates(20..21, SOFT, SURE)
+        .estimates(21..40, SOUND, SURE);
     assert_eq!(drive.states(), [(Pending, 0), (Raised, 10), (Cleared, 31)]);
 }
 
@@ -138,23 +188,46 @@ fn acknowledged_alert_clears_to_normal() {
     drive.estimates(0..11, SOFT, SURE);
     assert!(drive.acknowledge());
     drive.estimates(11..40, SOUND, SURE);
-    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10), (Seen, 10), (Cleared, 21), (Normal, 21)]);
+    assert_eq!(
+        drive.states(),
+        [
+            (Pending, 0),
+            (Raised, 10),
+            (Seen, 10),
+            (Cleared, 21),
+            (Normal, 21)
+        ]
+    );
 }
 
 #[test]
 fn cleared_alert_that_nobody_saw_waits_for_its_acknowledgement() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).estimates(11..40, SOUND, SURE);
-    assert_eq!(drive.decision.last_alert().map(|alert| alert.state), Some(Cleared));
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .estimates(11..40, SOUND, SURE);
+    assert_eq!(
+        drive.decision.last_alert().map(|alert| alert.state),
+        Some(Cleared)
+    );
     assert!(drive.acknowledge());
-    assert_eq!(drive.decision.last_alert().map(|alert| alert.state), Some(Normal));
+    assert_eq!(
+        drive.decision.last_alert().map(|alert| alert.state),
+        Some(Normal)
+    );
 }
 
 #[test]
 fn cleared_alert_that_nobody_saw_can_be_raised_again() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).estimates(11..40, SOUND, SURE).estimates(40..60, SOFT, SURE);
-    assert_eq!(drive.states()[2..], [(Cleared, 21), (Pending, 40), (Raised, 50)]);
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .estimates(11..40, SOUND, SURE)
+        .estimates(40..60, SOFT, SURE);
+    assert_eq!(
+        drive.states()[2..],
+        [(Cleared, 21), (Pending, 40), (Raised, 50)]
+    );
 }
 
 #[test]
@@ -170,16 +243,34 @@ fn second_acknowledgement_does_not_replace_the_first() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..11, SOFT, SURE);
     assert!(drive.acknowledge());
-    let other = Acknowledged { who: "Bob".into(), note: String::new() };
-    assert!(!drive.decision.handle(Input::Acknowledge(other), &mut drive.alerts));
-    assert_eq!(drive.decision.last_alert().and_then(|alert| alert.acknowledgement.clone()).unwrap().who, "Ada");
+    let other = Acknowledged {
+        who: "Bob".into(),
+        note: String::new(),
+    };
+    assert!(
+        !drive
+            .decision
+            .handle(Input::Acknowledge(other), &mut drive.alerts)
+    );
+    assert_eq!(
+        drive
+            .decision
+            .last_alert()
+            .and_then(|alert| alert.acknowledgement.clone())
+            .unwrap()
+            .who,
+        "Ada"
+    );
 }
 
 #[test]
 fn gap_and_restart_reset_what_is_pending() {
     for interruption in [Input::Gap, Input::Restart] {
         let mut drive = Drive::new(rule());
-        drive.estimates(0..9, SOFT, SURE).input(interruption).estimates(9..25, SOFT, SURE);
+        drive
+            .estimates(0..9, SOFT, SURE)
+            .input(interruption)
+            .estimates(9..25, SOFT, SURE);
         assert_eq!(drive.states(), [(Pending, 0), (Pending, 9), (Raised, 19)]);
     }
 }
@@ -187,14 +278,21 @@ fn gap_and_restart_reset_what_is_pending() {
 #[test]
 fn pending_alert_that_a_gap_ended_is_told_to_be_normal() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..9, SOFT, SURE).input(Input::Gap).estimates(9..25, SOUND, SURE);
+    drive
+        .estimates(0..9, SOFT, SURE)
+        .input(Input::Gap)
+        .estimates(9..25, SOUND, SURE);
     assert_eq!(drive.states(), [(Pending, 0), (Normal, 9)]);
 }
 
 #[test]
 fn raised_alert_stays_through_gap_and_restart() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).input(Input::Gap).estimates(100..110, SOFT, SURE).input(Input::Restart);
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .input(Input::Gap)
+        .estimates(100..110, SOFT, SURE)
+        .input(Input::Restart);
     drive.estimates(110..200, SOFT, SURE);
     assert_eq!(drive.states(), [(Pending, 0), (Raised, 10)]);
 }
@@ -202,8 +300,14 @@ fn raised_alert_stays_through_gap_and_restart() {
 #[test]
 fn prior_of_a_restarted_filter_clears_no_alert() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).input(Input::Restart).estimates(11..60, SOUND, 0.3);
-    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10), (Unconfirmed, 12)]);
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .input(Input::Restart)
+        .estimates(11..60, SOUND, 0.3);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Raised, 10), (Unconfirmed, 12)]
+    );
     drive.estimates(60..80, SOUND, SURE); // measured again, and decided on a second later: now it is news
     assert_eq!(drive.states()[3..], [(Unconfirmed, 61), (Cleared, 71)]);
 }
@@ -214,7 +318,9 @@ fn learnt_reference_carries_its_uncertainty() {
     // known exactly it would be Φ(5.5).
     let learning = rule().with_learnt_reference(60.0).unwrap();
     let mut drive = Drive::new(learning);
-    drive.estimates(0..61, 0.9, 0.04).estimates(61..100, 0.80, SURE);
+    drive
+        .estimates(0..61, 0.9, 0.04)
+        .estimates(61..100, 0.80, SURE);
     assert_eq!(drive.states(), [(Learns, 0), (Normal, 60), (Undecided, 62)]);
     let reference = drive.alerts[1].reference.unwrap();
     assert!((reference.mean() - 0.9).abs() < 1e-12 && (reference.std() - 0.04).abs() < 1e-12);
@@ -226,7 +332,10 @@ fn learnt_reference_carries_its_uncertainty() {
 #[test]
 fn restart_while_learning_forgets_what_was_learnt() {
     let mut drive = Drive::new(rule().with_learnt_reference(60.0).unwrap());
-    drive.estimates(0..50, 0.2, 0.01).input(Input::Restart).estimates(50..111, 0.9, 0.01);
+    drive
+        .estimates(0..50, 0.2, 0.01)
+        .input(Input::Restart)
+        .estimates(50..111, 0.9, 0.01);
     assert_eq!(drive.states(), [(Learns, 0), (Normal, 110)]);
     assert!((drive.alerts[1].reference.unwrap().mean() - 0.9).abs() < 1e-12);
 }
@@ -255,7 +364,9 @@ fn alert_says_what_how_much_how_sure_and_since_when() {
     );
     drive.acknowledge();
     assert!(
-        drive.alerts[2].why.ends_with("since 61.00 s; acknowledged by Ada: crew is under way"),
+        drive.alerts[2]
+            .why
+            .ends_with("since 61.00 s; acknowledged by Ada: crew is under way"),
         "{}",
         drive.alerts[2].why
     );
@@ -270,7 +381,11 @@ fn state_restored_anywhere_goes_on_alike() {
                 let bytes = postcard::to_stdvec(&drive.decision).unwrap();
                 drive.decision = postcard::from_bytes(&bytes).unwrap();
             }
-            let mean = if (20..40).contains(&second) { SOFT } else { SOUND };
+            let mean = if (20..40).contains(&second) {
+                SOFT
+            } else {
+                SOUND
+            };
             drive.estimates(second..second + 1, mean, SURE);
         }
         drive.alerts

@@ -34,7 +34,9 @@ impl From<Decision> for crate::Decision {
             support: Support::default(),
             jump: Jump::default(),
             decided: DecidedFrames::default(),
-            last: former.last_estimate.map(|estimate| (estimate, EstimateFlags::working())),
+            last: former
+                .last_estimate
+                .map(|estimate| (estimate, EstimateFlags::working())),
             last_alert: former.last_alert.map(Into::into),
         };
         // The filter that made the estimates so far does not go on: the present one starts from its prior.
@@ -53,8 +55,21 @@ struct Subject {
 }
 
 impl From<Subject> for crate::Subject {
-    fn from(Subject { parameter, name, quantity, prior_std }: Subject) -> Self {
-        Self { parameter, name, quantity, prior_std, bounds: (f64::NEG_INFINITY, f64::INFINITY) }
+    fn from(
+        Subject {
+            parameter,
+            name,
+            quantity,
+            prior_std,
+        }: Subject,
+    ) -> Self {
+        Self {
+            parameter,
+            name,
+            quantity,
+            prior_std,
+            bounds: (f64::NEG_INFINITY, f64::INFINITY),
+        }
     }
 }
 
@@ -69,12 +84,26 @@ struct Rule {
 }
 
 impl From<Rule> for crate::Rule {
-    fn from(Rule { loss, credibility, sustain_ns, clear_credibility, reference }: Rule) -> Self {
+    fn from(
+        Rule {
+            loss,
+            credibility,
+            sustain_ns,
+            clear_credibility,
+            reference,
+        }: Rule,
+    ) -> Self {
         let reference = match reference {
             ReferenceRule::Given(Reference(reference)) => crate::ReferenceRule::Given(reference),
             ReferenceRule::Learnt { span_ns } => crate::ReferenceRule::Learnt { span_ns },
         };
-        Self { loss, credibility, sustain_ns, clear_credibility, reference }
+        Self {
+            loss,
+            credibility,
+            sustain_ns,
+            clear_credibility,
+            reference,
+        }
     }
 }
 
@@ -101,17 +130,36 @@ impl TryFrom<(f64, f64)> for Reference {
 /// [`super::Stage`] of version 2.
 #[derive(Debug, Deserialize)]
 enum Stage {
-    Learning { started_ns: Option<i64>, span_ns: i64, learning: Learning },
-    Watching { reference: Reference, watch: Watching },
+    Learning {
+        started_ns: Option<i64>,
+        span_ns: i64,
+        learning: Learning,
+    },
+    Watching {
+        reference: Reference,
+        watch: Watching,
+    },
 }
 
 impl From<Stage> for super::Stage {
     fn from(former: Stage) -> Self {
         match former {
-            Stage::Learning { started_ns, span_ns, learning } => Self::Learning { started_ns, span_ns, learning },
-            Stage::Watching { reference: Reference(reference), watch } => {
-                Self::Watching { reference, watch: watch.into() }
-            }
+            Stage::Learning {
+                started_ns,
+                span_ns,
+                learning,
+            } => Self::Learning {
+                started_ns,
+                span_ns,
+                learning,
+            },
+            Stage::Watching {
+                reference: Reference(reference),
+                watch,
+            } => Self::Watching {
+                reference,
+                watch: watch.into(),
+            },
         }
     }
 }
@@ -120,10 +168,18 @@ impl From<Stage> for super::Stage {
 #[derive(Debug, Deserialize)]
 enum Watching {
     Normal,
-    Pending { since_ns: i64 },
-    Raised { since_ns: i64, acknowledged: Option<Acknowledged>, low_since_ns: Option<i64> },
+    Pending {
+        since_ns: i64,
+    },
+    Raised {
+        since_ns: i64,
+        acknowledged: Option<Acknowledged>,
+        low_since_ns: Option<i64>,
+    },
     ClearedUnseen,
-    PendingUnseen { since_ns: i64 },
+    PendingUnseen {
+        since_ns: i64,
+    },
 }
 
 impl From<Watching> for super::Watching {
@@ -131,9 +187,16 @@ impl From<Watching> for super::Watching {
         match former {
             Watching::Normal => Self::Normal,
             Watching::Pending { since_ns } => Self::Pending { since_ns },
-            Watching::Raised { since_ns, acknowledged, low_since_ns } => {
-                Self::Raised { since_ns, acknowledged, low_since_ns, is_confirmed: true }
-            }
+            Watching::Raised {
+                since_ns,
+                acknowledged,
+                low_since_ns,
+            } => Self::Raised {
+                since_ns,
+                acknowledged,
+                low_since_ns,
+                is_confirmed: true,
+            },
             Watching::ClearedUnseen => Self::ClearedUnseen,
             Watching::PendingUnseen { since_ns } => Self::PendingUnseen { since_ns },
         }

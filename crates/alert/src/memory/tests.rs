@@ -5,8 +5,7 @@ use super::*;
 use crate::Acknowledged;
 
 const TOWER: &str = include_str!("../../tests/tower.toml");
-const RULE: &str =
-    "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
+const RULE: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
 
 /// The tower of which both storeys are identified, with these alert rules.
 fn tower(rules: &str) -> String {
@@ -39,7 +38,12 @@ pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     };
     let sequence = state.watch.position().map_or(0, |(_, next)| next);
     let block = EstimateBlock {
-        header: Header { source: "identify".into(), epoch: 1, sequence, time_ns: sequence as i64 * 10_000_000 },
+        header: Header {
+            source: "identify".into(),
+            epoch: 1,
+            sequence,
+            time_ns: sequence as i64 * 10_000_000,
+        },
         term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -60,26 +64,39 @@ fn raised(text: &str, acknowledged: bool) -> AlertState {
     let mut state = new(text);
     second_of(&mut state, [1.0, 0.86]);
     if acknowledged {
-        let by = Acknowledged { who: "Ada".into(), note: String::new() };
+        let by = Acknowledged {
+            who: "Ada".into(),
+            note: String::new(),
+        };
         assert!(state.watch.acknowledge(1, &by, &mut Vec::new()));
     }
     state
 }
 
 fn stands(state: &AlertState) -> Option<(spandrel_bus::AlertState, f64)> {
-    state.watch.standing(1).map(|alert| (alert.state, alert.rule_loss))
+    state
+        .watch
+        .standing(1)
+        .map(|alert| (alert.state, alert.rule_loss))
 }
 
 /// State, name of the parameter and words of what follows from the change.
 fn told(state: &AlertState) -> Vec<(spandrel_bus::AlertState, &str, &str)> {
     let name = |alert: &Alert| state.basis.parameters[alert.parameter].as_str();
-    state.unsent.iter().map(|alert| (alert.state, name(alert), alert.why.as_str())).collect()
+    state
+        .unsent
+        .iter()
+        .map(|alert| (alert.state, name(alert), alert.why.as_str()))
+        .collect()
 }
 
 #[test]
 fn comments_formatting_and_what_concerns_no_alert_change_nothing() {
     let former = raised(&tower(RULE), true);
-    let with_comment = format!("# seen by the owner\n{}", tower(RULE).replace("storeys = 2", "storeys   =   2"));
+    let with_comment = format!(
+        "# seen by the owner\n{}",
+        tower(RULE).replace("storeys = 2", "storeys   =   2")
+    );
     assert_eq!(new(&with_comment).succeed(former.clone()), former);
     let with_simulation = format!("{}[simulation]\nseed = 7\n", tower(RULE));
     assert_eq!(new(&with_simulation).succeed(former.clone()), former);
@@ -90,7 +107,11 @@ fn a_rule_beside_it_or_before_it_costs_no_acknowledgement() {
     let other = RULE.replace("0.05", "0.3");
     for rules in [format!("{other}{RULE}"), format!("{RULE}{other}")] {
         let state = new(&tower(&rules)).succeed(raised(&tower(RULE), true));
-        assert_eq!((stands(&state), told(&state)), (Some((Seen, 0.05)), vec![]), "{rules}");
+        assert_eq!(
+            (stands(&state), told(&state)),
+            (Some((Seen, 0.05)), vec![]),
+            "{rules}"
+        );
     }
 }
 
@@ -105,7 +126,10 @@ fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
     assert_eq!(state.log.back().map(|alert| alert.state), Some(Cleared));
     // who had seen it need not see its end
     let state = new(&changed).succeed(raised(&tower(RULE), true));
-    assert_eq!(told(&state).iter().map(|told| told.0).collect::<Vec<_>>(), [Cleared, Normal]);
+    assert_eq!(
+        told(&state).iter().map(|told| told.0).collect::<Vec<_>>(),
+        [Cleared, Normal]
+    );
 }
 
 #[test]
@@ -135,7 +159,10 @@ fn an_alert_that_no_rule_watches_ends_with_a_reason() {
     let rule = RULE.replace("\"all\"", "[\"storey-1\"]");
     let state = new(&tower(&rule)).succeed(raised(&tower(RULE), false));
     let why = "alert of storey-2 has ended: no rule of the structure file watches it any more";
-    assert_eq!((told(&state), stands(&state)), (vec![(Cleared, "storey-2", why)], None));
+    assert_eq!(
+        (told(&state), stands(&state)),
+        (vec![(Cleared, "storey-2", why)], None)
+    );
 }
 
 #[test]
@@ -153,9 +180,18 @@ fn an_alert_of_a_parameter_that_is_gone_ends_under_its_name() {
 #[test]
 fn parameters_that_change_places_keep_their_alerts() {
     let text = tower(RULE);
-    let swapped = text.replace("storey-1", "storey-x").replace("storey-2", "storey-1").replace("storey-x", "storey-2");
+    let swapped = text
+        .replace("storey-1", "storey-x")
+        .replace("storey-2", "storey-1")
+        .replace("storey-x", "storey-2");
     let state = new(&swapped).succeed(raised(&text, true));
-    assert_eq!(state.watch.standing(0).map(|alert| (alert.state, alert.parameter)), Some((Seen, 0)));
+    assert_eq!(
+        state
+            .watch
+            .standing(0)
+            .map(|alert| (alert.state, alert.parameter)),
+        Some((Seen, 0))
+    );
     assert_eq!(told(&state), []);
 }
 
@@ -164,7 +200,10 @@ fn what_was_pending_is_told_to_be_normal_by_the_changed_rule() {
     let mut former = new(&tower(&RULE.replace("0.5\n", "60\n")));
     assert_eq!(second_of(&mut former, [1.0, 0.86])[0].state, Pending);
     let state = new(&tower(&RULE.replace("0.05", "0.2"))).succeed(former);
-    assert_eq!(told(&state).iter().map(|told| told.0).collect::<Vec<_>>(), [Normal]);
+    assert_eq!(
+        told(&state).iter().map(|told| told.0).collect::<Vec<_>>(),
+        [Normal]
+    );
 }
 
 #[test]
@@ -172,14 +211,19 @@ fn another_model_clears_an_alert_only_by_what_it_identifies() {
     let heavier = tower(RULE).replace("mass-kg = 1000", "mass-kg = 1100");
     let mut state = new(&heavier).succeed(raised(&tower(RULE), true));
     assert_eq!((stands(&state), told(&state)), (Some((Seen, 0.05)), vec![]));
-    let states: Vec<_> = second_of(&mut state, [1.0, 1.0]).iter().map(|alert| alert.state).collect();
+    let states: Vec<_> = second_of(&mut state, [1.0, 1.0])
+        .iter()
+        .map(|alert| alert.state)
+        .collect();
     assert_eq!(states, [Cleared, Normal]);
 }
 
 #[test]
 fn a_reference_that_was_learnt_ends_with_its_model() {
-    let learning =
-        tower(&format!("{}reference = {{ learn-s = 0.5 }}\n", RULE.replace("reference.design-std = 1e-9\n", "")));
+    let learning = tower(&format!(
+        "{}reference = {{ learn-s = 0.5 }}\n",
+        RULE.replace("reference.design-std = 1e-9\n", "")
+    ));
     let mut former = new(&learning);
     second_of(&mut former, [1.0, 1.0]);
     let raised = second_of(&mut former, [1.0, 0.8]);
@@ -187,8 +231,18 @@ fn a_reference_that_was_learnt_ends_with_its_model() {
     assert_eq!(told(&new(&learning).succeed(former.clone())), []);
     // another loss counts from what was learnt
     let other_loss = learning.replace("loss = 0.05", "loss = 0.1");
-    assert_eq!(stands(&new(&other_loss).succeed(former.clone())), Some((Raised, 0.1)));
+    assert_eq!(
+        stands(&new(&other_loss).succeed(former.clone())),
+        Some((Raised, 0.1))
+    );
     let state = new(&learning.replace("mass-kg = 1000", "mass-kg = 1100")).succeed(former);
-    assert_eq!(told(&state).iter().map(|told| told.0).collect::<Vec<_>>(), [Cleared, Learning]);
-    assert!(told(&state)[0].2.contains("is learnt anew, because its rule or the model has changed"));
+    assert_eq!(
+        told(&state).iter().map(|told| told.0).collect::<Vec<_>>(),
+        [Cleared, Learning]
+    );
+    assert!(
+        told(&state)[0]
+            .2
+            .contains("is learnt anew, because its rule or the model has changed")
+    );
 }

@@ -77,7 +77,10 @@ mod tests {
     }
 
     fn recalled(structure: &Structure) -> AlertState {
-        recalled_from(&kept().join("state/spandrel/kept/house/checkpoints"), structure)
+        recalled_from(
+            &kept().join("state/spandrel/kept/house/checkpoints"),
+            structure,
+        )
     }
 
     fn recalled_from(kept: &Path, structure: &Structure) -> AlertState {
@@ -86,8 +89,14 @@ mod tests {
             let path = entry.unwrap().path();
             std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
         }
-        let remembering = Remembering { folder: folder.path().to_owned(), every: Duration::from_secs(5) };
-        Memory::open(structure, &remembering).unwrap().recall().expect("a checkpoint of version 2")
+        let remembering = Remembering {
+            folder: folder.path().to_owned(),
+            every: Duration::from_secs(5),
+        };
+        Memory::open(structure, &remembering)
+            .unwrap()
+            .recall()
+            .expect("a checkpoint of version 2")
     }
 
     fn states(alerts: impl IntoIterator<Item = crate::Alert>) -> Vec<spandrel_bus::AlertState> {
@@ -96,7 +105,10 @@ mod tests {
 
     /// The alert of storey 2 that 0.1.0 published last, field by field.
     fn assert_is_known(alert: &crate::Alert) {
-        let message = alert.to_message(&Name::new("house").unwrap(), &Name::new("storey-2").unwrap());
+        let message = alert.to_message(
+            &Name::new("house").unwrap(),
+            &Name::new("storey-2").unwrap(),
+        );
         let found = serde_json::to_value(message).unwrap();
         let known = std::fs::read_to_string(kept().join("known.json")).unwrap();
         let known: serde_json::Value = serde_json::from_str(&known).unwrap();
@@ -120,14 +132,21 @@ mod tests {
     fn alert_of_0_1_0_stands_on_where_the_file_gives_its_reference() {
         let structure = structure("reference = { mean = 1.0, std = 0.0 }");
         let former = recalled(&structure);
-        let state = AlertState::new(&structure, None).unwrap().succeed(former.clone());
+        let state = AlertState::new(&structure, None)
+            .unwrap()
+            .succeed(former.clone());
         assert_is_known(state.watch.standing(1).unwrap());
         assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
         // a reference that is nearly the same raises it too
         let structure = self::structure("reference.design-std = 1e-9");
-        let state = AlertState::new(&structure, None).unwrap().succeed(former.clone());
+        let state = AlertState::new(&structure, None)
+            .unwrap()
+            .succeed(former.clone());
         let alert = state.watch.standing(1).unwrap();
-        assert_eq!((alert.state, alert.since_ns), (Acknowledged, Some(4_990_000_000)));
+        assert_eq!(
+            (alert.state, alert.since_ns),
+            (Acknowledged, Some(4_990_000_000))
+        );
         assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
     }
 
@@ -137,12 +156,30 @@ mod tests {
         let former = recalled(&structure);
         let unsent = former.unsent.len();
         let state = AlertState::new(&structure, None).unwrap().succeed(former);
-        let told: Vec<_> = state.unsent.iter().skip(unsent).filter(|alert| alert.parameter == 1).cloned().collect();
+        let told: Vec<_> = state
+            .unsent
+            .iter()
+            .skip(unsent)
+            .filter(|alert| alert.parameter == 1)
+            .cloned()
+            .collect();
         assert_eq!(states(told.clone()), [Cleared, Learning]);
         let why = &told[0].why;
-        assert!(why.contains("alert of storey-2 has ended: what the loss counts from is learnt anew"), "{why}");
-        let seen = state.log.iter().find(|alert| alert.state == Acknowledged).unwrap();
-        assert_eq!(seen.acknowledgement.as_ref().map(|by| (by.who.as_str(), by.note.as_str())), Some(("Ada", "seen")));
+        assert!(
+            why.contains("alert of storey-2 has ended: what the loss counts from is learnt anew"),
+            "{why}"
+        );
+        let seen = state
+            .log
+            .iter()
+            .find(|alert| alert.state == Acknowledged)
+            .unwrap();
+        assert_eq!(
+            seen.acknowledgement
+                .as_ref()
+                .map(|by| (by.who.as_str(), by.note.as_str())),
+            Some(("Ada", "seen"))
+        );
     }
 
     // 0.1.0 left four rules. The first one learns its reference, and the second one has a pending alert of storey 1. The others
@@ -154,31 +191,77 @@ mod tests {
         let former = recalled_from(&kept, &structure);
         let present = AlertState::new(&structure, None).unwrap();
         let rules = |state: &AlertState| -> Vec<crate::Rule> {
-            state.watch.decisions().iter().map(|decision| decision.rule().clone()).collect()
+            state
+                .watch
+                .decisions()
+                .iter()
+                .map(|decision| decision.rule().clone())
+                .collect()
         };
         assert_eq!(rules(&former), rules(&present));
-        let last: Vec<_> = former.watch.decisions().iter().map(|decision| decision.last_alert().unwrap()).collect();
-        assert_eq!(states(last.iter().copied().cloned()), [Learning, Pending, Cleared, Cleared]);
+        let last: Vec<_> = former
+            .watch
+            .decisions()
+            .iter()
+            .map(|decision| decision.last_alert().unwrap())
+            .collect();
+        assert_eq!(
+            states(last.iter().copied().cloned()),
+            [Learning, Pending, Cleared, Cleared]
+        );
         let reference = |mean, std| Some(Reference::new(mean, std).unwrap());
         let references: Vec<_> = last.iter().map(|alert| alert.reference).collect();
-        assert_eq!(references, [None, reference(1.0, 0.0), reference(1.0, 0.0), reference(1.0, 0.01)]);
+        assert_eq!(
+            references,
+            [
+                None,
+                reference(1.0, 0.0),
+                reference(1.0, 0.0),
+                reference(1.0, 0.01)
+            ]
+        );
         assert_eq!(former.log.len(), 10);
-        assert!(former.unsent.iter().eq(former.log.iter().skip(7)), "{:?}", former.unsent);
+        assert!(
+            former.unsent.iter().eq(former.log.iter().skip(7)),
+            "{:?}",
+            former.unsent
+        );
 
         let mut state = present.succeed(former.clone());
         assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
         // another filter makes the estimates: the sustain time of a pending alert starts again
         let alerts = second_of(&mut state, [0.86, 1.0]);
         assert_eq!(
-            alerts.iter().map(|alert| (alert.rule, alert.since_ns)).collect::<Vec<_>>(),
+            alerts
+                .iter()
+                .map(|alert| (alert.rule, alert.since_ns))
+                .collect::<Vec<_>>(),
             [(1, Some(3_000_000_000))]
         );
         // the reference is learnt until 60 s: of 6001 frames, 100 had a loss of 14 %
-        let alerts: Vec<_> = (4..=60).flat_map(|_| second_of(&mut state, [0.86, 1.0])).collect();
-        let [normal] = &alerts[..] else { panic!("{alerts:?}") };
-        assert_eq!((normal.rule, normal.state, normal.estimate.time_ns), (0, Normal, 60_000_000_000));
+        let alerts: Vec<_> = (4..=60)
+            .flat_map(|_| second_of(&mut state, [0.86, 1.0]))
+            .collect();
+        let [normal] = &alerts[..] else {
+            panic!("{alerts:?}")
+        };
+        assert_eq!(
+            (normal.rule, normal.state, normal.estimate.time_ns),
+            (0, Normal, 60_000_000_000)
+        );
         let mean = normal.reference.unwrap().mean();
-        assert!((mean - (1.0 - 0.14 * 100.0 / 6001.0)).abs() < 1e-12, "{mean}");
-        assert_eq!(state.watch.decisions().iter().filter_map(Decision::last_alert).count(), 4);
+        assert!(
+            (mean - (1.0 - 0.14 * 100.0 / 6001.0)).abs() < 1e-12,
+            "{mean}"
+        );
+        assert_eq!(
+            state
+                .watch
+                .decisions()
+                .iter()
+                .filter_map(Decision::last_alert)
+                .count(),
+            4
+        );
     }
 }

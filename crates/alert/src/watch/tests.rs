@@ -8,13 +8,22 @@ use crate::{BetweenRecords, RecordSummary};
 fn watch() -> Watch {
     let decision = |number, loss, parameter, name: &str| {
         let rule = Rule::new(loss, 0.95, 0.5, 0.05).unwrap();
-        let subject =
-            Subject { parameter, name: name.into(), quantity: "stiffness".into(), prior_std: 0.3, bounds: (0.1, 2.0) };
+        let subject = Subject {
+            parameter,
+            name: name.into(),
+            quantity: "stiffness".into(),
+            prior_std: 0.3,
+            bounds: (0.1, 2.0),
+        };
         Decision::new(number, rule, subject)
     };
     Watch::from_decisions(
         2,
-        vec![decision(0, 0.05, 0, "storey-1"), decision(0, 0.05, 1, "storey-2"), decision(1, 0.2, 1, "storey-2")],
+        vec![
+            decision(0, 0.05, 0, "storey-1"),
+            decision(0, 0.05, 1, "storey-2"),
+            decision(1, 0.2, 1, "storey-2"),
+        ],
     )
 }
 
@@ -28,13 +37,21 @@ fn estimate(means: [f64; 2], std: f64, phase: Phase) -> Estimate {
         normalised_innovation_squared: 0.0,
         log_evidence: 0.0,
         used_channels: 1,
-        flags: EstimateFlags { phase, ..EstimateFlags::working() },
+        flags: EstimateFlags {
+            phase,
+            ..EstimateFlags::working()
+        },
     }
 }
 
 fn block(epoch: u64, sequence: u64, estimates: Vec<Estimate>) -> EstimateBlock {
     EstimateBlock {
-        header: Header { source: "identify-1".into(), epoch, sequence, time_ns: sequence as i64 * 10_000_000 },
+        header: Header {
+            source: "identify-1".into(),
+            epoch,
+            sequence,
+            time_ns: sequence as i64 * 10_000_000,
+        },
         term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -54,7 +71,10 @@ fn alerts_of(watch: &mut Watch, block: &EstimateBlock) -> Vec<Alert> {
 
 #[test]
 fn each_parameter_and_rule_decides_on_its_own() {
-    let found = alerts_of(&mut watch(), &block(1, 0, vec![estimate([1.0, 0.86], 0.01, Phase::Working); 20]));
+    let found = alerts_of(
+        &mut watch(),
+        &block(1, 0, vec![estimate([1.0, 0.86], 0.01, Phase::Working); 20]),
+    );
     let raised: Vec<(usize, usize)> = found
         .iter()
         .filter(|alert| alert.state == AlertState::Raised)
@@ -66,37 +86,93 @@ fn each_parameter_and_rule_decides_on_its_own() {
 #[test]
 fn most_severe_rule_stands_for_its_parameter() {
     let mut watch = watch();
-    alerts_of(&mut watch, &block(1, 0, vec![estimate([1.0, 0.7], 0.01, Phase::Working); 20]));
-    assert_eq!(watch.standing(1).map(|alert| (alert.state, alert.rule_loss)), Some((AlertState::Raised, 0.2)));
+    alerts_of(
+        &mut watch,
+        &block(1, 0, vec![estimate([1.0, 0.7], 0.01, Phase::Working); 20]),
+    );
+    assert_eq!(
+        watch
+            .standing(1)
+            .map(|alert| (alert.state, alert.rule_loss)),
+        Some((AlertState::Raised, 0.2))
+    );
     // Half of the loss is mended: the rule of 20 % is cleared, that of 5 % stands.
-    alerts_of(&mut watch, &block(1, 20, vec![estimate([1.0, 0.86], 0.01, Phase::Working); 20]));
-    assert_eq!(watch.standing(1).map(|alert| (alert.state, alert.rule_loss)), Some((AlertState::Raised, 0.05)));
+    alerts_of(
+        &mut watch,
+        &block(1, 20, vec![estimate([1.0, 0.86], 0.01, Phase::Working); 20]),
+    );
+    assert_eq!(
+        watch
+            .standing(1)
+            .map(|alert| (alert.state, alert.rule_loss)),
+        Some((AlertState::Raised, 0.05))
+    );
     assert_eq!(watch.standing(0), None);
 }
 
 #[test]
 fn what_has_not_changed_stands_as_the_first_rule_of_its_parameter_says() {
-    let stands = |watch: &Watch, parameter| watch.unannounced(parameter).map(|alert| (alert.state, alert.rule_loss));
+    let stands = |watch: &Watch, parameter| {
+        watch
+            .unannounced(parameter)
+            .map(|alert| (alert.state, alert.rule_loss))
+    };
     let mut watch = watch();
-    assert_eq!((stands(&watch, 0), stands(&watch, 1)), (None, None), "nothing is known before the first estimate");
-    alerts_of(&mut watch, &block(1, 0, vec![estimate([1.0, 1.0], 0.01, Phase::Working)]));
+    assert_eq!(
+        (stands(&watch, 0), stands(&watch, 1)),
+        (None, None),
+        "nothing is known before the first estimate"
+    );
+    alerts_of(
+        &mut watch,
+        &block(1, 0, vec![estimate([1.0, 1.0], 0.01, Phase::Working)]),
+    );
     let normal = Some((AlertState::Normal, 0.05));
     assert_eq!((stands(&watch, 0), stands(&watch, 1)), (normal, normal));
-    alerts_of(&mut watch, &block(1, 1, vec![estimate([1.0, 0.86], 0.01, Phase::Working)]));
-    assert_eq!((stands(&watch, 0), stands(&watch, 1)), (normal, None), "storey 2 is announced as pending");
+    alerts_of(
+        &mut watch,
+        &block(1, 1, vec![estimate([1.0, 0.86], 0.01, Phase::Working)]),
+    );
+    assert_eq!(
+        (stands(&watch, 0), stands(&watch, 1)),
+        (normal, None),
+        "storey 2 is announced as pending"
+    );
 }
 
 #[test]
 fn training_frames_decide_nothing() {
     let mut watch = watch();
-    let found = alerts_of(&mut watch, &block(1, 0, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 50]));
+    let found = alerts_of(
+        &mut watch,
+        &block(1, 0, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 50]),
+    );
     assert_eq!(found, []);
     // a training that stays open is told after a second
-    let found = alerts_of(&mut watch, &block(1, 50, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 100]));
-    let states: Vec<_> = found.iter().map(|alert| (alert.parameter, alert.state, alert.undecided_because)).collect();
-    let told = |parameter| (parameter, AlertState::Undecided, Some(UndecidedBecause::NoiseTraining));
+    let found = alerts_of(
+        &mut watch,
+        &block(
+            1,
+            50,
+            vec![estimate([0.5, 0.5], 0.01, Phase::Training); 100],
+        ),
+    );
+    let states: Vec<_> = found
+        .iter()
+        .map(|alert| (alert.parameter, alert.state, alert.undecided_because))
+        .collect();
+    let told = |parameter| {
+        (
+            parameter,
+            AlertState::Undecided,
+            Some(UndecidedBecause::NoiseTraining),
+        )
+    };
     assert_eq!(states, [told(0), told(1), told(1)]);
-    assert_eq!(watch.undecided(), [(UndecidedBecause::NoiseTraining, 3)].into());
+    assert_eq!(
+        watch.undecided(),
+        [(UndecidedBecause::NoiseTraining, 3)].into()
+    );
 }
 
 #[test]
@@ -105,12 +181,21 @@ fn frames_are_counted_as_decided_or_not() {
     assert_eq!(watch.decided_share(1), None);
     let mut contradicted = estimate([1.0, 1.0], 0.01, Phase::Working);
     contradicted.flags.fit = Some(FitVerdict::Contradicted);
-    alerts_of(&mut watch, &block(1, 0, vec![estimate([1.0, 1.0], 0.01, Phase::Working); 30]));
+    alerts_of(
+        &mut watch,
+        &block(1, 0, vec![estimate([1.0, 1.0], 0.01, Phase::Working); 30]),
+    );
     alerts_of(&mut watch, &block(1, 30, vec![contradicted; 10]));
-    assert_eq!((watch.decided_share(0), watch.decided_share(1)), (Some(0.75), Some(0.75)));
+    assert_eq!(
+        (watch.decided_share(0), watch.decided_share(1)),
+        (Some(0.75), Some(0.75))
+    );
     let shares = watch.decided_shares();
     assert_eq!(shares[&1].frames(), 80, "two rules watch storey 2");
-    assert_eq!(shares[&1].undecided().collect::<Vec<_>>(), [(UndecidedBecause::FitContradicted, 20)]);
+    assert_eq!(
+        shares[&1].undecided().collect::<Vec<_>>(),
+        [(UndecidedBecause::FitContradicted, 20)]
+    );
 }
 
 #[test]
@@ -118,10 +203,17 @@ fn missing_estimates_and_another_epoch_reset_what_is_pending() {
     for (epoch, sequence) in [(1, 5), (2, 1), (2, 4)] {
         let mut watch = watch();
         let soft = vec![estimate([0.86, 1.0], 0.01, Phase::Working); 4];
-        assert_eq!(alerts_of(&mut watch, &block(1, 0, soft.clone()))[0].state, AlertState::Pending);
+        assert_eq!(
+            alerts_of(&mut watch, &block(1, 0, soft.clone()))[0].state,
+            AlertState::Pending
+        );
         let found = alerts_of(&mut watch, &block(epoch, sequence, soft));
         let states: Vec<AlertState> = found.iter().map(|alert| alert.state).collect();
-        assert_eq!(states, [AlertState::Pending], "epoch {epoch}, from {sequence}");
+        assert_eq!(
+            states,
+            [AlertState::Pending],
+            "epoch {epoch}, from {sequence}"
+        );
     }
 }
 
@@ -133,7 +225,10 @@ fn block_of_another_structure_is_refused_and_changes_nothing() {
     other.parameters = 3;
     assert!(matches!(
         watch.handle_block(&other, &mut Vec::new()),
-        Err(AlertError::ParameterCount { found: 3, expected: 2 })
+        Err(AlertError::ParameterCount {
+            found: 3,
+            expected: 2
+        })
     ));
     assert_eq!(watch, before);
 }
@@ -141,70 +236,132 @@ fn block_of_another_structure_is_refused_and_changes_nothing() {
 #[test]
 fn message_carries_the_numbers_and_is_accepted_by_the_bus() {
     let mut watch = watch();
-    let found = alerts_of(&mut watch, &block(1, 0, vec![estimate([0.86, 1.0], 0.01, Phase::Working); 20]));
-    let message = found[1].to_message(&Name::new("tower").unwrap(), &Name::new("storey-1").unwrap());
-    let read = spandrel_bus::AlertMessage::decode("application/json", &message.encode().unwrap()).unwrap();
+    let found = alerts_of(
+        &mut watch,
+        &block(1, 0, vec![estimate([0.86, 1.0], 0.01, Phase::Working); 20]),
+    );
+    let message = found[1].to_message(
+        &Name::new("tower").unwrap(),
+        &Name::new("storey-1").unwrap(),
+    );
+    let read =
+        spandrel_bus::AlertMessage::decode("application/json", &message.encode().unwrap()).unwrap();
     assert_eq!(
-        (read.state, read.since_ns, read.rule_loss, read.rule_credibility),
+        (
+            read.state,
+            read.since_ns,
+            read.rule_loss,
+            read.rule_credibility
+        ),
         (AlertState::Raised, Some(0), 0.05, 0.95)
     );
-    assert_eq!((read.mean, read.reference, read.reference_std), (0.86, Some(1.0), Some(0.0)));
+    assert_eq!(
+        (read.mean, read.reference, read.reference_std),
+        (0.86, Some(1.0), Some(0.0))
+    );
     let interval = read.loss_interval.unwrap();
-    assert!((read.loss.unwrap() - 0.14).abs() < 1e-12 && interval.low < 0.14 && interval.high > 0.14);
+    assert!(
+        (read.loss.unwrap() - 0.14).abs() < 1e-12 && interval.low < 0.14 && interval.high > 0.14
+    );
     assert_eq!(read.time_ns, 50_000_000);
 }
 
 #[test]
 fn acknowledgement_with_the_longest_texts_is_accepted_by_the_bus() {
     let mut watch = watch();
-    alerts_of(&mut watch, &block(1, 0, vec![estimate([0.86, 1.0], 0.01, Phase::Working); 20]));
-    let by = Acknowledged { who: "é".repeat(2048), note: "n".repeat(4096) };
+    alerts_of(
+        &mut watch,
+        &block(1, 0, vec![estimate([0.86, 1.0], 0.01, Phase::Working); 20]),
+    );
+    let by = Acknowledged {
+        who: "é".repeat(2048),
+        note: "n".repeat(4096),
+    };
     let mut alerts = Vec::new();
     assert!(watch.acknowledge(0, &by, &mut alerts));
     assert!(!watch.acknowledge(1, &by, &mut alerts));
-    let message = alerts[0].to_message(&Name::new("tower").unwrap(), &Name::new("storey-1").unwrap());
+    let message = alerts[0].to_message(
+        &Name::new("tower").unwrap(),
+        &Name::new("storey-1").unwrap(),
+    );
     assert!(message.encode().is_ok());
 }
 
 fn tower(reference: &str) -> Structure {
-    let text = include_str!("../../tests/tower.toml").replace("reference.design-std = 1e-9", reference);
+    let text =
+        include_str!("../../tests/tower.toml").replace("reference.design-std = 1e-9", reference);
     Structure::parse(&text, "tower.toml".as_ref()).unwrap()
 }
 
 /// The reference with which the first alert on a large loss comes.
 fn reference_used(structure: &Structure, baseline: Option<&Baseline>) -> Option<(f64, f64)> {
     let mut watch = Watch::new(structure, baseline).unwrap();
-    let soft = Estimate { mean: vec![0.3], covariance: vec![1e-4], ..estimate([0.0; 2], 0.0, Phase::Working) };
-    let block = EstimateBlock { parameters: 1, ..block(1, 0, vec![soft]) };
+    let soft = Estimate {
+        mean: vec![0.3],
+        covariance: vec![1e-4],
+        ..estimate([0.0; 2], 0.0, Phase::Working)
+    };
+    let block = EstimateBlock {
+        parameters: 1,
+        ..block(1, 0, vec![soft])
+    };
     let reference = alerts_of(&mut watch, &block)[0].reference;
     reference.map(|reference| (reference.mean(), reference.std()))
 }
 
 fn tower_baseline(structure: &str) -> Baseline {
     let record = RecordSummary::from_estimates([[(0.8, 0.05)]]).unwrap();
-    Baseline::from_records(structure, &["storey-1"], &[record], BetweenRecords::Stated(0.0)).unwrap()
+    Baseline::from_records(
+        structure,
+        &["storey-1"],
+        &[record],
+        BetweenRecords::Stated(0.0),
+    )
+    .unwrap()
 }
 
 #[test]
 fn rules_of_the_structure_file_give_the_reference() {
-    assert_eq!(reference_used(&tower("reference = { design-std = 0.05 }"), None), Some((1.0, 0.05)));
-    assert_eq!(reference_used(&tower("reference = { mean = 0.9, std = 0.1 }"), None), Some((0.9, 0.1)));
-    assert_eq!(reference_used(&tower("reference = { learn-s = 60 }"), None), None); // still learning
+    assert_eq!(
+        reference_used(&tower("reference = { design-std = 0.05 }"), None),
+        Some((1.0, 0.05))
+    );
+    assert_eq!(
+        reference_used(&tower("reference = { mean = 0.9, std = 0.1 }"), None),
+        Some((0.9, 0.1))
+    );
+    assert_eq!(
+        reference_used(&tower("reference = { learn-s = 60 }"), None),
+        None
+    ); // still learning
 }
 
 #[test]
 fn baseline_stands_in_for_learning_only() {
     let baseline = tower_baseline("tower");
-    let (mean, std) = reference_used(&tower("reference = { learn-s = 60 }"), Some(&baseline)).unwrap();
+    let (mean, std) =
+        reference_used(&tower("reference = { learn-s = 60 }"), Some(&baseline)).unwrap();
     assert!((mean - 0.8).abs() < 1e-12 && (std - 0.05).abs() < 1e-12);
-    assert_eq!(reference_used(&tower("reference = { design-std = 0.05 }"), Some(&baseline)), Some((1.0, 0.05)));
-    assert_eq!(reference_used(&tower("reference = { mean = 0.9, std = 0.1 }"), Some(&baseline)), Some((0.9, 0.1)));
+    assert_eq!(
+        reference_used(&tower("reference = { design-std = 0.05 }"), Some(&baseline)),
+        Some((1.0, 0.05))
+    );
+    assert_eq!(
+        reference_used(
+            &tower("reference = { mean = 0.9, std = 0.1 }"),
+            Some(&baseline)
+        ),
+        Some((0.9, 0.1))
+    );
 }
 
 #[test]
 fn baseline_of_another_structure_is_refused() {
     let error = Watch::new(&tower(""), Some(&tower_baseline("bridge"))).unwrap_err();
-    assert_eq!(error.to_string(), "baseline is that of structure `bridge`, must be that of `tower`");
+    assert_eq!(
+        error.to_string(),
+        "baseline is that of structure `bridge`, must be that of `tower`"
+    );
 }
 
 proptest! {

@@ -167,7 +167,10 @@ fn a_reader_from_now_gets_only_what_comes() {
 
 #[test]
 fn a_reader_goes_on_where_its_checkpoint_was() {
-    let start = Start::At { epoch: 1, sequence: 4 };
+    let start = Start::At {
+        epoch: 1,
+        sequence: 4,
+    };
     let mut rig = Rig::new(start, 100, 3);
     rig.put(6);
     rig.settle();
@@ -176,7 +179,10 @@ fn a_reader_goes_on_where_its_checkpoint_was() {
 
 #[test]
 fn a_checkpoint_of_an_older_epoch_starts_the_new_one_from_its_beginning() {
-    let start = Start::At { epoch: 0, sequence: 4 };
+    let start = Start::At {
+        epoch: 0,
+        sequence: 4,
+    };
     let mut rig = Rig::new(start, 100, 9);
     rig.put(6);
     rig.settle();
@@ -216,7 +222,14 @@ fn what_the_source_has_forgotten_is_an_explicit_gap() {
     rig.put(2);
     rig.put(2);
     rig.settle();
-    assert_eq!(rig.got[0], Delivery::Gap(Gap { epoch: 1, from: 0, to: 2 }));
+    assert_eq!(
+        rig.got[0],
+        Delivery::Gap(Gap {
+            epoch: 1,
+            from: 0,
+            to: 2
+        })
+    );
     assert_eq!(rig.items().split_off(2), all(2..4));
 }
 
@@ -278,7 +291,11 @@ fn a_new_epoch_ends_the_wait_for_the_old_one() {
     rig.live(frames(1, 0, 1));
     rig.live(frames(1, 2, 1));
     rig.live(frames(2, 0, 1));
-    let gap = Gap { epoch: 1, from: 1, to: 2 };
+    let gap = Gap {
+        epoch: 1,
+        from: 1,
+        to: 2,
+    };
     let expected = [
         Delivery::Block(frames(1, 0, 1)),
         Delivery::Gap(gap),
@@ -309,11 +326,17 @@ fn a_block_that_its_source_denies_is_not_believed() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     rig.live(frames(1, 5, 1)); // never in the ring
     let at = CaughtUp {
-        header: Header { source: "source".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "source".into(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         state: StreamState::Running,
     };
     assert!(rig.fetch.take().is_some());
-    rig.follower.answered(Answer::CaughtUp(at), &mut rig.actions);
+    rig.follower
+        .answered(Answer::CaughtUp(at), &mut rig.actions);
     rig.work();
     assert_eq!((rig.items(), rig.fetch), (vec![], None));
     assert_eq!(rig.follower.counts().impossible_blocks, 1);
@@ -408,7 +431,10 @@ fn a_block_numbered_beyond_the_end_of_its_source_is_not_believed() {
     rig.live(first);
     rig.live(frames(1, 1 << 40, 5));
     rig.answer();
-    assert_eq!((rig.fetch, rig.follower.counts().impossible_blocks), (None, 1));
+    assert_eq!(
+        (rig.fetch, rig.follower.counts().impossible_blocks),
+        (None, 1)
+    );
     let second = rig.put(2);
     rig.live(second);
     assert_eq!(rig.items(), all(0..4));
@@ -429,7 +455,10 @@ fn an_answer_to_what_was_asked_before_a_block_came_says_nothing_of_it() {
     rig.follower.answered(early, &mut rig.actions);
     rig.work();
     rig.settle();
-    assert_eq!((rig.items(), rig.follower.counts().impossible_blocks), (all(0..6), 0));
+    assert_eq!(
+        (rig.items(), rig.follower.counts().impossible_blocks),
+        (all(0..6), 0)
+    );
 }
 
 #[test]
@@ -451,7 +480,12 @@ fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
     let end = 1000 + 20 * BLOCKS_PER_FAILURE;
     let lost = 1000 + 12 * BLOCKS_PER_FAILURE + 3;
     let came = |number| number >= 1000 && number != lost;
-    assert_eq!(rig.items(), (0..end).map(|number| came(number).then_some(number)).collect::<Vec<_>>());
+    assert_eq!(
+        rig.items(),
+        (0..end)
+            .map(|number| came(number).then_some(number))
+            .collect::<Vec<_>>()
+    );
 }
 
 /// As [`Rig::new`], of a source that keeps what it puts.
@@ -462,8 +496,16 @@ fn patient(limit: u64) -> Rig {
 }
 
 fn caught_up(epoch: u64, sequence: u64) -> Answer<FrameBlock> {
-    let header = Header { source: "source".into(), epoch, sequence, time_ns: 0 };
-    Answer::CaughtUp(CaughtUp { header, state: StreamState::Running })
+    let header = Header {
+        source: "source".into(),
+        epoch,
+        sequence,
+        time_ns: 0,
+    };
+    Answer::CaughtUp(CaughtUp {
+        header,
+        state: StreamState::Running,
+    })
 }
 
 // After eight questions it gave up what ingest, back after ten seconds, still had on its disk.
@@ -479,7 +521,10 @@ fn of_a_source_that_keeps_its_items_nothing_is_given_up_while_it_is_away() {
         rig.fail();
     }
     rig.settle();
-    assert_eq!((rig.items(), rig.follower.counts().gap_items), (all(0..3), 0));
+    assert_eq!(
+        (rig.items(), rig.follower.counts().gap_items),
+        (all(0..3), 0)
+    );
 }
 
 #[test]
@@ -504,14 +549,26 @@ fn what_is_left_of_an_epoch_comes_before_the_next_one() {
     rig.live(frames(1, 0, 2));
     rig.live(frames(2, 0, 1)); // two frames between them have found no room
     rig.live(frames(2, 1, 1));
-    assert_eq!((rig.fetch.map(|range| (range.epoch, range.after)), rig.items()), (Some((Some(1), 2)), all(0..2)));
+    assert_eq!(
+        (
+            rig.fetch.map(|range| (range.epoch, range.after)),
+            rig.items()
+        ),
+        (Some((Some(1), 2)), all(0..2))
+    );
     rig.fail();
     for kept in [frames(1, 2, 2), frames(2, 0, 2)] {
         assert!(rig.fetch.take().is_some());
         rig.follower.answered(Answer::Block(kept), &mut rig.actions);
         rig.work();
     }
-    let expected = [frames(1, 0, 2), frames(1, 2, 2), frames(2, 0, 1), frames(2, 1, 1)].map(Delivery::Block);
+    let expected = [
+        frames(1, 0, 2),
+        frames(1, 2, 2),
+        frames(2, 0, 1),
+        frames(2, 1, 1),
+    ]
+    .map(Delivery::Block);
     assert_eq!(rig.got, expected);
 }
 
@@ -524,7 +581,14 @@ fn a_later_epoch_of_which_its_source_knows_nothing_is_not_believed() {
     rig.follower.answered(caught_up(1, 2), &mut rig.actions);
     rig.work();
     rig.live(frames(1, 2, 1));
-    assert_eq!((rig.items(), rig.fetch, rig.follower.counts().impossible_blocks), (all(0..3), None, 1));
+    assert_eq!(
+        (
+            rig.items(),
+            rig.fetch,
+            rig.follower.counts().impossible_blocks
+        ),
+        (all(0..3), None, 1)
+    );
 }
 
 #[test]
@@ -535,7 +599,10 @@ fn a_later_epoch_is_taken_up_where_nobody_can_be_asked() {
     for _ in 0..MAX_FAILURES {
         rig.fail_with(Silence::NoBuffer);
     }
-    assert_eq!(rig.got, [frames(1, 0, 2), frames(2, 0, 3)].map(Delivery::Block));
+    assert_eq!(
+        rig.got,
+        [frames(1, 0, 2), frames(2, 0, 3)].map(Delivery::Block)
+    );
 }
 
 /// Estimates of a frame without parameters, put by `source` in a term of leadership.
@@ -552,7 +619,12 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
         flags: EstimateFlags::working(),
     };
     EstimateBlock {
-        header: Header { source: source.into(), epoch: 1, sequence, time_ns: (sequence * 5_000_000) as i64 },
+        header: Header {
+            source: source.into(),
+            epoch: 1,
+            sequence,
+            time_ns: (sequence * 5_000_000) as i64,
+        },
         term,
         t0_ns: 0,
         sampling_rate_hz: 200.0,
@@ -567,7 +639,9 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
 /// Number of the first item and term of each block delivered, and the number after the last.
 fn delivered(actions: &mut VecDeque<Action<EstimateBlock>>) -> Vec<(u64, u64, u64)> {
     let delivery = |action: Action<EstimateBlock>| match action {
-        Action::Deliver(Delivery::Block(block)) => Some((block.header.sequence, block.end(), block.term)),
+        Action::Deliver(Delivery::Block(block)) => {
+            Some((block.header.sequence, block.end(), block.term))
+        }
         Action::Deliver(Delivery::Gap(gap)) => panic!("{gap:?}"),
         Action::Fetch { .. } => None,
     };
@@ -576,27 +650,48 @@ fn delivered(actions: &mut VecDeque<Action<EstimateBlock>>) -> Vec<(u64, u64, u6
 
 #[test]
 fn who_leads_in_a_higher_term_goes_on_with_the_stream_and_the_one_before_is_refused() {
-    let (mut follower, mut actions) = (Follower::new(Start::Beginning, 100, Patience::UntilAnswered), VecDeque::new());
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
     follower.live(estimates(7, "a", 0, 3), &mut actions);
     follower.live(estimates(8, "b", 2, 4), &mut actions);
     follower.live(estimates(7, "a", 3, 9), &mut actions); // it was frozen, and has not heard of the other one
     follower.live(estimates(8, "b", 6, 1), &mut actions);
     assert_eq!(delivered(&mut actions), [(0, 3, 7), (3, 6, 8), (6, 7, 8)]);
-    assert_eq!((follower.counts().superseded_blocks, follower.counts().foreign_blocks), (1, 0));
+    assert_eq!(
+        (
+            follower.counts().superseded_blocks,
+            follower.counts().foreign_blocks
+        ),
+        (1, 0)
+    );
 }
 
 #[test]
 fn of_two_in_one_term_the_first_is_read() {
-    let (mut follower, mut actions) = (Follower::new(Start::Beginning, 100, Patience::UntilAnswered), VecDeque::new());
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
     follower.live(estimates(7, "a", 0, 3), &mut actions);
     follower.live(estimates(7, "b", 3, 3), &mut actions);
     assert_eq!(delivered(&mut actions), [(0, 3, 7)]);
-    assert_eq!((follower.counts().superseded_blocks, follower.counts().foreign_blocks), (0, 1));
+    assert_eq!(
+        (
+            follower.counts().superseded_blocks,
+            follower.counts().foreign_blocks
+        ),
+        (0, 1)
+    );
 }
 
 #[test]
 fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
-    let (mut follower, mut actions) = (Follower::new(Start::Beginning, 100, Patience::UntilAnswered), VecDeque::new());
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
     follower.live(estimates(7, "a", 0, 3), &mut actions);
     follower.live(estimates(8, "b", 6, 3), &mut actions); // 3 to 5 were lost with the one before
     assert_eq!(delivered(&mut actions), [(0, 3, 7)]);
@@ -604,17 +699,29 @@ fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
     assert_eq!(delivered(&mut actions), []);
     follower.answered(Answer::Block(estimates(8, "b", 3, 3)), &mut actions);
     assert_eq!(delivered(&mut actions), [(3, 6, 8), (6, 9, 8)]);
-    assert_eq!((follower.counts().superseded_blocks, follower.counts().gap_items), (1, 0));
+    assert_eq!(
+        (
+            follower.counts().superseded_blocks,
+            follower.counts().gap_items
+        ),
+        (1, 0)
+    );
 }
 
 #[test]
 fn what_was_kept_while_standing_by_is_answered_in_the_term_of_the_lead() {
-    let mut ring = Ring::<EstimateBlock>::new("b".into(), 1, Keep::last(100)).going_on(5, StreamState::Running);
+    let mut ring = Ring::<EstimateBlock>::new("b".into(), 1, Keep::last(100))
+        .going_on(5, StreamState::Running);
     let block = estimates(0, "b", 5, 3);
     let payload = crate::message::Message::encode(&block).unwrap();
     #[expect(clippy::disallowed_methods, reason = "a publisher goes by the clock")]
-    ring.push(&block, &payload, std::time::Instant::now()).unwrap();
+    ring.push(&block, &payload, std::time::Instant::now())
+        .unwrap();
     ring.lead(9);
-    let range = QueryRange { after: 0, limit: 100, epoch: Some(1) };
+    let range = QueryRange {
+        after: 0,
+        limit: 100,
+        epoch: Some(1),
+    };
     assert_eq!(ring.answer(&range), Answer::Block(estimates(9, "b", 5, 3)));
 }

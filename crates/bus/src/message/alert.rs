@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::parameter::{ParameterDisplay, probability_below};
 use super::text::{mend_label, mend_text};
 use super::{
-    CredibleInterval, FitReasons, FitVerdict, Format, Malformed, Message, RoundedProbability, UndecidedBecause,
-    check_finite, check_label, check_range, check_text,
+    CredibleInterval, FitReasons, FitVerdict, Format, Malformed, Message, RoundedProbability,
+    UndecidedBecause, check_finite, check_label, check_range, check_text,
 };
 use crate::name::Name;
 
@@ -121,7 +121,10 @@ impl AlertMessage {
     /// Returns `true` if the alert was raised and is not over, whoever has seen it and whatever the data support now.
     #[must_use]
     pub fn stands(&self) -> bool {
-        matches!(self.state, AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed)
+        matches!(
+            self.state,
+            AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed
+        )
     }
 
     /// Returns `true` if the alert stands and nobody has acknowledged it.
@@ -133,7 +136,14 @@ impl AlertMessage {
     /// Returns `true` if this says the same of the same alert as `other`, with a newer loss.
     #[must_use]
     pub fn revises(&self, other: &Self) -> bool {
-        let same = |alert: &Self| (alert.state, alert.since_ns, alert.rule_loss.to_bits(), alert.undecided_because);
+        let same = |alert: &Self| {
+            (
+                alert.state,
+                alert.since_ns,
+                alert.rule_loss.to_bits(),
+                alert.undecided_because,
+            )
+        };
         self.revision > other.revision
             && other.time_ns <= self.time_ns
             && (&self.structure, &self.parameter) == (&other.structure, &other.parameter)
@@ -163,7 +173,9 @@ impl AlertMessage {
             | AlertState::Cleared => true,
             AlertState::Learning | AlertState::Normal | AlertState::Undecided => false,
         };
-        let reference = self.reference.filter(|reference| is_open && *reference > 0.0)?;
+        let reference = self
+            .reference
+            .filter(|reference| is_open && *reference > 0.0)?;
         if display.parameter != self.parameter || display.time_ns <= self.time_ns {
             return None;
         }
@@ -197,10 +209,24 @@ impl Message for AlertMessage {
         check_range("credibility", self.credibility, 0.0, 1.0)?;
         let optional = [
             ("loss", self.loss),
-            ("loss interval low", self.loss_interval.map(|interval| interval.low)),
-            ("loss interval high", self.loss_interval.map(|interval| interval.high)),
-            ("loss interval within record low", self.loss_interval_within_record.map(|interval| interval.low)),
-            ("loss interval within record high", self.loss_interval_within_record.map(|interval| interval.high)),
+            (
+                "loss interval low",
+                self.loss_interval.map(|interval| interval.low),
+            ),
+            (
+                "loss interval high",
+                self.loss_interval.map(|interval| interval.high),
+            ),
+            (
+                "loss interval within record low",
+                self.loss_interval_within_record
+                    .map(|interval| interval.low),
+            ),
+            (
+                "loss interval within record high",
+                self.loss_interval_within_record
+                    .map(|interval| interval.high),
+            ),
             ("reference", self.reference),
             ("reference std", self.reference_std),
         ];
@@ -246,7 +272,10 @@ mod tests {
     }
 
     fn display(time_ns: i64, mean: f64) -> ParameterDisplay {
-        let names = (&Name::new("tower").unwrap(), &Name::new("storey-2").unwrap());
+        let names = (
+            &Name::new("tower").unwrap(),
+            &Name::new("storey-2").unwrap(),
+        );
         ParameterDisplay::of_gaussian(names, time_ns, (mean, 1e-4), (0.05, 1.0))
     }
 
@@ -256,19 +285,41 @@ mod tests {
         // mean at the threshold 0.95: one half, whatever the deviation
         let told = "loss 5.0 % (estimate 0.950, 95 % interval 0.930 to 0.970), more than 5.0 % with probability 0.500";
         assert_eq!(raised.loss_by(&display(101, 0.95)).as_deref(), Some(told));
-        assert!(raised.loss_by(&display(101, 0.86)).unwrap().ends_with("with probability above 0.999"));
-        assert_eq!(raised.loss_by(&display(100, 0.95)), None, "it is the value that decided");
+        assert!(
+            raised
+                .loss_by(&display(101, 0.86))
+                .unwrap()
+                .ends_with("with probability above 0.999")
+        );
+        assert_eq!(
+            raised.loss_by(&display(100, 0.95)),
+            None,
+            "it is the value that decided"
+        );
     }
 
     #[test]
     fn the_loss_counts_from_the_reference_of_the_alert() {
         // (0.95·0.9 − 0.845)/√(0.01² + (0.95·0.02)²) = 0.4657; Φ(0.4657) = 0.679 (Abramowitz & Stegun, table 26.1)
-        let learnt =
-            AlertMessage { reference: Some(0.9), reference_std: Some(0.02), ..alert(AlertState::Acknowledged) };
+        let learnt = AlertMessage {
+            reference: Some(0.9),
+            reference_std: Some(0.02),
+            ..alert(AlertState::Acknowledged)
+        };
         let told = learnt.loss_by(&display(101, 0.845)).unwrap();
-        assert!(told.starts_with("loss 6.1 %") && told.ends_with("probability 0.679"), "{told}");
-        let learning = AlertMessage { reference: None, ..alert(AlertState::Raised) };
+        assert!(
+            told.starts_with("loss 6.1 %") && told.ends_with("probability 0.679"),
+            "{told}"
+        );
+        let learning = AlertMessage {
+            reference: None,
+            ..alert(AlertState::Raised)
+        };
         assert_eq!(learning.loss_by(&display(101, 0.845)), None);
-        assert_eq!(alert(AlertState::Normal).loss_by(&display(101, 0.845)), None, "there is no alert");
+        assert_eq!(
+            alert(AlertState::Normal).loss_by(&display(101, 0.845)),
+            None,
+            "there is no alert"
+        );
     }
 }

@@ -55,5 +55,8 @@ pub trait Block: Message + Clone + Send + Sync + 'static {
 
 /// Whether `next` carries on where a block with `end` stops, as far as the header tells.
 pub(super) fn continues(header: &Header, end: u64, state: StreamState, next: &Header) -> bool {
-    state == StreamState::Running && header.source == next.source && header.epoch == next.epoch && end == next.sequence
+    state == StreamState::Running
+        && header.source == next.source
+        && header.epoch == next.epoch
+        && end == next.sequence
 }

@@ -36,7 +36,9 @@ where
 }
 
 /// Reads a map of names to counts, at most `MOST` of them.
-pub(super) fn counts<'de, D, const MOST: usize>(deserializer: D) -> Result<BTreeMap<String, u64>, D::Error>
+pub(super) fn counts<'de, D, const MOST: usize>(
+    deserializer: D,
+) -> Result<BTreeMap<String, u64>, D::Error>
 where
     D: Deserializer<'de>,
 {

@@ -23,6 +23,10 @@ impl Message for Description {
         if self.text.len() <= MAX_MESSAGE_BYTES {
             return Ok(());
         }
-        Err(Malformed::Text { what: "text", found: self.text.len(), most: MAX_MESSAGE_BYTES })
+        Err(Malformed::Text {
+            what: "text",
+            found: self.text.len(),
+            most: MAX_MESSAGE_BYTES,
+        })
     }
 }

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::block::continues;
 use super::{
-    Block, FitReasons, FitVerdict, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, Malformed, Message,
-    StreamState, bounded, check_count, check_finite, check_finite_or_missing,
+    Block, FitReasons, FitVerdict, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES,
+    Malformed, Message, StreamState, bounded, check_count, check_finite, check_finite_or_missing,
 };
 use crate::grid::TimeGrid;
 
@@ -125,7 +125,11 @@ impl EstimateBlock {
         let noise = usize::from(self.noise_parameters);
         let lists = [
             ("mean", &estimate.mean, parameters),
-            ("covariance", &estimate.covariance, parameters * (parameters + 1) / 2),
+            (
+                "covariance",
+                &estimate.covariance,
+                parameters * (parameters + 1) / 2,
+            ),
             ("noise mean", &estimate.noise_mean, noise),
             ("noise covariance", &estimate.noise_covariance, noise),
         ];
@@ -135,11 +139,23 @@ impl EstimateBlock {
                 check_finite(what, value)?;
             }
         }
-        check_length("innovations", estimate.innovations.len(), usize::from(self.channels))?;
+        check_length(
+            "innovations",
+            estimate.innovations.len(),
+            usize::from(self.channels),
+        )?;
         check_finite_or_missing("innovations", &estimate.innovations)?;
-        check_finite("normalised innovation squared", estimate.normalised_innovation_squared)?;
+        check_finite(
+            "normalised innovation squared",
+            estimate.normalised_innovation_squared,
+        )?;
         check_finite("log evidence", estimate.log_evidence)?;
-        check_count("used channels", usize::from(estimate.used_channels), 0, usize::from(self.channels))
+        check_count(
+            "used channels",
+            usize::from(estimate.used_channels),
+            0,
+            usize::from(self.channels),
+        )
     }
 }
 
@@ -147,7 +163,11 @@ fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(),
     if found == expected {
         return Ok(());
     }
-    Err(Malformed::Length { what, found, expected })
+    Err(Malformed::Length {
+        what,
+        found,
+        expected,
+    })
 }
 
 impl Message for EstimateBlock {
@@ -157,11 +177,18 @@ impl Message for EstimateBlock {
 
     fn check(&self) -> Result<(), Malformed> {
         check_count("parameters", usize::from(self.parameters), 0, MAX_CHANNELS)?;
-        check_count("noise parameters", usize::from(self.noise_parameters), 0, MAX_CHANNELS)?;
+        check_count(
+            "noise parameters",
+            usize::from(self.noise_parameters),
+            0,
+            MAX_CHANNELS,
+        )?;
         check_count("channels", usize::from(self.channels), 0, MAX_CHANNELS)?;
         check_count("estimates", self.estimates.len(), 0, MAX_ITEMS)?;
         if self.grid().is_none() {
-            return Err(Malformed::Rate { found: self.sampling_rate_hz });
+            return Err(Malformed::Rate {
+                found: self.sampling_rate_hz,
+            });
         }
         for estimate in &self.estimates {
             self.check_estimate(estimate)?;
@@ -194,8 +221,9 @@ impl Block for EstimateBlock {
     fn item_bytes(&self) -> usize {
         const LENGTHS_AND_FLAGS: usize = 64;
         let parameters = usize::from(self.parameters);
-        let values =
-            parameters * (parameters + 3) / 2 + 2 * usize::from(self.noise_parameters) + usize::from(self.channels);
+        let values = parameters * (parameters + 3) / 2
+            + 2 * usize::from(self.noise_parameters)
+            + usize::from(self.channels);
         (8 * values + LENGTHS_AND_FLAGS).min(MAX_MESSAGE_BYTES)
     }
 

@@ -38,7 +38,10 @@ impl Message for FeedbackMessage {
             check_motion(motion)?;
         }
         check_count("responses", self.responses.len(), 0, MAX_CHANNELS)?;
-        self.responses.iter().flatten().try_for_each(ToldMotion::check)?;
+        self.responses
+            .iter()
+            .flatten()
+            .try_for_each(ToldMotion::check)?;
         self.header.check(1)
     }
 }

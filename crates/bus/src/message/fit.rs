@@ -5,7 +5,9 @@
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{Format, MAX_CHANNELS, Malformed, Message, bounded, check_count, check_finite, check_range};
+use super::{
+    Format, MAX_CHANNELS, Malformed, Message, bounded, check_count, check_finite, check_range,
+};
 use crate::name::Name;
 
 /// Whether the data support the model.
@@ -105,7 +107,9 @@ impl FitReason {
             Self::LittleExplained => "the model explains too little of the response",
             Self::ExcessNoise => "the noise found is much larger than the noise stated",
             Self::CorrelatedInnovations => "the innovations are correlated over time",
-            Self::WanderingParameters => "the corrections of a parameter keep their sign for too long",
+            Self::WanderingParameters => {
+                "the corrections of a parameter keep their sign for too long"
+            }
             Self::ExcitationInInnovations => "the innovations follow the measured excitation",
         }
     }
@@ -122,7 +126,9 @@ pub struct FitReasons(u16);
 impl FitReasons {
     /// The reasons in the order in which they are reported.
     pub fn iter(self) -> impl Iterator<Item = FitReason> {
-        FitReason::ALL.into_iter().filter(move |reason| self.0 & reason.bit() != 0)
+        FitReason::ALL
+            .into_iter()
+            .filter(move |reason| self.0 & reason.bit() != 0)
     }
 
     /// Returns `true` if there is no reason.
@@ -134,13 +140,20 @@ impl FitReasons {
     /// The reasons in words, separated by commas; empty without a reason.
     #[must_use]
     pub fn words(self) -> String {
-        self.iter().map(FitReason::words).collect::<Vec<_>>().join(", ")
+        self.iter()
+            .map(FitReason::words)
+            .collect::<Vec<_>>()
+            .join(", ")
     }
 }
 
 impl FromIterator<FitReason> for FitReasons {
     fn from_iter<I: IntoIterator<Item = FitReason>>(reasons: I) -> Self {
-        Self(reasons.into_iter().fold(0, |bits, reason| bits | reason.bit()))
+        Self(
+            reasons
+                .into_iter()
+                .fold(0, |bits, reason| bits | reason.bit()),
+        )
     }
 }
 
@@ -156,14 +169,17 @@ impl Serialize for FitReasons {
 impl<'de> Deserialize<'de> for FitReasons {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         if deserializer.is_human_readable() {
-            let reasons: Vec<FitReason> = bounded::list::<_, _, { FitReason::ALL.len() }>(deserializer)?;
+            let reasons: Vec<FitReason> =
+                bounded::list::<_, _, { FitReason::ALL.len() }>(deserializer)?;
             return Ok(reasons.into_iter().collect());
         }
         let bits = u16::deserialize(deserializer)?;
         let known: Self = FitReason::ALL.into_iter().collect();
         match bits & !known.0 {
             0 => Ok(Self(bits)),
-            unknown => Err(D::Error::custom(format_args!("bits {unknown:#b} are no reasons of a fit"))),
+            unknown => Err(D::Error::custom(format_args!(
+                "bits {unknown:#b} are no reasons of a fit"
+            ))),
         }
     }
 }
@@ -175,7 +191,9 @@ pub fn fit_in_words(verdict: FitVerdict, reasons: FitReasons) -> String {
         FitVerdict::Doubtful | FitVerdict::Contradicted if !reasons.is_empty() => {
             format!("{}: {}", verdict.words(), reasons.words())
         }
-        FitVerdict::Supported | FitVerdict::Doubtful | FitVerdict::Contradicted => verdict.words().to_owned(),
+        FitVerdict::Supported | FitVerdict::Doubtful | FitVerdict::Contradicted => {
+            verdict.words().to_owned()
+        }
     }
 }
 
@@ -225,7 +243,9 @@ impl UndecidedBecause {
             Self::ExcitationSilent => "a measured excitation delivers no samples that can be used",
             Self::FitContradicted => FitVerdict::Contradicted.words(),
             Self::ParameterAtBound => "the estimate rests on a bound of the parameter",
-            Self::NothingLearnt => "the estimate or its reference is too uncertain to show twice the loss of the rule",
+            Self::NothingLearnt => {
+                "the estimate or its reference is too uncertain to show twice the loss of the rule"
+            }
         }
     }
 }
@@ -267,7 +287,11 @@ impl FitDisplay {
     /// The verdict in words, with its reasons and whether a sudden change is being followed.
     #[must_use]
     pub fn words(&self) -> String {
-        let followed = if self.follows_jump { "; a sudden change is being followed" } else { "" };
+        let followed = if self.follows_jump {
+            "; a sudden change is being followed"
+        } else {
+            ""
+        };
         fit_in_words(self.verdict, self.reasons) + followed
     }
 }
@@ -280,10 +304,23 @@ impl Message for FitDisplay {
     fn check(&self) -> Result<(), Malformed> {
         check_count("channels of a fit", self.channels.len(), 0, MAX_CHANNELS)?;
         for channel in &self.channels {
-            check_finite("largest autocorrelation", channel.largest_autocorrelation.unwrap_or(0.0))?;
+            check_finite(
+                "largest autocorrelation",
+                channel.largest_autocorrelation.unwrap_or(0.0),
+            )?;
             check_finite("explained share", channel.explained_share.unwrap_or(0.0))?;
-            check_range("excitation correlation", channel.excitation_correlation.unwrap_or(0.0), -1.0, 1.0)?;
-            check_range("noise ratio", channel.noise_ratio.unwrap_or(0.0), 0.0, f64::MAX)?;
+            check_range(
+                "excitation correlation",
+                channel.excitation_correlation.unwrap_or(0.0),
+                -1.0,
+                1.0,
+            )?;
+            check_range(
+                "noise ratio",
+                channel.noise_ratio.unwrap_or(0.0),
+                0.0,
+                f64::MAX,
+            )?;
         }
         Ok(())
     }
@@ -303,21 +340,50 @@ mod tests {
         };
         let reasons = reasons.iter().copied().collect();
         let structure = Name::new("tower").unwrap();
-        FitDisplay { structure, time_ns: 5, verdict, reasons, follows_jump: false, channels: vec![channel] }
+        FitDisplay {
+            structure,
+            time_ns: 5,
+            verdict,
+            reasons,
+            follows_jump: false,
+            channels: vec![channel],
+        }
     }
 
     #[test]
     fn reasons_are_words_in_json_and_bits_in_postcard() {
-        let shown =
-            display(FitVerdict::Contradicted, &[FitReason::ExcitationInInnovations, FitReason::ParameterAtBound]);
+        let shown = display(
+            FitVerdict::Contradicted,
+            &[
+                FitReason::ExcitationInInnovations,
+                FitReason::ParameterAtBound,
+            ],
+        );
         let text = String::from_utf8(shown.encode().unwrap()).unwrap();
-        assert!(text.contains(r#""reasons":["parameter-at-bound","excitation-in-innovations"]"#), "{text}");
-        assert_eq!(FitDisplay::decode("application/json", text.as_bytes()).unwrap(), shown);
+        assert!(
+            text.contains(r#""reasons":["parameter-at-bound","excitation-in-innovations"]"#),
+            "{text}"
+        );
+        assert_eq!(
+            FitDisplay::decode("application/json", text.as_bytes()).unwrap(),
+            shown
+        );
         for reason in FitReason::ALL {
             let reasons: FitReasons = [reason].into_iter().collect();
             let bytes = postcard::to_stdvec(&reasons).unwrap();
-            assert_eq!(postcard::from_bytes::<FitReasons>(&bytes).unwrap().iter().collect::<Vec<_>>(), [reason]);
-            assert!(serde_json::to_string(&reason).unwrap().contains(reason.as_str()), "{reason:?}");
+            assert_eq!(
+                postcard::from_bytes::<FitReasons>(&bytes)
+                    .unwrap()
+                    .iter()
+                    .collect::<Vec<_>>(),
+                [reason]
+            );
+            assert!(
+                serde_json::to_string(&reason)
+                    .unwrap()
+                    .contains(reason.as_str()),
+                "{reason:?}"
+            );
         }
         let unknown = postcard::to_stdvec(&(1_u16 << FitReason::ALL.len())).unwrap();
         assert!(postcard::from_bytes::<FitReasons>(&unknown).is_err());
@@ -326,19 +392,34 @@ mod tests {
     #[test]
     fn words_of_the_message_are_those_of_its_json() {
         for verdict in FitVerdict::ALL {
-            assert_eq!(serde_json::to_string(&verdict).unwrap(), format!("\"{}\"", verdict.as_str()));
+            assert_eq!(
+                serde_json::to_string(&verdict).unwrap(),
+                format!("\"{}\"", verdict.as_str())
+            );
         }
         for because in UndecidedBecause::ALL {
-            assert_eq!(serde_json::to_string(&because).unwrap(), format!("\"{}\"", because.as_str()));
+            assert_eq!(
+                serde_json::to_string(&because).unwrap(),
+                format!("\"{}\"", because.as_str())
+            );
         }
     }
 
     #[test]
     fn verdict_in_words_names_its_reasons() {
         let words = display(FitVerdict::Doubtful, &[FitReason::CorrelatedInnovations]).words();
-        assert_eq!(words, "the model leaves out something that matters: the innovations are correlated over time");
-        let shown = FitDisplay { follows_jump: true, ..display(FitVerdict::Supported, &[]) };
-        assert_eq!(shown.words(), "the data support the model; a sudden change is being followed");
+        assert_eq!(
+            words,
+            "the model leaves out something that matters: the innovations are correlated over time"
+        );
+        let shown = FitDisplay {
+            follows_jump: true,
+            ..display(FitVerdict::Supported, &[])
+        };
+        assert_eq!(
+            shown.words(),
+            "the data support the model; a sudden change is being followed"
+        );
     }
 
     #[test]

@@ -60,7 +60,9 @@ impl Message for FrameBlock {
         }
         check_count("frames", self.values.len() / channels, 0, MAX_ITEMS)?;
         if self.grid().is_none() {
-            return Err(Malformed::Rate { found: self.sampling_rate_hz });
+            return Err(Malformed::Rate {
+                found: self.sampling_rate_hz,
+            });
         }
         check_finite_or_missing("values", &self.values)?;
         self.header.check(self.count())
@@ -90,12 +92,14 @@ impl Block for FrameBlock {
         if let Some(grid) = self.grid() {
             self.header.time_ns = grid.time_ns(self.header.sequence);
         }
-        self.values.drain(..items as usize * usize::from(self.channels));
+        self.values
+            .drain(..items as usize * usize::from(self.channels));
     }
 
     fn truncate(&mut self, items: u64) {
         if items < self.count() {
-            self.values.truncate(items as usize * usize::from(self.channels));
+            self.values
+                .truncate(items as usize * usize::from(self.channels));
             self.state = StreamState::Running;
         }
     }

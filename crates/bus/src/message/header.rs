@@ -25,11 +25,18 @@ pub struct Header {
 impl Header {
     pub(super) fn check(&self, items: u64) -> Result<(), Malformed> {
         if self.source.len() > MAX_SOURCE_BYTES {
-            return Err(Malformed::Text { what: "source", found: self.source.len(), most: MAX_SOURCE_BYTES });
+            return Err(Malformed::Text {
+                what: "source",
+                found: self.source.len(),
+                most: MAX_SOURCE_BYTES,
+            });
         }
         match self.sequence.checked_add(items) {
             Some(_) => Ok(()),
-            None => Err(Malformed::SequenceOverflow { sequence: self.sequence, count: items }),
+            None => Err(Malformed::SequenceOverflow {
+                sequence: self.sequence,
+                count: items,
+            }),
         }
     }
 }

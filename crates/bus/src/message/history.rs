@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Acknowledgement, AlertMessage, Event, Format, MAX_ITEMS, Malformed, Message, check_count, check_finite_list,
-    check_label,
+    Acknowledgement, AlertMessage, Event, Format, MAX_ITEMS, Malformed, Message, check_count,
+    check_finite_list, check_label,
 };
 use crate::name::Name;
 
@@ -89,15 +89,23 @@ impl Message for HistorySpan {
             ("probability of loss", &rows.probability_of_loss),
         ];
         let expected = rows.time_s.len();
-        for (what, found) in
-            columns.iter().map(|(what, column)| (*what, column.len())).chain([("count", rows.count.len())])
+        for (what, found) in columns
+            .iter()
+            .map(|(what, column)| (*what, column.len()))
+            .chain([("count", rows.count.len())])
         {
             if found != expected {
-                return Err(Malformed::Length { what, found, expected });
+                return Err(Malformed::Length {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         check_finite_list("time", &rows.time_s)?;
-        columns.iter().try_for_each(|(what, column)| check_finite_list(what, column))
+        columns
+            .iter()
+            .try_for_each(|(what, column)| check_finite_list(what, column))
     }
 }
 
@@ -108,7 +116,12 @@ impl Message for HistoryLog {
 
     fn check(&self) -> Result<(), Malformed> {
         check_count("alerts", self.alerts.len(), 0, MAX_ITEMS)?;
-        check_count("acknowledgements", self.acknowledgements.len(), 0, MAX_ITEMS)?;
+        check_count(
+            "acknowledgements",
+            self.acknowledgements.len(),
+            0,
+            MAX_ITEMS,
+        )?;
         check_count("events", self.events.len(), 0, MAX_ITEMS)?;
         self.alerts.iter().try_for_each(Message::check)?;
         self.acknowledgements.iter().try_for_each(Message::check)?;

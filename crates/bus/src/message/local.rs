@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ChannelState, Format, Header, MAX_CHANNELS, Malformed, MaskedSpan, Message, NodeState, Pace, bounded, check_count,
-    check_finite, check_finite_list, check_range,
+    ChannelState, Format, Header, MAX_CHANNELS, Malformed, MaskedSpan, Message, NodeState, Pace,
+    bounded, check_count, check_finite, check_finite_list, check_range,
 };
 
 /// Most answers of the station that a node has taken since its last message.
@@ -38,18 +38,28 @@ impl ToldSamples {
     /// rounded; what is more than 2³¹ of them is missing.
     #[must_use]
     pub fn new(samples: &[f64], exponents: &[i16]) -> Self {
-        let unit = exponents.iter().map(|exponent| 2f64.powi(i32::from(*exponent))).cycle();
+        let unit = exponents
+            .iter()
+            .map(|exponent| 2f64.powi(i32::from(*exponent)))
+            .cycle();
         let told = |(sample, unit): (&f64, f64)| match (sample / unit).round() {
             units if units.abs() < f64::from(i32::MAX) => units as i32 + i32::from(units >= 0.0),
             _ => 0,
         };
-        Self { exponents: exponents.to_vec(), units: samples.iter().zip(unit).map(told).collect() }
+        Self {
+            exponents: exponents.to_vec(),
+            units: samples.iter().zip(unit).map(told).collect(),
+        }
     }
 
     /// Returns the samples by instant and channel, NaN where one is missing.
     #[must_use]
     pub fn samples(&self) -> Vec<f64> {
-        let unit = self.exponents.iter().map(|exponent| 2f64.powi(i32::from(*exponent))).cycle();
+        let unit = self
+            .exponents
+            .iter()
+            .map(|exponent| 2f64.powi(i32::from(*exponent)))
+            .cycle();
         let sample = |(units, unit): (&i32, f64)| match units {
             0 => f64::NAN,
             units => f64::from(units - i32::from(*units > 0)) * unit,
@@ -58,15 +68,29 @@ impl ToldSamples {
     }
 
     fn check(&self) -> Result<(), Malformed> {
-        check_count("channels of told samples", self.exponents.len(), 1, MAX_CHANNELS)?;
+        check_count(
+            "channels of told samples",
+            self.exponents.len(),
+            1,
+            MAX_CHANNELS,
+        )?;
         for exponent in &self.exponents {
             let largest = f64::from(LARGEST_EXPONENT);
-            check_range("exponent of a unit", f64::from(*exponent), -largest, largest)?;
+            check_range(
+                "exponent of a unit",
+                f64::from(*exponent),
+                -largest,
+                largest,
+            )?;
         }
         let expected = self.units.len().next_multiple_of(self.exponents.len());
         match self.units.len() == expected {
             true => Ok(()),
-            false => Err(Malformed::Length { what: "told samples", found: self.units.len(), expected }),
+            false => Err(Malformed::Length {
+                what: "told samples",
+                found: self.units.len(),
+                expected,
+            }),
         }
     }
 }
@@ -85,7 +109,10 @@ impl ToldMotion {
     #[must_use]
     pub fn new(mean: &[f64], variance: &[f64], exponents: &[i16]) -> Self {
         match exponents.is_empty() {
-            true => Self::Numbers(MotionNumbers { mean: mean.to_vec(), variance: variance.to_vec() }),
+            true => Self::Numbers(MotionNumbers {
+                mean: mean.to_vec(),
+                variance: variance.to_vec(),
+            }),
             false => Self::Samples(ToldSamples::new(mean, exponents)),
         }
     }
@@ -172,7 +199,11 @@ pub(super) fn check_density(mean: &[f64], covariance: &[f64]) -> Result<(), Malf
     check_count("parameters", mean.len(), 1, MAX_CHANNELS)?;
     let (triangle, variances) = (mean.len() * (mean.len() + 1) / 2, mean.len());
     if covariance.len() != triangle && covariance.len() != variances {
-        return Err(Malformed::Length { what: "covariance", found: covariance.len(), expected: triangle });
+        return Err(Malformed::Length {
+            what: "covariance",
+            found: covariance.len(),
+            expected: triangle,
+        });
     }
     check_finite_list("mean", mean)?;
     check_finite_list("covariance", covariance)
@@ -182,7 +213,11 @@ pub(super) fn check_motion(motion: &MotionNumbers) -> Result<(), Malformed> {
     check_count("numbers of motion", motion.mean.len(), 0, MAX_CHANNELS)?;
     if motion.variance.len() != motion.mean.len() {
         let (found, expected) = (motion.variance.len(), motion.mean.len());
-        return Err(Malformed::Length { what: "variances of motion", found, expected });
+        return Err(Malformed::Length {
+            what: "variances of motion",
+            found,
+            expected,
+        });
     }
     check_finite_list("motion", &motion.mean)?;
     motion.variance.iter().try_for_each(|variance| {

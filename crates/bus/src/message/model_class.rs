@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, MAX_CHANNELS, Malformed, Message, bounded, check_finite, check_label, check_range};
+use super::{
+    Format, MAX_CHANNELS, Malformed, Message, bounded, check_finite, check_label, check_range,
+};
 use crate::name::Name;
 
 /// How plausible one class is.

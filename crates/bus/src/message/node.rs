@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, bounded, check_count, check_finite, check_label, check_range};
+use super::{
+    Format, Malformed, Message, bounded, check_count, check_finite, check_label, check_range,
+};
 use crate::name::Name;
 
 /// Most reasons in one message: they come from a closed set.
@@ -69,7 +71,10 @@ impl Message for NodeDisplay {
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {
-        for (what, value) in [("distance", self.distance), ("distance limit", self.distance_limit)] {
+        for (what, value) in [
+            ("distance", self.distance),
+            ("distance limit", self.distance_limit),
+        ] {
             if let Some(value) = value {
                 check_finite(what, value)?;
             }
@@ -79,6 +84,8 @@ impl Message for NodeDisplay {
         }
         check_finite("excluded share", self.excluded_share)?;
         check_count("reasons", self.refused.len(), 0, MAX_REASONS)?;
-        self.refused.keys().try_for_each(|reason| check_label("reason", reason))
+        self.refused
+            .keys()
+            .try_for_each(|reason| check_label("reason", reason))
     }
 }

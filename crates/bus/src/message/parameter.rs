@@ -59,7 +59,11 @@ impl ParameterDisplay {
             time_ns,
             mean,
             std,
-            interval: CredibleInterval { level, low: mean - half_width * std, high: mean + half_width * std },
+            interval: CredibleInterval {
+                level,
+                low: mean - half_width * std,
+                high: mean + half_width * std,
+            },
             probability_of_loss: probability_below((1.0 - loss) * reference, mean, std),
             loss,
             reference,

@@ -41,22 +41,41 @@ impl RoundedProbability {
         } else {
             (Bound::Nearest, value)
         };
-        Self { bound, shown, decimals: decimals.unsigned_abs() as usize }.as_printed()
+        Self {
+            bound,
+            shown,
+            decimals: decimals.unsigned_abs() as usize,
+        }
+        .as_printed()
     }
 
     /// Rounds to the most decimals, away from the probability asked for that is so near.
     fn away_from(value: f64, asked: &[f64]) -> Self {
         let nearest = Self::to_decimals(value, *DECIMALS.end());
-        let Some(missed) = asked.iter().find(|asked| !nearest.tells(value, **asked)) else { return nearest };
+        let Some(missed) = asked.iter().find(|asked| !nearest.tells(value, **asked)) else {
+            return nearest;
+        };
         let units = 10f64.powi(*DECIMALS.end());
-        let shown = if value >= *missed { (value * units).ceil() } else { (value * units).floor() } / units;
-        Self { bound: Bound::Nearest, shown: shown.clamp(1.0 / units, 1.0 - 1.0 / units), ..nearest }.as_printed()
+        let shown = if value >= *missed {
+            (value * units).ceil()
+        } else {
+            (value * units).floor()
+        } / units;
+        Self {
+            bound: Bound::Nearest,
+            shown: shown.clamp(1.0 / units, 1.0 - 1.0 / units),
+            ..nearest
+        }
+        .as_printed()
     }
 
     /// With the number that is read from the text.
     fn as_printed(self) -> Self {
         let printed = format!("{:.*}", self.decimals, self.shown);
-        Self { shown: printed.parse().unwrap_or(self.shown), ..self }
+        Self {
+            shown: printed.parse().unwrap_or(self.shown),
+            ..self
+        }
     }
 
     /// Whether one sees on which side of `asked` it lies.
@@ -66,7 +85,11 @@ impl RoundedProbability {
             Bound::Above => (self.shown, 1.0),
             Bound::Below => (0.0, self.shown),
         };
-        if value >= asked { least >= asked } else { most < asked }
+        if value >= asked {
+            least >= asked
+        } else {
+            most < asked
+        }
     }
 
     /// The same in per cent: `1.2 %`, `> 99.9 %`.
@@ -121,14 +144,20 @@ mod tests {
         assert_eq!(told(0.99, &[0.99]), pair("0.990", "99.0 %"));
         assert_eq!(told(0.949_7, &[0.949_6]), pair("0.950", "95.0 %"));
         assert_eq!(told(0.989_999_99, &[0.99]), pair("0.989999", "98.9999 %"));
-        assert_eq!(told(0.500_000_1, &[0.500_000_05]), pair("0.500001", "50.0001 %"));
+        assert_eq!(
+            told(0.500_000_1, &[0.500_000_05]),
+            pair("0.500001", "50.0001 %")
+        );
     }
 
     #[test]
     fn bounds_tell_the_side_too() {
         assert_eq!(told(0.999_6, &[0.999_5]), pair("0.9996", "99.96 %"));
         assert_eq!(told(0.999_6, &[0.999_9]), pair("0.9996", "99.96 %"));
-        assert_eq!(told(0.999_99, &[0.999_5]), pair("above 0.9999", "> 99.99 %"));
+        assert_eq!(
+            told(0.999_99, &[0.999_5]),
+            pair("above 0.9999", "> 99.99 %")
+        );
         assert_eq!(told(0.000_4, &[0.000_5]), pair("0.0004", "0.04 %"));
     }
 }

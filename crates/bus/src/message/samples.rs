@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::block::continues;
-use super::{Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, Malformed, Message, StreamState, check_count};
+use super::{
+    Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, Malformed, Message, StreamState, check_count,
+};
 use crate::grid::TimeGrid;
 
 /// Whether the node goes on.
@@ -70,7 +72,9 @@ impl Message for SampleBlock {
         }
         check_count("samples", self.samples.len() / channels, 0, MAX_ITEMS)?;
         if self.grid().is_none() {
-            return Err(Malformed::Rate { found: self.sampling_rate_hz });
+            return Err(Malformed::Rate {
+                found: self.sampling_rate_hz,
+            });
         }
         self.header.check(self.count())
     }
@@ -99,12 +103,14 @@ impl Block for SampleBlock {
             self.header.time_ns = grid.time_ns(items);
         }
         self.header.sequence += items;
-        self.samples.drain(..items as usize * usize::from(self.channels));
+        self.samples
+            .drain(..items as usize * usize::from(self.channels));
     }
 
     fn truncate(&mut self, items: u64) {
         if items < self.count() {
-            self.samples.truncate(items as usize * usize::from(self.channels));
+            self.samples
+                .truncate(items as usize * usize::from(self.channels));
             self.state = StreamState::Running;
         }
     }

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FitVerdict, Format, Malformed, Message, Pace, UndecidedBecause, bounded, check_count, check_finite, check_label,
+    FitVerdict, Format, Malformed, Message, Pace, UndecidedBecause, bounded, check_count,
+    check_finite, check_label,
 };
 use crate::name::Name;
 
@@ -100,7 +101,10 @@ const WITHOUT_DATES_BEFORE_NS: u64 = 100_000_000_000_000_000;
 /// the clock on the wall says nothing. None before anybody has said so.
 #[must_use]
 pub fn pace_told<'s>(statuses: impl Iterator<Item = &'s Status>) -> Option<Pace> {
-    statuses.filter(|status| status.pace.is_some()).max_by_key(|status| status.time_ns)?.pace
+    statuses
+        .filter(|status| status.pace.is_some())
+        .max_by_key(|status| status.time_ns)?
+        .pace
 }
 
 /// Whether a time (ns since the Unix epoch) is that of a record without dates, which begins at 0.
@@ -152,7 +156,10 @@ mod tests {
 
     #[test]
     fn the_newest_word_on_the_pace_counts() {
-        let at = |time_ns: i64, pace| Status { time_ns, ..status(pace) };
+        let at = |time_ns: i64, pace| Status {
+            time_ns,
+            ..status(pace)
+        };
         let told = |all: &[Status]| pace_told(all.iter());
         assert_eq!(told(&[]), None);
         assert_eq!(told(&[status(None)]), None);
@@ -163,7 +170,9 @@ mod tests {
 
     #[test]
     fn a_time_near_1970_is_that_of_a_record_without_dates() {
-        assert!(is_without_date(0) && is_without_date(-5) && !is_without_date(status(None).time_ns));
+        assert!(
+            is_without_date(0) && is_without_date(-5) && !is_without_date(status(None).time_ns)
+        );
     }
 
     #[test]
@@ -172,12 +181,31 @@ mod tests {
         for word in ["pace", "load", "frames_behind"] {
             assert!(!text.contains(word), "{text}");
         }
-        assert_eq!(Status::decode("application/json", text.as_bytes()).unwrap(), status(None));
+        assert_eq!(
+            Status::decode("application/json", text.as_bytes()).unwrap(),
+            status(None)
+        );
         let text = String::from_utf8(status(Some(Pace::Replayed)).encode().unwrap()).unwrap();
         assert!(text.contains(r#""pace":"replayed""#), "{text}");
-        for load in [Load::Normal, Load::DisplayShed, Load::Behind, Load::CatchingUp] {
-            let text = String::from_utf8(Status { load: Some(load), ..status(None) }.encode().unwrap()).unwrap();
-            assert!(text.contains(&format!(r#""load":"{}""#, load.as_str())), "{text}");
+        for load in [
+            Load::Normal,
+            Load::DisplayShed,
+            Load::Behind,
+            Load::CatchingUp,
+        ] {
+            let text = String::from_utf8(
+                Status {
+                    load: Some(load),
+                    ..status(None)
+                }
+                .encode()
+                .unwrap(),
+            )
+            .unwrap();
+            assert!(
+                text.contains(&format!(r#""load":"{}""#, load.as_str())),
+                "{text}"
+            );
         }
     }
 }

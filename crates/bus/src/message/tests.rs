@@ -5,7 +5,12 @@ use super::*;
 use crate::name::Name;
 
 fn header(sequence: u64) -> Header {
-    Header { source: "roof".into(), epoch: 1, sequence, time_ns: 1_700_000_000_000_000_000 }
+    Header {
+        source: "roof".into(),
+        epoch: 1,
+        sequence,
+        time_ns: 1_700_000_000_000_000_000,
+    }
 }
 
 fn frames(sequence: u64, values: Vec<f64>) -> FrameBlock {
@@ -21,7 +26,10 @@ fn frames(sequence: u64, values: Vec<f64>) -> FrameBlock {
 
 fn samples(sequence: u64, time_ns: i64, count: usize) -> SampleBlock {
     SampleBlock {
-        header: Header { time_ns, ..header(sequence) },
+        header: Header {
+            time_ns,
+            ..header(sequence)
+        },
         sampling_rate_hz: 120.0,
         pace: Pace::Live,
         channels: 2,
@@ -65,7 +73,11 @@ fn parameter() -> ParameterDisplay {
         time_ns: 5,
         mean: 0.9,
         std: 0.01,
-        interval: CredibleInterval { level: 0.95, low: 0.88, high: 0.92 },
+        interval: CredibleInterval {
+            level: 0.95,
+            low: 0.88,
+            high: 0.92,
+        },
         probability_of_loss: 0.5,
         loss: 0.1,
         reference: 1.0,
@@ -74,14 +86,21 @@ fn parameter() -> ParameterDisplay {
 
 #[test]
 fn encoding_names_type_and_version() {
-    assert_eq!(FrameBlock::encoding(), "application/postcard;spandrel.frames.v1");
-    assert_eq!(ParameterDisplay::encoding(), "application/json;spandrel.parameter.v1");
+    assert_eq!(
+        FrameBlock::encoding(),
+        "application/postcard;spandrel.frames.v1"
+    );
+    assert_eq!(
+        ParameterDisplay::encoding(),
+        "application/json;spandrel.parameter.v1"
+    );
 }
 
 #[test]
 fn another_version_is_refused_with_both_names() {
     let payload = frames(0, vec![1.0, 2.0]).encode().unwrap();
-    let error = FrameBlock::decode("application/postcard;spandrel.frames.v2", &payload).unwrap_err();
+    let error =
+        FrameBlock::decode("application/postcard;spandrel.frames.v2", &payload).unwrap_err();
     let text = error.to_string();
     assert!(text.contains("spandrel.frames.v1") && text.contains("spandrel.frames.v2"));
     assert_eq!(error.reason(), "encoding");
@@ -90,14 +109,20 @@ fn another_version_is_refused_with_both_names() {
 #[test]
 fn another_type_is_refused() {
     let payload = frames(0, vec![1.0, 2.0]).encode().unwrap();
-    assert!(matches!(EstimateBlock::decode(&FrameBlock::encoding(), &payload), Err(DecodeError::Encoding { .. })));
+    assert!(matches!(
+        EstimateBlock::decode(&FrameBlock::encoding(), &payload),
+        Err(DecodeError::Encoding { .. })
+    ));
 }
 
 #[test]
 fn trailing_bytes_are_refused() {
     let mut payload = frames(0, vec![1.0, 2.0]).encode().unwrap();
     payload.push(0);
-    assert!(matches!(FrameBlock::decode(&FrameBlock::encoding(), &payload), Err(DecodeError::Trailing { bytes: 1 })));
+    assert!(matches!(
+        FrameBlock::decode(&FrameBlock::encoding(), &payload),
+        Err(DecodeError::Trailing { bytes: 1 })
+    ));
 }
 
 #[test]
@@ -112,21 +137,31 @@ fn truncated_bytes_are_refused_wherever_they_end() {
 #[test]
 fn large_payloads_are_refused_before_decoding() {
     let payload = vec![0; MAX_MESSAGE_BYTES + 1];
-    assert!(matches!(FrameBlock::decode(&FrameBlock::encoding(), &payload), Err(DecodeError::TooLarge { .. })));
+    assert!(matches!(
+        FrameBlock::decode(&FrameBlock::encoding(), &payload),
+        Err(DecodeError::TooLarge { .. })
+    ));
 }
 
 #[test]
 fn values_must_fill_whole_frames() {
     assert_eq!(
         frames(0, vec![1.0, 2.0, 3.0]).check(),
-        Err(Malformed::Length { what: "values", found: 3, expected: 4 })
+        Err(Malformed::Length {
+            what: "values",
+            found: 3,
+            expected: 4
+        })
     );
 }
 
 #[test]
 fn missing_values_travel_and_infinite_ones_do_not() {
-    let decoded =
-        FrameBlock::decode(&FrameBlock::encoding(), &frames(0, vec![f64::NAN, 2.0]).encode().unwrap()).unwrap();
+    let decoded = FrameBlock::decode(
+        &FrameBlock::encoding(),
+        &frames(0, vec![f64::NAN, 2.0]).encode().unwrap(),
+    )
+    .unwrap();
     assert!(decoded.values[0].is_nan());
     assert!(frames(0, vec![f64::INFINITY, 2.0]).encode().is_err());
 }
@@ -140,7 +175,10 @@ fn rates_counts_and_numbers_out_of_range_are_refused() {
     block.sampling_rate_hz = f64::NAN;
     assert!(matches!(block.check(), Err(Malformed::Rate { .. })));
     let block = frames(u64::MAX, vec![1.0, 2.0]);
-    assert!(matches!(block.check(), Err(Malformed::SequenceOverflow { .. })));
+    assert!(matches!(
+        block.check(),
+        Err(Malformed::SequenceOverflow { .. })
+    ));
     let mut block = frames(0, vec![]);
     block.header.source = "x".repeat(MAX_SOURCE_BYTES + 1);
     assert!(matches!(block.check(), Err(Malformed::Text { .. })));
@@ -212,7 +250,10 @@ fn json_messages_survive_the_way_there_and_back() {
     let message = parameter();
     let payload = message.encode().unwrap();
     let encoding = ParameterDisplay::encoding();
-    assert_eq!(ParameterDisplay::decode(&encoding, &payload).unwrap(), message);
+    assert_eq!(
+        ParameterDisplay::decode(&encoding, &payload).unwrap(),
+        message
+    );
 }
 
 #[test]
@@ -301,18 +342,43 @@ proptest! {
 fn told_samples_come_back_to_the_bit_in_two_bytes_each() {
     let exponents = [-9, 3];
     let (small, large) = (2f64.powi(-9), 8.0);
-    let samples: Vec<f64> =
-        (0..50).flat_map(|i| [small * f64::from(i * 100 - 2500), large * f64::from(30 * i)]).collect();
+    let samples: Vec<f64> = (0..50)
+        .flat_map(|i| [small * f64::from(i * 100 - 2500), large * f64::from(30 * i)])
+        .collect();
     let told = ToldSamples::new(&samples, &exponents);
     assert_eq!(told.samples(), samples);
     let bytes = postcard::to_allocvec(&told).unwrap().len();
     assert!(bytes <= 2 * samples.len() + 6, "{bytes} bytes");
 
-    let odd =
-        [f64::NAN, 0.0, f64::INFINITY, -0.4 * large, small, -8.0 * 2f64.powi(31), -small, 8.0 * (2f64.powi(31) - 2.0)];
-    let expected = [f64::NAN, 0.0, f64::NAN, 0.0, small, f64::NAN, -small, 8.0 * (2f64.powi(31) - 2.0)];
-    for (found, expected) in ToldSamples::new(&odd, &exponents).samples().into_iter().zip(expected) {
-        assert!(found == expected || (found.is_nan() && expected.is_nan()), "{found}, not {expected}");
+    let odd = [
+        f64::NAN,
+        0.0,
+        f64::INFINITY,
+        -0.4 * large,
+        small,
+        -8.0 * 2f64.powi(31),
+        -small,
+        8.0 * (2f64.powi(31) - 2.0),
+    ];
+    let expected = [
+        f64::NAN,
+        0.0,
+        f64::NAN,
+        0.0,
+        small,
+        f64::NAN,
+        -small,
+        8.0 * (2f64.powi(31) - 2.0),
+    ];
+    for (found, expected) in ToldSamples::new(&odd, &exponents)
+        .samples()
+        .into_iter()
+        .zip(expected)
+    {
+        assert!(
+            found == expected || (found.is_nan() && expected.is_nan()),
+            "{found}, not {expected}"
+        );
     }
 }
 
@@ -338,7 +404,10 @@ fn told_samples_that_cannot_be_are_refused() {
         (1, vec![], "channels of told samples"),
         (1, vec![1001], "exponent of a unit"),
     ] {
-        let error = local(ToldSamples::new(&vec![1.0; samples], &exponents)).check().unwrap_err().to_string();
+        let error = local(ToldSamples::new(&vec![1.0; samples], &exponents))
+            .check()
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(what), "{error}");
     }
 }

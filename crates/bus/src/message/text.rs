@@ -11,7 +11,11 @@ pub const MAX_LABEL_BYTES: usize = 512;
 pub(super) fn check_text(what: &'static str, text: &str) -> Result<(), Malformed> {
     check_length(what, text, MAX_TEXT_BYTES)?;
     match text.chars().find(|c| !is_of_text(*c)) {
-        Some(found) => Err(Malformed::Control { what, found, allowed: "none but line breaks and tabs" }),
+        Some(found) => Err(Malformed::Control {
+            what,
+            found,
+            allowed: "none but line breaks and tabs",
+        }),
         None => Ok(()),
     }
 }
@@ -20,7 +24,11 @@ pub(super) fn check_text(what: &'static str, text: &str) -> Result<(), Malformed
 pub(super) fn check_label(what: &'static str, text: &str) -> Result<(), Malformed> {
     check_length(what, text, MAX_LABEL_BYTES)?;
     match text.chars().find(|c| c.is_control()) {
-        Some(found) => Err(Malformed::Control { what, found, allowed: "none" }),
+        Some(found) => Err(Malformed::Control {
+            what,
+            found,
+            allowed: "none",
+        }),
         None => Ok(()),
     }
 }
@@ -29,7 +37,11 @@ fn check_length(what: &'static str, text: &str, most: usize) -> Result<(), Malfo
     if text.len() <= most {
         return Ok(());
     }
-    Err(Malformed::Text { what, found: text.len(), most })
+    Err(Malformed::Text {
+        what,
+        found: text.len(),
+        most,
+    })
 }
 
 fn is_of_text(c: char) -> bool {
@@ -48,7 +60,16 @@ pub(super) fn mend_label(text: &mut String) {
 
 fn mend(text: &mut String, most: usize, is_allowed: impl Fn(char) -> bool) {
     if !text.chars().all(&is_allowed) {
-        *text = text.chars().map(|c| if is_allowed(c) { c } else { char::REPLACEMENT_CHARACTER }).collect();
+        *text = text
+            .chars()
+            .map(|c| {
+                if is_allowed(c) {
+                    c
+                } else {
+                    char::REPLACEMENT_CHARACTER
+                }
+            })
+            .collect();
     }
     text.truncate(text.floor_char_boundary(most));
 }
@@ -60,30 +81,56 @@ mod tests {
     #[test]
     fn a_note_may_have_lines_and_a_name_may_not() {
         assert_eq!(check_text("note", "first\r\n\tsecond"), Ok(()));
-        for (text, found) in [("Ada\0", '\0'), ("Ada\u{1b}[2J", '\u{1b}'), ("Ada\u{85}", '\u{85}')] {
-            assert!(matches!(check_text("note", text), Err(Malformed::Control { found: is, .. }) if is == found));
-            assert!(matches!(check_label("who", text), Err(Malformed::Control { found: is, .. }) if is == found));
+        for (text, found) in [
+            ("Ada\0", '\0'),
+            ("Ada\u{1b}[2J", '\u{1b}'),
+            ("Ada\u{85}", '\u{85}'),
+        ] {
+            assert!(
+                matches!(check_text("note", text), Err(Malformed::Control { found: is, .. }) if is == found)
+            );
+            assert!(
+                matches!(check_label("who", text), Err(Malformed::Control { found: is, .. }) if is == found)
+            );
         }
         let told = check_label("who", "Ada\0").unwrap_err().to_string();
         assert_eq!(told, r"who has the control character '\0', must have none");
-        assert!(matches!(check_label("who", "Ada\nBob"), Err(Malformed::Control { found: '\n', .. })));
+        assert!(matches!(
+            check_label("who", "Ada\nBob"),
+            Err(Malformed::Control { found: '\n', .. })
+        ));
     }
 
     #[test]
     fn names_are_shorter_than_notes() {
         let long = "x".repeat(MAX_LABEL_BYTES + 1);
         assert_eq!(check_text("note", &long), Ok(()));
-        assert!(matches!(check_label("who", &long), Err(Malformed::Text { most: MAX_LABEL_BYTES, .. })));
+        assert!(matches!(
+            check_label("who", &long),
+            Err(Malformed::Text {
+                most: MAX_LABEL_BYTES,
+                ..
+            })
+        ));
     }
 
     #[test]
     fn what_is_mended_passes_and_what_passes_stays() {
         // two bytes each, so that the limit falls within a character
-        for text in ["Ada\0", "Bob\nCäcilia", &format!("x{}", "ä".repeat(MAX_TEXT_BYTES)), "plain"] {
+        for text in [
+            "Ada\0",
+            "Bob\nCäcilia",
+            &format!("x{}", "ä".repeat(MAX_TEXT_BYTES)),
+            "plain",
+        ] {
             let (mut label, mut prose) = (text.to_owned(), text.to_owned());
             mend_label(&mut label);
             mend_text(&mut prose);
-            assert_eq!((check_label("who", &label), check_text("note", &prose)), (Ok(()), Ok(())), "{text:?}");
+            assert_eq!(
+                (check_label("who", &label), check_text("note", &prose)),
+                (Ok(()), Ok(())),
+                "{text:?}"
+            );
         }
         let mut note = "first\nsecond".to_owned();
         mend_text(&mut note);

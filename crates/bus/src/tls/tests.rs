@@ -34,7 +34,10 @@ fn files(until: i32) -> Files {
 fn refused(tls: &TlsConfig, parts: &[&str]) {
     let error = tls.check().unwrap_err();
     for part in parts {
-        assert!(error.to_string().contains(part), "expected {part:?} in: {error}");
+        assert!(
+            error.to_string().contains(part),
+            "expected {part:?} in: {error}"
+        );
     }
 }
 
@@ -45,7 +48,11 @@ fn what_belongs_together_is_accepted() {
 
 #[test]
 fn each_missing_file_is_named() {
-    for (file, what) in [("own.pem", "certificate"), ("own.key", "key"), (AUTHORITY_FILE, "authority")] {
+    for (file, what) in [
+        ("own.pem", "certificate"),
+        ("own.key", "key"),
+        (AUTHORITY_FILE, "authority"),
+    ] {
         let files = files(4000);
         std::fs::remove_file(files.folder.path().join(file)).unwrap();
         refused(&files.tls, &[file, what, "cannot be read"]);
@@ -54,7 +61,11 @@ fn each_missing_file_is_named() {
 
 #[test]
 fn files_without_the_section_are_named() {
-    for (file, what) in [("own.pem", "certificate"), ("own.key", "key"), (AUTHORITY_FILE, "authority")] {
+    for (file, what) in [
+        ("own.pem", "certificate"),
+        ("own.key", "key"),
+        (AUTHORITY_FILE, "authority"),
+    ] {
         let files = files(4000);
         std::fs::write(files.folder.path().join(file), "no PEM at all\n").unwrap();
         refused(&files.tls, &[file, what, "must have at least one"]);
@@ -63,7 +74,11 @@ fn files_without_the_section_are_named() {
 
 #[test]
 fn damaged_files_are_named_and_not_quoted() {
-    for (file, label) in [("own.pem", "CERTIFICATE"), ("own.key", "PRIVATE KEY"), (AUTHORITY_FILE, "CERTIFICATE")] {
+    for (file, label) in [
+        ("own.pem", "CERTIFICATE"),
+        ("own.key", "PRIVATE KEY"),
+        (AUTHORITY_FILE, "CERTIFICATE"),
+    ] {
         let files = files(4000);
         let text = format!("-----BEGIN {label}-----\nc2VjcmV0\n-----END {label}-----\n");
         std::fs::write(files.folder.path().join(file), text).unwrap();
@@ -76,8 +91,15 @@ fn damaged_files_are_named_and_not_quoted() {
 #[test]
 fn the_key_of_another_certificate_is_refused() {
     let files = files(4000);
-    std::fs::write(files.tls.key(), KeyPair::generate().unwrap().serialize_pem()).unwrap();
-    refused(&files.tls, &["own.key", "is not that of certificate", "own.pem"]);
+    std::fs::write(
+        files.tls.key(),
+        KeyPair::generate().unwrap().serialize_pem(),
+    )
+    .unwrap();
+    refused(
+        &files.tls,
+        &["own.key", "is not that of certificate", "own.pem"],
+    );
 }
 
 #[test]
@@ -88,6 +110,9 @@ fn an_expired_certificate_is_refused() {
 #[test]
 fn the_certificate_of_another_authority_is_refused() {
     let (ours, theirs) = (files(4000), files(4000));
-    let mixed = TlsConfig { authority: Some(theirs.tls.authority()), ..ours.tls.clone() };
+    let mixed = TlsConfig {
+        authority: Some(theirs.tls.authority()),
+        ..ours.tls.clone()
+    };
     refused(&mixed, &["own.pem", "has not issued it"]);
 }

@@ -10,11 +10,17 @@ fn the_description_has_every_route_and_no_other() {
         .unwrap()
         .iter()
         .flat_map(|(path, methods)| {
-            methods.as_object().unwrap().keys().map(|method| (path.clone(), method.to_uppercase()))
+            methods
+                .as_object()
+                .unwrap()
+                .keys()
+                .map(|method| (path.clone(), method.to_uppercase()))
         })
         .collect();
-    let served: BTreeSet<(String, String)> =
-        routes().into_iter().map(|(path, method, _)| (path.to_owned(), method.to_string())).collect();
+    let served: BTreeSet<(String, String)> = routes()
+        .into_iter()
+        .map(|(path, method, _)| (path.to_owned(), method.to_string()))
+        .collect();
     assert_eq!(described, served);
 }
 
@@ -25,7 +31,10 @@ fn every_reference_of_the_description_leads_somewhere() {
             Value::Object(fields) => {
                 if let Some(Value::String(reference)) = fields.get("$ref") {
                     let pointer = reference.strip_prefix('#').unwrap();
-                    assert!(whole.pointer(pointer).is_some(), "{reference} leads nowhere");
+                    assert!(
+                        whole.pointer(pointer).is_some(),
+                        "{reference} leads nowhere"
+                    );
                 }
                 fields.values().for_each(|value| check(value, whole));
             }
@@ -47,10 +56,17 @@ fn only_a_page_of_this_server_may_send() {
         }
         headers
     };
-    assert!(check_origin(&headers(None)).is_ok(), "a script says nothing");
+    assert!(
+        check_origin(&headers(None)).is_ok(),
+        "a script says nothing"
+    );
     assert!(check_origin(&headers(Some("http://127.0.0.1:8080"))).is_ok());
     for other in ["http://127.0.0.1:8081", "https://example.org", "null"] {
-        assert_eq!(check_origin(&headers(Some(other))).unwrap_err().status, StatusCode::FORBIDDEN, "{other}");
+        assert_eq!(
+            check_origin(&headers(Some(other))).unwrap_err().status,
+            StatusCode::FORBIDDEN,
+            "{other}"
+        );
     }
 }
 
@@ -59,14 +75,35 @@ fn unconfirmed_alert_can_be_acknowledged_once() {
     use crate::store::Input;
     use crate::testing::{alert, demo, undecided};
     let mut store = demo();
-    store.handle(undecided("storey-2", AlertState::Unconfirmed, spandrel_bus::UndecidedBecause::FitContradicted));
-    assert_eq!(check_acknowledgeable(&store, "storey-2").ok(), Some(AlertState::Unconfirmed));
+    store.handle(undecided(
+        "storey-2",
+        AlertState::Unconfirmed,
+        spandrel_bus::UndecidedBecause::FitContradicted,
+    ));
+    assert_eq!(
+        check_acknowledgeable(&store, "storey-2").ok(),
+        Some(AlertState::Unconfirmed)
+    );
     let seen = spandrel_bus::AlertMessage {
         acknowledged_by: Some("Ada".into()),
         ..alert("storey-2", 6, AlertState::Unconfirmed)
     };
     store.handle(Input::Alert(seen));
-    assert_eq!(check_acknowledgeable(&store, "storey-2").unwrap_err().status, StatusCode::CONFLICT);
-    store.handle(undecided("storey-1", AlertState::Undecided, spandrel_bus::UndecidedBecause::FitContradicted));
-    assert_eq!(check_acknowledgeable(&store, "storey-1").unwrap_err().status, StatusCode::CONFLICT);
+    assert_eq!(
+        check_acknowledgeable(&store, "storey-2")
+            .unwrap_err()
+            .status,
+        StatusCode::CONFLICT
+    );
+    store.handle(undecided(
+        "storey-1",
+        AlertState::Undecided,
+        spandrel_bus::UndecidedBecause::FitContradicted,
+    ));
+    assert_eq!(
+        check_acknowledgeable(&store, "storey-1")
+            .unwrap_err()
+            .status,
+        StatusCode::CONFLICT
+    );
 }

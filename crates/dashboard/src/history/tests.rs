@@ -28,16 +28,28 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
         ..Asked::default()
     };
     let (span, _) = read(&store, &Request::new(&asked, &store).unwrap());
-    let [series] = &span.series[..] else { panic!("{} series", span.series.len()) };
-    assert_eq!(series.columns, ["time_s", "mean", "std", "probability_of_loss"]);
-    assert_eq!((series.data[0].len(), series.data[0][0], series.data[0][19]), (20, 11.0, 49.0));
+    let [series] = &span.series[..] else {
+        panic!("{} series", span.series.len())
+    };
+    assert_eq!(
+        series.columns,
+        ["time_s", "mean", "std", "probability_of_loss"]
+    );
+    assert_eq!(
+        (series.data[0].len(), series.data[0][0], series.data[0][19]),
+        (20, 11.0, 49.0)
+    );
     assert_eq!(span.kept_from_s, Some(0.0));
 }
 
 #[test]
 fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
     let store = heard();
-    let asked = Asked { from: Some("0.0".into()), to: Some("0.5".into()), ..Asked::default() };
+    let asked = Asked {
+        from: Some("0.0".into()),
+        to: Some("0.5".into()),
+        ..Asked::default()
+    };
     let csv = read(&store, &Request::new(&asked, &store).unwrap()).0.csv();
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(
@@ -76,7 +88,11 @@ fn numbers_of_a_file_are_short_and_read_back_as_the_same() {
         (0.0, "0"),
     ] {
         assert_eq!(shortest(value), text);
-        assert_eq!(text.parse::<f64>().unwrap().to_bits(), value.to_bits(), "{text}");
+        assert_eq!(
+            text.parse::<f64>().unwrap().to_bits(),
+            value.to_bits(),
+            "{text}"
+        );
     }
 }
 
@@ -84,7 +100,11 @@ fn numbers_of_a_file_are_short_and_read_back_as_the_same() {
 fn a_span_may_be_named_by_the_calendar() {
     let store = heard();
     let of = |from: &str, to: &str| {
-        let asked = Asked { from: Some(from.into()), to: Some(to.into()), ..Asked::default() };
+        let asked = Asked {
+            from: Some(from.into()),
+            to: Some(to.into()),
+            ..Asked::default()
+        };
         Request::new(&asked, &store).unwrap()
     };
     assert_eq!(of("1970-01-01T00:00:10Z", "1970-01-02"), of("10", "86400"));
@@ -93,7 +113,10 @@ fn a_span_may_be_named_by_the_calendar() {
 #[test]
 fn what_has_not_come_yet_is_empty_and_no_mistake() {
     let store = demo();
-    let asked = Asked { series: Some("parameter/storey-3,consistency/all,noise/floors".into()), ..Asked::default() };
+    let asked = Asked {
+        series: Some("parameter/storey-3,consistency/all,noise/floors".into()),
+        ..Asked::default()
+    };
     let (span, _) = read(&store, &Request::new(&asked, &store).unwrap());
     assert_eq!(span.kept_from_s, None);
     let widths: Vec<usize> = span.series.iter().map(|series| series.data.len()).collect();
@@ -104,18 +127,44 @@ fn what_has_not_come_yet_is_empty_and_no_mistake() {
 
 #[test]
 fn what_cannot_be_asked_is_refused_with_what_can() {
-    let unknown = refused(Asked { series: Some("parameter/storey-9".into()), ..Asked::default() });
+    let unknown = refused(Asked {
+        series: Some("parameter/storey-9".into()),
+        ..Asked::default()
+    });
     assert_eq!(unknown.what, "series `parameter/storey-9` is not known");
-    assert_eq!(unknown.allowed, "must be one of: parameter/storey-1, parameter/storey-2");
-    assert_eq!(refused(Asked { points: Some(0), ..Asked::default() }).what, "points is 0");
-    assert!(
-        refused(Asked { from: Some("2.0".into()), to: Some("1.0".into()), ..Asked::default() })
-            .what
-            .contains("from 2 to 1")
+    assert_eq!(
+        unknown.allowed,
+        "must be one of: parameter/storey-1, parameter/storey-2"
     );
-    let no_time = refused(Asked { from: Some("NaN".into()), ..Asked::default() });
+    assert_eq!(
+        refused(Asked {
+            points: Some(0),
+            ..Asked::default()
+        })
+        .what,
+        "points is 0"
+    );
+    assert!(
+        refused(Asked {
+            from: Some("2.0".into()),
+            to: Some("1.0".into()),
+            ..Asked::default()
+        })
+        .what
+        .contains("from 2 to 1")
+    );
+    let no_time = refused(Asked {
+        from: Some("NaN".into()),
+        ..Asked::default()
+    });
     assert_eq!(no_time.what, "from is `NaN`");
-    assert!(no_time.allowed.contains("ISO 8601 such as 2026-03-01T12:00:00Z"), "{}", no_time.allowed);
+    assert!(
+        no_time
+            .allowed
+            .contains("ISO 8601 such as 2026-03-01T12:00:00Z"),
+        "{}",
+        no_time.allowed
+    );
 }
 
 #[test]
@@ -133,14 +182,28 @@ fn what_lies_before_is_asked_of_the_history_and_put_before() {
     };
     let read = |store: &Store, from| read(store, &Request::new(&asked(from), store).unwrap());
     assert_eq!(read(&store, 0.0).1, [], "nobody to ask");
-    store.handle(Input::Present([(Service::History, crate::testing::name("history"))].into()));
+    store.handle(Input::Present(
+        [(Service::History, crate::testing::name("history"))].into(),
+    ));
     assert_eq!(read(&store, 1_000.0).1, [], "all of it is here");
 
     let (mut span, earlier) = read(&store, 0.0);
-    let [earlier] = &earlier[..] else { panic!("{earlier:?}") };
-    assert_eq!((earlier.name.as_str(), earlier.query.kind.as_str()), ("storey-1", "parameter"));
-    assert_eq!((earlier.query.from_ns, earlier.query.to_ns), (0, 1_000 * SECOND - 1));
-    assert_eq!(earlier.query.points + span.series[0].data[0].len(), 100, "as many points as asked for, in all");
+    let [earlier] = &earlier[..] else {
+        panic!("{earlier:?}")
+    };
+    assert_eq!(
+        (earlier.name.as_str(), earlier.query.kind.as_str()),
+        ("storey-1", "parameter")
+    );
+    assert_eq!(
+        (earlier.query.from_ns, earlier.query.to_ns),
+        (0, 1_000 * SECOND - 1)
+    );
+    assert_eq!(
+        earlier.query.points + span.series[0].data[0].len(),
+        100,
+        "as many points as asked for, in all"
+    );
     let column = |value: f64| vec![value; 2];
     let answer = HistorySpan {
         structure: crate::testing::name("demo"),
@@ -163,7 +226,10 @@ fn what_lies_before_is_asked_of_the_history_and_put_before() {
     };
     span.put_before(earlier, &answer);
     let data = &span.series[0].data;
-    assert_eq!((data[0][0], data[1][0], data[2][0], data[3][0]), (59.0, 0.9, 0.02, 0.5));
+    assert_eq!(
+        (data[0][0], data[1][0], data[2][0], data[3][0]),
+        (59.0, 0.9, 0.02, 0.5)
+    );
     assert!(data[0].is_sorted(), "{:?}", data[0]);
     assert_eq!(span.kept_from_s, Some(10.0));
 }

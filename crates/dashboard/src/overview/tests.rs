@@ -2,7 +2,8 @@ use super::*;
 use crate::store::Input;
 use crate::testing::{alert, at, demo, fit, name, parameter, undecided};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status, StreamState,
+    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status,
+    StreamState,
 };
 
 fn raised_among_others() -> Store {
@@ -11,8 +12,14 @@ fn raised_among_others() -> Store {
     store.handle(parameter("storey-2", 1, 0.85, 1.0));
     store.handle(parameter("storey-3", 1, 0.94, 1.0));
     store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
-    store.handle(Input::Alert(AlertMessage { loss: Some(0.06), ..alert("storey-3", 2, AlertState::Raised) }));
-    store.handle(Input::Alert(AlertMessage { loss: Some(0.15), ..alert("storey-2", 1, AlertState::Raised) }));
+    store.handle(Input::Alert(AlertMessage {
+        loss: Some(0.06),
+        ..alert("storey-3", 2, AlertState::Raised)
+    }));
+    store.handle(Input::Alert(AlertMessage {
+        loss: Some(0.15),
+        ..alert("storey-2", 1, AlertState::Raised)
+    }));
     store
 }
 
@@ -20,7 +27,10 @@ fn raised_among_others() -> Store {
 fn the_largest_loss_that_is_raised_is_told_first() {
     let found = overview(&raised_among_others());
     assert_eq!((found.level, found.raised), (Level::Alarm, 2));
-    assert_eq!(found.sentence, "storey-2 is raised; one more alert is raised");
+    assert_eq!(
+        found.sentence,
+        "storey-2 is raised; one more alert is raised"
+    );
     assert_eq!(found.worst.unwrap().parameter, "storey-2");
 }
 
@@ -31,14 +41,20 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
     let found = overview(&store);
     assert_eq!((found.level, found.age_s), (Level::Alarm, Some(60.0)));
     for of in ["storey-2", "storey-3"] {
-        let seen = AlertMessage { acknowledged_by: Some("Ada".into()), ..alert(of, 3, AlertState::Acknowledged) };
+        let seen = AlertMessage {
+            acknowledged_by: Some("Ada".into()),
+            ..alert(of, 3, AlertState::Acknowledged)
+        };
         store.handle(Input::Alert(seen));
     }
     assert_eq!(overview(&store).level, Level::Stale);
     store.handle(parameter("storey-1", 4, 1.0, 0.001));
     let found = overview(&store);
     assert_eq!(found.level, Level::Notice);
-    assert_eq!(found.sentence, "storey-2 is acknowledged; one more alert is acknowledged");
+    assert_eq!(
+        found.sentence,
+        "storey-2 is acknowledged; one more alert is acknowledged"
+    );
 }
 
 #[test]
@@ -56,16 +72,28 @@ fn a_sensor_that_is_told_to_be_faulty_makes_a_warning_until_it_is_back() {
         what: "the sensor is faulty".into(),
         why: "test".into(),
     };
-    store.handle(Input::Event(event(spandrel_bus::EventKind::ChannelExcluded)));
+    store.handle(Input::Event(event(
+        spandrel_bus::EventKind::ChannelExcluded,
+    )));
     let warned = overview(&store);
-    assert_eq!((warned.level, warned.sensors.troubled), (Level::Warning, vec!["floor-3".to_owned()]));
+    assert_eq!(
+        (warned.level, warned.sensors.troubled),
+        (Level::Warning, vec!["floor-3".to_owned()])
+    );
     store.handle(Input::Event(event(spandrel_bus::EventKind::ChannelBack)));
     assert_eq!(overview(&store).level, Level::Normal);
 }
 
 #[test]
 fn a_node_that_leaves_alone_is_gone_and_all_together_have_ended() {
-    let nodes = |names: &[&str]| Input::Present(names.iter().map(|node| (Service::Sensor, name(node))).collect());
+    let nodes = |names: &[&str]| {
+        Input::Present(
+            names
+                .iter()
+                .map(|node| (Service::Sensor, name(node)))
+                .collect(),
+        )
+    };
     let mut store = demo();
     store.handle(nodes(&["ground", "floor-1", "floor-2"]));
     assert_eq!(overview(&store).sensors.alive, 3);
@@ -81,13 +109,20 @@ fn a_service_that_has_gone_is_missed() {
     store.handle(Input::Present([(Service::Alert, name("alert"))].into()));
     store.handle(Input::Present([].into()));
     let found = overview(&store);
-    assert_eq!((found.level, found.sentence.as_str()), (Level::Warning, "the service alert is gone"));
+    assert_eq!(
+        (found.level, found.sentence.as_str()),
+        (Level::Warning, "the service alert is gone")
+    );
 }
 
 #[test]
 fn alerts_that_stand_while_nothing_is_measured_are_how_it_was() {
     let mut store = demo();
-    store.handle(Input::StandingAlert(alert("storey-2", 1, AlertState::Acknowledged)));
+    store.handle(Input::StandingAlert(alert(
+        "storey-2",
+        1,
+        AlertState::Acknowledged,
+    )));
     assert_eq!(overview(&store).level, Level::Notice);
     store.handle(at(4.0));
     assert_eq!(overview(&store).level, Level::Stale);
@@ -96,7 +131,10 @@ fn alerts_that_stand_while_nothing_is_measured_are_how_it_was() {
 #[test]
 fn before_anything_was_heard_nothing_is_claimed() {
     let found = overview(&demo());
-    assert_eq!((found.level, found.worst, found.age_s), (Level::Learning, None, None));
+    assert_eq!(
+        (found.level, found.worst, found.age_s),
+        (Level::Learning, None, None)
+    );
 }
 
 #[test]
@@ -107,7 +145,11 @@ fn a_structure_of_which_nothing_ever_comes_needs_attention() {
     store.handle(at(31.0));
     let found = overview(&store);
     assert_eq!(found.level, Level::Stale);
-    assert!(found.sentence.contains("nothing has been measured"), "{}", found.sentence);
+    assert!(
+        found.sentence.contains("nothing has been measured"),
+        "{}",
+        found.sentence
+    );
 }
 
 #[test]
@@ -115,13 +157,20 @@ fn an_alert_that_somebody_has_seen_is_still_told_when_data_stop() {
     let mut store = demo();
     store.handle(at(1.0));
     store.handle(parameter("storey-2", 1, 0.85, 1.0));
-    let seen = AlertMessage { acknowledged_by: Some("Ada".into()), ..alert("storey-2", 1, AlertState::Acknowledged) };
+    let seen = AlertMessage {
+        acknowledged_by: Some("Ada".into()),
+        ..alert("storey-2", 1, AlertState::Acknowledged)
+    };
     let why = seen.why.clone();
     store.handle(Input::Alert(seen));
     store.handle(at(60.0));
     let found = overview(&store);
     assert_eq!(found.level, Level::Stale);
-    assert!(found.sentence.starts_with(&why) && found.sentence.contains("nothing is measured"), "{}", found.sentence);
+    assert!(
+        found.sentence.starts_with(&why) && found.sentence.contains("nothing is measured"),
+        "{}",
+        found.sentence
+    );
 }
 
 /// Broke: "nothing is measured" alone stood above the button that acknowledges an alert that was over.
@@ -136,8 +185,14 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
         store.handle(at(60.0));
         let found = overview(&store);
         assert_eq!(found.level, Level::Stale);
-        assert_eq!(found.sentence, format!("storey-2 is {}; {as_it_was}", state.as_str()));
-        assert!(found.now.is_some_and(|now| now.starts_with("loss 3.0 %")), "by the last value");
+        assert_eq!(
+            found.sentence,
+            format!("storey-2 is {}; {as_it_was}", state.as_str())
+        );
+        assert!(
+            found.now.is_some_and(|now| now.starts_with("loss 3.0 %")),
+            "by the last value"
+        );
     }
     let mut store = demo();
     store.handle(Input::Present([(Service::Alert, name("alert"))].into()));
@@ -166,7 +221,12 @@ fn estimates_without_the_third_channel() -> EstimateBlock {
         flags: EstimateFlags::working(),
     };
     EstimateBlock {
-        header: Header { source: "identify".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "identify".into(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
         term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
@@ -183,13 +243,25 @@ fn a_channel_that_is_never_used_is_silent() {
     let mut store = demo();
     store.handle(Input::Estimates(estimates_without_the_third_channel()));
     let found = overview(&store).sensors;
-    assert_eq!((found.alive, found.troubled), (4, vec!["floor-3".to_owned()]));
+    assert_eq!(
+        (found.alive, found.troubled),
+        (4, vec!["floor-3".to_owned()])
+    );
 }
 
 /// How far ingest has come: `time_ns` is that of its last frame.
 fn ingested(epoch: u64, time_ns: i64) -> Input {
-    let header = Header { source: "ingest".into(), epoch, sequence: 400, time_ns };
-    Input::Ingested(Progress { header, done: 400, kept: 400 })
+    let header = Header {
+        source: "ingest".into(),
+        epoch,
+        sequence: 400,
+        time_ns,
+    };
+    Input::Ingested(Progress {
+        header,
+        done: 400,
+        kept: 400,
+    })
 }
 
 #[test]
@@ -210,8 +282,16 @@ fn what_is_read_again_from_the_recording_makes_no_sensor_alive_and_no_data_new()
             store.handle(word());
         }
         let found = overview(&store);
-        assert_eq!((found.sensors.alive, found.age_s), (0, None), "told first: {is_told_first}");
-        assert_eq!(found.time_s, Some(3.99), "it is shown all the same, with its time");
+        assert_eq!(
+            (found.sensors.alive, found.age_s),
+            (0, None),
+            "told first: {is_told_first}"
+        );
+        assert_eq!(
+            found.time_s,
+            Some(3.99),
+            "it is shown all the same, with its time"
+        );
         // and the next sample counts
         store.handle(parameter("storey-1", 4_010_000_000, 1.0, 0.001));
         assert_eq!(overview(&store).age_s, Some(0.0));
@@ -239,7 +319,10 @@ fn the_sentence_of_an_alert_has_the_present_state_beside_it() {
     let found = overview(&store);
     assert_eq!(found.sentence, "storey-2 is raised");
     let now = found.now.unwrap();
-    assert!(now.starts_with("loss 3.0 % (estimate 0.970") && now.ends_with("probability 0.023"), "{now}");
+    assert!(
+        now.starts_with("loss 3.0 % (estimate 0.970") && now.ends_with("probability 0.023"),
+        "{now}"
+    );
 }
 
 /// The status of a service with samples of this pace; its clock is at `time_ns`, and it is 27 s ahead of that.
@@ -281,11 +364,28 @@ fn what_is_replayed_or_simulated_has_the_time_of_its_data_and_no_lag() {
         (found.lag_s, found.replayed)
     };
     for station in [Service::Ingest, Service::Fuse] {
-        for time_ns in [CLOCK_NS + 27_000_000_000, CLOCK_NS, 1_600_000_000_000_000_000, 5_000_000_000] {
-            assert_eq!(found(station, time_ns, Some(Pace::Replayed)), (None, true), "{station:?} at {time_ns} ns");
+        for time_ns in [
+            CLOCK_NS + 27_000_000_000,
+            CLOCK_NS,
+            1_600_000_000_000_000_000,
+            5_000_000_000,
+        ] {
+            assert_eq!(
+                found(station, time_ns, Some(Pace::Replayed)),
+                (None, true),
+                "{station:?} at {time_ns} ns"
+            );
         }
-        assert_eq!(found(station, CLOCK_NS, Some(Pace::Live)), (Some(-27.0), false), "the clock is wrong");
-        assert_eq!(found(station, CLOCK_NS, None), (None, false), "nobody has said yet what the samples are");
+        assert_eq!(
+            found(station, CLOCK_NS, Some(Pace::Live)),
+            (Some(-27.0), false),
+            "the clock is wrong"
+        );
+        assert_eq!(
+            found(station, CLOCK_NS, None),
+            (None, false),
+            "nobody has said yet what the samples are"
+        );
     }
 }
 
@@ -296,7 +396,11 @@ fn a_lag_is_a_metric_of_samples_that_come_as_they_are_measured() {
         store.handle(status(Service::Ingest, CLOCK_NS, Some(pace)));
         store.handle(parameter("storey-1", CLOCK_NS, 1.0, 0.001));
         let text = crate::metrics::metrics(std::iter::once(&store)).unwrap();
-        assert_eq!(text.contains("spandrel_lag_seconds{"), is_told, "{pace:?}: {text}");
+        assert_eq!(
+            text.contains("spandrel_lag_seconds{"),
+            is_told,
+            "{pace:?}: {text}"
+        );
     }
 }
 
@@ -314,7 +418,9 @@ fn where_nothing_comes_there_is_no_lag_to_tell() {
 
 #[test]
 fn undecided_alerts_warn_where_something_is_wrong_and_not_where_little_is_learnt() {
-    use UndecidedBecause::{ExcitationSilent, FitContradicted, NoiseTraining, NothingLearnt, ParameterAtBound};
+    use UndecidedBecause::{
+        ExcitationSilent, FitContradicted, NoiseTraining, NothingLearnt, ParameterAtBound,
+    };
     for (because, level) in [
         (NothingLearnt, Level::Undecided),
         (NoiseTraining, Level::Undecided),
@@ -327,7 +433,11 @@ fn undecided_alerts_warn_where_something_is_wrong_and_not_where_little_is_learnt
         store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
         store.handle(undecided("storey-2", AlertState::Undecided, because));
         let found = overview(&store);
-        assert_eq!((found.level, found.sentence.as_str()), (level, "storey-2 is undecided"), "{because:?}");
+        assert_eq!(
+            (found.level, found.sentence.as_str()),
+            (level, "storey-2 is undecided"),
+            "{because:?}"
+        );
     }
 }
 
@@ -338,7 +448,10 @@ fn unconfirmed_alert_is_an_alarm_until_somebody_has_seen_it() {
     let because = UndecidedBecause::FitContradicted;
     store.handle(undecided("storey-2", AlertState::Unconfirmed, because));
     let found = overview(&store);
-    assert_eq!((found.level, found.raised, found.sentence.as_str()), (Level::Alarm, 1, "storey-2 is unconfirmed"));
+    assert_eq!(
+        (found.level, found.raised, found.sentence.as_str()),
+        (Level::Alarm, 1, "storey-2 is unconfirmed")
+    );
     let seen = AlertMessage {
         acknowledged_by: Some("Ada".into()),
         undecided_because: Some(because),
@@ -355,7 +468,8 @@ fn contradicted_fit_warns_also_where_no_rule_watches() {
     store.handle(parameter("storey-1", 1, 1.0, 0.001));
     store.handle(fit(FitVerdict::Contradicted, &[FitReason::ExcessNoise]));
     let found = overview(&store);
-    let words = "the data contradict the model: the noise found is much larger than the noise stated";
+    let words =
+        "the data contradict the model: the noise found is much larger than the noise stated";
     assert_eq!(
         (found.level, found.sentence.as_str(), found.fit),
         (Level::Warning, words, Some(FitVerdict::Contradicted))

@@ -2,7 +2,12 @@ use super::*;
 use crate::testing::{alert, at, demo, name, parameter};
 
 fn services(names: &[Service]) -> Input {
-    Input::Present(names.iter().map(|service| (*service, name(service.as_str()))).collect())
+    Input::Present(
+        names
+            .iter()
+            .map(|service| (*service, name(service.as_str())))
+            .collect(),
+    )
 }
 
 #[test]
@@ -22,7 +27,11 @@ fn an_alert_is_stale_from_when_its_service_has_gone_until_one_says_how_it_stands
     store.handle(services(&[]));
     assert!(store.stale_alerts.contains("storey-2"));
     // an answer as old as what is known says that it still stands
-    store.handle(Input::StandingAlert(alert("storey-2", 5, AlertState::Raised)));
+    store.handle(Input::StandingAlert(alert(
+        "storey-2",
+        5,
+        AlertState::Raised,
+    )));
     assert!(store.stale_alerts.is_empty());
 }
 
@@ -30,7 +39,11 @@ fn an_alert_is_stale_from_when_its_service_has_gone_until_one_says_how_it_stands
 fn an_answer_does_not_undo_what_came_by_itself() {
     let mut store = demo();
     store.handle(Input::Alert(alert("storey-2", 9, AlertState::Acknowledged)));
-    store.handle(Input::StandingAlert(alert("storey-2", 5, AlertState::Raised)));
+    store.handle(Input::StandingAlert(alert(
+        "storey-2",
+        5,
+        AlertState::Raised,
+    )));
     assert_eq!(store.alerts["storey-2"].state, AlertState::Acknowledged);
 }
 
@@ -55,8 +68,10 @@ fn a_note_belongs_to_the_person_who_acknowledged() {
         who: who.into(),
         note: "on my way".into(),
     };
-    let acknowledged =
-        AlertMessage { acknowledged_by: Some("Ada".into()), ..alert("storey-2", 1, AlertState::Acknowledged) };
+    let acknowledged = AlertMessage {
+        acknowledged_by: Some("Ada".into()),
+        ..alert("storey-2", 1, AlertState::Acknowledged)
+    };
     store.handle(Input::Acknowledgement(seen("Bob")));
     assert_eq!(store.note(&acknowledged), None);
     store.handle(Input::Acknowledgement(seen("Ada")));
@@ -79,7 +94,11 @@ fn a_reader_gets_each_point_once_and_many_at_a_time_combined() {
 fn lists_keep_no_more_than_they_promise() {
     let mut store = demo();
     for time_ns in 0..2_000 {
-        let state = if time_ns % 2 == 0 { AlertState::Raised } else { AlertState::Cleared };
+        let state = if time_ns % 2 == 0 {
+            AlertState::Raised
+        } else {
+            AlertState::Cleared
+        };
         store.handle(Input::Alert(alert("storey-1", time_ns, state)));
         store.handle(Input::Event(Event {
             structure: name("demo"),
@@ -90,7 +109,10 @@ fn lists_keep_no_more_than_they_promise() {
             why: "test".into(),
         }));
     }
-    assert_eq!((store.changes.len(), store.events.len()), (CHANGES_KEPT, EVENTS_KEPT));
+    assert_eq!(
+        (store.changes.len(), store.events.len()),
+        (CHANGES_KEPT, EVENTS_KEPT)
+    );
     assert_eq!(store.events[0].time_ns, 1_999);
 }
 
@@ -120,9 +142,18 @@ fn revisions_are_one_change_with_the_newest_loss() {
     store.handle(Input::Alert(revised(5, 2, 0.3)));
     // what the history tells is no news
     let alerts = vec![revised(1, 0, 0.1), revised(3, 1, 0.2)];
-    let past = HistoryLog { structure: name("demo"), alerts, acknowledgements: vec![], events: vec![] };
+    let past = HistoryLog {
+        structure: name("demo"),
+        alerts,
+        acknowledgements: vec![],
+        events: vec![],
+    };
     store.handle(Input::Past(past));
-    let changes: Vec<_> = store.changes.iter().map(|change| (change.parameter.as_str(), change.loss)).collect();
+    let changes: Vec<_> = store
+        .changes
+        .iter()
+        .map(|change| (change.parameter.as_str(), change.loss))
+        .collect();
     assert_eq!(changes.len(), 2);
     assert_eq!(changes[1], ("storey-2", Some(0.3)));
     assert_eq!(store.alerts["storey-2"].revision, 2);

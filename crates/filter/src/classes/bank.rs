@@ -1,7 +1,9 @@
 //! The filters of the classes, their plausibilities, and what they say together.
 
 use super::persistence::Persistence;
-use super::{ClassEvent, ClassId, ClassPlan, ClassSettings, ComponentSystem, Grouping, Level, Plausibilities};
+use super::{
+    ClassEvent, ClassId, ClassPlan, ClassSettings, ComponentSystem, Grouping, Level, Plausibilities,
+};
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, FilterState, Frame, Step};
 use crate::model::ProcessModel;
@@ -95,15 +97,28 @@ impl<S: ComponentSystem> ClassBank<S> {
     ///
     /// # Errors
     /// When a setting does not fit the system or lies outside its range.
-    pub fn new(system: S, template: FilterSettings, settings: ClassSettings) -> Result<Self, FilterError> {
+    pub fn new(
+        system: S,
+        template: FilterSettings,
+        settings: ClassSettings,
+    ) -> Result<Self, FilterError> {
         let components = system.components().len();
         settings.check(components)?;
         let (found, expected) = (template.prior_mean.len(), system.parameter_len());
         if found < expected {
-            return Err(FilterError::Dimension { what: "prior mean", found, expected });
+            return Err(FilterError::Dimension {
+                what: "prior mean",
+                found,
+                expected,
+            });
         }
         let motion = found - expected;
-        let psi = template.noise.parameters.iter().map(|parameter| parameter.start).collect();
+        let psi = template
+            .noise
+            .parameters
+            .iter()
+            .map(|parameter| parameter.start)
+            .collect();
         let work = Workspace {
             log_evidences: Vec::new(),
             observations: Vec::new(),
@@ -125,7 +140,15 @@ impl<S: ComponentSystem> ClassBank<S> {
             steps: 0,
             calibrations: 0,
         };
-        let mut bank = Self { system, template, settings, members: Vec::new(), state, events: Vec::new(), work };
+        let mut bank = Self {
+            system,
+            template,
+            settings,
+            members: Vec::new(),
+            state,
+            events: Vec::new(),
+            work,
+        };
         bank.start()?;
         Ok(bank)
     }
@@ -170,18 +193,24 @@ impl<S: ComponentSystem> ClassBank<S> {
         self.events.clear();
         self.step_filters(frame);
         self.weigh();
-        let log_evidence = self.state.plausibilities.update(&self.work.log_evidences, self.settings.floor);
+        let log_evidence = self
+            .state
+            .plausibilities
+            .update(&self.work.log_evidences, self.settings.floor);
         if log_evidence == f64::NEG_INFINITY {
             let lost = &self.members[self.state.lead].result;
-            return Err(lost
-                .clone()
-                .err()
-                .unwrap_or(FilterError::NotFinite { what: "state of every class", index: 0 }));
+            return Err(lost.clone().err().unwrap_or(FilterError::NotFinite {
+                what: "state of every class",
+                index: 0,
+            }));
         }
         let (leader, former) = (self.state.plausibilities.leader(), self.state.lead);
         let told = self.members[former].result.clone().ok();
         let Ok(mut step) = self.members[leader].result.clone() else {
-            return Err(FilterError::NotFinite { what: "state of the most plausible class", index: leader });
+            return Err(FilterError::NotFinite {
+                what: "state of the most plausible class",
+                index: leader,
+            });
         };
         step.log_evidence = log_evidence;
         if let Some(told) = told {
@@ -319,8 +348,15 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// Returns the state for a checkpoint.
     #[must_use]
     pub fn state(&self) -> ClassBankState {
-        let filters = self.members.iter().map(|member| member.filter.state().clone()).collect();
-        ClassBankState { bank: self.state.clone(), filters }
+        let filters = self
+            .members
+            .iter()
+            .map(|member| member.filter.state().clone())
+            .collect();
+        ClassBankState {
+            bank: self.state.clone(),
+            filters,
+        }
     }
 
     /// Takes the state of a checkpoint; the next step gives the same bits as if the bank had never stopped.
@@ -328,28 +364,51 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// # Errors
     /// When the state does not fit the plan or the models; the bank then stays as it was.
     pub fn restore(&mut self, state: ClassBankState) -> Result<(), FilterError> {
-        let ClassBankState { bank: state, filters } = state;
+        let ClassBankState {
+            bank: state,
+            filters,
+        } = state;
         let components = self.system.components().len();
         let found = state.factors.len();
         if found != components {
-            return Err(FilterError::Dimension { what: "components of a checkpoint", found, expected: components });
+            return Err(FilterError::Dimension {
+                what: "components of a checkpoint",
+                found,
+                expected: components,
+            });
         }
         if let (ClassPlan::Hierarchical { substructures }, Level::Second { substructure }) =
             (&self.settings.plan, state.level)
             && substructure >= substructures.groups().len()
         {
             let (found, expected) = (substructure, substructures.groups().len());
-            return Err(FilterError::Dimension { what: "substructure of a checkpoint", found, expected });
+            return Err(FilterError::Dimension {
+                what: "substructure of a checkpoint",
+                found,
+                expected,
+            });
         }
         let groupings = self.settings.plan.classes(state.level, components)?;
         let expected = groupings.len();
-        for found in [filters.len(), state.plausibilities.logarithms().len(), state.persistence.classes()] {
+        for found in [
+            filters.len(),
+            state.plausibilities.logarithms().len(),
+            state.persistence.classes(),
+        ] {
             if found != expected {
-                return Err(FilterError::Dimension { what: "classes of a checkpoint", found, expected });
+                return Err(FilterError::Dimension {
+                    what: "classes of a checkpoint",
+                    found,
+                    expected,
+                });
             }
         }
         if state.lead >= expected {
-            return Err(FilterError::Dimension { what: "leading class of a checkpoint", found: state.lead, expected });
+            return Err(FilterError::Dimension {
+                what: "leading class of a checkpoint",
+                found: state.lead,
+                expected,
+            });
         }
         let mut members = Vec::with_capacity(expected);
         for ((class, grouping), filter) in groupings.into_iter().enumerate().zip(filters) {
@@ -367,8 +426,8 @@ impl<S: ComponentSystem> ClassBank<S> {
 
     /// Tells whether the leading filter finds something that the others then must know.
     fn has_common_findings(&self) -> bool {
-        let adapts =
-            !self.template.noise.parameters.is_empty() && self.template.noise_settings.rule != NoiseRule::Fixed;
+        let adapts = !self.template.noise.parameters.is_empty()
+            && self.template.noise_settings.rule != NoiseRule::Fixed;
         adapts || self.template.outliers.is_some()
     }
 
@@ -382,18 +441,26 @@ impl<S: ComponentSystem> ClassBank<S> {
             let leading = &mut members[lead];
             leading.result = leading.filter.step(frame);
             if leading.result.is_ok() {
-                for (datum, innovation) in work.observations.iter_mut().zip(leading.filter.innovation()) {
+                for (datum, innovation) in work
+                    .observations
+                    .iter_mut()
+                    .zip(leading.filter.innovation())
+                {
                     if innovation.is_nan() {
                         *datum = f64::NAN;
                     }
                 }
-                work.psi.copy_from_slice(leading.filter.noise().mean.as_slice());
+                work.psi
+                    .copy_from_slice(leading.filter.noise().mean.as_slice());
             } else {
                 // nobody has screened this frame, which may be what broke the filter: the others predict and leave it
                 work.observations.fill(f64::NAN);
             }
         }
-        let frame = Frame { observations: &work.observations, excitation: frame.excitation };
+        let frame = Frame {
+            observations: &work.observations,
+            excitation: frame.excitation,
+        };
         let psi = &work.psi;
         let step = |(class, member): (usize, &mut Member<S::Model>)| {
             if common && class == lead {
@@ -404,7 +471,9 @@ impl<S: ComponentSystem> ClassBank<S> {
             }
             member.result = member.filter.step(frame);
         };
-        let is_large = members.iter().any(|member| member.filter.mean().len() >= PARALLEL_FROM);
+        let is_large = members
+            .iter()
+            .any(|member| member.filter.mean().len() >= PARALLEL_FROM);
         if is_large {
             members.par_iter_mut().enumerate().for_each(step);
         } else {
@@ -414,7 +483,13 @@ impl<S: ComponentSystem> ClassBank<S> {
 
     /// Notes which parameters a class had to bring back to their bounds: a calibration makes their entries anew.
     fn note_limited(&mut self, class: usize, limited_states: usize) {
-        let Self { system, members, state, work, .. } = self;
+        let Self {
+            system,
+            members,
+            state,
+            work,
+            ..
+        } = self;
         work.limited.clear();
         if limited_states == 0 {
             return;
@@ -435,11 +510,25 @@ impl<S: ComponentSystem> ClassBank<S> {
         let Self { members, work, .. } = self;
         work.log_evidences.clear();
         for member in members.iter() {
-            let kept = member.filter.mean().iter().all(|value| value.abs() <= LARGEST_STATE);
-            let evidence = member.result.as_ref().ok().filter(|_| kept).map(|step| step.log_evidence);
-            work.log_evidences.push(evidence.unwrap_or(f64::NEG_INFINITY));
+            let kept = member
+                .filter
+                .mean()
+                .iter()
+                .all(|value| value.abs() <= LARGEST_STATE);
+            let evidence = member
+                .result
+                .as_ref()
+                .ok()
+                .filter(|_| kept)
+                .map(|step| step.log_evidence);
+            work.log_evidences
+                .push(evidence.unwrap_or(f64::NEG_INFINITY));
         }
-        let best = work.log_evidences.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let best = work
+            .log_evidences
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max);
         for evidence in &mut work.log_evidences {
             if *evidence < best - WORST {
                 *evidence = f64::NEG_INFINITY;
@@ -450,7 +539,12 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// Returns what the filter of a class knows of noise levels and outliers; of levels that were lost with it, their start.
     fn findings_of(&self, class: usize) -> (NoiseState, Option<OutlierState>) {
         let known = self.members[class].filter.state();
-        let is_lost = known.noise().mean.iter().chain(&known.noise().covariance).any(|value| !value.is_finite());
+        let is_lost = known
+            .noise()
+            .mean
+            .iter()
+            .chain(&known.noise().covariance)
+            .any(|value| !value.is_finite());
         let noise = match is_lost {
             true => NoiseState::start(&self.template.noise, &self.template.noise_settings),
             false => known.noise().clone(),
@@ -466,7 +560,9 @@ impl<S: ComponentSystem> ClassBank<S> {
             self.members[class].filter.lead(noise, outliers);
             self.state.lead = class;
         }
-        self.work.psi.copy_from_slice(self.members[class].filter.noise().mean.as_slice());
+        self.work
+            .psi
+            .copy_from_slice(self.members[class].filter.noise().mean.as_slice());
         if !self.has_common_findings() {
             return;
         }
@@ -490,12 +586,14 @@ impl<S: ComponentSystem> ClassBank<S> {
                     .iter()
                     .map(|group| {
                         let of = |component: &usize| {
-                            source.filter.mean()[self.work.motion.len() + source.grouping.group_of(*component)]
+                            source.filter.mean()
+                                [self.work.motion.len() + source.grouping.group_of(*component)]
                         };
                         group.iter().map(of).sum::<f64>() / group.len() as f64
                     })
                     .collect();
-                let mut member = self.member(self.state.level, class, grouping, &self.state.factors)?;
+                let mut member =
+                    self.member(self.state.level, class, grouping, &self.state.factors)?;
                 self.continue_member(&mut member, leader, &multipliers);
                 self.events.push(ClassEvent::Restarted { class: member.id });
                 self.members[class] = member;
@@ -513,12 +611,19 @@ impl<S: ComponentSystem> ClassBank<S> {
             return Ok(()); // training
         }
         let lead = (!self.state.plausibilities.is_tied()).then_some(leader);
-        let Some(lasting) = self.state.persistence.update(lead, steps, self.settings.persistence_rule) else {
+        let Some(lasting) =
+            self.state
+                .persistence
+                .update(lead, steps, self.settings.persistence_rule)
+        else {
             return Ok(());
         };
         let id = self.members[lasting].id;
         if id != self.state.believed {
-            self.events.push(ClassEvent::Leading { from: self.state.believed, to: id });
+            self.events.push(ClassEvent::Leading {
+                from: self.state.believed,
+                to: id,
+            });
             self.state.believed = id;
         }
         match (&self.settings.plan, self.state.level, id) {
@@ -544,7 +649,8 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// Makes the estimates of a class the nominal values, (5.48) and (5.67); returns what each component was multiplied by.
     fn fold(&mut self, class: usize) -> Vec<f64> {
         let (member, motion) = (&self.members[class], self.work.motion.len());
-        let multiplier = |component: usize| member.filter.mean()[motion + member.grouping.group_of(component)];
+        let multiplier =
+            |component: usize| member.filter.mean()[motion + member.grouping.group_of(component)];
         let multipliers: Vec<f64> = (0..self.state.factors.len()).map(multiplier).collect();
         for (factor, multiplier) in self.state.factors.iter_mut().zip(&multipliers) {
             *factor *= multiplier;
@@ -554,7 +660,10 @@ impl<S: ComponentSystem> ClassBank<S> {
 
     /// Starts the classes of a level from one of those that run, all equally plausible: (5.54) to (5.56).
     fn enter(&mut self, level: Level, source: usize) -> Result<(), FilterError> {
-        let groupings = self.settings.plan.classes(level, self.state.factors.len())?;
+        let groupings = self
+            .settings
+            .plan
+            .classes(level, self.state.factors.len())?;
         let mut members = Vec::with_capacity(groupings.len());
         for (class, grouping) in groupings.into_iter().enumerate() {
             let multipliers = vec![1.0; grouping.groups().len()];
@@ -578,8 +687,12 @@ impl<S: ComponentSystem> ClassBank<S> {
     }
 
     fn members_at_prior(&self) -> Result<Vec<Member<S::Model>>, FilterError> {
-        let groupings = self.settings.plan.classes(Level::First, self.state.factors.len())?;
-        let member = |(class, grouping)| self.member(Level::First, class, grouping, &self.state.factors);
+        let groupings = self
+            .settings
+            .plan
+            .classes(Level::First, self.state.factors.len())?;
+        let member =
+            |(class, grouping)| self.member(Level::First, class, grouping, &self.state.factors);
         groupings.into_iter().enumerate().map(member).collect()
     }
 
@@ -599,55 +712,102 @@ impl<S: ComponentSystem> ClassBank<S> {
             (ClassPlan::SelfCalibrating { .. }, _) => ClassId::Calibrating(class - 1),
             (ClassPlan::Hierarchical { .. }, Level::First) => ClassId::Substructure(class - 1),
             (ClassPlan::Hierarchical { substructures }, Level::Second { substructure }) => {
-                ClassId::Component { component: substructures.groups()[substructure][class - 1], substructure }
+                ClassId::Component {
+                    component: substructures.groups()[substructure][class - 1],
+                    substructure,
+                }
             }
         };
-        let result = Err(FilterError::NotFinite { what: "state before the first step", index: class });
-        Ok(Member { id, grouping, filter, result })
+        let result = Err(FilterError::NotFinite {
+            what: "state before the first step",
+            index: class,
+        });
+        Ok(Member {
+            id,
+            grouping,
+            filter,
+            result,
+        })
     }
 
     /// Returns the parameters of the full model that are no components, in order.
     fn others(&self) -> impl Iterator<Item = usize> {
         let components = self.system.components();
-        (0..self.system.parameter_len()).filter(|parameter| components.binary_search(parameter).is_err())
+        (0..self.system.parameter_len())
+            .filter(|parameter| components.binary_search(parameter).is_err())
     }
 
     /// Makes the settings of a class from those of the full model.
-    fn settings_of(&self, grouping: &Grouping, factors: &[f64], len: usize) -> Result<FilterSettings, FilterError> {
+    fn settings_of(
+        &self,
+        grouping: &Grouping,
+        factors: &[f64],
+        len: usize,
+    ) -> Result<FilterSettings, FilterError> {
         let motion = self.work.motion.len();
-        let (components, others): (_, Vec<usize>) = (self.system.components(), self.others().collect());
+        let (components, others): (_, Vec<usize>) =
+            (self.system.components(), self.others().collect());
         let expected = motion + grouping.groups().len() + others.len();
         if len != expected {
-            return Err(FilterError::Dimension { what: "state of a class", found: len, expected });
+            return Err(FilterError::Dimension {
+                what: "state of a class",
+                found: len,
+                expected,
+            });
         }
-        let mean_of = |values: &mut dyn Iterator<Item = f64>, count: usize| values.sum::<f64>() / count as f64;
+        let mean_of = |values: &mut dyn Iterator<Item = f64>, count: usize| {
+            values.sum::<f64>() / count as f64
+        };
         let reduce = |of: &DVector<f64>, group: &dyn Fn(&[usize]) -> f64| {
             let grouped = grouping.groups().iter().map(|members| group(members));
             let rest = others.iter().map(|other| of[motion + other]);
-            DVector::from_iterator(len, of.iter().take(motion).copied().chain(grouped).chain(rest))
+            DVector::from_iterator(
+                len,
+                of.iter().take(motion).copied().chain(grouped).chain(rest),
+            )
         };
         let template = &self.template;
         let entry = |of: &DVector<f64>, component: usize| of[motion + components[component]];
         let least_bound = match self.settings.plan {
             ClassPlan::Predefined { .. } => 0.0,
             // a calibration opens the multipliers, however little the prior left them
-            ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => self.settings.reset_std.powi(2),
+            ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => {
+                self.settings.reset_std.powi(2)
+            }
         };
         let mut settings = FilterSettings {
             prior_mean: reduce(&template.prior_mean, &|members| {
-                mean_of(&mut members.iter().map(|n| entry(&template.prior_mean, *n)), members.len())
+                mean_of(
+                    &mut members.iter().map(|n| entry(&template.prior_mean, *n)),
+                    members.len(),
+                )
             }),
             prior_std: reduce(&template.prior_std, &|members| {
-                mean_of(&mut members.iter().map(|n| entry(&template.prior_std, *n).powi(2)), members.len()).sqrt()
+                mean_of(
+                    &mut members
+                        .iter()
+                        .map(|n| entry(&template.prior_std, *n).powi(2)),
+                    members.len(),
+                )
+                .sqrt()
             }),
             variance_bound: reduce(&template.variance_bound, &|members| {
-                members.iter().map(|n| entry(&template.variance_bound, *n)).fold(least_bound, f64::max)
+                members
+                    .iter()
+                    .map(|n| entry(&template.variance_bound, *n))
+                    .fold(least_bound, f64::max)
             }),
             lower: reduce(&template.lower, &|members| {
-                members.iter().map(|n| entry(&template.lower, *n) / factors[*n]).fold(f64::NEG_INFINITY, f64::max)
+                members
+                    .iter()
+                    .map(|n| entry(&template.lower, *n) / factors[*n])
+                    .fold(f64::NEG_INFINITY, f64::max)
             }),
             upper: reduce(&template.upper, &|members| {
-                members.iter().map(|n| entry(&template.upper, *n) / factors[*n]).fold(f64::INFINITY, f64::min)
+                members
+                    .iter()
+                    .map(|n| entry(&template.upper, *n) / factors[*n])
+                    .fold(f64::INFINITY, f64::min)
             }),
             considered_std: DVector::zeros(len),
             misfit: None,
@@ -677,18 +837,28 @@ impl<S: ComponentSystem> ClassBank<S> {
             None => multipliers[entry - motion],
         });
         let open = self.settings.reset_std.powi(2);
-        let covariance = DMatrix::from_fn(len, len, |row, column| match (origin(row), origin(column)) {
-            (Some(row), Some(column)) => uncertain[(row, column)],
-            (None, None) if row == column => open,
-            _ => 0.0,
+        let covariance = DMatrix::from_fn(len, len, |row, column| {
+            match (origin(row), origin(column)) {
+                (Some(row), Some(column)) => uncertain[(row, column)],
+                (None, None) if row == column => open,
+                _ => 0.0,
+            }
         });
-        member.filter.continue_from(source.filter.state(), mean, covariance, origin);
+        member
+            .filter
+            .continue_from(source.filter.state(), mean, covariance, origin);
     }
 
     /// Writes the estimate over all classes, (5.33), and the covariance of the mixture.
     fn combine(&mut self) {
         let motion = self.work.motion.len();
-        let Self { system, members, state, work, .. } = self;
+        let Self {
+            system,
+            members,
+            state,
+            work,
+            ..
+        } = self;
         work.motion.fill(0.0);
         work.mean.fill(0.0);
         work.covariance.fill(0.0);
@@ -723,7 +893,12 @@ impl<S: ComponentSystem> ClassBank<S> {
 }
 
 /// Says which parameter of a class, times which factor, each parameter of the full model is.
-fn map_parameters(system: &impl ComponentSystem, grouping: &Grouping, factors: &[f64], mapped: &mut [(usize, f64)]) {
+fn map_parameters(
+    system: &impl ComponentSystem,
+    grouping: &Grouping,
+    factors: &[f64],
+    mapped: &mut [(usize, f64)],
+) {
     let components = system.components();
     let groups = grouping.groups().len();
     let (mut component, mut other) = (0, 0);

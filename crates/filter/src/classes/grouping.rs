@@ -22,18 +22,33 @@ impl Grouping {
         for (group, members) in groups.iter().enumerate() {
             if members.is_empty() {
                 let (what, allowed) = ("number of components of a group", "at least 1");
-                return Err(FilterError::Setting { what, found: 0.0, allowed });
+                return Err(FilterError::Setting {
+                    what,
+                    found: 0.0,
+                    allowed,
+                });
             }
             for &component in members {
-                let free = group_of.get_mut(component).filter(|group| **group == usize::MAX);
+                let free = group_of
+                    .get_mut(component)
+                    .filter(|group| **group == usize::MAX);
                 let Some(entry) = free else {
-                    let (what, allowed) = ("component of a group", "below the number of components and in one group");
-                    return Err(FilterError::Setting { what, found: component as f64, allowed });
+                    let (what, allowed) = (
+                        "component of a group",
+                        "below the number of components and in one group",
+                    );
+                    return Err(FilterError::Setting {
+                        what,
+                        found: component as f64,
+                        allowed,
+                    });
                 };
                 *entry = group;
             }
         }
-        let rest: Vec<usize> = (0..components).filter(|component| group_of[*component] == usize::MAX).collect();
+        let rest: Vec<usize> = (0..components)
+            .filter(|component| group_of[*component] == usize::MAX)
+            .collect();
         if !rest.is_empty() {
             for &component in &rest {
                 group_of[component] = groups.len();
@@ -46,7 +61,10 @@ impl Grouping {
     /// One multiplier for all `components`: the baseline, (5.41).
     #[must_use]
     pub fn together(components: usize) -> Self {
-        Self { groups: vec![(0..components).collect()], group_of: vec![0; components] }
+        Self {
+            groups: vec![(0..components).collect()],
+            group_of: vec![0; components],
+        }
     }
 
     /// One multiplier for `members` and one for the rest, (5.43) and (5.59).
@@ -76,7 +94,9 @@ impl Grouping {
         self.components() == other.components()
             && self.groups.len() == other.groups.len()
             && both().enumerate().all(|(n, (one, another))| {
-                both().take(n).all(|(earlier, earlier_other)| (one == earlier) == (another == earlier_other))
+                both()
+                    .take(n)
+                    .all(|(earlier, earlier_other)| (one == earlier) == (another == earlier_other))
             })
     }
 
@@ -95,15 +115,22 @@ mod tests {
     fn components_in_no_group_form_the_last_one() {
         let grouping = Grouping::new(vec![vec![3], vec![0, 1]], 5).unwrap();
         assert_eq!(grouping.groups(), [vec![3], vec![0, 1], vec![2, 4]]);
-        assert_eq!((0..5).map(|n| grouping.group_of(n)).collect::<Vec<_>>(), [1, 1, 2, 0, 2]);
+        assert_eq!(
+            (0..5).map(|n| grouping.group_of(n)).collect::<Vec<_>>(),
+            [1, 1, 2, 0, 2]
+        );
     }
 
     #[test]
     fn order_of_groups_makes_no_other_partition() {
-        let grouping = |groups: &[&[usize]]| Grouping::new(groups.iter().map(|g| g.to_vec()).collect(), 4).unwrap();
+        let grouping = |groups: &[&[usize]]| {
+            Grouping::new(groups.iter().map(|g| g.to_vec()).collect(), 4).unwrap()
+        };
         assert!(grouping(&[&[0, 1], &[2]]).is_same_partition(&grouping(&[&[3], &[2], &[1, 0]])));
         assert!(!grouping(&[&[0, 1], &[2]]).is_same_partition(&grouping(&[&[0, 2], &[1]])));
-        assert!(!grouping(&[&[0], &[1], &[2, 3]]).is_same_partition(&grouping(&[&[0], &[1, 2, 3]])));
+        assert!(
+            !grouping(&[&[0], &[1], &[2, 3]]).is_same_partition(&grouping(&[&[0], &[1, 2, 3]]))
+        );
     }
 
     #[test]

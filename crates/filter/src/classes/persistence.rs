@@ -31,22 +31,40 @@ pub(super) struct Persistence {
 
 impl Persistence {
     pub(super) fn new(classes: usize) -> Self {
-        Self { leader: None, run: 0, recent: VecDeque::new(), counts: vec![[0; 2]; classes] }
+        Self {
+            leader: None,
+            run: 0,
+            recent: VecDeque::new(),
+            counts: vec![[0; 2]; classes],
+        }
     }
 
     /// Returns for how many classes it counts; none where its counts do not fit its memory.
     pub(super) fn classes(&self) -> usize {
         let known = |class: &u16| usize::from(*class) < self.counts.len();
-        if self.recent.iter().all(known) { self.counts.len() } else { 0 }
+        if self.recent.iter().all(known) {
+            self.counts.len()
+        } else {
+            0
+        }
     }
 
     /// Takes the leader of a step, `None` for a tie; returns the class whose lead has lasted.
-    pub(super) fn update(&mut self, leader: Option<usize>, steps: usize, rule: PersistenceRule) -> Option<usize> {
+    pub(super) fn update(
+        &mut self,
+        leader: Option<usize>,
+        steps: usize,
+        rule: PersistenceRule,
+    ) -> Option<usize> {
         let Some(class) = leader else {
             *self = Self::new(self.counts.len());
             return None;
         };
-        self.run = if self.leader == leader { self.run + 1 } else { 1 };
+        self.run = if self.leader == leader {
+            self.run + 1
+        } else {
+            1
+        };
         self.leader = leader;
         if rule == PersistenceRule::Share {
             self.remember(class, steps);
@@ -57,9 +75,11 @@ impl Persistence {
         if rule == PersistenceRule::Consecutive {
             return None;
         }
-        let most = |window: usize| (0..self.counts.len()).max_by_key(|class| self.counts[*class][window]);
+        let most =
+            |window: usize| (0..self.counts.len()).max_by_key(|class| self.counts[*class][window]);
         if self.recent.len() >= 2 * steps {
-            let lasting = most(1).filter(|class| self.counts[*class][1] as f64 >= NEARLY_ALL * (2 * steps) as f64);
+            let lasting = most(1)
+                .filter(|class| self.counts[*class][1] as f64 >= NEARLY_ALL * (2 * steps) as f64);
             if lasting.is_some() {
                 return lasting;
             }
@@ -95,9 +115,14 @@ mod tests {
     use super::*;
 
     /// Returns the step (from 1) and the class of the first lasting lead.
-    fn first_lead(leaders: impl Iterator<Item = Option<usize>>, rule: PersistenceRule) -> Option<(usize, usize)> {
+    fn first_lead(
+        leaders: impl Iterator<Item = Option<usize>>,
+        rule: PersistenceRule,
+    ) -> Option<(usize, usize)> {
         let mut persistence = Persistence::new(3);
-        leaders.zip(1..).find_map(|(leader, step)| Some((step, persistence.update(leader, 10, rule)?)))
+        leaders
+            .zip(1..)
+            .find_map(|(leader, step)| Some((step, persistence.update(leader, 10, rule)?)))
     }
 
     #[test]
@@ -111,21 +136,30 @@ mod tests {
     #[test]
     fn tie_begins_anew() {
         let leaders = [Some(1); 9].into_iter().chain([None]).chain([Some(1); 10]);
-        assert_eq!(first_lead(leaders, PersistenceRule::Consecutive), Some((20, 1)));
+        assert_eq!(
+            first_lead(leaders, PersistenceRule::Consecutive),
+            Some((20, 1))
+        );
     }
 
     #[test]
     fn classes_that_take_turns_are_acted_on_by_share_only() {
         // class 1 leads two steps of three, class 2 the third
         let leaders = (0..400).map(|step| Some(if step % 3 == 2 { 2 } else { 1 }));
-        assert_eq!(first_lead(leaders.clone(), PersistenceRule::Consecutive), None);
+        assert_eq!(
+            first_lead(leaders.clone(), PersistenceRule::Consecutive),
+            None
+        );
         assert_eq!(first_lead(leaders, PersistenceRule::Share), Some((40, 1)));
     }
 
     #[test]
     fn rare_interruptions_do_not_delay_by_share() {
         let leaders = (1..400).map(|step| Some(if step % 10 == 0 { 0 } else { 2 }));
-        assert_eq!(first_lead(leaders.clone(), PersistenceRule::Consecutive), None);
+        assert_eq!(
+            first_lead(leaders.clone(), PersistenceRule::Consecutive),
+            None
+        );
         assert_eq!(first_lead(leaders, PersistenceRule::Share), Some((20, 2)));
     }
 

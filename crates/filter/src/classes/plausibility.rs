@@ -19,13 +19,17 @@ impl Plausibilities {
     /// Gives every class the same, (5.17).
     #[must_use]
     pub fn uniform(classes: usize) -> Self {
-        Self { logarithms: vec![-(classes as f64).ln(); classes] }
+        Self {
+            logarithms: vec![-(classes as f64).ln(); classes],
+        }
     }
 
     /// Takes the given probabilities, which must have the sum 1.
     #[must_use]
     pub fn from_probabilities(probabilities: &[f64]) -> Self {
-        Self { logarithms: probabilities.iter().map(|p| p.ln()).collect() }
+        Self {
+            logarithms: probabilities.iter().map(|p| p.ln()).collect(),
+        }
     }
 
     /// Takes `ln p(z | D, C)` of every class, minus infinity where its filter was lost; returns `ln p(z | D)`.
@@ -33,7 +37,11 @@ impl Plausibilities {
     /// No plausibility is left below `floor`; 0 is none. When every class is lost, nothing changes and the result is minus
     /// infinity.
     pub fn update(&mut self, log_evidences: &[f64], floor: f64) -> f64 {
-        let joint = self.logarithms.iter().zip(log_evidences).map(|(prior, evidence)| prior + evidence);
+        let joint = self
+            .logarithms
+            .iter()
+            .zip(log_evidences)
+            .map(|(prior, evidence)| prior + evidence);
         let largest = joint.clone().fold(f64::NEG_INFINITY, f64::max);
         if largest == f64::NEG_INFINITY {
             return largest;
@@ -70,10 +78,19 @@ impl Plausibilities {
             if floored == 0 {
                 return;
             }
-            let others: f64 = self.logarithms.iter().filter(|l| !is_floored(**l)).map(|l| l.exp()).sum();
+            let others: f64 = self
+                .logarithms
+                .iter()
+                .filter(|l| !is_floored(**l))
+                .map(|l| l.exp())
+                .sum();
             let scale = ((1.0 - floor * floored as f64) / others).ln();
             for logarithm in &mut self.logarithms {
-                *logarithm = if is_floored(*logarithm) { ln_floor } else { *logarithm + scale };
+                *logarithm = if is_floored(*logarithm) {
+                    ln_floor
+                } else {
+                    *logarithm + scale
+                };
             }
             if !self.logarithms.iter().any(|l| *l < ln_floor) {
                 return;
@@ -126,7 +143,11 @@ mod tests {
     fn logarithms_give_what_bayes_gives() {
         // ch5 §5 A1: by plain numbers, and with evidences that no number holds
         let (prior, evidences) = ([0.2, 0.3, 0.5], [-3.0, -1.0, -2.0]);
-        let joint: Vec<f64> = prior.iter().zip(&evidences).map(|(p, l): (&f64, &f64)| p * l.exp()).collect();
+        let joint: Vec<f64> = prior
+            .iter()
+            .zip(&evidences)
+            .map(|(p, l): (&f64, &f64)| p * l.exp())
+            .collect();
         let sum: f64 = joint.iter().sum();
         for (offset, tolerance) in [(0.0, 1e-12), (-1e5, 1e-9)] {
             let mut plausibilities = Plausibilities::from_probabilities(&prior);
@@ -141,7 +162,8 @@ mod tests {
     #[test]
     fn floor_lifts_three_of_five_and_keeps_the_sum() {
         // ch5 §5 A2: scaling the others pushes a third one below the floor
-        let mut plausibilities = Plausibilities::from_probabilities(&[0.9998, 1.5e-4, 1e-30, 4.99e-5, 1e-5]);
+        let mut plausibilities =
+            Plausibilities::from_probabilities(&[0.9998, 1.5e-4, 1e-30, 4.99e-5, 1e-5]);
         plausibilities.update(&[0.0; 5], 1e-4);
         let found: Vec<f64> = plausibilities.iter().collect();
         for (found, expected) in found.iter().zip([0.99955, 1.4996e-4, 1e-4, 1e-4, 1e-4]) {
@@ -187,7 +209,10 @@ mod tests {
     #[test]
     fn nothing_changes_when_every_class_is_lost() {
         let mut plausibilities = Plausibilities::from_probabilities(&[0.25, 0.75]);
-        assert_eq!(plausibilities.update(&[f64::NEG_INFINITY; 2], 1e-4), f64::NEG_INFINITY);
+        assert_eq!(
+            plausibilities.update(&[f64::NEG_INFINITY; 2], 1e-4),
+            f64::NEG_INFINITY
+        );
         assert!((plausibilities.of(1) - 0.75).abs() < 1e-15);
     }
 }

@@ -7,8 +7,21 @@ struct Dense {
 }
 
 fn oscillator(frequency: f64) -> Dense {
-    let a =
-        DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 0.0, -frequency * frequency, -0.02 * frequency, 7.0, 0.0, 0.0, 0.0]);
+    let a = DMatrix::from_row_slice(
+        3,
+        3,
+        &[
+            0.0,
+            1.0,
+            0.0,
+            -frequency * frequency,
+            -0.02 * frequency,
+            7.0,
+            0.0,
+            0.0,
+            0.0,
+        ],
+    );
     Dense { a }
 }
 
@@ -38,7 +51,11 @@ impl ProcessModel for Dense {
 }
 
 /// Reads A, Γg, B and Γ₂b off one exponential of a larger matrix.
-fn by_augmented_exponential(model: &Dense, step_s: f64, slope: &[f64; 3]) -> (DMatrix<f64>, DMatrix<f64>) {
+fn by_augmented_exponential(
+    model: &Dense,
+    step_s: f64,
+    slope: &[f64; 3],
+) -> (DMatrix<f64>, DMatrix<f64>) {
     let mut g = [0.0; 3];
     model.derivative(&mut g);
     // y' = A y + g u1 + b u2 + s t: states y, one constant for g, one for b, and a ramp (t, 1)
@@ -53,7 +70,10 @@ fn by_augmented_exponential(model: &Dense, step_s: f64, slope: &[f64; 3]) -> (DM
     let exponential = (big * step_s).exp();
     let transition = exponential.view((0, 0), (3, 3)).into_owned();
     let mut inputs = DMatrix::zeros(3, 2);
-    inputs.set_column(0, &(exponential.view((0, 3), (3, 1)).column(0) + exponential.view((0, 6), (3, 1)).column(0)));
+    inputs.set_column(
+        0,
+        &(exponential.view((0, 3), (3, 1)).column(0) + exponential.view((0, 6), (3, 1)).column(0)),
+    );
     inputs.set_column(1, &exponential.view((0, 4), (3, 1)).column(0));
     (transition, inputs)
 }
@@ -71,13 +91,19 @@ fn series_agrees_with_the_augmented_exponential() {
         transition_mul(&model, 0.01, series, &mut found, &mut work);
         let scale = DMatrix::from_diagonal(&DVector::from_row_slice(&[reach / 0.01, 1.0, 1.0]));
         let error = (&scale * (&found - &transition)).amax() / (&scale * &transition).amax();
-        assert!(error < 1e-12, "reach {reach}: transition off by {error:e} with {series:?}");
+        assert!(
+            error < 1e-12,
+            "reach {reach}: transition off by {error:e} with {series:?}"
+        );
         let mut columns = DMatrix::zeros(3, 2);
         model.derivative(&mut columns.as_mut_slice()[..3]);
         columns[(1, 1)] = 1.0;
         integrate_inputs(&model, 0.01, series, &mut columns, Some(&slope), &mut work);
         let error = (&scale * (&columns - &inputs)).amax() / (&scale * &inputs).amax();
-        assert!(error < 1e-12, "reach {reach}: inputs off by {error:e} with {series:?}");
+        assert!(
+            error < 1e-12,
+            "reach {reach}: inputs off by {error:e} with {series:?}"
+        );
     }
 }
 
@@ -106,7 +132,8 @@ fn increment_of_the_mean_is_that_of_the_remainder_form() {
 #[test]
 fn covariance_is_that_of_two_dense_products() {
     let model = oscillator(60.0);
-    let covariance = DMatrix::from_row_slice(3, 3, &[2.0, 0.3, 0.1, 0.3, 1.0, -0.2, 0.1, -0.2, 0.5]);
+    let covariance =
+        DMatrix::from_row_slice(3, 3, &[2.0, 0.3, 0.1, 0.3, 1.0, -0.2, 0.1, -0.2, 0.5]);
     let series = Series::choose(model.rate_bound(), 0.01);
     let mut work = Workspace::new(3, 1);
     let mut found = DMatrix::zeros(3, 3);

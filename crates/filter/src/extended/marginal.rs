@@ -18,7 +18,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let state = &self.state;
         Gaussian {
             mean: state.mean.rows(first, len).into_owned(),
-            covariance: state.covariance.view((first, first), (len, len)).into_owned(),
+            covariance: state
+                .covariance
+                .view((first, first), (len, len))
+                .into_owned(),
         }
     }
 
@@ -33,45 +36,82 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     pub fn replace_parameters(&mut self, parameters: &Gaussian) -> Result<(), FilterError> {
         let (first, len) = self.parameter_range();
         let sizes = [("mean of parameters", parameters.mean.len(), len)];
-        let square = [("covariance of parameters", parameters.covariance.len(), len * len)];
+        let square = [(
+            "covariance of parameters",
+            parameters.covariance.len(),
+            len * len,
+        )];
         for (what, found, expected) in sizes.into_iter().chain(square) {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         parameters.information()?;
         let now = self.parameters();
         let mut factor = now.covariance.clone();
-        cholesky_mut(&mut factor)
-            .map_err(|pivot| FilterError::NotPositiveDefinite { what: "covariance of the parameters", pivot })?;
+        cholesky_mut(&mut factor).map_err(|pivot| FilterError::NotPositiveDefinite {
+            what: "covariance of the parameters",
+            pivot,
+        })?;
         let mut mean = parameters.mean.clone();
         for (j, entry) in mean.iter_mut().enumerate() {
-            *entry = entry.clamp(self.settings.lower[first + j], self.settings.upper[first + j]);
+            *entry = entry.clamp(
+                self.settings.lower[first + j],
+                self.settings.upper[first + j],
+            );
         }
         let step = &mean - &now.mean;
         let growth = &parameters.covariance - &now.covariance;
 
         let state = &mut self.state;
-        let by_parameters = regression(&factor, state.covariance.view((first, 0), (len, first)).into_owned());
+        let by_parameters = regression(
+            &factor,
+            state.covariance.view((first, 0), (len, first)).into_owned(),
+        );
         let moved = &by_parameters * &step;
-        state.mean.rows_mut(0, first).zip_apply(&moved, |entry, moved| *entry += moved);
+        state
+            .mean
+            .rows_mut(0, first)
+            .zip_apply(&moved, |entry, moved| *entry += moved);
         state.mean.rows_mut(first, len).copy_from(&mean);
         let mut motion = state.covariance.view((0, 0), (first, first)).into_owned();
         motion += &by_parameters * &growth * by_parameters.transpose();
         symmetrise_mut(&mut motion);
         let cross = &by_parameters * &parameters.covariance;
-        state.covariance.view_mut((0, 0), (first, first)).copy_from(&motion);
-        state.covariance.view_mut((0, first), (first, len)).copy_from(&cross);
-        state.covariance.view_mut((first, 0), (len, first)).copy_from(&cross.transpose());
-        state.covariance.view_mut((first, first), (len, len)).copy_from(&parameters.covariance);
+        state
+            .covariance
+            .view_mut((0, 0), (first, first))
+            .copy_from(&motion);
+        state
+            .covariance
+            .view_mut((0, first), (first, len))
+            .copy_from(&cross);
+        state
+            .covariance
+            .view_mut((first, 0), (len, first))
+            .copy_from(&cross.transpose());
+        state
+            .covariance
+            .view_mut((first, first), (len, len))
+            .copy_from(&parameters.covariance);
         if let Some(posterior) = &mut state.posterior {
             // what the last frame said of the excitation depends on the parameters in the same way
             let excitation = regression(&factor, posterior.cross.rows(first, len).into_owned());
             posterior.mean += &excitation * &step;
             posterior.covariance += &excitation * &growth * excitation.transpose();
             let with_motion = &by_parameters * &growth * excitation.transpose();
-            posterior.cross.rows_mut(0, first).zip_apply(&with_motion, |entry, moved| *entry += moved);
-            posterior.cross.rows_mut(first, len).copy_from(&(&parameters.covariance * excitation.transpose()));
+            posterior
+                .cross
+                .rows_mut(0, first)
+                .zip_apply(&with_motion, |entry, moved| *entry += moved);
+            posterior
+                .cross
+                .rows_mut(first, len)
+                .copy_from(&(&parameters.covariance * excitation.transpose()));
         }
         Ok(())
     }
@@ -80,17 +120,33 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     ///
     /// # Errors
     /// When a size is wrong or a number not finite. The filter is then as it was.
-    pub fn replace_state(&mut self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> Result<(), FilterError> {
+    pub fn replace_state(
+        &mut self,
+        mean: &DVector<f64>,
+        covariance: &DMatrix<f64>,
+    ) -> Result<(), FilterError> {
         let n = self.state.mean.len();
-        for (what, found, expected) in
-            [("mean of state", mean.len(), n), ("covariance of state", covariance.len(), n * n)]
-        {
+        for (what, found, expected) in [
+            ("mean of state", mean.len(), n),
+            ("covariance of state", covariance.len(), n * n),
+        ] {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
-        if let Some(index) = mean.iter().chain(covariance.iter()).position(|entry| !entry.is_finite()) {
-            return Err(FilterError::NotFinite { what: "entry of a replaced state", index });
+        if let Some(index) = mean
+            .iter()
+            .chain(covariance.iter())
+            .position(|entry| !entry.is_finite())
+        {
+            return Err(FilterError::NotFinite {
+                what: "entry of a replaced state",
+                index,
+            });
         }
         self.state.mean.copy_from(mean);
         self.state.covariance.copy_from(covariance);
@@ -116,19 +172,37 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let sizes = [
             ("rows of observed motion", rows.ncols(), first),
             ("observed motion", values.len(), rows.nrows()),
-            ("variances of observed motion", variances.len(), rows.nrows()),
+            (
+                "variances of observed motion",
+                variances.len(),
+                rows.nrows(),
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         if let Some(index) = values.iter().position(|value| !value.is_finite()) {
-            return Err(FilterError::NotFinite { what: "observed motion", index });
+            return Err(FilterError::NotFinite {
+                what: "observed motion",
+                index,
+            });
         }
-        if let Some(found) = variances.iter().find(|variance| !(**variance > 0.0 && variance.is_finite())) {
+        if let Some(found) = variances
+            .iter()
+            .find(|variance| !(**variance > 0.0 && variance.is_finite()))
+        {
             let what = "variance of observed motion";
-            return Err(FilterError::Setting { what, found: *found, allowed: "positive and finite" });
+            return Err(FilterError::Setting {
+                what,
+                found: *found,
+                allowed: "positive and finite",
+            });
         }
         let state = &mut self.state;
         let n = state.mean.len();
@@ -146,7 +220,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             // Joseph form of one row: P − K s ᵀ − s Kᵀ + K t Kᵀ
             for j in 0..n {
                 for i in 0..=j {
-                    let change = total * gain[i] * gain[j] - gain[i] * spread[j] - spread[i] * gain[j];
+                    let change =
+                        total * gain[i] * gain[j] - gain[i] * spread[j] - spread[i] * gain[j];
                     state.covariance[(i, j)] += change;
                     state.covariance[(j, i)] = state.covariance[(i, j)];
                 }

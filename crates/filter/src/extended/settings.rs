@@ -63,7 +63,12 @@ pub struct FilterSettings {
 impl FilterSettings {
     /// Makes settings with no forgetting, no bounds, known noises and no start-up aid.
     #[must_use]
-    pub fn new(step_s: f64, prior_mean: DVector<f64>, prior_std: DVector<f64>, noise: NoiseModel) -> Self {
+    pub fn new(
+        step_s: f64,
+        prior_mean: DVector<f64>,
+        prior_std: DVector<f64>,
+        noise: NoiseModel,
+    ) -> Self {
         let n = prior_mean.len();
         Self {
             step_s,
@@ -87,13 +92,23 @@ impl FilterSettings {
     /// Returns the variance of the noise of each channel before anything is identified (N_0).
     pub(crate) fn stated_noise(&self) -> impl Iterator<Item = f64> {
         let identified = |channel: usize| -> f64 {
-            let of_sensors = self.noise.parameters.iter().filter(|parameter| parameter.target == NoiseTarget::Sensors);
-            of_sensors.map(|parameter| parameter.start * parameter.pattern[(channel, channel)]).sum()
+            let of_sensors = self
+                .noise
+                .parameters
+                .iter()
+                .filter(|parameter| parameter.target == NoiseTarget::Sensors);
+            of_sensors
+                .map(|parameter| parameter.start * parameter.pattern[(channel, channel)])
+                .sum()
         };
-        (0..self.noise.sensors.nrows()).map(move |channel| self.noise.sensors[(channel, channel)] + identified(channel))
+        (0..self.noise.sensors.nrows())
+            .map(move |channel| self.noise.sensors[(channel, channel)] + identified(channel))
     }
 
-    pub(crate) fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
+    pub(crate) fn check(
+        &self,
+        model: &(impl ProcessModel + ObservationModel),
+    ) -> Result<(), FilterError> {
         let n = model.state_len();
         let vectors = [
             ("prior mean", self.prior_mean.len()),
@@ -105,29 +120,46 @@ impl FilterSettings {
         ];
         for (what, found) in vectors {
             if found != n {
-                return Err(FilterError::Dimension { what, found, expected: n });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected: n,
+                });
             }
         }
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
-            return Err(FilterError::Setting { what: "time step", found: self.step_s, allowed: "positive" });
+            return Err(FilterError::Setting {
+                what: "time step",
+                found: self.step_s,
+                allowed: "positive",
+            });
         }
         for (&low, &high) in self.lower.iter().zip(&self.upper) {
             // `clamp` panics on such limits
             if low.is_nan() || high.is_nan() || low > high {
                 let allowed = "not above its upper limit, and a number";
-                return Err(FilterError::Setting { what: "lower limit of the state", found: low, allowed });
+                return Err(FilterError::Setting {
+                    what: "lower limit of the state",
+                    found: low,
+                    allowed,
+                });
             }
         }
         for &std in &self.prior_std {
             if !(std >= 0.0 && std.is_finite()) {
                 let what = "prior standard deviation";
-                return Err(FilterError::Setting { what, found: std, allowed: "finite and not negative" });
+                return Err(FilterError::Setting {
+                    what,
+                    found: std,
+                    allowed: "finite and not negative",
+                });
             }
         }
         self.noise_settings.check(self.noise.parameters.len())?;
         if let Some(outliers) = &self.outliers {
             outliers.check()?;
         }
-        self.noise.check(model.excitation_len(), model.observation_len())
+        self.noise
+            .check(model.excitation_len(), model.observation_len())
     }
 }

@@ -50,7 +50,9 @@ impl FilterState {
 
     /// Returns the number of channels whose outliers are screened.
     pub(super) fn screened(&self) -> usize {
-        self.outliers.as_ref().map_or(0, |outliers| outliers.channels().len())
+        self.outliers
+            .as_ref()
+            .map_or(0, |outliers| outliers.channels().len())
     }
 
     /// Returns the number of parameters whose misfit is measured.
@@ -66,27 +68,42 @@ impl FilterState {
     /// Returns the numbers of states and components of the course of the excitation; zeros where none is followed, or its own
     /// lengths disagree.
     pub(super) fn course_shape(&self) -> (usize, usize) {
-        self.excitation_course.as_ref().and_then(ExcitationCourse::shape).unwrap_or_default()
+        self.excitation_course
+            .as_ref()
+            .and_then(ExcitationCourse::shape)
+            .unwrap_or_default()
     }
 
     /// Returns the state at the prior.
-    pub(super) fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
+    pub(super) fn start(
+        model: &(impl ProcessModel + ObservationModel),
+        settings: &FilterSettings,
+    ) -> Self {
         let (n, inputs) = (model.state_len(), model.excitation_len());
         Self {
             mean: settings.prior_mean.clone(),
             covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
             noise: NoiseState::start(&settings.noise, &settings.noise_settings),
-            outliers: settings.outliers.map(|outliers| OutlierState::new(&outliers, model.observation_len())),
-            misfit: settings.misfit.map(|_| MisfitState::new(model.parameter_len())),
-            fit: settings.misfit.map(|misfit| FitState::new(&misfit, settings.stated_noise(), inputs)),
+            outliers: settings
+                .outliers
+                .map(|outliers| OutlierState::new(&outliers, model.observation_len())),
+            misfit: settings
+                .misfit
+                .map(|_| MisfitState::new(model.parameter_len())),
+            fit: settings
+                .misfit
+                .map(|misfit| FitState::new(&misfit, settings.stated_noise(), inputs)),
             steps: 0,
             annealed_from: 0,
             fresh: true,
             last_excitation: DVector::zeros(inputs),
-            excitation_course: (settings.input_hold == InputHold::First).then(|| ExcitationCourse::new(n, inputs)),
+            excitation_course: (settings.input_hold == InputHold::First)
+                .then(|| ExcitationCourse::new(n, inputs)),
             excitation_mean_square: DVector::zeros(inputs),
             motion_mean_square: DVector::zeros(n - model.parameter_len()),
-            posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
+            posterior: model
+                .feedthrough()
+                .map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
         }
     }
 }

@@ -18,11 +18,20 @@ fn two_oscillators() -> Linear {
     let system = DMatrix::from_row_slice(
         4,
         4,
-        &[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -50.0, 20.0, -0.4, 0.1, 20.0, -30.0, 0.1, -0.3],
+        &[
+            0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -50.0, 20.0, -0.4, 0.1, 20.0, -30.0, 0.1, -0.3,
+        ],
     );
     let input = DMatrix::from_row_slice(4, 1, &[0.0, 0.0, 1.0, 1.0]);
     let observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
-    Linear { state: DVector::zeros(4), excitation: DVector::zeros(1), system, input, observation, direct: None }
+    Linear {
+        state: DVector::zeros(4),
+        excitation: DVector::zeros(1),
+        system,
+        input,
+        observation,
+        direct: None,
+    }
 }
 
 impl ProcessModel for Linear {
@@ -40,7 +49,9 @@ impl ProcessModel for Linear {
         self.excitation.copy_from_slice(excitation);
     }
     fn derivative(&self, out: &mut [f64]) {
-        out.copy_from_slice((&self.system * &self.state + &self.input * &self.excitation).as_slice());
+        out.copy_from_slice(
+            (&self.system * &self.state + &self.input * &self.excitation).as_slice(),
+        );
     }
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
         out.copy_from(&(&self.system * columns));
@@ -77,7 +88,10 @@ impl ObservationModel for Linear {
 }
 
 fn settings() -> FilterSettings {
-    let noise = NoiseModel::known(DMatrix::from_element(1, 1, 0.5), DMatrix::identity(2, 2) * 1e-4);
+    let noise = NoiseModel::known(
+        DMatrix::from_element(1, 1, 0.5),
+        DMatrix::identity(2, 2) * 1e-4,
+    );
     FilterSettings::new(0.01, DVector::zeros(4), DVector::repeat(4, 0.1), noise)
 }
 
@@ -87,7 +101,12 @@ fn datum(k: usize) -> [f64; 2] {
 
 fn run(filter: &mut ExtendedKalmanFilter<Linear>, frames: std::ops::Range<usize>) {
     for k in frames {
-        filter.step(Frame { observations: &datum(k), excitation: &[0.0] }).unwrap();
+        filter
+            .step(Frame {
+                observations: &datum(k),
+                excitation: &[0.0],
+            })
+            .unwrap();
     }
 }
 
@@ -114,10 +133,24 @@ fn without_parameters_and_fading_it_is_the_kalman_filter() {
             plain.predict(&[0.0]);
         }
         let reference = plain.update(&datum(k)).unwrap();
-        let step = extended.step(Frame { observations: &datum(k), excitation: &[0.0] }).unwrap();
-        assert!((extended.mean() - plain.mean()).amax() < 1e-12, "mean at step {k}");
-        assert!((extended.covariance() - plain.covariance()).amax() < 1e-13, "covariance at step {k}");
-        assert!((step.log_evidence - reference.log_evidence).abs() < 1e-8 * reference.log_evidence.abs());
+        let step = extended
+            .step(Frame {
+                observations: &datum(k),
+                excitation: &[0.0],
+            })
+            .unwrap();
+        assert!(
+            (extended.mean() - plain.mean()).amax() < 1e-12,
+            "mean at step {k}"
+        );
+        assert!(
+            (extended.covariance() - plain.covariance()).amax() < 1e-13,
+            "covariance at step {k}"
+        );
+        assert!(
+            (step.log_evidence - reference.log_evidence).abs()
+                < 1e-8 * reference.log_evidence.abs()
+        );
     }
 }
 
@@ -142,9 +175,18 @@ fn missing_channel_is_a_channel_of_infinite_variance() {
     let mut wide = ExtendedKalmanFilter::new(two_oscillators(), wide).unwrap();
     for k in 0..100 {
         let [first, second] = datum(k);
-        let step = missing.step(Frame { observations: &[first, f64::NAN], excitation: &[0.0] }).unwrap();
+        let step = missing
+            .step(Frame {
+                observations: &[first, f64::NAN],
+                excitation: &[0.0],
+            })
+            .unwrap();
         assert_eq!(step.used_channels, 1);
-        wide.step(Frame { observations: &[first, second], excitation: &[0.0] }).unwrap();
+        wide.step(Frame {
+            observations: &[first, second],
+            excitation: &[0.0],
+        })
+        .unwrap();
     }
     assert!((missing.mean() - wide.mean()).amax() < 1e-9);
     assert!((missing.covariance() - wide.covariance()).amax() < 1e-9);
@@ -155,7 +197,12 @@ fn frame_without_channels_is_a_prediction() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
     run(&mut filter, 0..50);
     let before = filter.mean().clone();
-    let step = filter.step(Frame { observations: &[f64::NAN; 2], excitation: &[0.0] }).unwrap();
+    let step = filter
+        .step(Frame {
+            observations: &[f64::NAN; 2],
+            excitation: &[0.0],
+        })
+        .unwrap();
     assert_eq!((step.used_channels, step.log_evidence), (0, 0.0));
     let linear = two_oscillators();
     let (transition, _) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
@@ -170,7 +217,9 @@ fn checkpoint_gives_the_same_bits_as_an_unbroken_run() {
     run(&mut first, 0..117);
     let bytes = postcard::to_stdvec(first.state()).unwrap();
     let mut second = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
-    second.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+    second
+        .restore(postcard::from_bytes(&bytes).unwrap())
+        .unwrap();
     run(&mut second, 117..300);
     assert_eq!(unbroken.state(), second.state());
 }
@@ -186,7 +235,9 @@ fn direct_term_agrees_with_an_augmented_kalman_filter() {
     augmented.view_mut((0, 0), (4, 4)).copy_from(&transition);
     augmented.view_mut((0, 4), (4, 1)).copy_from(&input);
     let mut observation = DMatrix::zeros(2, 5);
-    observation.view_mut((0, 0), (2, 4)).copy_from(&linear.observation);
+    observation
+        .view_mut((0, 0), (2, 4))
+        .copy_from(&linear.observation);
     observation.view_mut((0, 4), (2, 1)).copy_from(&direct);
     let mut prior = DMatrix::identity(5, 5) * 0.01;
     prior[(4, 4)] = 0.5;
@@ -208,10 +259,21 @@ fn direct_term_agrees_with_an_augmented_kalman_filter() {
             reference.predict(&[0.0]);
         }
         reference.update(&datum(k)).unwrap();
-        filter.step(Frame { observations: &datum(k), excitation: &[0.0] }).unwrap();
-        assert!((filter.mean() - reference.mean().rows(0, 4)).amax() < 1e-11, "mean at step {k}");
+        filter
+            .step(Frame {
+                observations: &datum(k),
+                excitation: &[0.0],
+            })
+            .unwrap();
+        assert!(
+            (filter.mean() - reference.mean().rows(0, 4)).amax() < 1e-11,
+            "mean at step {k}"
+        );
         let covariance = reference.covariance().view((0, 0), (4, 4)).into_owned();
-        assert!((filter.covariance() - covariance).amax() < 1e-12, "covariance at step {k}");
+        assert!(
+            (filter.covariance() - covariance).amax() < 1e-12,
+            "covariance at step {k}"
+        );
     }
 }
 
@@ -221,11 +283,26 @@ fn known_excitation_moves_the_prediction() {
     let (transition, input) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
     let mut filter = ExtendedKalmanFilter::new(linear, settings()).unwrap();
     let none = [f64::NAN; 2];
-    filter.step(Frame { observations: &none, excitation: &[2.0] }).unwrap();
-    filter.step(Frame { observations: &none, excitation: &[-1.0] }).unwrap();
+    filter
+        .step(Frame {
+            observations: &none,
+            excitation: &[2.0],
+        })
+        .unwrap();
+    filter
+        .step(Frame {
+            observations: &none,
+            excitation: &[-1.0],
+        })
+        .unwrap();
     assert!((filter.mean() - &input * 2.0).amax() < 1e-14);
     let expected = transition * filter.mean() - &input;
-    filter.step(Frame { observations: &none, excitation: &[0.0] }).unwrap();
+    filter
+        .step(Frame {
+            observations: &none,
+            excitation: &[0.0],
+        })
+        .unwrap();
     assert!((filter.mean() - expected).amax() < 1e-14);
 }
 
@@ -236,7 +313,12 @@ fn quiet_stretch_does_not_wind_up() {
     settings.variance_bound = DVector::repeat(4, 0.04);
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings).unwrap();
     for _ in 0..5000 {
-        filter.step(Frame { observations: &[f64::NAN; 2], excitation: &[0.0] }).unwrap();
+        filter
+            .step(Frame {
+                observations: &[f64::NAN; 2],
+                excitation: &[0.0],
+            })
+            .unwrap();
     }
     assert!(filter.covariance().diagonal().max() <= 0.04);
 }
@@ -250,8 +332,19 @@ fn forgotten_motion_is_as_uncertain_as_it_has_been_large() {
     assert_eq!(filter.mean().amax(), 0.0);
     for j in 0..4 {
         let std = filter.covariance()[(j, j)].sqrt();
-        assert!(std > 0.1 * size[j] && std.is_finite(), "state {j}: {std} after a motion of {}", size[j]);
-        assert!(filter.covariance().row(j).iter().enumerate().all(|(k, entry)| k == j || *entry == 0.0));
+        assert!(
+            std > 0.1 * size[j] && std.is_finite(),
+            "state {j}: {std} after a motion of {}",
+            size[j]
+        );
+        assert!(
+            filter
+                .covariance()
+                .row(j)
+                .iter()
+                .enumerate()
+                .all(|(k, entry)| k == j || *entry == 0.0)
+        );
     }
     run(&mut filter, 500..700);
 }
@@ -261,8 +354,20 @@ fn frame_of_the_wrong_size_is_refused_and_leaves_the_filter_as_it_was() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
     run(&mut filter, 0..10);
     let before = filter.state().clone();
-    let error = filter.step(Frame { observations: &[0.0; 3], excitation: &[0.0] }).unwrap_err();
-    assert_eq!(error, FilterError::Dimension { what: "observations of a frame", found: 3, expected: 2 });
+    let error = filter
+        .step(Frame {
+            observations: &[0.0; 3],
+            excitation: &[0.0],
+        })
+        .unwrap_err();
+    assert_eq!(
+        error,
+        FilterError::Dimension {
+            what: "observations of a frame",
+            found: 3,
+            expected: 2
+        }
+    );
     assert_eq!(&before, filter.state());
 }
 
@@ -270,7 +375,12 @@ fn frame_of_the_wrong_size_is_refused_and_leaves_the_filter_as_it_was() {
 fn absurd_datum_is_an_error_and_not_a_published_nan() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
     run(&mut filter, 0..10);
-    let error = filter.step(Frame { observations: &[f64::INFINITY, 0.0], excitation: &[0.0] }).unwrap_err();
+    let error = filter
+        .step(Frame {
+            observations: &[f64::INFINITY, 0.0],
+            excitation: &[0.0],
+        })
+        .unwrap_err();
     assert!(matches!(error, FilterError::NotFinite { .. }), "{error}");
     filter.restart();
     run(&mut filter, 0..10);
@@ -280,27 +390,47 @@ fn absurd_datum_is_an_error_and_not_a_published_nan() {
 /// A random stable system of `n` states with two sensors and one excitation.
 fn random_system(n: usize, entries: &[f64]) -> Linear {
     let mut next = entries.iter().copied().cycle();
-    let mut random = |rows, columns| DMatrix::from_fn(rows, columns, |_, _| next.next().unwrap_or(0.0));
+    let mut random =
+        |rows, columns| DMatrix::from_fn(rows, columns, |_, _| next.next().unwrap_or(0.0));
     let system = random(n, n) * 5.0 - DMatrix::identity(n, n) * 2.0;
     let (input, observation) = (random(n, 1), random(2, n));
-    Linear { state: DVector::zeros(n), excitation: DVector::zeros(1), system, input, observation, direct: None }
+    Linear {
+        state: DVector::zeros(n),
+        excitation: DVector::zeros(1),
+        system,
+        input,
+        observation,
+        direct: None,
+    }
 }
 
 fn any_rule() -> impl proptest::strategy::Strategy<Value = NoiseRule> {
-    proptest::sample::select(vec![NoiseRule::Fisher, NoiseRule::Published, NoiseRule::HalfOrDouble, NoiseRule::Fixed])
+    proptest::sample::select(vec![
+        NoiseRule::Fisher,
+        NoiseRule::Published,
+        NoiseRule::HalfOrDouble,
+        NoiseRule::Fixed,
+    ])
 }
 
 /// Leaves the level of both sensors to a rule that trains for 20 steps.
 fn with_unknown_sensors(settings: &mut FilterSettings, rule: NoiseRule) {
     settings.noise.sensors.fill(0.0);
-    settings.noise.parameters.push(crate::noise::NoiseParameter {
-        name: "sensors".to_owned(),
-        target: NoiseTarget::Sensors,
-        pattern: DMatrix::identity(2, 2),
-        start: 1e-4,
-        start_std: 3e-5,
-    });
-    settings.noise_settings = NoiseSettings { rule, training_steps: 20, ..NoiseSettings::default() };
+    settings
+        .noise
+        .parameters
+        .push(crate::noise::NoiseParameter {
+            name: "sensors".to_owned(),
+            target: NoiseTarget::Sensors,
+            pattern: DMatrix::identity(2, 2),
+            start: 1e-4,
+            start_std: 3e-5,
+        });
+    settings.noise_settings = NoiseSettings {
+        rule,
+        training_steps: 20,
+        ..NoiseSettings::default()
+    };
 }
 
 proptest::proptest! {
@@ -486,7 +616,11 @@ fn screened(upper: f64) -> FilterSettings {
     settings.outliers = Some(OutlierSettings {
         lower: if upper.is_finite() { 2.0 } else { upper },
         upper,
-        training: if upper.is_finite() { OutlierTraining::Gated(4.0) } else { OutlierTraining::Raw },
+        training: if upper.is_finite() {
+            OutlierTraining::Gated(4.0)
+        } else {
+            OutlierTraining::Raw
+        },
         ..OutlierSettings::for_period(20.0)
     });
     settings
@@ -494,14 +628,23 @@ fn screened(upper: f64) -> FilterSettings {
 
 #[test]
 fn screening_that_rejects_nothing_leaves_every_bit() {
-    let plain = FilterSettings { outliers: None, ..screened(f64::INFINITY) };
+    let plain = FilterSettings {
+        outliers: None,
+        ..screened(f64::INFINITY)
+    };
     let mut with = ExtendedKalmanFilter::new(two_oscillators(), screened(f64::INFINITY)).unwrap();
     let mut without = ExtendedKalmanFilter::new(two_oscillators(), plain).unwrap();
     run(&mut with, 0..600);
     run(&mut without, 0..600);
     assert_eq!(with.mean(), without.mean());
     assert_eq!(with.covariance(), without.covariance());
-    assert!(with.outliers().unwrap().channels().iter().all(|channel| channel.trained() && channel.rejected() == 0));
+    assert!(
+        with.outliers()
+            .unwrap()
+            .channels()
+            .iter()
+            .all(|channel| channel.trained() && channel.rejected() == 0)
+    );
 }
 
 #[test]
@@ -510,17 +653,39 @@ fn spike_is_rejected_and_all_spikes_make_a_prediction() {
     run(&mut filter, 0..600);
     let mut spiked = filter.clone();
     let data = datum(600);
-    let step = spiked.step(Frame { observations: &[data[0] + 10.0, data[1]], excitation: &[0.0] }).unwrap();
+    let step = spiked
+        .step(Frame {
+            observations: &[data[0] + 10.0, data[1]],
+            excitation: &[0.0],
+        })
+        .unwrap();
     assert_eq!((step.used_channels, step.rejected_channels), (1, 1));
     let mut missing = filter.clone();
-    missing.step(Frame { observations: &[f64::NAN, data[1]], excitation: &[0.0] }).unwrap();
-    assert_eq!(spiked.mean(), missing.mean(), "a rejected sample is a missing one");
+    missing
+        .step(Frame {
+            observations: &[f64::NAN, data[1]],
+            excitation: &[0.0],
+        })
+        .unwrap();
+    assert_eq!(
+        spiked.mean(),
+        missing.mean(),
+        "a rejected sample is a missing one"
+    );
     assert_eq!(spiked.covariance(), missing.covariance());
     let channels = spiked.outliers().unwrap().channels();
-    assert_eq!([0, 1].map(|c| channels[c].verdict()), [Verdict::Outlier, Verdict::Regular]);
+    assert_eq!(
+        [0, 1].map(|c| channels[c].verdict()),
+        [Verdict::Outlier, Verdict::Regular]
+    );
     assert!((channels[0].residual() - 10.0).abs() < 1.0 && spiked.innovation()[0].is_nan());
 
-    let step = filter.step(Frame { observations: &[10.0, -10.0], excitation: &[0.0] }).unwrap();
+    let step = filter
+        .step(Frame {
+            observations: &[10.0, -10.0],
+            excitation: &[0.0],
+        })
+        .unwrap();
     assert_eq!((step.used_channels, step.rejected_channels), (0, 2));
 }
 
@@ -531,7 +696,9 @@ fn screened_filter_resumes_to_the_bit() {
         run(&mut unbroken, 0..stop);
         let bytes = postcard::to_stdvec(unbroken.state()).unwrap();
         let mut resumed = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();
-        resumed.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+        resumed
+            .restore(postcard::from_bytes(&bytes).unwrap())
+            .unwrap();
         run(&mut unbroken, stop..600);
         run(&mut resumed, stop..600);
         assert_eq!(unbroken.state(), resumed.state(), "stopped at {stop}");
@@ -545,7 +712,10 @@ fn limits_that_exclude_everything_are_refused() {
         settings.lower[2] = limit;
         settings.upper[2] = 0.5;
         let error = ExtendedKalmanFilter::new(two_oscillators(), settings).unwrap_err();
-        assert!(error.to_string().contains("lower limit of the state"), "{error}");
+        assert!(
+            error.to_string().contains("lower limit of the state"),
+            "{error}"
+        );
     }
 }
 
@@ -557,7 +727,10 @@ fn restart_in_mid_motion_does_not_assume_rest() {
     filter.restart();
     assert!(filter.mean().iter().all(|mean| *mean == 0.0));
     let prior = settings().prior_std[0].powi(2);
-    assert!((0..4).all(|j| filter.covariance()[(j, j)] > prior), "{motion:?}");
+    assert!(
+        (0..4).all(|j| filter.covariance()[(j, j)] > prior),
+        "{motion:?}"
+    );
 }
 
 #[test]
@@ -570,7 +743,12 @@ fn innovation_covariance_that_is_singular_is_mended_by_jitter() {
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
     for k in 0..50 {
         let z = 0.01 * f64::from(k).sin();
-        filter.step(Frame { observations: &[z, z], excitation: &[0.0] }).unwrap();
+        filter
+            .step(Frame {
+                observations: &[z, z],
+                excitation: &[0.0],
+            })
+            .unwrap();
     }
     assert!(filter.mean().iter().all(|mean| mean.is_finite()));
 }

@@ -77,7 +77,11 @@ impl Workspace {
         model: &(impl ProcessModel + ObservationModel),
         settings: &FilterSettings,
     ) -> Result<Self, FilterError> {
-        let (n, channels, inputs) = (model.state_len(), model.observation_len(), model.excitation_len());
+        let (n, channels, inputs) = (
+            model.state_len(),
+            model.observation_len(),
+            model.excitation_len(),
+        );
         let constant = match model.constant_transition(settings.step_s) {
             Some(transition) => {
                 transition.check(n, inputs)?;
@@ -85,13 +89,19 @@ impl Workspace {
             }
             None => None,
         };
-        let h_b = constant.as_ref().map_or_else(|| DMatrix::zeros(channels, inputs), |constant| constant.h_b.clone());
-        let input_matrix = constant
-            .as_ref()
-            .map_or_else(|| DMatrix::zeros(n, inputs), |constant| constant.transition.held_input().clone());
+        let h_b = constant.as_ref().map_or_else(
+            || DMatrix::zeros(channels, inputs),
+            |constant| constant.h_b.clone(),
+        );
+        let input_matrix = constant.as_ref().map_or_else(
+            || DMatrix::zeros(n, inputs),
+            |constant| constant.transition.held_input().clone(),
+        );
         Ok(Self {
             constant,
-            proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
+            proportional: model
+                .proportional_form()
+                .map(|form| proportional::Transition::new(&form)),
             discretise: discretise::Workspace::new(n, inputs),
             update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
             objective: Objective::new(channels, settings.noise.parameters.len()),
@@ -123,7 +133,11 @@ impl Workspace {
             variances: DVector::zeros(channels),
             predicted_variances: DVector::zeros(channels),
             misfit: misfit::Workspace::new(model.parameter_len()),
-            sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
+            sorted: Vec::with_capacity(
+                settings
+                    .outliers
+                    .map_or(0, |outliers| outliers.recent_len()),
+            ),
         })
     }
 }

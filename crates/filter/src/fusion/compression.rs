@@ -94,7 +94,11 @@ pub struct CompressedMotion {
 impl CompressedMotion {
     /// Tells whether it holds `len` numbers that make sense.
     pub(super) fn is_sound(&self, len: usize) -> bool {
-        let finite = self.mean.iter().chain(self.variance.iter()).all(|entry| entry.is_finite());
+        let finite = self
+            .mean
+            .iter()
+            .chain(self.variance.iter())
+            .all(|entry| entry.is_finite());
         let sized = self.mean.len() == len && self.variance.len() == len;
         finite && sized && self.variance.iter().all(|variance| *variance > 0.0)
     }
@@ -129,7 +133,9 @@ impl Responses {
         let spread = &self.rows * covariance.view((0, 0), (moving, moving)) * self.rows.transpose();
         CompressedMotion {
             mean: &self.rows * mean.rows(0, moving),
-            variance: spread.diagonal().map(|variance| variance.max(f64::MIN_POSITIVE.sqrt())),
+            variance: spread
+                .diagonal()
+                .map(|variance| variance.max(f64::MIN_POSITIVE.sqrt())),
         }
     }
 }
@@ -156,14 +162,22 @@ impl ModalBasis {
     pub fn new(shapes: DMatrix<f64>, mass: &DMatrix<f64>) -> Result<Self, FilterError> {
         let found = mass.nrows();
         if found != shapes.nrows() || mass.ncols() != found {
-            return Err(FilterError::Dimension { what: "mass matrix", found, expected: shapes.nrows() });
+            return Err(FilterError::Dimension {
+                what: "mass matrix",
+                found,
+                expected: shapes.nrows(),
+            });
         }
         let projection = shapes.transpose() * mass;
         let modes = shapes.ncols();
         let off = (&projection * &shapes - DMatrix::identity(modes, modes)).amax();
         if off.is_nan() || off > 1e-8 {
             let what = "deviation of the modal masses from 1";
-            return Err(FilterError::Setting { what, found: off, allowed: "at most 1e-8" });
+            return Err(FilterError::Setting {
+                what,
+                found: off,
+                allowed: "at most 1e-8",
+            });
         }
         Ok(Self { shapes, projection })
     }
@@ -186,7 +200,10 @@ impl ModalBasis {
     pub fn effective_mass_shares(&self, influence: &DVector<f64>, mass: &DMatrix<f64>) -> Vec<f64> {
         let total = influence.dot(&(mass * influence));
         let participation = &self.projection * influence;
-        participation.iter().map(|factor| factor * factor / total).collect()
+        participation
+            .iter()
+            .map(|factor| factor * factor / total)
+            .collect()
     }
 
     /// Compresses mean (n) and covariance (n × n) of a state `[x, ẋ, …]`, (6.11) to (6.15) and (6.18) to (6.20).
@@ -195,10 +212,16 @@ impl ModalBasis {
     #[must_use]
     pub fn compress(&self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> CompressedMotion {
         let (dofs, modes) = (self.dofs(), self.modes());
-        let mut motion = CompressedMotion { mean: DVector::zeros(2 * modes), variance: DVector::zeros(2 * modes) };
+        let mut motion = CompressedMotion {
+            mean: DVector::zeros(2 * modes),
+            variance: DVector::zeros(2 * modes),
+        };
         for block in 0..2 {
             let of_block = &self.projection * mean.rows(block * dofs, dofs);
-            motion.mean.rows_mut(block * modes, modes).copy_from(&of_block);
+            motion
+                .mean
+                .rows_mut(block * modes, modes)
+                .copy_from(&of_block);
             let spread = covariance.view((block * dofs, block * dofs), (dofs, dofs));
             for mode in 0..modes {
                 let row = self.projection.row(mode);
@@ -229,7 +252,9 @@ impl ModalBasis {
         for block in 0..2 {
             let weights = DMatrix::from_diagonal(&variance.rows(block * modes, modes).into_owned());
             let of_block = &self.shapes * weights * self.shapes.transpose();
-            covariance.view_mut((block * dofs, block * dofs), (dofs, dofs)).copy_from(&of_block);
+            covariance
+                .view_mut((block * dofs, block * dofs), (dofs, dofs))
+                .copy_from(&of_block);
         }
         covariance
     }
@@ -304,7 +329,11 @@ mod tests {
     #[test]
     fn motion_in_the_span_survives_compression() {
         // two modes of a chain of three unit masses
-        let stiffness = DMatrix::<f64>::from_row_slice(3, 3, &[2.0, -1.0, 0.0, -1.0, 2.0, -1.0, 0.0, -1.0, 1.0]);
+        let stiffness = DMatrix::<f64>::from_row_slice(
+            3,
+            3,
+            &[2.0, -1.0, 0.0, -1.0, 2.0, -1.0, 0.0, -1.0, 1.0],
+        );
         let eigen = stiffness.symmetric_eigen();
         let frequency = |mode: usize| -> f64 { eigen.eigenvalues[mode] };
         let mut order: [usize; 3] = [0, 1, 2];
@@ -316,7 +345,12 @@ mod tests {
         for (found, expected) in compressed.mean.iter().zip([0.3, -0.1, 2.0, 0.7]) {
             assert!((found - expected).abs() < 1e-12);
         }
-        assert!(compressed.variance.iter().all(|variance| (variance - 1.0).abs() < 1e-12));
+        assert!(
+            compressed
+                .variance
+                .iter()
+                .all(|variance| (variance - 1.0).abs() < 1e-12)
+        );
         let shares = basis.effective_mass_shares(&DVector::repeat(3, 1.0), &mass);
         assert!(shares[0] > 0.9 && shares.iter().sum::<f64>() < 1.0);
         assert!(ModalBasis::new(DMatrix::identity(3, 2) * 2.0, &mass).is_err());
@@ -325,18 +359,25 @@ mod tests {
     #[test]
     fn closed_form_fusion_agrees_with_the_matrix_form() {
         // ch7 §5.2: four nodes, six parameters, a random orthogonal basis
-        let random = |k: usize| DMatrix::from_fn(6, 6, |i, j| ((7 * i + 3 * j + 11 * k + 1) as f64).sin());
+        let random =
+            |k: usize| DMatrix::from_fn(6, 6, |i, j| ((7 * i + 3 * j + 11 * k + 1) as f64).sin());
         let basis = random(9).qr().q();
         let scheme = CovarianceScheme::Basis(basis.clone());
         let nodes: Vec<Gaussian> = (0..4)
             .map(|k| {
                 let a = random(k);
-                let covariance = scheme.reduce(&(&a * a.transpose() + DMatrix::identity(6, 6) * 0.1));
-                Gaussian { mean: DVector::from_fn(6, |i, _| ((i + 5 * k) as f64).cos()), covariance }
+                let covariance =
+                    scheme.reduce(&(&a * a.transpose() + DMatrix::identity(6, 6) * 0.1));
+                Gaussian {
+                    mean: DVector::from_fn(6, |i, _| ((i + 5 * k) as f64).cos()),
+                    covariance,
+                }
             })
             .collect();
         let (matrix_form, _) = product(&nodes).unwrap();
-        let along = |g: &Gaussian, m: usize| (basis.column(m).transpose() * &g.covariance * basis.column(m))[(0, 0)];
+        let along = |g: &Gaussian, m: usize| {
+            (basis.column(m).transpose() * &g.covariance * basis.column(m))[(0, 0)]
+        };
         let mut mean = DVector::zeros(6);
         let mut covariance = DMatrix::zeros(6, 6);
         for m in 0..6 {
@@ -356,16 +397,23 @@ mod tests {
         let before = DMatrix::from_diagonal_element(3, 3, 0.04);
         let after = DMatrix::from_diagonal(&DVector::from_row_slice(&[0.0004, 0.04, 0.04]));
         let learnt = |weights: Weights| {
-            let of = |covariance: &DMatrix<f64>| weights.reduce(covariance, true).try_inverse().unwrap();
+            let of =
+                |covariance: &DMatrix<f64>| weights.reduce(covariance, true).try_inverse().unwrap();
             (of(&after) - of(&before)).diagonal()
         };
         for weights in [Weights::Mixed, Weights::Vector, Weights::Matrix] {
             let learnt = learnt(weights);
-            assert!((learnt[0] - 2475.0).abs() < 1e-9 && learnt[1].abs() < 1e-9, "{weights:?}: {learnt}");
+            assert!(
+                (learnt[0] - 2475.0).abs() < 1e-9 && learnt[1].abs() < 1e-9,
+                "{weights:?}: {learnt}"
+            );
         }
         // half as much again as was known before, of parameters that the node has not seen; and of the one it has, half a hundredth
         let learnt = learnt(Weights::Scalar);
-        assert!((learnt[1] * 0.04 - 0.4925).abs() < 1e-4 && learnt[0] < 0.01 * 2475.0, "{learnt}");
+        assert!(
+            (learnt[1] * 0.04 - 0.4925).abs() < 1e-4 && learnt[0] < 0.01 * 2475.0,
+            "{learnt}"
+        );
     }
 
     #[test]
@@ -373,7 +421,9 @@ mod tests {
         // ch6 §3.3: 200 random triples of independent four-variate estimates, error variance relative to matrix weights
         let mut seed = 1_u64;
         let mut uniform = || {
-            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            seed = seed
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (seed >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
         };
         let mut totals = [0.0; 4];
@@ -393,18 +443,30 @@ mod tests {
                         None => DMatrix::identity(4, 4),
                     })
                     .collect();
-                let sum = informations.iter().fold(DMatrix::zeros(4, 4), |sum: DMatrix<f64>, i| sum + i);
+                let sum = informations
+                    .iter()
+                    .fold(DMatrix::zeros(4, 4), |sum: DMatrix<f64>, i| sum + i);
                 let gain = sum.try_inverse().unwrap();
-                informations.iter().zip(&truths).map(|(i, t)| (&gain * i * t * i * &gain).trace()).sum::<f64>()
+                informations
+                    .iter()
+                    .zip(&truths)
+                    .map(|(i, t)| (&gain * i * t * i * &gain).trace())
+                    .sum::<f64>()
             };
             let reference = error(Some(Weights::Matrix));
-            for (total, weights) in
-                totals.iter_mut().zip([Some(Weights::Matrix), Some(Weights::Vector), Some(Weights::Scalar), None])
-            {
+            for (total, weights) in totals.iter_mut().zip([
+                Some(Weights::Matrix),
+                Some(Weights::Vector),
+                Some(Weights::Scalar),
+                None,
+            ]) {
                 *total += error(weights) / reference / 200.0;
             }
         }
-        assert!(totals.windows(2).all(|pair| pair[0] < pair[1]), "{totals:?}");
+        assert!(
+            totals.windows(2).all(|pair| pair[0] < pair[1]),
+            "{totals:?}"
+        );
         assert!((totals[0] - 1.0).abs() < 1e-9);
     }
 }

@@ -81,7 +81,12 @@ struct Sums {
 
 impl Sums {
     fn of<'g>(len: usize, sharing: Sharing, nodes: impl Iterator<Item = &'g Gaussian>) -> Self {
-        let mut sums = Self { nodes: 0, sharing, weights: DVector::zeros(len), weighted: DVector::zeros(len) };
+        let mut sums = Self {
+            nodes: 0,
+            sharing,
+            weights: DVector::zeros(len),
+            weighted: DVector::zeros(len),
+        };
         for node in nodes {
             sums.nodes += 1;
             for m in 0..len {
@@ -100,7 +105,9 @@ impl Sums {
     /// would be far from all. What the others know together is counted as it is fused, `1/γ` of each.
     fn squared_distance(&self, node: &Gaussian, is_part: bool) -> f64 {
         let mut sum = 0.0;
-        let shared = self.sharing.factor((self.nodes - usize::from(is_part)) as f64);
+        let shared = self
+            .sharing
+            .factor((self.nodes - usize::from(is_part)) as f64);
         for m in 0..node.mean.len() {
             let (variance, mean) = (node.covariance[(m, m)], node.mean[m]);
             let own = if is_part { 1.0 / variance } else { 0.0 };
@@ -127,7 +134,14 @@ impl GlobalDetector {
     pub fn judge(&self, nodes: &[&Gaussian], sharing: Sharing) -> Vec<NodeDistance> {
         let parameters = nodes.first().map_or(0, |node| node.mean.len());
         let Some(chi) = chi_squared(parameters).filter(|_| nodes.len() > FEWEST) else {
-            return vec![NodeDistance { distance: 0.0, excluded: false, weight: 1.0 }; nodes.len()];
+            return vec![
+                NodeDistance {
+                    distance: 0.0,
+                    excluded: false,
+                    weight: 1.0
+                };
+                nodes.len()
+            ];
         };
         let limit = chi.inverse_cdf(self.screening).sqrt();
         let all = Sums::of(parameters, sharing, nodes.iter().copied());
@@ -151,7 +165,11 @@ impl GlobalDetector {
             let median = distances[(distances.len() - 1) / 2];
             regular = found.iter().map(|node| node.distance <= median).collect();
         }
-        let kept = nodes.iter().zip(&regular).filter(|(_, is)| **is).map(|(node, _)| *node);
+        let kept = nodes
+            .iter()
+            .zip(&regular)
+            .filter(|(_, is)| **is)
+            .map(|(node, _)| *node);
         let kept = Sums::of(parameters, sharing, kept);
         for ((node, found), regular) in nodes.iter().zip(&mut found).zip(&regular) {
             if !regular {
@@ -165,22 +183,35 @@ impl GlobalDetector {
         found
     }
 
-    fn delete_farthest(&self, nodes: &[&Gaussian], sharing: Sharing, limit: f64, found: &mut [NodeDistance]) {
+    fn delete_farthest(
+        &self,
+        nodes: &[&Gaussian],
+        sharing: Sharing,
+        limit: f64,
+        found: &mut [NodeDistance],
+    ) {
         let parameters = nodes[0].mean.len();
         loop {
-            let left: Vec<usize> = (0..nodes.len()).filter(|index| !found[*index].excluded).collect();
+            let left: Vec<usize> = (0..nodes.len())
+                .filter(|index| !found[*index].excluded)
+                .collect();
             if left.len() <= FEWEST {
                 return;
             }
             let sums = Sums::of(parameters, sharing, left.iter().map(|index| nodes[*index]));
             for index in 0..nodes.len() {
-                found[index].distance = sums.squared_distance(nodes[index], !found[index].excluded).sqrt();
+                found[index].distance = sums
+                    .squared_distance(nodes[index], !found[index].excluded)
+                    .sqrt();
             }
             found
                 .iter_mut()
                 .filter(|found| found.excluded)
                 .for_each(|found| found.weight = weight(limit, found.distance));
-            let farthest = left.iter().copied().max_by(|a, b| found[*a].distance.total_cmp(&found[*b].distance));
+            let farthest = left
+                .iter()
+                .copied()
+                .max_by(|a, b| found[*a].distance.total_cmp(&found[*b].distance));
             match farthest {
                 Some(index) if found[index].distance > limit => {
                     found[index].excluded = true;
@@ -195,7 +226,11 @@ impl GlobalDetector {
 /// `min(1, limit²/d²)`; 0 of a distance that is none.
 fn weight(limit: f64, distance: f64) -> f64 {
     let weight = (limit / distance).powi(2);
-    if weight.is_nan() { 0.0 } else { weight.min(1.0) }
+    if weight.is_nan() {
+        0.0
+    } else {
+        weight.min(1.0)
+    }
 }
 
 fn chi_squared(degrees: usize) -> Option<ChiSquared> {

@@ -2,7 +2,9 @@
 //!
 //! Source: Huang & Yuen (2023), §6.3.2, (6.22) to (6.43).
 
-use crate::dense::{cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_transposed_mut, symmetrise_mut};
+use crate::dense::{
+    cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_transposed_mut, symmetrise_mut,
+};
 use crate::error::FilterError;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -41,14 +43,20 @@ impl Gaussian {
         } else {
             return None;
         };
-        Some(Self { mean: DVector::from_column_slice(mean), covariance })
+        Some(Self {
+            mean: DVector::from_column_slice(mean),
+            covariance,
+        })
     }
 
     /// Returns the upper triangle of the covariance by columns (n(n+1)/2).
     #[must_use]
     pub fn triangle(&self) -> Vec<f64> {
         let n = self.mean.len();
-        (0..n).flat_map(|j| (0..=j).map(move |i| (i, j))).map(|at| self.covariance[at]).collect()
+        (0..n)
+            .flat_map(|j| (0..=j).map(move |i| (i, j)))
+            .map(|at| self.covariance[at])
+            .collect()
     }
 
     /// Returns the variances (n), all there is of a covariance that is diagonal.
@@ -66,7 +74,10 @@ impl Gaussian {
         symmetrise_mut(&mut matrix);
         let vector = &matrix * &self.mean;
         if let Some(index) = vector.iter().position(|entry| !entry.is_finite()) {
-            return Err(FilterError::NotFinite { what: "entry of a Gaussian density", index });
+            return Err(FilterError::NotFinite {
+                what: "entry of a Gaussian density",
+                index,
+            });
         }
         Ok(Information { matrix, vector })
     }
@@ -76,12 +87,16 @@ impl Information {
     /// Returns no information on `n` quantities.
     #[must_use]
     pub fn none(n: usize) -> Self {
-        Self { matrix: DMatrix::zeros(n, n), vector: DVector::zeros(n) }
+        Self {
+            matrix: DMatrix::zeros(n, n),
+            vector: DVector::zeros(n),
+        }
     }
 
     /// Adds `weight` times other information; a negative weight takes it away.
     pub fn add(&mut self, weight: f64, other: &Self) {
-        self.matrix.zip_apply(&other.matrix, |entry, addend| *entry += weight * addend);
+        self.matrix
+            .zip_apply(&other.matrix, |entry, addend| *entry += weight * addend);
         self.vector.axpy(weight, &other.vector, 1.0);
     }
 
@@ -100,7 +115,10 @@ impl Information {
         symmetrise_mut(&mut covariance);
         let mean = &covariance * &self.vector;
         if let Some(index) = mean.iter().position(|entry| !entry.is_finite()) {
-            return Err(FilterError::NotFinite { what: "entry of a Gaussian density", index });
+            return Err(FilterError::NotFinite {
+                what: "entry of a Gaussian density",
+                index,
+            });
         }
         Ok(Gaussian { mean, covariance })
     }
@@ -125,7 +143,11 @@ impl Information {
 /// When there is none, their sizes differ, or a covariance is not positive definite.
 pub fn product(densities: &[Gaussian]) -> Result<(Gaussian, f64), FilterError> {
     let Some(first) = densities.first() else {
-        return Err(FilterError::Dimension { what: "list of densities", found: 0, expected: 1 });
+        return Err(FilterError::Dimension {
+            what: "list of densities",
+            found: 0,
+            expected: 1,
+        });
     };
     let n = first.mean.len();
     let mut sum = Information::none(n);
@@ -133,7 +155,11 @@ pub fn product(densities: &[Gaussian]) -> Result<(Gaussian, f64), FilterError> {
     for density in densities {
         let found = density.mean.len();
         if found != n {
-            return Err(FilterError::Dimension { what: "mean of a density", found, expected: n });
+            return Err(FilterError::Dimension {
+                what: "mean of a density",
+                found,
+                expected: n,
+            });
         }
         let information = density.information()?;
         log_factor -= information.log_normaliser()?;
@@ -147,7 +173,11 @@ pub fn product(densities: &[Gaussian]) -> Result<(Gaussian, f64), FilterError> {
 pub(super) fn inverse(matrix: &DMatrix<f64>) -> Result<DMatrix<f64>, FilterError> {
     let n = matrix.nrows();
     if matrix.ncols() != n {
-        return Err(FilterError::Dimension { what: "row of a covariance", found: matrix.ncols(), expected: n });
+        return Err(FilterError::Dimension {
+            what: "row of a covariance",
+            found: matrix.ncols(),
+            expected: n,
+        });
     }
     let mut factor = matrix.clone();
     cholesky_mut(&mut factor).map_err(not_definite)?;
@@ -158,7 +188,10 @@ pub(super) fn inverse(matrix: &DMatrix<f64>) -> Result<DMatrix<f64>, FilterError
 }
 
 fn not_definite(pivot: usize) -> FilterError {
-    FilterError::NotPositiveDefinite { what: "covariance of a density", pivot }
+    FilterError::NotPositiveDefinite {
+        what: "covariance of a density",
+        pivot,
+    }
 }
 
 #[cfg(test)]
@@ -166,7 +199,10 @@ mod tests {
     use super::*;
 
     fn scalar(mean: f64, std: f64) -> Gaussian {
-        Gaussian { mean: DVector::from_element(1, mean), covariance: DMatrix::from_element(1, 1, std * std) }
+        Gaussian {
+            mean: DVector::from_element(1, mean),
+            covariance: DMatrix::from_element(1, 1, std * std),
+        }
     }
 
     #[test]
@@ -174,13 +210,18 @@ mod tests {
         // ch6 §3.4 (a); the source prints the variance as a standard deviation
         let densities = [scalar(0.2, 2.0), scalar(0.5, 1.6), scalar(-0.6, 1.1)];
         let (product, log_factor) = product(&densities).unwrap();
-        assert!((product.mean[0] + 0.1708).abs() < 1e-4, "{}", product.mean[0]);
+        assert!(
+            (product.mean[0] + 0.1708).abs() < 1e-4,
+            "{}",
+            product.mean[0]
+        );
         assert!((product.covariance[(0, 0)] - 0.6816).abs() < 1e-4);
         assert!((product.covariance[(0, 0)].sqrt() - 0.8256).abs() < 1e-4);
         // the factor, from the densities themselves at some point
         let density = |x: f64, g: &Gaussian| {
             let variance = g.covariance[(0, 0)];
-            (-(x - g.mean[0]).powi(2) / (2.0 * variance)).exp() / (2.0 * std::f64::consts::PI * variance).sqrt()
+            (-(x - g.mean[0]).powi(2) / (2.0 * variance)).exp()
+                / (2.0 * std::f64::consts::PI * variance).sqrt()
         };
         for x in [-1.0, 0.3, 2.0] {
             let direct: f64 = densities.iter().map(|g| density(x, g)).product();
@@ -195,9 +236,11 @@ mod tests {
             mean: DVector::from_row_slice(&mean),
             covariance: DMatrix::from_row_slice(2, 2, &covariance),
         };
-        let (product, _) =
-            product(&[density([-0.6, -0.5], [8.3, -3.5, -3.5, 2.7]), density([2.6, 2.0], [4.3, 4.3, 4.3, 6.7])])
-                .unwrap();
+        let (product, _) = product(&[
+            density([-0.6, -0.5], [8.3, -3.5, -3.5, 2.7]),
+            density([2.6, 2.0], [4.3, 4.3, 4.3, 6.7]),
+        ])
+        .unwrap();
         let expected = [0.5186, -0.6710, 1.0980, 0.0642, 0.0642, 0.8144];
         let measured = product.mean.iter().chain(product.covariance.iter());
         for (measured, expected) in measured.zip(expected) {
@@ -207,10 +250,22 @@ mod tests {
 
     #[test]
     fn what_is_no_covariance_is_refused() {
-        let flat = Gaussian { mean: DVector::zeros(2), covariance: DMatrix::zeros(2, 2) };
-        assert!(matches!(flat.information(), Err(FilterError::NotPositiveDefinite { pivot: 0, .. })));
-        let infinite = Gaussian { mean: DVector::from_element(1, f64::NAN), covariance: DMatrix::identity(1, 1) };
-        assert!(matches!(infinite.information(), Err(FilterError::NotFinite { .. })));
+        let flat = Gaussian {
+            mean: DVector::zeros(2),
+            covariance: DMatrix::zeros(2, 2),
+        };
+        assert!(matches!(
+            flat.information(),
+            Err(FilterError::NotPositiveDefinite { pivot: 0, .. })
+        ));
+        let infinite = Gaussian {
+            mean: DVector::from_element(1, f64::NAN),
+            covariance: DMatrix::identity(1, 1),
+        };
+        assert!(matches!(
+            infinite.information(),
+            Err(FilterError::NotFinite { .. })
+        ));
         assert!(product(&[]).is_err());
         assert!(product(&[scalar(0.0, 1.0), flat]).is_err());
     }

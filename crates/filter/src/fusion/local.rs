@@ -51,13 +51,22 @@ pub struct Feedback {
 
 impl FeedbackRule {
     /// Returns the density that takes the place of what the node had sent; `None` when nothing does.
-    pub(super) fn target(self, fused: &Gaussian, nodes: usize, sent: &Gaussian) -> Option<Gaussian> {
+    pub(super) fn target(
+        self,
+        fused: &Gaussian,
+        nodes: usize,
+        sent: &Gaussian,
+    ) -> Option<Gaussian> {
         match self {
             Self::Marginal | Self::Reset => Some(fused.clone()),
-            Self::Federated => {
-                Some(Gaussian { mean: fused.mean.clone(), covariance: &fused.covariance * nodes.max(1) as f64 })
-            }
-            Self::Mean => Some(Gaussian { mean: fused.mean.clone(), covariance: sent.covariance.clone() }),
+            Self::Federated => Some(Gaussian {
+                mean: fused.mean.clone(),
+                covariance: &fused.covariance * nodes.max(1) as f64,
+            }),
+            Self::Mean => Some(Gaussian {
+                mean: fused.mean.clone(),
+                covariance: sent.covariance.clone(),
+            }),
             Self::None => None,
         }
     }
@@ -169,17 +178,29 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     ///
     /// # Errors
     /// When a setting does not fit the filter.
-    pub fn new(filter: ExtendedKalmanFilter<M>, settings: NodeSettings) -> Result<Self, FilterError> {
+    pub fn new(
+        filter: ExtendedKalmanFilter<M>,
+        settings: NodeSettings,
+    ) -> Result<Self, FilterError> {
         let prior = filter.parameters();
         let parameters = prior.mean.len();
         if settings.steps_per_period == 0 {
-            return Err(FilterError::Setting { what: "samples in a fusion period", found: 0.0, allowed: "at least 1" });
+            return Err(FilterError::Setting {
+                what: "samples in a fusion period",
+                found: 0.0,
+                allowed: "at least 1",
+            });
         }
-        for (what, found) in
-            [("lower limit of health", settings.healthy.0.len()), ("upper limit of health", settings.healthy.1.len())]
-        {
+        for (what, found) in [
+            ("lower limit of health", settings.healthy.0.len()),
+            ("upper limit of health", settings.healthy.1.len()),
+        ] {
             if found != parameters {
-                return Err(FilterError::Dimension { what, found, expected: parameters });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected: parameters,
+                });
             }
         }
         let expected = filter.mean().len() - parameters;
@@ -187,7 +208,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             MotionExchange::None => None,
             MotionExchange::Modes(basis) => Some(2 * basis.dofs()),
             MotionExchange::Responses(nodes) => match nodes.get(settings.position) {
-                Some(_) => nodes.iter().map(|node| node.rows().ncols()).find(|columns| *columns != expected),
+                Some(_) => nodes
+                    .iter()
+                    .map(|node| node.rows().ncols())
+                    .find(|columns| *columns != expected),
                 None => Some(0),
             },
             MotionExchange::Samples(_) => None,
@@ -196,20 +220,33 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             MotionExchange::Samples(exchange) => {
                 let (found, expected) = (exchange.observations(), filter.observation_len());
                 if found != expected {
-                    return Err(FilterError::Dimension { what: "observations of all nodes", found, expected });
+                    return Err(FilterError::Dimension {
+                        what: "observations of all nodes",
+                        found,
+                        expected,
+                    });
                 }
                 let (steps, instants) = (settings.steps_per_period, exchange.instants());
                 if !steps.is_multiple_of(instants as u64) || settings.position >= exchange.nodes() {
-                    let allowed = "a divisor of the samples in a fusion period, for a node that is there";
+                    let allowed =
+                        "a divisor of the samples in a fusion period, for a node that is there";
                     let what = "instants of the exchange of samples";
-                    return Err(FilterError::Setting { what, found: instants as f64, allowed });
+                    return Err(FilterError::Setting {
+                        what,
+                        found: instants as f64,
+                        allowed,
+                    });
                 }
                 Some(Shared::new(exchange, settings.position, steps))
             }
             _ => None,
         };
         if let Some(found) = moving.filter(|found| *found != expected) {
-            return Err(FilterError::Dimension { what: "exchanged motion", found, expected });
+            return Err(FilterError::Dimension {
+                what: "exchanged motion",
+                found,
+                expected,
+            });
         }
         Ok(Self {
             filter,
@@ -234,7 +271,12 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.counter = sample % self.settings.steps_per_period;
         // what all share is the prior at the start of a period, which has faded since
         let mut prior = self.filter.parameters();
-        prior.covariance *= self.filter.settings().fading.value().powf(self.counter as f64);
+        prior.covariance *= self
+            .filter
+            .settings()
+            .fading
+            .value()
+            .powf(self.counter as f64);
         if self.filter.replace_parameters(&prior).is_err() {
             self.from = None;
         }
@@ -260,10 +302,24 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     /// # Errors
     /// When the state does not fit the filter; the node is then as it was.
     pub fn restore(&mut self, state: LocalState) -> Result<(), FilterError> {
-        let LocalState { filter, counter, from, fused, restarts } = state;
+        let LocalState {
+            filter,
+            counter,
+            from,
+            fused,
+            restarts,
+        } = state;
         let expected = self.prior.mean.len();
-        if let Some(found) = fused.as_ref().map(DVector::len).filter(|found| *found != expected) {
-            return Err(FilterError::Dimension { what: "fused means of a checkpoint", found, expected });
+        if let Some(found) = fused
+            .as_ref()
+            .map(DVector::len)
+            .filter(|found| *found != expected)
+        {
+            return Err(FilterError::Dimension {
+                what: "fused means of a checkpoint",
+                found,
+                expected,
+            });
         }
         self.filter.restore(filter)?;
         let last = counter / self.settings.steps_per_period;
@@ -283,27 +339,47 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     /// # Errors
     /// When the frame does not fit the model.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Option<Step>, FilterError> {
-        let Some(mut shared) = self.shared.take() else { return self.step_all(frame) };
+        let Some(mut shared) = self.shared.take() else {
+            return self.step_all(frame);
+        };
         let (found, expected) = (frame.observations.len(), shared.own.len());
         if found != expected {
             self.shared = Some(shared);
-            return Err(FilterError::Dimension { what: "observations of a frame", found, expected });
+            return Err(FilterError::Dimension {
+                what: "observations of a frame",
+                found,
+                expected,
+            });
         }
         shared.frame[shared.own.clone()].copy_from_slice(frame.observations);
-        let step = self.step_all(Frame { observations: &shared.frame, ..frame });
+        let step = self.step_all(Frame {
+            observations: &shared.frame,
+            ..frame
+        });
         if let Ok(step) = &step {
             if step.is_none() {
                 shared.forget();
             } else if let Some(running) = &mut shared.running {
-                running.frames.push((shared.frame.clone(), frame.excitation.to_vec()));
+                running
+                    .frames
+                    .push((shared.frame.clone(), frame.excitation.to_vec()));
             }
             let steps = self.settings.steps_per_period;
-            let screens = self.filter.outliers().map(|outliers| &outliers.channels()[shared.own.clone()]);
-            let used = |channel: usize| screens.is_none_or(|screens| screens[channel].verdict() == Verdict::Regular);
-            let told = frame.observations.iter().enumerate().map(|(channel, sample)| match used(channel) {
-                true => *sample,
-                false => f64::NAN,
-            });
+            let screens = self
+                .filter
+                .outliers()
+                .map(|outliers| &outliers.channels()[shared.own.clone()]);
+            let used = |channel: usize| {
+                screens.is_none_or(|screens| screens[channel].verdict() == Verdict::Regular)
+            };
+            let told = frame
+                .observations
+                .iter()
+                .enumerate()
+                .map(|(channel, sample)| match used(channel) {
+                    true => *sample,
+                    false => f64::NAN,
+                });
             shared.tell((self.counter - 1) % steps + 1, told);
         }
         self.shared = Some(shared);
@@ -315,9 +391,14 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.filter.check_frame(frame)?;
         self.counter += 1;
         let longest = self.settings.steps_per_period as usize;
-        self.rewind = self.rewind.take().filter(|rewind| rewind.frames.len() < longest);
+        self.rewind = self
+            .rewind
+            .take()
+            .filter(|rewind| rewind.frames.len() < longest);
         if let Some(rewind) = &mut self.rewind {
-            rewind.frames.push((frame.observations.to_vec(), frame.excitation.to_vec()));
+            rewind
+                .frames
+                .push((frame.observations.to_vec(), frame.excitation.to_vec()));
         }
         match self.filter.step(frame) {
             Ok(step) => Ok(Some(step)),
@@ -331,7 +412,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     /// Returns how the screening of the node's own observations stands, in their order; empty where outliers are not screened.
     #[must_use]
     pub fn screens(&self) -> &[ChannelScreen] {
-        let all = self.filter.outliers().map_or(&[][..], |outliers| outliers.channels());
+        let all = self
+            .filter
+            .outliers()
+            .map_or(&[][..], |outliers| outliers.channels());
         match &self.shared {
             Some(shared) => all.get(shared.own.clone()).unwrap_or_default(),
             None => all,
@@ -352,37 +436,68 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         let index = self.counter / self.settings.steps_per_period;
         let mut parameters = self.filter.parameters();
         parameters.covariance = self.settings.scheme.reduce(&parameters.covariance);
-        let answers =
-            |own: u64| self.taken.iter().filter(|(_, sent)| *sent >= own).map(|(answered, _)| *answered).collect();
-        let lineage = self.from.map(|own| Lineage { own, answers: answers(own) });
+        let answers = |own: u64| {
+            self.taken
+                .iter()
+                .filter(|(_, sent)| *sent >= own)
+                .map(|(answered, _)| *answered)
+                .collect()
+        };
+        let lineage = self.from.map(|own| Lineage {
+            own,
+            answers: answers(own),
+        });
         self.last_sent = index;
         if self.sent.len() == KEPT {
             self.sent.pop_front();
         }
         self.sent.push_back((index, parameters.clone()));
-        self.rewind = Some(Rewind { index, state: self.filter.state().clone(), frames: Vec::new() });
+        self.rewind = Some(Rewind {
+            index,
+            state: self.filter.state().clone(),
+            frames: Vec::new(),
+        });
         let (mean, covariance) = (self.filter.mean(), self.filter.covariance());
         let motion = match &self.settings.motion {
             MotionExchange::None => None,
             MotionExchange::Modes(basis) => Some(basis.compress(mean, covariance)),
-            MotionExchange::Responses(nodes) => Some(nodes[self.settings.position].compress(mean, covariance)),
+            MotionExchange::Responses(nodes) => {
+                Some(nodes[self.settings.position].compress(mean, covariance))
+            }
             MotionExchange::Samples(_) => self.shared.as_mut().map(|shared| {
-                let told = shared.end_period(index, self.settings.steps_per_period, self.filter.state());
-                CompressedMotion { mean: told.into(), variance: DVector::zeros(0) }
+                let told =
+                    shared.end_period(index, self.settings.steps_per_period, self.filter.state());
+                CompressedMotion {
+                    mean: told.into(),
+                    variance: DVector::zeros(0),
+                }
             }),
         };
-        LocalEstimate { index, parameters, lineage, motion, instant: index as f64 }
+        LocalEstimate {
+            index,
+            parameters,
+            lineage,
+            motion,
+            instant: index as f64,
+        }
     }
 
     /// Takes the answer of the station to one of its messages, however late.
     pub fn take(&mut self, feedback: &Feedback) -> Taken {
-        let sent = self.sent.iter().find(|(index, _)| *index == feedback.answers);
-        let Some((_, sent)) = sent.filter(|_| feedback.answers > self.last_answer) else { return Taken::Stale };
+        let sent = self
+            .sent
+            .iter()
+            .find(|(index, _)| *index == feedback.answers);
+        let Some((_, sent)) = sent.filter(|_| feedback.answers > self.last_answer) else {
+            return Taken::Stale;
+        };
         let sent = sent.clone();
         if feedback.parameters.information().is_err() {
             return Taken::Refused;
         }
-        let rewind = self.rewind.take_if(|rewind| rewind.index == feedback.answers);
+        let rewind = self
+            .rewind
+            .take_if(|rewind| rewind.index == feedback.answers);
         let taken = match rewind {
             Some(rewind) => self.take_then(rewind, feedback, &sent),
             None => self.take_now(feedback, &sent),
@@ -434,18 +549,34 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     }
 
     /// Goes back to the instant of the message, takes the feedback there, and filters again what has come since.
-    fn take_then(&mut self, rewind: Rewind, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
+    fn take_then(
+        &mut self,
+        rewind: Rewind,
+        feedback: &Feedback,
+        sent: &Gaussian,
+    ) -> Result<(), FilterError> {
         let now = self.filter.state().clone();
-        let mut taken = self.filter.restore(rewind.state).and_then(|()| self.take_at_once(feedback, sent));
-        if let Some(running) = self.shared.as_mut().and_then(|shared| shared.running.as_mut())
+        let mut taken = self
+            .filter
+            .restore(rewind.state)
+            .and_then(|()| self.take_at_once(feedback, sent));
+        if let Some(running) = self
+            .shared
+            .as_mut()
+            .and_then(|shared| shared.running.as_mut())
             && taken.is_ok()
         {
             running.state = self.filter.state().clone();
         }
         for (observations, excitation) in rewind.frames {
             if taken.is_ok() {
-                taken =
-                    self.filter.step(Frame { observations: &observations, excitation: &excitation }).map(|_step| ());
+                taken = self
+                    .filter
+                    .step(Frame {
+                        observations: &observations,
+                        excitation: &excitation,
+                    })
+                    .map(|_step| ());
             }
         }
         if taken.is_err() {
@@ -455,21 +586,35 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     }
 
     fn take_at_once(&mut self, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
-        let Some(target) = self.settings.feedback.target(&feedback.parameters, feedback.nodes, sent) else {
+        let Some(target) =
+            self.settings
+                .feedback
+                .target(&feedback.parameters, feedback.nodes, sent)
+        else {
             return Ok(());
         };
-        match (self.settings.feedback, &self.settings.motion, &feedback.motion) {
+        match (
+            self.settings.feedback,
+            &self.settings.motion,
+            &feedback.motion,
+        ) {
             (FeedbackRule::Reset, MotionExchange::Modes(basis), Some(motion)) => {
                 reset(&mut self.filter, basis, motion, &feedback.parameters)
             }
             (_, MotionExchange::Responses(nodes), _) => {
                 self.filter.replace_parameters(&target)?;
                 let others = nodes.iter().zip(&feedback.responses).enumerate();
-                for (_, (node, sent)) in others.filter(|(position, _)| *position != self.settings.position) {
-                    let Some(motion) = sent.as_ref().filter(|motion| motion.is_sound(node.rows().nrows())) else {
+                for (_, (node, sent)) in
+                    others.filter(|(position, _)| *position != self.settings.position)
+                {
+                    let Some(motion) = sent
+                        .as_ref()
+                        .filter(|motion| motion.is_sound(node.rows().nrows()))
+                    else {
                         continue;
                     };
-                    self.filter.observe_motion(node.rows(), &motion.mean, &motion.variance)?;
+                    self.filter
+                        .observe_motion(node.rows(), &motion.mean, &motion.variance)?;
                 }
                 Ok(())
             }
@@ -491,7 +636,9 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         target: Gaussian,
     ) -> Result<Gaussian, FilterError> {
         let ended = self.shared.as_mut().and_then(|shared| shared.ended.take());
-        let Some((period, every)) = ended.zip(self.shared.as_ref().map(|shared| shared.every as usize)) else {
+        let Some((period, every)) =
+            ended.zip(self.shared.as_ref().map(|shared| shared.every as usize))
+        else {
             return Ok(target);
         };
         if period.index + 1 != feedback.answers {
@@ -505,7 +652,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             if (number + 1) % every == 0 {
                 let instant = (number + 1) / every - 1;
                 for (node, told) in feedback.responses.iter().enumerate() {
-                    let Some(told) = told.as_ref().filter(|_| node != self.settings.position) else { continue };
+                    let Some(told) = told.as_ref().filter(|_| node != self.settings.position)
+                    else {
+                        continue;
+                    };
                     let channels = exchange.channels(node);
                     if exchange.is_sound(node, told.mean.as_slice()) {
                         let start = instant * channels.len();
@@ -515,7 +665,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 }
             }
             filtered = filtered.and_then(|()| {
-                let frame = Frame { observations: &observations, excitation: &excitation };
+                let frame = Frame {
+                    observations: &observations,
+                    excitation: &excitation,
+                };
                 self.filter.step(frame).map(|_step| ())
             });
         }
@@ -537,7 +690,11 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
 
     /// Adds `target − sent`, faded since then, to what the node knows of the parameters now.
     fn take_now(&mut self, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
-        let Some(target) = self.settings.feedback.target(&feedback.parameters, feedback.nodes, sent) else {
+        let Some(target) =
+            self.settings
+                .feedback
+                .target(&feedback.parameters, feedback.nodes, sent)
+        else {
             return Ok(());
         };
         let late = self.counter - feedback.answers * self.settings.steps_per_period;
@@ -558,7 +715,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.restarts += 1;
         self.filter.restart();
         if let Some(mean) = &self.fused {
-            let anew = Gaussian { mean: mean.clone(), covariance: self.prior.covariance.clone() };
+            let anew = Gaussian {
+                mean: mean.clone(),
+                covariance: self.prior.covariance.clone(),
+            };
             // a prior without uncertainty stays as it is
             let _ = self.filter.replace_parameters(&anew);
         }
@@ -571,7 +731,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
 
 /// Tells whether means lie between limits (N_θ each).
 pub(super) fn is_within(means: &DVector<f64>, (low, high): &(DVector<f64>, DVector<f64>)) -> bool {
-    means.iter().zip(low.iter().zip(high)).all(|(mean, (low, high))| (low..=high).contains(&mean))
+    means
+        .iter()
+        .zip(low.iter().zip(high))
+        .all(|(mean, (low, high))| (low..=high).contains(&mean))
 }
 
 /// Overwrites parameters and motion, (6.17) and (6.21): the cross-covariances become zero.
@@ -584,14 +747,24 @@ fn reset<M: ProcessModel + ObservationModel>(
     let (n, moving) = (filter.mean().len(), 2 * basis.dofs());
     let kept = 2 * basis.modes();
     if !motion.is_sound(kept) {
-        return Err(FilterError::Dimension { what: "fused motion", found: motion.mean.len(), expected: kept });
+        return Err(FilterError::Dimension {
+            what: "fused motion",
+            found: motion.mean.len(),
+            expected: kept,
+        });
     }
     let mut mean = DVector::zeros(n);
-    mean.rows_mut(0, moving).copy_from(&basis.extract(&motion.mean));
-    mean.rows_mut(moving, n - moving).copy_from(&parameters.mean);
+    mean.rows_mut(0, moving)
+        .copy_from(&basis.extract(&motion.mean));
+    mean.rows_mut(moving, n - moving)
+        .copy_from(&parameters.mean);
     let mut covariance = DMatrix::zeros(n, n);
-    covariance.view_mut((0, 0), (moving, moving)).copy_from(&basis.extract_covariance(&motion.variance));
-    covariance.view_mut((moving, moving), (n - moving, n - moving)).copy_from(&parameters.covariance);
+    covariance
+        .view_mut((0, 0), (moving, moving))
+        .copy_from(&basis.extract_covariance(&motion.variance));
+    covariance
+        .view_mut((moving, moving), (n - moving, n - moving))
+        .copy_from(&parameters.covariance);
     filter.replace_state(&mean, &covariance)
 }
 

@@ -18,7 +18,10 @@ const MOST_UNITS: f64 = i32::MAX as f64;
 #[must_use]
 pub fn unit_exponent(noise_std: f64) -> i16 {
     // the range of normal numbers; what is no number gets the smallest unit
-    (noise_std * UNIT_SHARE).log2().floor().clamp(-1022.0, 1000.0) as i16
+    (noise_std * UNIT_SHARE)
+        .log2()
+        .floor()
+        .clamp(-1022.0, 1000.0) as i16
 }
 
 /// Which of their samples nodes tell all others: at so many instants in a fusion period, evenly spaced, the last at its end.
@@ -44,13 +47,20 @@ impl SampleExchange {
                 first - count..first
             })
             .collect();
-        Self { channels, instants: instants.max(1), units: Vec::new() }
+        Self {
+            channels,
+            instants: instants.max(1),
+            units: Vec::new(),
+        }
     }
 
     /// Rounds what is told to whole multiples of 2^exponent, by observation; missing exponents round nothing.
     #[must_use]
     pub fn rounded_to(self, exponents: Vec<i16>) -> Self {
-        Self { units: exponents, ..self }
+        Self {
+            units: exponents,
+            ..self
+        }
     }
 
     /// Returns the exponents of the units in which a node tells its samples, by its observations; none if they are not rounded.
@@ -130,7 +140,11 @@ impl Shared {
         Self {
             own: exchange.channels(node),
             every: steps_per_period / exchange.instants() as u64,
-            units: exchange.unit_exponents(node).iter().map(|exponent| 2f64.powi(i32::from(*exponent))).collect(),
+            units: exchange
+                .unit_exponents(node)
+                .iter()
+                .map(|exponent| 2f64.powi(i32::from(*exponent)))
+                .collect(),
             outgoing: vec![f64::NAN; exchange.numbers(node)],
             ended: None,
             running: None,
@@ -157,9 +171,14 @@ impl Shared {
 
     /// Returns what is to be told of the period that ends now, and begins the next at message `index`.
     pub(super) fn end_period(&mut self, index: u64, steps: u64, state: &FilterState) -> Vec<f64> {
-        let whole = |period: &Period| period.index + 1 == index && period.frames.len() as u64 == steps;
+        let whole =
+            |period: &Period| period.index + 1 == index && period.frames.len() as u64 == steps;
         self.ended = self.running.take().filter(whole);
-        self.running = Some(Period { index, state: state.clone(), frames: Vec::with_capacity(steps as usize) });
+        self.running = Some(Period {
+            index,
+            state: state.clone(),
+            frames: Vec::with_capacity(steps as usize),
+        });
         let len = self.outgoing.len();
         std::mem::replace(&mut self.outgoing, vec![f64::NAN; len])
     }

@@ -216,26 +216,52 @@ impl Station {
         let fused = settings.prior.information()?;
         let expected = settings.prior.mean.len();
         for (what, found) in [
-            ("variance bound of the station", settings.variance_bound.len()),
-            ("lower limit of health of the station", settings.healthy.0.len()),
-            ("upper limit of health of the station", settings.healthy.1.len()),
+            (
+                "variance bound of the station",
+                settings.variance_bound.len(),
+            ),
+            (
+                "lower limit of health of the station",
+                settings.healthy.0.len(),
+            ),
+            (
+                "upper limit of health of the station",
+                settings.healthy.1.len(),
+            ),
         ] {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         let growth = settings.growth_per_period;
         if !(growth >= 1.0 && growth.is_finite()) {
             let what = "growth in a fusion period";
-            return Err(FilterError::Setting { what, found: growth, allowed: "at least 1 and finite" });
+            return Err(FilterError::Setting {
+                what,
+                found: growth,
+                allowed: "at least 1 and finite",
+            });
         }
         if let FusionRule::PriorCorrect(Sharing::Factor(factor)) = settings.rule
             && !(factor >= 1.0 && factor.is_finite())
         {
             let what = "sharing factor";
-            return Err(FilterError::Setting { what, found: factor, allowed: "at least 1 and finite" });
+            return Err(FilterError::Setting {
+                what,
+                found: factor,
+                allowed: "at least 1 and finite",
+            });
         }
-        Ok(Self { known: vec![Known::default(); settings.nodes], settings, fused, at: None })
+        Ok(Self {
+            known: vec![Known::default(); settings.nodes],
+            settings,
+            fused,
+            at: None,
+        })
     }
 
     /// Takes a message of a node that belongs to time `at` (fusion periods on the station's clock).
@@ -252,20 +278,29 @@ impl Station {
         {
             return Err(Refusal::Dimension);
         }
-        let now = message.parameters.information().map_err(|_| Refusal::NoDensity)?;
+        let now = message
+            .parameters
+            .information()
+            .map_err(|_| Refusal::NoDensity)?;
         let motion_is_sound = match (&message.motion, &self.settings.motion) {
             (None, _) => true,
             (Some(_), MotionExchange::None) => false,
             (Some(motion), MotionExchange::Modes(basis)) => motion.is_sound(2 * basis.modes()),
-            (Some(motion), MotionExchange::Responses(nodes)) => {
-                nodes.get(node).is_some_and(|node| motion.is_sound(node.rows().nrows()))
+            (Some(motion), MotionExchange::Responses(nodes)) => nodes
+                .get(node)
+                .is_some_and(|node| motion.is_sound(node.rows().nrows())),
+            (Some(motion), MotionExchange::Samples(exchange)) => {
+                exchange.is_sound(node, motion.mean.as_slice())
             }
-            (Some(motion), MotionExchange::Samples(exchange)) => exchange.is_sound(node, motion.mean.as_slice()),
         };
         if !(motion_is_sound && at.is_finite() && message.instant.is_finite()) {
             return Err(Refusal::NoDensity);
         }
-        if known.own.as_ref().is_some_and(|(index, _)| message.index <= *index) {
+        if known
+            .own
+            .as_ref()
+            .is_some_and(|(index, _)| message.index <= *index)
+        {
             return Err(Refusal::Old);
         }
         let learnt = message.lineage.as_ref().and_then(|lineage| {
@@ -297,7 +332,13 @@ impl Station {
             (learnt, before) => learnt.or(before),
         };
         let instant = message.instant;
-        known.waiting = Some(Waiting { at, learnt, of_unknown_past, motion: message.motion, instant });
+        known.waiting = Some(Waiting {
+            at,
+            learnt,
+            of_unknown_past,
+            motion: message.motion,
+            instant,
+        });
         known.own = Some((message.index, message.parameters));
         if message.lineage.is_none() {
             known.counted.clear();
@@ -309,7 +350,10 @@ impl Station {
     /// Returns the state for a checkpoint, best after a fusion: messages that wait for the next one are not in it.
     #[must_use]
     pub fn state(&self) -> StationState {
-        StationState { known: self.known.clone(), fused: self.fused.clone() }
+        StationState {
+            known: self.known.clone(),
+            fused: self.fused.clone(),
+        }
     }
 
     /// Takes the state of a checkpoint, with a clock that begins anew: the time from the fusion before it to the next one is that since the
@@ -321,21 +365,37 @@ impl Station {
     /// When the state does not fit the settings; the station is then as it was.
     pub fn restore(&mut self, state: StationState) -> Result<(), FilterError> {
         let n = self.settings.prior.mean.len();
-        let fits = |vector: &DVector<f64>, matrix: &DMatrix<f64>| vector.len() == n && matrix.shape() == (n, n);
+        let fits = |vector: &DVector<f64>, matrix: &DMatrix<f64>| {
+            vector.len() == n && matrix.shape() == (n, n)
+        };
         let is_of_structure = |density: &Gaussian| fits(&density.mean, &density.covariance);
         let all_fit = state.known.iter().all(|known| {
-            let answered = known.answered.iter().flat_map(|answered| [Some(&answered.sent), answered.target.as_ref()]);
+            let answered = known
+                .answered
+                .iter()
+                .flat_map(|answered| [Some(&answered.sent), answered.target.as_ref()]);
             let own = known.own.as_ref().map(|(_, density)| density);
             answered.chain([own]).flatten().all(is_of_structure)
-                && known.counted.iter().all(|(_, learnt)| fits(&learnt.vector, &learnt.matrix))
+                && known
+                    .counted
+                    .iter()
+                    .all(|(_, learnt)| fits(&learnt.vector, &learnt.matrix))
         });
         if state.known.len() != self.known.len() {
             let (found, expected) = (state.known.len(), self.known.len());
-            return Err(FilterError::Dimension { what: "nodes of a checkpoint", found, expected });
+            return Err(FilterError::Dimension {
+                what: "nodes of a checkpoint",
+                found,
+                expected,
+            });
         }
         if !(all_fit && fits(&state.fused.vector, &state.fused.matrix)) {
             let found = state.fused.vector.len();
-            return Err(FilterError::Dimension { what: "densities of a checkpoint", found, expected: n });
+            return Err(FilterError::Dimension {
+                what: "densities of a checkpoint",
+                found,
+                expected: n,
+            });
         }
         state.fused.gaussian()?;
         (self.known, self.fused, self.at) = (state.known, state.fused, None);
@@ -358,7 +418,9 @@ impl Station {
     /// Returns whether a node has sent something since the last fusion.
     #[must_use]
     pub fn has_heard(&self, node: usize) -> bool {
-        self.known.get(node).is_some_and(|known| known.waiting.is_some())
+        self.known
+            .get(node)
+            .is_some_and(|known| known.waiting.is_some())
     }
 
     /// Fuses what has arrived, at time `at` (fusion periods on the station's clock); later messages wait for the next one.
@@ -374,9 +436,16 @@ impl Station {
 
         let mut nodes = vec![NodeReport::default(); self.known.len()];
         let mut heard: Vec<usize> = Vec::with_capacity(nodes.len());
-        let mut waiting: Vec<Option<Waiting>> = self.known.iter_mut().map(|known| known.waiting.take()).collect();
+        let mut waiting: Vec<Option<Waiting>> = self
+            .known
+            .iter_mut()
+            .map(|known| known.waiting.take())
+            .collect();
         for (index, slot) in waiting.iter_mut().enumerate() {
-            if slot.as_ref().is_some_and(|waiting| at - waiting.at <= self.settings.stale_periods) {
+            if slot
+                .as_ref()
+                .is_some_and(|waiting| at - waiting.at <= self.settings.stale_periods)
+            {
                 nodes[index].heard = true;
                 nodes[index].weight = 1.0;
                 heard.push(index);
@@ -385,7 +454,11 @@ impl Station {
             }
         }
         self.judge(&heard, &mut nodes);
-        let used: Vec<usize> = heard.iter().copied().filter(|index| !nodes[*index].excluded).collect();
+        let used: Vec<usize> = heard
+            .iter()
+            .copied()
+            .filter(|index| !nodes[*index].excluded)
+            .collect();
         let adopted = self.adopt(&used, &waiting, at);
         let mut parameters = self.add_learnt((&used, &nodes), &waiting, at);
         let started_anew = !is_within(&parameters.mean, &self.settings.healthy);
@@ -394,22 +467,46 @@ impl Station {
         }
         let instant = instant_of_most(&used, &waiting);
         for index in &used {
-            nodes[*index].out_of_step = waiting[*index]
-                .as_ref()
-                .is_some_and(|waiting| waiting.motion.is_some() && !self.is_same(instant, waiting.instant));
+            nodes[*index].out_of_step = waiting[*index].as_ref().is_some_and(|waiting| {
+                waiting.motion.is_some() && !self.is_same(instant, waiting.instant)
+            });
         }
-        let in_step: Vec<usize> = used.iter().copied().filter(|index| !nodes[*index].out_of_step).collect();
+        let in_step: Vec<usize> = used
+            .iter()
+            .copied()
+            .filter(|index| !nodes[*index].out_of_step)
+            .collect();
         let motion = self.fuse_motion((&in_step, &nodes), &waiting);
         let mut responses = Vec::new();
         if let MotionExchange::Responses(_) | MotionExchange::Samples(_) = self.settings.motion {
             responses.resize(nodes.len(), None);
             // motion of a wrong node moves the others to where it is, where it looks regular: it is told once it has been for long enough
-            for index in used.iter().filter(|index| self.known[**index].suspended == 0) {
-                responses[*index] = waiting[*index].as_ref().and_then(|waiting| waiting.motion.clone());
+            for index in used
+                .iter()
+                .filter(|index| self.known[**index].suspended == 0)
+            {
+                responses[*index] = waiting[*index]
+                    .as_ref()
+                    .and_then(|waiting| waiting.motion.clone());
             }
         }
-        let feedback = self.answer(&heard, &parameters, used.len(), (motion.as_ref(), &responses), (instant, &waiting));
-        Fused { parameters, motion, responses, used: used.len(), nodes, feedback, started_anew, adopted }
+        let feedback = self.answer(
+            &heard,
+            &parameters,
+            used.len(),
+            (motion.as_ref(), &responses),
+            (instant, &waiting),
+        );
+        Fused {
+            parameters,
+            motion,
+            responses,
+            used: used.len(),
+            nodes,
+            feedback,
+            started_anew,
+            adopted,
+        }
     }
 
     fn is_same(&self, instant: f64, other: f64) -> bool {
@@ -423,8 +520,14 @@ impl Station {
     fn adopt(&mut self, used: &[usize], waiting: &[Option<Waiting>], at: f64) -> bool {
         let strangers: Vec<(&Waiting, &Gaussian)> = used
             .iter()
-            .filter_map(|index| waiting[*index].as_ref().zip(self.known[*index].own.as_ref()))
-            .filter_map(|(waiting, (_, density))| waiting.of_unknown_past.then_some((waiting, density)))
+            .filter_map(|index| {
+                waiting[*index]
+                    .as_ref()
+                    .zip(self.known[*index].own.as_ref())
+            })
+            .filter_map(|(waiting, (_, density))| {
+                waiting.of_unknown_past.then_some((waiting, density))
+            })
             .collect();
         if 2 * strangers.len() < used.len().max(1) {
             return false;
@@ -437,11 +540,18 @@ impl Station {
                 mean.add(1.0 / (age * strangers.len() as f64), &information);
             }
         }
-        let Ok((theirs, ours)) = mean.gaussian().and_then(|theirs| Ok((theirs, self.fused.gaussian()?))) else {
+        let Ok((theirs, ours)) = mean
+            .gaussian()
+            .and_then(|theirs| Ok((theirs, self.fused.gaussian()?)))
+        else {
             return false;
         };
         // the sum of the variances in units of the station's own tells which of the two knows more
-        let share = theirs.covariance.diagonal().component_div(&ours.covariance.diagonal()).mean();
+        let share = theirs
+            .covariance
+            .diagonal()
+            .component_div(&ours.covariance.diagonal())
+            .mean();
         let adopts = share < 1.0 && is_within(&theirs.mean, &self.settings.healthy);
         if adopts {
             self.fused = mean;
@@ -450,22 +560,34 @@ impl Station {
     }
 
     fn judge(&mut self, heard: &[usize], nodes: &mut [NodeReport]) {
-        let Some(detector) = &self.settings.detector else { return };
+        let Some(detector) = &self.settings.detector else {
+            return;
+        };
         let readmission = detector.readmission.max(1);
-        let densities: Vec<&Gaussian> =
-            heard.iter().filter_map(|index| self.known[*index].own.as_ref().map(|(_, density)| density)).collect();
+        let densities: Vec<&Gaussian> = heard
+            .iter()
+            .filter_map(|index| self.known[*index].own.as_ref().map(|(_, density)| density))
+            .collect();
         let sharing = match self.settings.rule {
             FusionRule::Published => Sharing::Nothing,
             FusionRule::PriorCorrect(sharing) => sharing,
         };
         for (index, found) in heard.iter().zip(detector.judge(&densities, sharing)) {
-            let NodeDistance { distance, excluded, weight } = found;
+            let NodeDistance {
+                distance,
+                excluded,
+                weight,
+            } = found;
             let known = &mut self.known[*index];
             let is_suspicious = match detector.weighting {
                 Weighting::AllOrNothing => excluded,
                 Weighting::Graded => weight < 1.0,
             };
-            known.suspended = if is_suspicious { readmission } else { known.suspended.saturating_sub(1) };
+            known.suspended = if is_suspicious {
+                readmission
+            } else {
+                known.suspended.saturating_sub(1)
+            };
             known.unsettled = match (known.suspended, weight < LEAST_WEIGHT) {
                 (0, _) => 0,
                 (_, true) => PATIENCE + 1,
@@ -498,7 +620,8 @@ impl Station {
             FusionRule::Published => {
                 let mut product = Information::none(self.settings.prior.mean.len());
                 for index in used {
-                    if let (Some(waiting), Some((_, density))) = (&waiting[*index], &self.known[*index].own)
+                    if let (Some(waiting), Some((_, density))) =
+                        (&waiting[*index], &self.known[*index].own)
                         && let Ok(information) = density.information()
                     {
                         product.add(nodes[*index].weight / age(waiting), &information);
@@ -508,14 +631,27 @@ impl Station {
             }
             FusionRule::PriorCorrect(sharing) => {
                 // a sum that is no density is one that counts too much
-                let learnt = |index: &&usize| waiting[**index].as_ref().is_some_and(|waiting| waiting.learnt.is_some());
-                let learning = used.iter().filter(learnt).map(|index| nodes[*index].weight).sum();
+                let learnt = |index: &&usize| {
+                    waiting[**index]
+                        .as_ref()
+                        .is_some_and(|waiting| waiting.learnt.is_some())
+                };
+                let learning = used
+                    .iter()
+                    .filter(learnt)
+                    .map(|index| nodes[*index].weight)
+                    .sum();
                 let factors = [sharing.factor(learning), Sharing::All.factor(learning)];
                 factors.into_iter().find_map(|factor| {
                     let mut sum = self.fused.clone();
                     for index in used {
-                        if let Some(Waiting { learnt: Some(learnt), .. }) = &waiting[*index] {
-                            let counted = nodes[*index].weight / (factor * waiting[*index].as_ref().map_or(1.0, age));
+                        if let Some(Waiting {
+                            learnt: Some(learnt),
+                            ..
+                        }) = &waiting[*index]
+                        {
+                            let counted = nodes[*index].weight
+                                / (factor * waiting[*index].as_ref().map_or(1.0, age));
                             sum.add(counted, learnt);
                         }
                     }
@@ -528,7 +664,9 @@ impl Station {
             return density;
         }
         // what was known before, faded, is a density
-        self.fused.gaussian().unwrap_or_else(|_| self.settings.prior.clone())
+        self.fused
+            .gaussian()
+            .unwrap_or_else(|_| self.settings.prior.clone())
     }
 
     /// Weighs each coordinate by the variances, (6.44) to (6.48); the variance is that of nodes that share all.
@@ -537,12 +675,19 @@ impl Station {
         (used, nodes): (&[usize], &[NodeReport]),
         waiting: &[Option<Waiting>],
     ) -> Option<CompressedMotion> {
-        let MotionExchange::Modes(basis) = &self.settings.motion else { return None };
+        let MotionExchange::Modes(basis) = &self.settings.motion else {
+            return None;
+        };
         let len = 2 * basis.modes();
         let (mut weights, mut weighted) = (DVector::zeros(len), DVector::zeros(len));
         let mut count = 0.0;
         for index in used {
-            let Some(motion) = waiting[*index].as_ref().and_then(|waiting| waiting.motion.as_ref()) else { continue };
+            let Some(motion) = waiting[*index]
+                .as_ref()
+                .and_then(|waiting| waiting.motion.as_ref())
+            else {
+                continue;
+            };
             let weight = nodes[*index].weight;
             count += weight;
             for j in 0..len {
@@ -573,15 +718,31 @@ impl Station {
         for index in heard {
             let own_instant = of(*index).unwrap_or(instant);
             // the motion of another instant would be taken for that of the answered message
-            let motion = motion.filter(|_| self.is_same(instant, own_instant)).cloned();
+            let motion = motion
+                .filter(|_| self.is_same(instant, own_instant))
+                .cloned();
             let same = |node: usize| of(node).is_some_and(|other| self.is_same(own_instant, other));
             let responses = responses.iter().enumerate();
-            let responses = responses.map(|(node, told)| told.clone().filter(|_| same(node))).collect();
+            let responses = responses
+                .map(|(node, told)| told.clone().filter(|_| same(node)))
+                .collect();
             let known = &mut self.known[*index];
-            let Some((answers, sent)) = known.own.clone() else { continue };
+            let Some((answers, sent)) = known.own.clone() else {
+                continue;
+            };
             let target = self.settings.feedback.target(fused, used, &sent);
-            known.note_answer(Answered { index: answers, sent, target });
-            feedback[*index] = Some(Feedback { answers, parameters: fused.clone(), nodes: used, motion, responses });
+            known.note_answer(Answered {
+                index: answers,
+                sent,
+                target,
+            });
+            feedback[*index] = Some(Feedback {
+                answers,
+                parameters: fused.clone(),
+                nodes: used,
+                motion,
+                responses,
+            });
         }
         feedback
     }
@@ -589,17 +750,32 @@ impl Station {
 
 impl Known {
     /// Returns what a node started from, its own message and what answers have changed since; `None` where that is not known.
-    fn start<'k>(&'k self, lineage: &Lineage, prior: &'k Gaussian) -> Option<((u64, &'k Gaussian), Vec<Shift>)> {
-        let find = |index: u64| self.answered.iter().find(|answered| answered.index == index);
+    fn start<'k>(
+        &'k self,
+        lineage: &Lineage,
+        prior: &'k Gaussian,
+    ) -> Option<((u64, &'k Gaussian), Vec<Shift>)> {
+        let find = |index: u64| {
+            self.answered
+                .iter()
+                .find(|answered| answered.index == index)
+        };
         let own = match lineage.own {
             0 => (0, prior),
             own => (own, &find(own)?.sent),
         };
         let shift = |answered: &u64| {
             let answered = find(*answered)?;
-            Some((answered.index, answered.target.clone()?, answered.sent.clone()))
+            Some((
+                answered.index,
+                answered.target.clone()?,
+                answered.sent.clone(),
+            ))
         };
-        Some((own, lineage.answers.iter().map(shift).collect::<Option<_>>()?))
+        Some((
+            own,
+            lineage.answers.iter().map(shift).collect::<Option<_>>()?,
+        ))
     }
 
     /// Keeps what a message has told, to be taken away from later ones that start from before it.
@@ -608,7 +784,11 @@ impl Known {
         // what no later message can start in between is one sum: there are no more of them than answers
         let mut sums: VecDeque<(u64, Information)> = VecDeque::with_capacity(self.counted.len());
         for (index, mut learnt) in std::mem::take(&mut self.counted) {
-            let apart = |before: u64| self.answered.iter().any(|answered| (before..index).contains(&answered.index));
+            let apart = |before: u64| {
+                self.answered
+                    .iter()
+                    .any(|answered| (before..index).contains(&answered.index))
+            };
             if let Some((before, sum)) = sums.back().filter(|(before, _)| !apart(*before)) {
                 learnt.add(1.0 / growth.powf((index - before) as f64), sum);
                 sums.pop_back();
@@ -620,13 +800,19 @@ impl Known {
 
     fn note_answer(&mut self, answered: Answered) {
         self.answered.push_back(answered);
-        let named = self.lineage.iter().flat_map(|lineage| lineage.answers.iter().chain([&lineage.own]));
+        let named = self
+            .lineage
+            .iter()
+            .flat_map(|lineage| lineage.answers.iter().chain([&lineage.own]));
         let named: Vec<u64> = named.copied().collect();
         // what lies before the start of the last message is not named again
         let first = named.iter().copied().min().unwrap_or(0);
         self.answered.retain(|answered| answered.index >= first);
         if self.answered.len() > ANSWERS_KEPT
-            && let Some(oldest) = self.answered.iter().position(|answered| !named.contains(&answered.index))
+            && let Some(oldest) = self
+                .answered
+                .iter()
+                .position(|answered| !named.contains(&answered.index))
         {
             self.answered.remove(oldest);
         }
@@ -638,8 +824,11 @@ type Shift = (u64, Gaussian, Gaussian);
 
 /// Returns the instant in the middle of those of the motions: a wrong clock moves it to none but the instant of another node.
 fn instant_of_most(used: &[usize], waiting: &[Option<Waiting>]) -> f64 {
-    let with_motion =
-        used.iter().filter_map(|index| waiting[*index].as_ref().filter(|waiting| waiting.motion.is_some()));
+    let with_motion = used.iter().filter_map(|index| {
+        waiting[*index]
+            .as_ref()
+            .filter(|waiting| waiting.motion.is_some())
+    });
     let mut instants: Vec<f64> = with_motion.map(|waiting| waiting.instant).collect();
     instants.sort_by(f64::total_cmp);
     instants.get(instants.len() / 2).copied().unwrap_or(0.0)
@@ -647,7 +836,9 @@ fn instant_of_most(used: &[usize], waiting: &[Option<Waiting>]) -> f64 {
 
 /// Keeps variances below their bounds, as the nodes do at each step.
 fn bound(information: &mut Information, bounds: &DVector<f64>) {
-    let Ok(mut density) = information.gaussian() else { return };
+    let Ok(mut density) = information.gaussian() else {
+        return;
+    };
     if bound_variances_mut(&mut density.covariance, bounds) > 0
         && let Ok(bounded) = density.information()
     {

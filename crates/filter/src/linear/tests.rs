@@ -1,13 +1,17 @@
 use super::*;
 use crate::{
-    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold, NoiseModel, NoiseParameter, NoiseRule,
-    NoiseSettings, NoiseTarget, OutlierSettings,
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold, NoiseModel,
+    NoiseParameter, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings,
 };
 
 /// Three unequal masses in a row with Rayleigh damping, two forces, absolute accelerations of the first and the last.
 fn matrices() -> ([DMatrix<f64>; 3], DMatrix<f64>, DMatrix<f64>) {
     let mass = DMatrix::from_diagonal(&DVector::from_row_slice(&[2.0, 1.0, 0.5]));
-    let stiffness = DMatrix::from_row_slice(3, 3, &[90.0, -40.0, 0.0, -40.0, 60.0, -20.0, 0.0, -20.0, 20.0]);
+    let stiffness = DMatrix::from_row_slice(
+        3,
+        3,
+        &[90.0, -40.0, 0.0, -40.0, 60.0, -20.0, 0.0, -20.0, 20.0],
+    );
     let damping = &mass * 0.1 + &stiffness * 0.004;
     let distribution = DMatrix::from_row_slice(3, 2, &[1.0, 0.0, 0.0, 0.5, 0.0, 1.0]);
     let mut observation = DMatrix::zeros(2, 6);
@@ -33,7 +37,10 @@ fn pair() -> (StateSpace, ModalModel) {
 fn both_coordinates_have_the_same_derivative_and_the_same_datum() {
     let (mut physical, mut modal) = pair();
     let modal_from_physical = modal.modal_from_physical();
-    assert!((modal.physical_from_modal() * &modal_from_physical - DMatrix::identity(6, 6)).amax() < 1e-13);
+    assert!(
+        (modal.physical_from_modal() * &modal_from_physical - DMatrix::identity(6, 6)).amax()
+            < 1e-13
+    );
     let y = DVector::from_row_slice(&[0.3, -0.2, 0.7, 1.1, -0.4, 0.2]);
     let q = &modal_from_physical * &y;
     let f = [0.6, -1.3];
@@ -56,7 +63,10 @@ fn bound_of_the_rate_is_close_to_the_spectral_radius_and_above_it() {
     let (physical, modal) = pair();
     let largest = modal.angular_frequencies().max(); // underdamped: |λ| = ω
     for bound in [physical.rate_bound(), modal.rate_bound()] {
-        assert!(bound >= largest * (1.0 - 1e-12) && bound < 1.2 * largest, "{bound} for {largest}");
+        assert!(
+            bound >= largest * (1.0 - 1e-12) && bound < 1.2 * largest,
+            "{bound} for {largest}"
+        );
     }
 }
 
@@ -87,8 +97,13 @@ fn both_transitions_are_the_same_map() {
 fn damping_that_couples_the_modes_is_refused() {
     let ([mass, mut damping, stiffness], distribution, observation) = matrices();
     damping[(2, 2)] += 1.0;
-    let error =
-        ModalModel::new([&mass, &damping, &stiffness], &distribution, &observation, DirectTerm::None).unwrap_err();
+    let error = ModalModel::new(
+        [&mass, &damping, &stiffness],
+        &distribution,
+        &observation,
+        DirectTerm::None,
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("classical"), "{error}");
 }
 
@@ -103,7 +118,13 @@ fn sizes_that_do_not_fit_are_refused() {
     assert!(ModalModel::new(of, &distribution, &observation, wide).is_err());
     let indefinite = -&mass;
     assert!(
-        ModalModel::new([&indefinite, &damping, &stiffness], &distribution, &observation, DirectTerm::None).is_err()
+        ModalModel::new(
+            [&indefinite, &damping, &stiffness],
+            &distribution,
+            &observation,
+            DirectTerm::None
+        )
+        .is_err()
     );
 }
 
@@ -169,21 +190,41 @@ fn settings(model: &impl ProcessModel, rule: NoiseRule, hold: InputHold) -> Filt
     let mut noise = NoiseModel::known(DMatrix::identity(2, 2) * 0.1, DMatrix::zeros(2, 2));
     noise.parameters = vec![
         parameter("forces", NoiseTarget::Excitation, correlated, 3.0),
-        parameter("sensors", NoiseTarget::Sensors, DMatrix::identity(2, 2), 0.5),
+        parameter(
+            "sensors",
+            NoiseTarget::Sensors,
+            DMatrix::identity(2, 2),
+            0.5,
+        ),
     ];
-    let mut settings = FilterSettings::new(0.05, DVector::repeat(n, 0.1), DVector::repeat(n, 0.3), noise);
+    let mut settings = FilterSettings::new(
+        0.05,
+        DVector::repeat(n, 0.1),
+        DVector::repeat(n, 0.3),
+        noise,
+    );
     settings.fading = FadingFactor::from_half_life(500.0).unwrap();
     settings.input_hold = hold;
-    settings.noise_settings = NoiseSettings { rule, training_steps: 40, ..NoiseSettings::default() };
+    settings.noise_settings = NoiseSettings {
+        rule,
+        training_steps: 40,
+        ..NoiseSettings::default()
+    };
     settings
 }
 
 /// Runs 120 frames with known excitation, and a missing sample of a channel, of the excitation and of everything.
-fn run<M: ProcessModel + ObservationModel>(model: M, settings: FilterSettings) -> ExtendedKalmanFilter<M> {
+fn run<M: ProcessModel + ObservationModel>(
+    model: M,
+    settings: FilterSettings,
+) -> ExtendedKalmanFilter<M> {
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
     for k in 0..120 {
         let t = 0.05 * f64::from(k);
-        let mut observations = [2.0 * (3.0 * t).sin() - 0.4 * (29.0 * t).cos(), (4.1 * t).cos()];
+        let mut observations = [
+            2.0 * (3.0 * t).sin() - 0.4 * (29.0 * t).cos(),
+            (4.1 * t).cos(),
+        ];
         let mut excitation = [(2.0 * t).sin(), 0.3 * (7.0 * t).cos()];
         match k % 17 {
             3 => observations[1] = f64::NAN,
@@ -191,7 +232,12 @@ fn run<M: ProcessModel + ObservationModel>(model: M, settings: FilterSettings) -
             13 => observations = [f64::NAN; 2],
             _ => {}
         }
-        filter.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+        filter
+            .step(Frame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
     }
     filter
 }
@@ -200,21 +246,45 @@ fn run<M: ProcessModel + ObservationModel>(model: M, settings: FilterSettings) -
 fn constant_transition_gives_what_the_series_gives() {
     let ([mass, damping, stiffness], distribution, observation) = matrices();
     let direct = DMatrix::from_row_slice(2, 2, &[0.5, 0.0, 0.0, 2.0]);
-    for direct in [DirectTerm::None, DirectTerm::Known(direct.clone()), DirectTerm::Whole(direct)] {
-        for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher, NoiseRule::HalfOrDouble] {
+    for direct in [
+        DirectTerm::None,
+        DirectTerm::Known(direct.clone()),
+        DirectTerm::Whole(direct),
+    ] {
+        for rule in [
+            NoiseRule::Fixed,
+            NoiseRule::Published,
+            NoiseRule::Fisher,
+            NoiseRule::HalfOrDouble,
+        ] {
             for hold in [InputHold::Zero, InputHold::First] {
                 let of = [&mass, &damping, &stiffness];
-                let model = StateSpace::second_order(of, &distribution, observation.clone(), direct.clone()).unwrap();
+                let model = StateSpace::second_order(
+                    of,
+                    &distribution,
+                    observation.clone(),
+                    direct.clone(),
+                )
+                .unwrap();
                 let settings = settings(&model, rule, hold);
                 let constant = run(model.clone(), settings.clone());
                 let stepwise = run(Stepwise(model), settings);
                 let label = format!("{direct:?}, {rule:?}, {hold:?}");
                 let scale = stepwise.mean().amax();
-                assert!((constant.mean() - stepwise.mean()).amax() < 1e-10 * scale, "{label}");
+                assert!(
+                    (constant.mean() - stepwise.mean()).amax() < 1e-10 * scale,
+                    "{label}"
+                );
                 let scale = stepwise.covariance().amax();
-                assert!((constant.covariance() - stepwise.covariance()).amax() < 1e-10 * scale, "{label}");
+                assert!(
+                    (constant.covariance() - stepwise.covariance()).amax() < 1e-10 * scale,
+                    "{label}"
+                );
                 let ratio = constant.noise().mean.component_div(&stepwise.noise().mean);
-                assert!(ratio.iter().all(|ratio| (ratio - 1.0).abs() < 1e-9), "{label}");
+                assert!(
+                    ratio.iter().all(|ratio| (ratio - 1.0).abs() < 1e-9),
+                    "{label}"
+                );
             }
         }
     }
@@ -230,10 +300,14 @@ fn outliers_are_screened_alike_with_and_without_a_constant_transition() {
     settings.outliers = Some(OutlierSettings::for_period(5.0));
     let constant = run(model.clone(), settings.clone());
     let stepwise = run(Stepwise(model), settings);
-    let screens = [&constant.outliers().unwrap(), &stepwise.outliers().unwrap()].map(|state| state.channels());
+    let screens = [&constant.outliers().unwrap(), &stepwise.outliers().unwrap()]
+        .map(|state| state.channels());
     for (constant, stepwise) in screens[0].iter().zip(screens[1]) {
         assert!(constant.trained() && stepwise.trained());
-        for (found, expected) in [(constant.scale(), stepwise.scale()), (constant.residual(), stepwise.residual())] {
+        for (found, expected) in [
+            (constant.scale(), stepwise.scale()),
+            (constant.residual(), stepwise.residual()),
+        ] {
             assert!((found / expected - 1.0).abs() < 1e-9, "{found}, {expected}");
         }
         assert_eq!(constant.rejected(), stepwise.rejected());

@@ -32,14 +32,19 @@ impl NoiseState {
                 candidate[l] = FACTORS[digits % FACTORS.len()] * self.mean[l];
                 digits /= FACTORS.len();
             }
-            let value = objective.value(&candidate) + 0.5 * prior_distance(objective, &candidate, &self.mean);
+            let value = objective.value(&candidate)
+                + 0.5 * prior_distance(objective, &candidate, &self.mean);
             if value < best_value {
                 best_value = value;
                 best.copy_from(&candidate);
             }
         }
         // Exact: the values are those of the start times powers of two.
-        self.unchanged = if best == self.mean { self.unchanged + 1 } else { 0 };
+        self.unchanged = if best == self.mean {
+            self.unchanged + 1
+        } else {
+            0
+        };
         self.accumulate_observed(&best, objective);
         self.mean.copy_from(&best);
         objective.scratch.best = best;
@@ -47,7 +52,11 @@ impl NoiseState {
     }
 
     /// Moves `ψ` by `−Σ_ψ ∇J`, no component further than the guard allows, then `Σ_ψ` to the inverse of the Hessian there.
-    pub(super) fn guarded_newton_step(&mut self, settings: &NoiseSettings, objective: &mut Objective) {
+    pub(super) fn guarded_newton_step(
+        &mut self,
+        settings: &NoiseSettings,
+        objective: &mut Objective,
+    ) {
         if !objective.differentiate(&self.mean) {
             self.fall_back();
             return;
@@ -56,10 +65,15 @@ impl NoiseState {
         let mut moved = std::mem::take(&mut objective.scratch.best);
         let mut limited = false;
         for l in 0..self.mean.len() {
-            let newton: f64 = (0..self.mean.len()).map(|m| self.covariance[(l, m)] * objective.gradient[m]).sum();
+            let newton: f64 = (0..self.mean.len())
+                .map(|m| self.covariance[(l, m)] * objective.gradient[m])
+                .sum();
             let free = self.mean[l] - newton;
             moved[l] = if settings.positivity_guard.is_finite() {
-                free.clamp(self.mean[l] / settings.positivity_guard, self.mean[l] * settings.positivity_guard)
+                free.clamp(
+                    self.mean[l] / settings.positivity_guard,
+                    self.mean[l] * settings.positivity_guard,
+                )
             } else {
                 free
             };

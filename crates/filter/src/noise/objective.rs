@@ -2,7 +2,9 @@
 
 use super::{NoiseModel, NoiseTarget};
 use crate::constant::NoiseSpread;
-use crate::dense::{add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut};
+use crate::dense::{
+    add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut,
+};
 use nalgebra::{DMatrix, DVector};
 use pulp::Arch;
 
@@ -98,7 +100,8 @@ impl Objective {
         innovation: &DVector<f64>,
     ) {
         self.known.copy_from(known);
-        for (l, (parameter, pattern)) in model.parameters.iter().zip(&mut self.patterns).enumerate() {
+        for (l, (parameter, pattern)) in model.parameters.iter().zip(&mut self.patterns).enumerate()
+        {
             match parameter.target {
                 NoiseTarget::Sensors => pattern.copy_from(&parameter.pattern),
                 NoiseTarget::Excitation => {
@@ -106,7 +109,12 @@ impl Objective {
                     match path {
                         ExcitationPath::Felt => {}
                         ExcitationPath::Input(h_b) => {
-                            crate::dense::add_quadratic_form_mut(pattern, h_b, &parameter.pattern, fading);
+                            crate::dense::add_quadratic_form_mut(
+                                pattern,
+                                h_b,
+                                &parameter.pattern,
+                                fading,
+                            );
                         }
                         ExcitationPath::Constant(spreads) => {
                             if let Some(spread) = &spreads[l] {
@@ -115,7 +123,12 @@ impl Objective {
                         }
                     }
                     if let Some(direct) = feedthrough {
-                        crate::dense::add_quadratic_form_mut(pattern, direct, &parameter.pattern, 1.0);
+                        crate::dense::add_quadratic_form_mut(
+                            pattern,
+                            direct,
+                            &parameter.pattern,
+                            1.0,
+                        );
                     }
                 }
             }
@@ -145,7 +158,11 @@ impl Objective {
 
     /// Returns `eᵀ Σ_z⁻¹ e`.
     pub(crate) fn normalised_innovation_squared(&mut self, psi: &DVector<f64>) -> f64 {
-        if self.factorise(psi) { self.whitened.norm_squared() } else { f64::NAN }
+        if self.factorise(psi) {
+            self.whitened.norm_squared()
+        } else {
+            f64::NAN
+        }
     }
 
     /// Returns `eᵀ Σ_z⁻¹ e` where it was last factorised.

@@ -20,12 +20,24 @@ fn random_problem() -> (NoiseModel, Objective) {
         parameters: vec![
             parameter("horizontal", NoiseTarget::Excitation, first, 0.7),
             parameter("vertical", NoiseTarget::Excitation, second, 0.4),
-            parameter("sensors", NoiseTarget::Sensors, DMatrix::identity(4, 4), 0.05),
+            parameter(
+                "sensors",
+                NoiseTarget::Sensors,
+                DMatrix::identity(4, 4),
+                0.05,
+            ),
         ],
     };
     let mut objective = Objective::new(4, 3);
     let innovation = DVector::from_row_slice(&[0.8, -0.3, 0.5, 1.1]);
-    objective.set_frame(&model, &known, ExcitationPath::Input(&h_b), None, 1.0007, &innovation);
+    objective.set_frame(
+        &model,
+        &known,
+        ExcitationPath::Input(&h_b),
+        None,
+        1.0007,
+        &innovation,
+    );
     (model, objective)
 }
 
@@ -61,7 +73,8 @@ fn exact_derivatives_agree_with_the_printed_differences() {
                     + value(&[(l, -d), (m, -d)]))
                     / (4.0 * step * other)
             };
-            worst_hessian = worst_hessian.max((curvature - hessian[(l, m)]).abs() * psi[l] * psi[m]);
+            worst_hessian =
+                worst_hessian.max((curvature - hessian[(l, m)]).abs() * psi[l] * psi[m]);
         }
     }
     let scaled_gradient = gradient.component_mul(&psi).amax();
@@ -69,8 +82,16 @@ fn exact_derivatives_agree_with_the_printed_differences() {
         .flat_map(|l| (0..3).map(move |m| (l, m)))
         .map(|(l, m)| (hessian[(l, m)] * psi[l] * psi[m]).abs())
         .fold(0.0, f64::max);
-    assert!(worst_gradient / scaled_gradient < 1e-5, "gradient off by {:e}", worst_gradient / scaled_gradient);
-    assert!(worst_hessian / scaled_hessian < 1e-5, "Hessian off by {:e}", worst_hessian / scaled_hessian);
+    assert!(
+        worst_gradient / scaled_gradient < 1e-5,
+        "gradient off by {:e}",
+        worst_gradient / scaled_gradient
+    );
+    assert!(
+        worst_hessian / scaled_hessian < 1e-5,
+        "Hessian off by {:e}",
+        worst_hessian / scaled_hessian
+    );
 }
 
 #[test]
@@ -80,7 +101,14 @@ fn missing_channel_adds_nothing() {
     let known = DMatrix::identity(4, 4);
     let h_b = DMatrix::from_element(4, 2, 0.5);
     let innovation = DVector::from_row_slice(&[0.8, f64::NAN, 0.5, f64::NAN]);
-    objective.set_frame(&model, &known, ExcitationPath::Input(&h_b), None, 1.0, &innovation);
+    objective.set_frame(
+        &model,
+        &known,
+        ExcitationPath::Input(&h_b),
+        None,
+        1.0,
+        &innovation,
+    );
     assert_eq!(objective.used_channels(), 2);
     let found = objective.value(&psi);
     // the same frame with two channels only
@@ -108,7 +136,12 @@ fn white_residuals(rule: NoiseRule, seed: u64) -> (f64, f64, u64) {
             start_std: 1.0 / 3.0,
         }],
     };
-    let settings = NoiseSettings { rule, seed, training_steps: 1000, ..NoiseSettings::default() };
+    let settings = NoiseSettings {
+        rule,
+        seed,
+        training_steps: 1000,
+        ..NoiseSettings::default()
+    };
     let mut state = NoiseState::start(&model, &settings);
     let mut objective = Objective::new(12, 1);
     let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
@@ -121,7 +154,10 @@ fn white_residuals(rule: NoiseRule, seed: u64) -> (f64, f64, u64) {
             truth.sqrt() * draw
         });
         objective.set_frame(&model, &zero, ExcitationPath::Felt, None, 1.0, &residual);
-        if state.update(&model, &settings, &mut objective).training_ended {
+        if state
+            .update(&model, &settings, &mut objective)
+            .training_ended
+        {
             ended = k;
         }
         if k >= 10_000 {
@@ -138,16 +174,27 @@ fn white_residuals_give_their_level_and_its_deviation() {
         for seed in 1..=3 {
             let (mean, relative_std, ended) = white_residuals(rule, seed);
             let expected = (2.0 * (1.0 - 2f64.powf(-1.0 / 1000.0)) / 12.0_f64).sqrt();
-            assert!((mean - 1.0).abs() < 0.02, "{rule:?} seed {seed}: mean {mean}, training ended at {ended}");
+            assert!(
+                (mean - 1.0).abs() < 0.02,
+                "{rule:?} seed {seed}: mean {mean}, training ended at {ended}"
+            );
             // the observed Hessian scatters by a few per cent around the expected information
-            assert!((relative_std / expected - 1.0).abs() < 0.05, "{rule:?} seed {seed}: deviation {relative_std}");
+            assert!(
+                (relative_std / expected - 1.0).abs() < 0.05,
+                "{rule:?} seed {seed}: deviation {relative_std}"
+            );
         }
     }
 }
 
 /// White residuals with `Σ_z = ψ_f h hᵀ + ψ_n I`, both levels from 1: means over the truth of the last 4000 steps, and when
 /// the training ended.
-fn white_residuals_of_two(channels: usize, half_life: f64, steps: u64, seed: u64) -> ([f64; 2], Option<u64>) {
+fn white_residuals_of_two(
+    channels: usize,
+    half_life: f64,
+    steps: u64,
+    seed: u64,
+) -> ([f64; 2], Option<u64>) {
     use rand_distr::{Distribution, StandardNormal};
     let truth = [2e-2_f64, 2e-4];
     let h = DVector::from_fn(channels, |i, _| 0.3 * (0.4 + i as f64).cos());
@@ -187,7 +234,10 @@ fn white_residuals_of_two(channels: usize, half_life: f64, steps: u64, seed: u64
             truth[0].sqrt() * h[i] * force + truth[1].sqrt() * sensor
         });
         objective.set_frame(&model, &zero, ExcitationPath::Felt, None, 1.0, &residual);
-        if state.update(&model, &settings, &mut objective).training_ended {
+        if state
+            .update(&model, &settings, &mut objective)
+            .training_ended
+        {
             ended = Some(k);
         }
         if k + 4000 >= steps {
@@ -209,8 +259,14 @@ fn memory_that_is_too_short_leaves_training_open_and_the_force_low() {
         for half_life in [2000.0, 8000.0] {
             let (means, ended) = white_residuals_of_two(channels, half_life, 12_000, seed);
             println!("{channels} channels, half-life {half_life}: {means:.3?}, {ended:?}");
-            assert!(ended.is_some_and(|k| k < 5000), "{channels} channels, half-life {half_life}: {ended:?}");
-            assert!(means.iter().all(|mean| (mean - 1.0).abs() < 0.1), "{channels} channels: {means:?}");
+            assert!(
+                ended.is_some_and(|k| k < 5000),
+                "{channels} channels, half-life {half_life}: {ended:?}"
+            );
+            assert!(
+                means.iter().all(|mean| (mean - 1.0).abs() < 0.1),
+                "{channels} channels: {means:?}"
+            );
         }
     }
 }
@@ -220,13 +276,26 @@ fn start_of_zero_is_refused() {
     let (mut model, _) = random_problem();
     model.parameters[1].start = 0.0;
     let error = model.check(2, 4).unwrap_err();
-    assert!(matches!(error, FilterError::Setting { what: "start of a noise parameter", .. }), "{error}");
+    assert!(
+        matches!(
+            error,
+            FilterError::Setting {
+                what: "start of a noise parameter",
+                ..
+            }
+        ),
+        "{error}"
+    );
 }
 
 #[test]
 fn lasting_misfit_sends_the_parameters_back_to_training() {
     let (model, mut objective) = random_problem();
-    let settings = NoiseSettings { rule: NoiseRule::Published, training_steps: 100, ..NoiseSettings::default() };
+    let settings = NoiseSettings {
+        rule: NoiseRule::Published,
+        training_steps: 100,
+        ..NoiseSettings::default()
+    };
     let mut state = NoiseState::start(&model, &settings);
     state.phase = NoisePhase::Working;
     // a gain that has frozen: information far above what any frame can still move
@@ -236,7 +305,9 @@ fn lasting_misfit_sends_the_parameters_back_to_training() {
     let known = DMatrix::identity(4, 4);
     let restarted = (0..2000).any(|_| {
         objective.set_frame(&model, &known, ExcitationPath::Felt, None, 1.0, &innovation);
-        state.update(&model, &settings, &mut objective).training_restarted
+        state
+            .update(&model, &settings, &mut objective)
+            .training_restarted
     });
     assert!(restarted);
     assert_eq!(state.phase, NoisePhase::Training);
@@ -269,7 +340,9 @@ impl TwoLevels {
                 parameter("sensors", NoiseTarget::Sensors, 6, start[1]),
             ],
         };
-        let mix = DMatrix::from_fn(6, 6, |i, j| 5e-3 * (1.7 * i as f64 - 0.9 * j as f64 + 0.3).sin());
+        let mix = DMatrix::from_fn(6, 6, |i, j| {
+            5e-3 * (1.7 * i as f64 - 0.9 * j as f64 + 0.3).sin()
+        });
         Self {
             model,
             known: &mix * mix.transpose(),
@@ -290,7 +363,14 @@ impl TwoLevels {
     }
 
     fn set(&self, objective: &mut Objective, innovation: &DVector<f64>) {
-        objective.set_frame(&self.model, &self.known, ExcitationPath::Input(&self.h_b), None, 1.0, innovation);
+        objective.set_frame(
+            &self.model,
+            &self.known,
+            ExcitationPath::Input(&self.h_b),
+            None,
+            1.0,
+            innovation,
+        );
     }
 }
 
@@ -305,11 +385,25 @@ struct Printed {
 
 impl Printed {
     fn start(mean: [f64; 2]) -> Self {
-        let covariance = DMatrix::from_diagonal(&DVector::from_fn(2, |l, _| mean[l] * mean[l] / 9.0));
-        Self { mean, covariance, training: true, steps: 0, unchanged: 0 }
+        let covariance =
+            DMatrix::from_diagonal(&DVector::from_fn(2, |l, _| mean[l] * mean[l] / 9.0));
+        Self {
+            mean,
+            covariance,
+            training: true,
+            steps: 0,
+            unchanged: 0,
+        }
     }
 
-    fn step(&mut self, problem: &TwoLevels, innovation: &DVector<f64>, lambda: f64, increment: f64, least: u64) {
+    fn step(
+        &mut self,
+        problem: &TwoLevels,
+        innovation: &DVector<f64>,
+        lambda: f64,
+        increment: f64,
+        least: u64,
+    ) {
         let information = self.covariance.clone().try_inverse().unwrap();
         let centre = self.mean;
         let objective = |theta: [f64; 2]| {
@@ -320,18 +414,30 @@ impl Printed {
                 + innovation.dot(&factor.solve(innovation)))
         };
         let shifted = |theta: [f64; 2], a: f64, b: f64| {
-            objective([theta[0] * (1.0 + a * increment), theta[1] * (1.0 + b * increment)])
+            objective([
+                theta[0] * (1.0 + a * increment),
+                theta[1] * (1.0 + b * increment),
+            ])
         };
         if self.training {
-            let candidates =
-                [1.0, 0.5, 2.0].into_iter().flat_map(|a| [1.0, 0.5, 2.0].map(|b| [a * centre[0], b * centre[1]]));
-            let best = candidates.min_by(|a, b| objective(*a).total_cmp(&objective(*b))).unwrap();
-            self.unchanged = if best == centre { self.unchanged + 1 } else { 0 };
+            let candidates = [1.0, 0.5, 2.0]
+                .into_iter()
+                .flat_map(|a| [1.0, 0.5, 2.0].map(|b| [a * centre[0], b * centre[1]]));
+            let best = candidates
+                .min_by(|a, b| objective(*a).total_cmp(&objective(*b)))
+                .unwrap();
+            self.unchanged = if best == centre {
+                self.unchanged + 1
+            } else {
+                0
+            };
             self.mean = best;
         } else {
             let gradient = DVector::from_row_slice(&[
-                (shifted(centre, 1.0, 0.0) - shifted(centre, -1.0, 0.0)) / (2.0 * increment * centre[0]),
-                (shifted(centre, 0.0, 1.0) - shifted(centre, 0.0, -1.0)) / (2.0 * increment * centre[1]),
+                (shifted(centre, 1.0, 0.0) - shifted(centre, -1.0, 0.0))
+                    / (2.0 * increment * centre[0]),
+                (shifted(centre, 0.0, 1.0) - shifted(centre, 0.0, -1.0))
+                    / (2.0 * increment * centre[1]),
             ]);
             let step = &self.covariance * gradient;
             self.mean = [centre[0] - step[0], centre[1] - step[1]];
@@ -340,9 +446,13 @@ impl Printed {
         let middle = objective(at);
         let d = [increment * at[0], increment * at[1]];
         let twice = |a: f64, b: f64| shifted(at, a, b) - 2.0 * middle + shifted(at, -a, -b);
-        let mixed = shifted(at, 1.0, 1.0) - shifted(at, -1.0, 1.0) - shifted(at, 1.0, -1.0) + shifted(at, -1.0, -1.0);
+        let mixed = shifted(at, 1.0, 1.0) - shifted(at, -1.0, 1.0) - shifted(at, 1.0, -1.0)
+            + shifted(at, -1.0, -1.0);
         let mixed = mixed / (4.0 * d[0] * d[1]);
-        let diagonal = [twice(1.0, 0.0) / (d[0] * d[0]), twice(0.0, 1.0) / (d[1] * d[1])];
+        let diagonal = [
+            twice(1.0, 0.0) / (d[0] * d[0]),
+            twice(0.0, 1.0) / (d[1] * d[1]),
+        ];
         let hessian = DMatrix::from_row_slice(2, 2, &[diagonal[0], mixed, mixed, diagonal[1]]);
         if diagonal[0] > 0.0 && hessian.determinant() > 0.0 {
             self.covariance = hessian.try_inverse().unwrap();
@@ -372,25 +482,43 @@ fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
         for k in 1..=3000 {
             let innovation = problem.innovation();
             problem.set(&mut objective, &innovation);
-            if state.update(&problem.model, &settings, &mut objective).training_ended {
+            if state
+                .update(&problem.model, &settings, &mut objective)
+                .training_ended
+            {
                 ended = k;
             }
             for (i, (increment, printed)) in printed.iter_mut().enumerate() {
                 printed.step(&problem, &innovation, settings.fading, *increment, least);
-                assert_eq!(printed.training, state.phase == NoisePhase::Training, "seed {seed}, step {k}");
+                assert_eq!(
+                    printed.training,
+                    state.phase == NoisePhase::Training,
+                    "seed {seed}, step {k}"
+                );
                 for l in 0..2 {
                     worst[i] = worst[i].max((printed.mean[l] / state.mean[l] - 1.0).abs());
                     if k > 1500 {
-                        let std_ratio = (printed.covariance[(l, l)] / state.covariance[(l, l)]).sqrt();
+                        let std_ratio =
+                            (printed.covariance[(l, l)] / state.covariance[(l, l)]).sqrt();
                         worst_std[i] = worst_std[i].max((std_ratio - 1.0).abs());
                     }
                 }
             }
         }
         println!("seed {seed}: estimates differ by {worst:?}, deviations by {worst_std:?}");
-        assert!(worst.iter().chain(&worst_std).all(|&worst| worst < 1e-4), "seed {seed}: {worst:?}, {worst_std:?}");
-        assert_eq!((ended, state.limited, state.working_fallbacks), (least, 0, 0), "seed {seed}");
-        assert!(state.fallbacks > 10, "seed {seed}: from too large a start the first Hessians are indefinite");
+        assert!(
+            worst.iter().chain(&worst_std).all(|&worst| worst < 1e-4),
+            "seed {seed}: {worst:?}, {worst_std:?}"
+        );
+        assert_eq!(
+            (ended, state.limited, state.working_fallbacks),
+            (least, 0, 0),
+            "seed {seed}"
+        );
+        assert!(
+            state.fallbacks > 10,
+            "seed {seed}: from too large a start the first Hessians are indefinite"
+        );
         // a level that training left too low comes back slowly, its prior having become too tight
         for _ in 0..9000 {
             let innovation = problem.innovation();
@@ -399,7 +527,10 @@ fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
         }
         for l in 0..2 {
             let off = (state.mean[l] - TRUTH[l]).abs() / state.covariance[(l, l)].sqrt();
-            assert!(off < 3.0, "seed {seed}: level {l} is off by {off} deviations");
+            assert!(
+                off < 3.0,
+                "seed {seed}: level {l} is off by {off} deviations"
+            );
         }
     }
 }
@@ -431,13 +562,23 @@ fn without_training_only_the_guard_keeps_the_levels_positive() {
 
 #[test]
 fn settings_that_the_two_stage_rule_cannot_have_are_refused() {
-    let settings = NoiseSettings { rule: NoiseRule::HalfOrDouble, ..NoiseSettings::default() };
+    let settings = NoiseSettings {
+        rule: NoiseRule::HalfOrDouble,
+        ..NoiseSettings::default()
+    };
     assert_eq!(settings.check(5), Ok(()));
     let error = settings.check(6).unwrap_err();
     assert!(error.to_string().contains("at most 5"), "{error}");
     assert_eq!(NoiseSettings::default().check(6), Ok(()));
     for positivity_guard in [1.0, 0.5, f64::NAN] {
-        assert!(NoiseSettings { positivity_guard, ..settings.clone() }.check(1).is_err());
+        assert!(
+            NoiseSettings {
+                positivity_guard,
+                ..settings.clone()
+            }
+            .check(1)
+            .is_err()
+        );
     }
 }
 

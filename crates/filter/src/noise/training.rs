@@ -10,7 +10,12 @@ impl NoiseState {
     ///
     /// Under [`NoiseRule::Fisher`] the scoring step is one more candidate: random draws move a level by less than 1 % a
     /// step, which is too slow for a structure that begins to shake.
-    pub(super) fn search(&mut self, model: &NoiseModel, settings: &NoiseSettings, objective: &mut Objective) {
+    pub(super) fn search(
+        &mut self,
+        model: &NoiseModel,
+        settings: &NoiseSettings,
+        objective: &mut Objective,
+    ) {
         let prior_is_known = self.prior_information_to(settings.fading, objective);
         let mut best_value = objective.value(&self.mean); // the prior term is zero at its own centre
         let mut best = std::mem::take(&mut objective.scratch.best);
@@ -30,14 +35,21 @@ impl NoiseState {
                 best.copy_from(&candidate);
             }
         }
-        if settings.rule == NoiseRule::Fisher && self.scoring_candidate_to(&mut candidate, settings, objective) {
-            let value = objective.value(&candidate) + 0.5 * logarithmic_distance(objective, &candidate, &self.mean);
+        if settings.rule == NoiseRule::Fisher
+            && self.scoring_candidate_to(&mut candidate, settings, objective)
+        {
+            let value = objective.value(&candidate)
+                + 0.5 * logarithmic_distance(objective, &candidate, &self.mean);
             if value < best_value {
                 best.copy_from(&candidate);
             }
         }
         self.apply_floor(&mut best, model, settings);
-        self.unchanged = if best == self.mean { self.unchanged + 1 } else { 0 };
+        self.unchanged = if best == self.mean {
+            self.unchanged + 1
+        } else {
+            0
+        };
         match settings.rule {
             // Far from the level each frame would add the same information, true or not, and slow the search down.
             NoiseRule::Fisher if !self.innovations_agree() => self.rescale_covariance(&best),
@@ -64,7 +76,11 @@ impl NoiseState {
 }
 
 /// Returns `(ψ − ψ̂)ᵀ Σ_ψ⁻¹ (ψ − ψ̂)/λ`.
-pub(super) fn prior_distance(objective: &mut Objective, candidate: &DVector<f64>, centre: &DVector<f64>) -> f64 {
+pub(super) fn prior_distance(
+    objective: &mut Objective,
+    candidate: &DVector<f64>,
+    centre: &DVector<f64>,
+) -> f64 {
     let prior = &objective.scratch.prior;
     let mut distance = 0.0;
     for l in 0..candidate.len() {
@@ -76,7 +92,11 @@ pub(super) fn prior_distance(objective: &mut Objective, candidate: &DVector<f64>
 }
 
 /// Returns `(φ − φ̂)ᵀ Λ (φ − φ̂)/λ` for `φ = ln ψ`.
-fn logarithmic_distance(objective: &mut Objective, candidate: &DVector<f64>, centre: &DVector<f64>) -> f64 {
+fn logarithmic_distance(
+    objective: &mut Objective,
+    candidate: &DVector<f64>,
+    centre: &DVector<f64>,
+) -> f64 {
     let prior = &objective.scratch.prior;
     let mut distance = 0.0;
     for l in 0..candidate.len() {

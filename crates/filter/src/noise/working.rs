@@ -13,7 +13,12 @@ const LARGEST_LOGARITHMIC_STEP: f64 = 0.5;
 
 impl NoiseState {
     /// Moves `ψ` by `−Σ_ψ ∇J` (3.33), then `Σ_ψ` to the inverse of the observed Hessian (3.36).
-    pub(super) fn newton_step(&mut self, model: &NoiseModel, settings: &NoiseSettings, objective: &mut Objective) {
+    pub(super) fn newton_step(
+        &mut self,
+        model: &NoiseModel,
+        settings: &NoiseSettings,
+        objective: &mut Objective,
+    ) {
         if !objective.differentiate(&self.mean) {
             self.fall_back();
             return;
@@ -22,7 +27,9 @@ impl NoiseState {
         let mut moved = std::mem::take(&mut objective.scratch.best);
         let mut limited = false;
         for l in 0..self.mean.len() {
-            let newton: f64 = (0..self.mean.len()).map(|m| self.covariance[(l, m)] * objective.gradient[m]).sum();
+            let newton: f64 = (0..self.mean.len())
+                .map(|m| self.covariance[(l, m)] * objective.gradient[m])
+                .sum();
             let largest = LARGEST_RELATIVE_STEP * self.mean[l];
             limited |= newton.abs() > largest;
             moved[l] = self.mean[l] - newton.clamp(-largest, largest);
@@ -37,7 +44,12 @@ impl NoiseState {
     /// Moves `ln ψ` by the score over the accumulated expected information, which fades by `λ`.
     ///
     /// `φ = ln ψ`: `s_l = −ψ_l ∂J/∂ψ_l`, `F_lm = ½ ψ_l ψ_m tr(WU_lWU_m)`, `Λ ← Λ/λ + F`, `φ ← φ + Λ⁻¹ s`.
-    pub(super) fn scoring_step(&mut self, model: &NoiseModel, settings: &NoiseSettings, objective: &mut Objective) {
+    pub(super) fn scoring_step(
+        &mut self,
+        model: &NoiseModel,
+        settings: &NoiseSettings,
+        objective: &mut Objective,
+    ) {
         let mut moved = std::mem::take(&mut objective.scratch.best);
         if self.scoring_candidate_to(&mut moved, settings, objective) {
             invert_factor_to(&objective.scratch.information, &mut self.covariance);
@@ -108,7 +120,8 @@ impl NoiseState {
         let scratch = &mut objective.scratch;
         for l in 0..count {
             for m in 0..count {
-                scratch.information[(l, m)] = psi[l] * psi[m] * (objective.observed[(l, m)] + scratch.prior[(l, m)]);
+                scratch.information[(l, m)] =
+                    psi[l] * psi[m] * (objective.observed[(l, m)] + scratch.prior[(l, m)]);
             }
         }
         if cholesky_mut(&mut scratch.information).is_err() {
@@ -130,7 +143,9 @@ impl NoiseState {
         settings: &NoiseSettings,
         objective: &mut Objective,
     ) {
-        if !objective.differentiate(psi) || !self.logarithmic_information_to(psi, settings.fading, objective) {
+        if !objective.differentiate(psi)
+            || !self.logarithmic_information_to(psi, settings.fading, objective)
+        {
             self.fall_back();
             return;
         }
@@ -143,15 +158,20 @@ impl NoiseState {
     }
 
     /// Writes the Cholesky factor of `Λ/λ + F` for `ln ψ` into the scratch space; `F` is taken at `psi`.
-    fn logarithmic_information_to(&self, psi: &DVector<f64>, fading: f64, objective: &mut Objective) -> bool {
+    fn logarithmic_information_to(
+        &self,
+        psi: &DVector<f64>,
+        fading: f64,
+        objective: &mut Objective,
+    ) -> bool {
         if !self.prior_information_to(fading, objective) {
             return false;
         }
         let scratch = &mut objective.scratch;
         for l in 0..psi.len() {
             for m in 0..psi.len() {
-                scratch.information[(l, m)] =
-                    scratch.prior[(l, m)] * self.mean[l] * self.mean[m] + objective.expected[(l, m)] * psi[l] * psi[m];
+                scratch.information[(l, m)] = scratch.prior[(l, m)] * self.mean[l] * self.mean[m]
+                    + objective.expected[(l, m)] * psi[l] * psi[m];
             }
         }
         cholesky_mut(&mut scratch.information).is_ok()
@@ -166,7 +186,8 @@ impl NoiseState {
         }
         for l in 0..count {
             for m in 0..count {
-                scratch.information[(l, m)] = self.covariance[(l, m)] / (scratch.scale[l] * scratch.scale[m]);
+                scratch.information[(l, m)] =
+                    self.covariance[(l, m)] / (scratch.scale[l] * scratch.scale[m]);
             }
         }
         if cholesky_mut(&mut scratch.information).is_err() {

@@ -39,7 +39,8 @@ pub fn outlier_probability(epsilon: f64, beyond: usize, regular: usize) -> f64 {
 
 /// Logarithm of the probability that exactly `count` of `trials` fall into a tail of probability `q`, (4.16).
 fn ln_term(trials: f64, count: f64, q: f64) -> f64 {
-    let ln_choose = libm::lgamma(trials + 1.0) - libm::lgamma(count + 1.0) - libm::lgamma(trials - count + 1.0);
+    let ln_choose =
+        libm::lgamma(trials + 1.0) - libm::lgamma(count + 1.0) - libm::lgamma(trials - count + 1.0);
     ln_choose + count * q.ln() + (trials - count) * (-q).ln_1p()
 }
 
@@ -53,7 +54,11 @@ pub fn upper_bound(window: usize) -> f64 {
         if middle <= low || middle >= high {
             break; // neighbours
         }
-        if libm::erfc(middle / SQRT_2) > q { low = middle } else { high = middle }
+        if libm::erfc(middle / SQRT_2) > q {
+            low = middle
+        } else {
+            high = middle
+        }
     }
     0.5 * (low + high)
 }

@@ -16,7 +16,11 @@ fn upper_bounds_are_those_of_the_source() {
         (94_118, 4.4829),
         (100_000, 4.4958),
     ] {
-        assert!((upper_bound(window) - expected).abs() < 1e-4, "{window}: {}", upper_bound(window));
+        assert!(
+            (upper_bound(window) - expected).abs() < 1e-4,
+            "{window}: {}",
+            upper_bound(window)
+        );
     }
 }
 
@@ -34,7 +38,10 @@ fn probabilities_are_those_of_the_binomial_distribution() {
         (2.5, 124, 9999, 0.516_896),
     ] {
         let found = outlier_probability(epsilon, beyond, regular);
-        assert!((found - expected).abs() < 1e-6, "{epsilon} {beyond} {regular}: {found}, expected {expected}");
+        assert!(
+            (found - expected).abs() < 1e-6,
+            "{epsilon} {beyond} {regular}: {found}, expected {expected}"
+        );
     }
 }
 
@@ -123,15 +130,26 @@ fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
     // the scale held at 1, then updated; 120 000 samples. Rejections come in clusters, and with a window of 10 000 there are
     // few of them: single streams scatter by a fifth with the updated scale, so that the mean over eight is judged
     const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
-    for (window, held, updated) in [(1000, 0.0074, 0.0153), (3627, 0.0047, 0.0105), (10_000, 0.0033, 0.0068)] {
+    for (window, held, updated) in [
+        (1000, 0.0074, 0.0153),
+        (3627, 0.0047, 0.0105),
+        (10_000, 0.0033, 0.0068),
+    ] {
         let mean = |scale_is_held: bool| {
-            let each = SEEDS.map(|seed| swamping(seed, &settings(window), 120_000, 1.0, scale_is_held));
+            let each =
+                SEEDS.map(|seed| swamping(seed, &settings(window), 120_000, 1.0, scale_is_held));
             each.sum::<f64>() / SEEDS.count() as f64
         };
         let found = mean(true);
-        assert!((found / held - 1.0).abs() < 0.25, "window {window}: {found}, expected {held}");
+        assert!(
+            (found / held - 1.0).abs() < 0.25,
+            "window {window}: {found}, expected {held}"
+        );
         let found = mean(false);
-        assert!((found / updated - 1.0).abs() < 0.25, "window {window}, updated: {found}, expected {updated}");
+        assert!(
+            (found / updated - 1.0).abs() < 0.25,
+            "window {window}, updated: {found}, expected {updated}"
+        );
     }
 }
 
@@ -141,20 +159,32 @@ fn a_first_scale_that_is_a_little_off_is_borne() {
     for (scale, low, high) in [(1.0, 0.001, 0.01), (1.05, 0.0, 0.003), (0.95, 0.0, 0.02)] {
         let channels = (1..=8).map(|seed| swamping(seed, &settings(10_000), 20_000, scale, false));
         let found = channels.sum::<f64>() / 8.0;
-        assert!((low..=high).contains(&found), "first scale {scale}: {found}");
+        assert!(
+            (low..=high).contains(&found),
+            "first scale {scale}: {found}"
+        );
     }
 }
 
 #[test]
 fn without_the_lower_bound_half_of_a_clean_stream_is_rejected() {
     for seed in [1, 2, 3] {
-        let settings = OutlierSettings { lower: 0.0, ..settings(1000) };
+        let settings = OutlierSettings {
+            lower: 0.0,
+            ..settings(1000)
+        };
         let found = swamping(seed, &settings, 20_000, 1.0, true);
         assert!(found > 0.4, "seed {seed}: {found}");
     }
     // ch7 §5, check 3: a quarter and more of the first 4000 samples, of eight channels with a window of 10 000
-    let settings = OutlierSettings { lower: 0.0, ..settings(10_000) };
-    let found = (1..=8).map(|seed| swamping(seed, &settings, 4000, 1.0, false)).sum::<f64>() / 8.0;
+    let settings = OutlierSettings {
+        lower: 0.0,
+        ..settings(10_000)
+    };
+    let found = (1..=8)
+        .map(|seed| swamping(seed, &settings, 4000, 1.0, false))
+        .sum::<f64>()
+        / 8.0;
     assert!(found > 0.25, "{found}");
 }
 
@@ -180,7 +210,10 @@ fn a_fixed_threshold_flags_as_many_clean_points_as_there_are_points() {
             flagged += usize::from(point.iter().any(|value: &f64| value.abs() > alpha));
         }
         let mean = flagged as f64 / f64::from(repeats);
-        assert!((mean / expected - 1.0).abs() < 0.05, "{points} {alpha} {noise}: {mean}, expected {expected}");
+        assert!(
+            (mean / expected - 1.0).abs() < 0.05,
+            "{points} {alpha} {noise}: {mean}, expected {expected}"
+        );
     }
 }
 
@@ -190,7 +223,10 @@ fn feed(
     channels: usize,
     factor: impl Fn(usize, usize) -> f64,
 ) -> (OutlierState, Vec<(usize, usize, OutlierChange)>) {
-    let settings = OutlierSettings { fault_window: 500, ..settings(5000) };
+    let settings = OutlierSettings {
+        fault_window: 500,
+        ..settings(5000)
+    };
     let mut state = OutlierState::new(&settings, channels);
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let (mut changes, mut sorted) = (Vec::new(), Vec::new());
@@ -202,8 +238,13 @@ fn feed(
             })
             .collect();
         state.screen(&settings, &mut residuals, &vec![1.0; channels], &mut sorted);
-        changes
-            .extend(state.channels().iter().enumerate().filter_map(|(c, channel)| Some((c, step, channel.change()?))));
+        changes.extend(
+            state
+                .channels()
+                .iter()
+                .enumerate()
+                .filter_map(|(c, channel)| Some((c, step, channel.change()?))),
+        );
     }
     (state, changes)
 }
@@ -211,32 +252,73 @@ fn feed(
 #[test]
 fn a_scale_that_is_too_small_is_found_anew() {
     // one channel learns in a quiet stretch and is noisier by five afterwards: without help it would stay locked out
-    let (state, changes) = feed(4000, 3, |channel, step| if channel == 1 && step < 100 { 0.2 } else { 1.0 });
-    assert!(changes.iter().any(|change| matches!(change, (1, _, OutlierChange::Rescaled))), "{changes:?}");
+    let (state, changes) = feed(
+        4000,
+        3,
+        |channel, step| if channel == 1 && step < 100 { 0.2 } else { 1.0 },
+    );
+    assert!(
+        changes
+            .iter()
+            .any(|change| matches!(change, (1, _, OutlierChange::Rescaled))),
+        "{changes:?}"
+    );
     let channel = &state.channels()[1];
     // a fifth of the residuals from which it was found were still quiet
-    assert!(!channel.faulty() && (0.8..1.1).contains(&channel.scale()), "scale {}", channel.scale());
+    assert!(
+        !channel.faulty() && (0.8..1.1).contains(&channel.scale()),
+        "scale {}",
+        channel.scale()
+    );
     assert!(channel.rejected_share() < 0.05);
 }
 
 #[test]
 fn a_faulty_channel_is_told_from_the_others_and_taken_back() {
     let broken = 1000..3000;
-    let (state, changes) =
-        feed(6000, 3, |channel, step| if channel == 2 && broken.contains(&step) { 50.0 } else { 1.0 });
-    let began = changes.iter().find(|change| change.2 == OutlierChange::FaultBegan).expect("a fault");
-    let ended = changes.iter().find(|change| change.2 == OutlierChange::FaultEnded).expect("the end of the fault");
+    let (state, changes) = feed(6000, 3, |channel, step| {
+        if channel == 2 && broken.contains(&step) {
+            50.0
+        } else {
+            1.0
+        }
+    });
+    let began = changes
+        .iter()
+        .find(|change| change.2 == OutlierChange::FaultBegan)
+        .expect("a fault");
+    let ended = changes
+        .iter()
+        .find(|change| change.2 == OutlierChange::FaultEnded)
+        .expect("the end of the fault");
     assert!(began.0 == 2 && broken.contains(&began.1), "{began:?}");
     assert!(ended.0 == 2 && (3000..4600).contains(&ended.1), "{ended:?}");
     assert!(state.channels().iter().all(|channel| !channel.faulty()));
-    assert_eq!(changes.iter().filter(|change| change.2 == OutlierChange::FaultBegan).count(), 1, "{changes:?}");
+    assert_eq!(
+        changes
+            .iter()
+            .filter(|change| change.2 == OutlierChange::FaultBegan)
+            .count(),
+        1,
+        "{changes:?}"
+    );
 }
 
 #[test]
 fn motion_that_grows_on_all_channels_is_no_fault_of_sensors() {
     let (state, changes) = feed(6000, 4, |_, step| if step < 1000 { 1.0 } else { 20.0 });
-    assert!(changes.iter().all(|change| change.2 != OutlierChange::FaultBegan), "{changes:?}");
-    assert!(state.channels().iter().all(|channel| channel.rejected_share() < 0.05));
+    assert!(
+        changes
+            .iter()
+            .all(|change| change.2 != OutlierChange::FaultBegan),
+        "{changes:?}"
+    );
+    assert!(
+        state
+            .channels()
+            .iter()
+            .all(|channel| channel.rejected_share() < 0.05)
+    );
 }
 
 #[test]
@@ -249,7 +331,12 @@ fn dead_and_missing_channels_leave_numbers() {
         state.screen(&settings, &mut residuals, &[1.0, 1.0], &mut sorted);
         assert!(residuals[1].is_nan());
     }
-    let [dead, missing] = state.channels() else { panic!("two channels") };
+    let [dead, missing] = state.channels() else {
+        panic!("two channels")
+    };
     assert!(dead.scale() > 0.0 && dead.verdict() == Verdict::Regular);
-    assert_eq!((missing.verdict(), missing.seen(), missing.trained()), (Verdict::Missing, 0, false));
+    assert_eq!(
+        (missing.verdict(), missing.seen(), missing.trained()),
+        (Verdict::Missing, 0, false)
+    );
 }

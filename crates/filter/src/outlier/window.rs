@@ -16,7 +16,11 @@ pub(super) struct Window {
 impl Window {
     pub(super) fn new(size: usize) -> Self {
         // the tail of a Gaussian beyond 2 holds 4.6 %; the screening keeps it from growing
-        Self { size: size as u64, taken: 0, tail: VecDeque::with_capacity(size / 8 + 64) }
+        Self {
+            size: size as u64,
+            taken: 0,
+            tail: VecDeque::with_capacity(size / 8 + 64),
+        }
     }
 
     /// `N[R]`.
@@ -26,7 +30,10 @@ impl Window {
 
     /// `κ`: remembered samples at least as far out; right for values above the lower bound only.
     pub(super) fn at_least(&self, epsilon: f64) -> usize {
-        self.tail.iter().filter(|(_, value)| *value >= epsilon).count()
+        self.tail
+            .iter()
+            .filter(|(_, value)| *value >= epsilon)
+            .count()
     }
 
     /// Takes a regular sample and forgets the one that leaves the window, (4.28).
@@ -35,7 +42,11 @@ impl Window {
             self.tail.push_back((self.taken, epsilon));
         }
         self.taken += 1;
-        while self.tail.front().is_some_and(|(number, _)| number + self.size < self.taken) {
+        while self
+            .tail
+            .front()
+            .is_some_and(|(number, _)| number + self.size < self.taken)
+        {
             self.tail.pop_front();
         }
     }
@@ -57,7 +68,12 @@ pub(super) struct Recent {
 
 impl Recent {
     pub(super) fn new(size: usize) -> Self {
-        Self { size, taken: 0, rejected: 0, ring: VecDeque::with_capacity(size) }
+        Self {
+            size,
+            taken: 0,
+            rejected: 0,
+            ring: VecDeque::with_capacity(size),
+        }
     }
 
     /// Samples taken since the last clearing.
@@ -103,7 +119,9 @@ impl Recent {
 
     /// Forgets what was rejected.
     pub(super) fn forgive(&mut self) {
-        self.ring.iter_mut().for_each(|(_, rejected)| *rejected = false);
+        self.ring
+            .iter_mut()
+            .for_each(|(_, rejected)| *rejected = false);
         self.rejected = 0;
     }
 

@@ -5,7 +5,8 @@
 //! estimate follow recent data, small ones let it remember.
 
 use super::model::{
-    DIFFERENCE_STEP, DifferenceWorkspace, Interval, ParticleModel, central_differences, difference_to, reflect,
+    DIFFERENCE_STEP, DifferenceWorkspace, Interval, ParticleModel, central_differences,
+    difference_to, reflect,
 };
 use crate::error::FilterError;
 use nalgebra::DMatrix;
@@ -77,16 +78,31 @@ impl<S: ContinuousSystem> Drifting<S> {
         lower: Vec<f64>,
     ) -> Result<Self, FilterError> {
         let expected = system.drifting_len();
-        for (what, found) in [("drift", drift_std.len()), ("lower limit of the drift", lower.len())] {
+        for (what, found) in [
+            ("drift", drift_std.len()),
+            ("lower limit of the drift", lower.len()),
+        ] {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         if !(step_s > 0.0 && step_s.is_finite()) {
-            return Err(FilterError::Setting { what: "time step", found: step_s, allowed: "positive" });
+            return Err(FilterError::Setting {
+                what: "time step",
+                found: step_s,
+                allowed: "positive",
+            });
         }
         if substeps == 0 {
-            return Err(FilterError::Setting { what: "number of substeps", found: 0.0, allowed: "positive" });
+            return Err(FilterError::Setting {
+                what: "number of substeps",
+                found: 0.0,
+                allowed: "positive",
+            });
         }
         check_drift(&drift_std)?;
         let (mechanical, q) = (system.mechanical_len(), system.observation_len());
@@ -113,7 +129,11 @@ impl<S: ContinuousSystem> Drifting<S> {
     fn drift(&self, disturbance: &[f64], state: &mut [f64]) {
         let parameters = &mut state[self.system.mechanical_len()..];
         for (j, parameter) in parameters.iter_mut().enumerate() {
-            *parameter = reflect(*parameter + self.drift_std[j] * disturbance[j], self.lower[j], f64::INFINITY);
+            *parameter = reflect(
+                *parameter + self.drift_std[j] * disturbance[j],
+                self.lower[j],
+                f64::INFINITY,
+            );
         }
     }
 
@@ -126,7 +146,16 @@ impl<S: ContinuousSystem> Drifting<S> {
 
     /// Integrates the mechanical states over one step with the input held.
     fn integrate(&mut self, state: &mut [f64]) {
-        let Self { system, step_s, substeps, input, stage, slope, sum, .. } = self;
+        let Self {
+            system,
+            step_s,
+            substeps,
+            input,
+            stage,
+            slope,
+            sum,
+            ..
+        } = self;
         let h = *step_s / *substeps as f64;
         stage.copy_from_slice(state);
         let mechanical = slope.len();
@@ -165,7 +194,9 @@ impl<S: ContinuousSystem> ParticleModel for Drifting<S> {
     }
 
     fn propagate(&mut self, interval: Interval<'_>, disturbance: &[f64], state: &mut [f64]) {
-        let Some(previous) = interval.previous else { return };
+        let Some(previous) = interval.previous else {
+            return;
+        };
         self.take_input(previous);
         match self.increment_time {
             IncrementTime::Start => {
@@ -216,19 +247,30 @@ impl<S: ContinuousSystem> ParticleModel for Drifting<S> {
             central_differences(self, interval, state, output, jacobian, work);
             return;
         }
-        let DifferenceWorkspace { moved, disturbance, lower } = work;
+        let DifferenceWorkspace {
+            moved,
+            disturbance,
+            lower,
+        } = work;
         disturbance.fill(0.0);
         moved.copy_from_slice(state);
         self.propagate(interval, disturbance, moved);
         let (mechanical, q) = (self.system.mechanical_len(), lower.len());
         for j in 0..disturbance.len() {
             let parameter = moved[mechanical + j];
-            for (side, out) in [(-DIFFERENCE_STEP, lower.as_mut_slice()), (DIFFERENCE_STEP, &mut *output)] {
+            for (side, out) in [
+                (-DIFFERENCE_STEP, lower.as_mut_slice()),
+                (DIFFERENCE_STEP, &mut *output),
+            ] {
                 moved[mechanical + j] = parameter + self.drift_std[j] * side;
                 self.observe(interval, moved, out);
             }
             moved[mechanical + j] = parameter;
-            difference_to(output, lower, &mut jacobian.as_mut_slice()[j * q..(j + 1) * q]);
+            difference_to(
+                output,
+                lower,
+                &mut jacobian.as_mut_slice()[j * q..(j + 1) * q],
+            );
         }
         self.observe(interval, moved, output);
     }
@@ -236,10 +278,15 @@ impl<S: ContinuousSystem> ParticleModel for Drifting<S> {
 
 /// Refuses a drift that is negative or not finite.
 pub(super) fn check_drift(drift_std: &[f64]) -> Result<(), FilterError> {
-    match drift_std.iter().find(|std| !(**std >= 0.0 && std.is_finite())) {
+    match drift_std
+        .iter()
+        .find(|std| !(**std >= 0.0 && std.is_finite()))
+    {
         None => Ok(()),
-        Some(found) => {
-            Err(FilterError::Setting { what: "drift per step", found: *found, allowed: "finite and not negative" })
-        }
+        Some(found) => Err(FilterError::Setting {
+            what: "drift per step",
+            found: *found,
+            allowed: "finite and not negative",
+        }),
     }
 }

@@ -22,8 +22,15 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Returns `E[r(x)] = Σ W^i r(x^i)`: any quantity of interest, such as a drift or a cost.
     pub fn expectation(&self, mut quantity: impl FnMut(&[f64]) -> f64) -> f64 {
-        let particles = self.state.states.chunks_exact(self.mean.len()).zip(&self.weights);
-        particles.filter(|(_, weight)| **weight > 0.0).map(|(particle, weight)| weight * quantity(particle)).sum()
+        let particles = self
+            .state
+            .states
+            .chunks_exact(self.mean.len())
+            .zip(&self.weights);
+        particles
+            .filter(|(_, weight)| **weight > 0.0)
+            .map(|(particle, weight)| weight * quantity(particle))
+            .sum()
     }
 
     /// Returns the weighted quantiles of one component that leave the same probability outside on either side.
@@ -59,19 +66,31 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Returns the particles with their normalised weights.
     pub fn particles(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        self.state.states.chunks_exact(self.mean.len()).zip(self.weights.iter().copied())
+        self.state
+            .states
+            .chunks_exact(self.mean.len())
+            .zip(self.weights.iter().copied())
     }
 
     /// Returns `N_eff = 1/Σ W²`.
     pub fn effective_size(&self) -> f64 {
-        1.0 / self.weights.iter().map(|weight| weight * weight).sum::<f64>()
+        1.0 / self
+            .weights
+            .iter()
+            .map(|weight| weight * weight)
+            .sum::<f64>()
     }
 
     /// Returns the standard deviation of the weights (divisor `N`) over their mean.
     pub fn coefficient_of_variation(&self) -> f64 {
         let count = self.weights.len() as f64;
         let mean = self.weights.iter().sum::<f64>() / count;
-        let variance = self.weights.iter().map(|weight| (weight - mean) * (weight - mean)).sum::<f64>() / count;
+        let variance = self
+            .weights
+            .iter()
+            .map(|weight| (weight - mean) * (weight - mean))
+            .sum::<f64>()
+            / count;
         variance.sqrt() / mean
     }
 
@@ -79,6 +98,10 @@ impl<M: ParticleModel> ParticleFilter<M> {
     pub fn surviving_ancestors(&mut self) -> usize {
         self.order.copy_from_slice(&self.state.ancestors);
         self.order.sort_unstable();
-        1 + self.order.windows(2).filter(|pair| pair[0] != pair[1]).count()
+        1 + self
+            .order
+            .windows(2)
+            .filter(|pair| pair[0] != pair[1])
+            .count()
     }
 }

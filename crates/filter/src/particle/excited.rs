@@ -83,19 +83,28 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
     ///
     /// # Errors
     /// When a size does not fit the model, or a setting lies outside its range.
-    pub fn new(model: M, settings: &FilterSettings, drift_std: DVector<f64>) -> Result<Self, FilterError> {
+    pub fn new(
+        model: M,
+        settings: &FilterSettings,
+        drift_std: DVector<f64>,
+    ) -> Result<Self, FilterError> {
         settings.check(&model)?;
         let (n, parameters) = (model.state_len(), model.parameter_len());
         let (inputs, channels) = (model.excitation_len(), model.observation_len());
         if drift_std.len() != parameters {
             let (what, found) = ("drift of the parameters", drift_std.len());
-            return Err(FilterError::Dimension { what, found, expected: parameters });
+            return Err(FilterError::Dimension {
+                what,
+                found,
+                expected: parameters,
+            });
         }
         check_drift(drift_std.as_slice())?;
         let square = || DMatrix::zeros(inputs, inputs);
         let mut model = model;
         model.linearise_process(settings.prior_mean.as_slice(), &vec![0.0; inputs]);
-        let most_substeps = DIVERGED_SUBSTEPS * Series::choose(model.rate_bound(), settings.step_s).substeps;
+        let most_substeps =
+            DIVERGED_SUBSTEPS * Series::choose(model.rate_bound(), settings.step_s).substeps;
         let mut system = Self {
             most_substeps,
             step_s: settings.step_s,
@@ -126,8 +135,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
             },
             model,
         };
-        let levels =
-            DVector::from_iterator(settings.noise.parameters.len(), settings.noise.parameters.iter().map(|p| p.start));
+        let levels = DVector::from_iterator(
+            settings.noise.parameters.len(),
+            settings.noise.parameters.iter().map(|p| p.start),
+        );
         system.take_noise_levels(&levels)?;
         Ok(system)
     }
@@ -145,10 +156,16 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
     pub fn take_noise_levels(&mut self, levels: &DVector<f64>) -> Result<(), FilterError> {
         let expected = self.noise.parameters.len();
         if levels.len() != expected {
-            return Err(FilterError::Dimension { what: "noise levels", found: levels.len(), expected });
+            return Err(FilterError::Dimension {
+                what: "noise levels",
+                found: levels.len(),
+                expected,
+            });
         }
-        self.noise.covariance_to(NoiseTarget::Sensors, levels, &mut self.sensors);
-        self.noise.covariance_to(NoiseTarget::Excitation, levels, &mut self.excitation);
+        self.noise
+            .covariance_to(NoiseTarget::Sensors, levels, &mut self.sensors);
+        self.noise
+            .covariance_to(NoiseTarget::Excitation, levels, &mut self.excitation);
         self.excitation_factor.copy_from(&self.excitation);
         semidefinite_cholesky_mut(&mut self.excitation_factor)
     }
@@ -157,8 +174,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
     #[must_use]
     pub fn start_at_prior(&self, settings: &FilterSettings) -> GaussianStart {
         let (n, len) = (self.model.state_len(), self.state_len());
-        let mut start =
-            GaussianStart { mean: DVector::zeros(len), covariance: DMatrix::zeros(len, len), previous_input: None };
+        let mut start = GaussianStart {
+            mean: DVector::zeros(len),
+            covariance: DMatrix::zeros(len, len),
+            previous_input: None,
+        };
         start.mean.rows_mut(0, n).copy_from(&settings.prior_mean);
         for j in 0..n {
             start.covariance[(j, j)] = settings.prior_std[j] * settings.prior_std[j];
@@ -173,14 +193,28 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         let mut mean = DVector::zeros(len);
         let mut covariance = DMatrix::zeros(len, len);
         mean.rows_mut(0, n).copy_from(filter.mean());
-        covariance.view_mut((0, 0), (n, n)).copy_from(filter.covariance());
-        if let Some(ExcitationPosterior { mean: w, covariance: of_w, cross, .. }) = filter.excitation_posterior() {
+        covariance
+            .view_mut((0, 0), (n, n))
+            .copy_from(filter.covariance());
+        if let Some(ExcitationPosterior {
+            mean: w,
+            covariance: of_w,
+            cross,
+            ..
+        }) = filter.excitation_posterior()
+        {
             mean.rows_mut(n, w.len()).copy_from(w);
             covariance.view_mut((n, n), of_w.shape()).copy_from(of_w);
             covariance.view_mut((0, n), cross.shape()).copy_from(cross);
-            covariance.view_mut((n, 0), (w.len(), n)).copy_from(&cross.transpose());
+            covariance
+                .view_mut((n, 0), (w.len(), n))
+                .copy_from(&cross.transpose());
         }
-        GaussianStart { mean, covariance, previous_input: Some(filter.last_excitation().clone()) }
+        GaussianStart {
+            mean,
+            covariance,
+            previous_input: Some(filter.last_excitation().clone()),
+        }
     }
 
     /// Sorts out what is known of the excitation; a missing sample is taken as zero, and is uncertain.
@@ -214,7 +248,13 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
     /// Writes the slope of the motion from the known excitation through the step, if it is not held.
     fn take_ramp(&mut self) {
         let Self { step_s, work, .. } = self;
-        let Workspace { older, newer, ramp, input_matrix, .. } = work;
+        let Workspace {
+            older,
+            newer,
+            ramp,
+            input_matrix,
+            ..
+        } = work;
         ramp.gemv(1.0 / *step_s, input_matrix, newer, 0.0);
         ramp.gemv(-1.0 / *step_s, input_matrix, older, 1.0);
     }
@@ -240,13 +280,18 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
                 self.work.acting[j] += w;
             }
         }
-        self.model.linearise_process(&state[..n], self.work.acting.as_slice());
+        self.model
+            .linearise_process(&state[..n], self.work.acting.as_slice());
     }
 }
 
 impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for ExcitedSystem<M> {
     fn state_len(&self) -> usize {
-        self.model.state_len() + self.model.feedthrough().map_or(0, |_| self.model.excitation_len())
+        self.model.state_len()
+            + self
+                .model
+                .feedthrough()
+                .map_or(0, |_| self.model.excitation_len())
     }
 
     fn input_len(&self) -> usize {
@@ -281,8 +326,19 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
                 self.model.excitation_matrix(&mut self.work.input_matrix);
                 self.take_ramp();
             }
-            let Self { model, step_s, input_hold, work, .. } = self;
-            let Workspace { increment, ramp, motion, .. } = work;
+            let Self {
+                model,
+                step_s,
+                input_hold,
+                work,
+                ..
+            } = self;
+            let Workspace {
+                increment,
+                ramp,
+                motion,
+                ..
+            } = work;
             let ramp = (*input_hold == InputHold::First).then_some(ramp.as_slice());
             let series = Series::choose(model.rate_bound(), *step_s);
             discretise::integrate_inputs(model, *step_s, series, increment, ramp, motion);
@@ -301,7 +357,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
     fn observe(&mut self, interval: Interval<'_>, state: &[f64], out: &mut [f64]) {
         self.take_known(interval);
         let n = self.model.state_len();
-        self.model.linearise_observation(&state[..n], self.work.newer.as_slice());
+        self.model
+            .linearise_observation(&state[..n], self.work.newer.as_slice());
         self.model.observe(out);
         if let Some(direct) = self.model.feedthrough() {
             for (b, w) in state[n..].iter().enumerate() {
@@ -330,7 +387,9 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
         jacobian: &mut DMatrix<f64>,
         work: &mut DifferenceWorkspace,
     ) {
-        let DifferenceWorkspace { moved, disturbance, .. } = work;
+        let DifferenceWorkspace {
+            moved, disturbance, ..
+        } = work;
         disturbance.fill(0.0);
         let (n, inputs) = (self.model.state_len(), self.model.excitation_len());
         let direct = state.len() > n;
@@ -351,9 +410,17 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
         self.observe(interval, moved, output);
         if interval.previous.is_some() {
             let Self { model, work, .. } = self;
-            let Workspace { by_excitation, by_parameter, seen_excitation, seen_parameter, .. } = work;
+            let Workspace {
+                by_excitation,
+                by_parameter,
+                seen_excitation,
+                seen_parameter,
+                ..
+            } = work;
             model.observation_jacobian_mul(by_parameter, seen_parameter);
-            jacobian.columns_mut(inputs, seen_parameter.ncols()).copy_from(seen_parameter); // H A G
+            jacobian
+                .columns_mut(inputs, seen_parameter.ncols())
+                .copy_from(seen_parameter); // H A G
             if !direct {
                 model.observation_jacobian_mul(by_excitation, seen_excitation);
                 jacobian.columns_mut(0, inputs).copy_from(seen_excitation); // H Γ B_y L_f
@@ -362,7 +429,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
         if direct {
             self.factor(interval.current, interval.mean_square);
             let missing = interval.current.iter().any(|value| value.is_nan());
-            let factor = if missing { &self.missing_factor } else { &self.excitation_factor };
+            let factor = if missing {
+                &self.missing_factor
+            } else {
+                &self.excitation_factor
+            };
             if let Some(direct) = self.model.feedthrough() {
                 for k in 0..inputs {
                     for b in k..inputs {
@@ -385,12 +456,26 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
             self.take_ramp();
         }
         let n = self.model.state_len();
-        let Self { model, step_s, input_hold, work, drift_std, .. } = self;
+        let Self {
+            model,
+            step_s,
+            input_hold,
+            work,
+            drift_std,
+            ..
+        } = self;
         model.derivative(&mut work.inputs.as_mut_slice()[..n]);
         work.inputs.as_mut_slice()[n..].copy_from_slice(work.input_matrix.as_slice());
         let ramp = (*input_hold == InputHold::First).then_some(work.ramp.as_slice());
         let series = Series::choose(model.rate_bound(), *step_s);
-        discretise::integrate_inputs(model, *step_s, series, &mut work.inputs, ramp, &mut work.excitations);
+        discretise::integrate_inputs(
+            model,
+            *step_s,
+            series,
+            &mut work.inputs,
+            ramp,
+            &mut work.excitations,
+        );
         for (value, increment) in state.iter_mut().zip(&work.inputs.as_slice()[..n]) {
             *value += increment;
         }
@@ -400,17 +485,33 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
             for (j, std) in drift_std.iter().enumerate() {
                 work.by_parameter[(first + j, j)] = *std;
             }
-            discretise::transition_mul_narrow(model, *step_s, series, &mut work.by_parameter, &mut work.parameters);
+            discretise::transition_mul_narrow(
+                model,
+                *step_s,
+                series,
+                &mut work.by_parameter,
+                &mut work.parameters,
+            );
         }
         if let (false, Some(previous)) = (direct, interval.previous) {
             self.factor(previous, interval.mean_square);
             let missing = previous.iter().any(|value| value.is_nan());
-            let factor = if missing { &self.missing_factor } else { &self.excitation_factor };
-            let Workspace { inputs, by_excitation, .. } = &mut self.work;
+            let factor = if missing {
+                &self.missing_factor
+            } else {
+                &self.excitation_factor
+            };
+            let Workspace {
+                inputs,
+                by_excitation,
+                ..
+            } = &mut self.work;
             by_excitation.fill(0.0);
             for k in 0..factor.ncols() {
                 for b in k..factor.nrows() {
-                    by_excitation.column_mut(k).axpy(factor[(b, k)], &inputs.column(1 + b), 1.0);
+                    by_excitation
+                        .column_mut(k)
+                        .axpy(factor[(b, k)], &inputs.column(1 + b), 1.0);
                 }
             }
         }
@@ -426,12 +527,17 @@ fn semidefinite_cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), FilterErro
         let zero = pivot.abs() <= ZERO_PIVOT * diagonal;
         if !(zero || pivot > 0.0 && pivot.is_finite()) {
             let (what, allowed) = ("pivot of the covariance of the excitation", "not negative");
-            return Err(FilterError::Setting { what, found: pivot, allowed });
+            return Err(FilterError::Setting {
+                what,
+                found: pivot,
+                allowed,
+            });
         }
         let root = if zero { 0.0 } else { pivot.sqrt() };
         matrix[(j, j)] = root;
         for i in j + 1..n {
-            let rest = matrix[(i, j)] - (0..j).map(|k| matrix[(i, k)] * matrix[(j, k)]).sum::<f64>();
+            let rest =
+                matrix[(i, j)] - (0..j).map(|k| matrix[(i, k)] * matrix[(j, k)]).sum::<f64>();
             matrix[(i, j)] = if zero { 0.0 } else { rest / root };
             matrix[(j, i)] = 0.0;
         }

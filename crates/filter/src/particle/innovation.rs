@@ -58,8 +58,19 @@ impl Innovation {
     /// Compares the frame `datum` (q, NaN where missing) with the predictions; `covariance_of_sensors` writes `R` (q × q).
     ///
     /// A particle whose prediction is not finite does not count.
-    pub(super) fn compare(&mut self, datum: &[f64], covariance_of_sensors: impl FnOnce(&mut DMatrix<f64>)) {
-        let Self { predicted, weights, values, covariance, whitened, squared } = self;
+    pub(super) fn compare(
+        &mut self,
+        datum: &[f64],
+        covariance_of_sensors: impl FnOnce(&mut DMatrix<f64>),
+    ) {
+        let Self {
+            predicted,
+            weights,
+            values,
+            covariance,
+            whitened,
+            squared,
+        } = self;
         let q = datum.len();
         *squared = 0.0;
         values.fill(f64::NAN);
@@ -69,16 +80,27 @@ impl Innovation {
         let finite = |row: &[f64]| row.iter().all(|value| value.is_finite());
         whitened.fill(0.0);
         let mut total = 0.0;
-        for (row, weight) in predicted.chunks_exact(q).zip(weights.iter()).filter(|(row, _)| finite(row)) {
+        for (row, weight) in predicted
+            .chunks_exact(q)
+            .zip(weights.iter())
+            .filter(|(row, _)| finite(row))
+        {
             total += weight;
-            whitened.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
+            whitened
+                .iter_mut()
+                .zip(row)
+                .for_each(|(sum, value)| *sum += weight * value);
         }
         if total.is_nan() || total <= 0.0 {
             return; // no particle is left, which the weights say too
         }
         *whitened /= total; // ȳ
         covariance_of_sensors(covariance);
-        for (row, weight) in predicted.chunks_exact(q).zip(weights.iter()).filter(|(row, _)| finite(row)) {
+        for (row, weight) in predicted
+            .chunks_exact(q)
+            .zip(weights.iter())
+            .filter(|(row, _)| finite(row))
+        {
             for b in 0..q {
                 let right = weight / total * (row[b] - whitened[b]);
                 for a in 0..q {

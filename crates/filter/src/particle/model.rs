@@ -78,17 +78,28 @@ pub(super) fn central_differences(
     jacobian: &mut DMatrix<f64>,
     work: &mut DifferenceWorkspace,
 ) {
-    let DifferenceWorkspace { moved, disturbance, lower } = work;
+    let DifferenceWorkspace {
+        moved,
+        disturbance,
+        lower,
+    } = work;
     disturbance.fill(0.0);
     for j in 0..disturbance.len() {
-        for (side, out) in [(-DIFFERENCE_STEP, lower.as_mut_slice()), (DIFFERENCE_STEP, &mut *output)] {
+        for (side, out) in [
+            (-DIFFERENCE_STEP, lower.as_mut_slice()),
+            (DIFFERENCE_STEP, &mut *output),
+        ] {
             disturbance[j] = side;
             moved.copy_from_slice(state);
             model.propagate(interval, disturbance, moved);
             model.observe(interval, moved, out);
         }
         disturbance[j] = 0.0;
-        difference_to(output, lower, &mut jacobian.as_mut_slice()[j * lower.len()..(j + 1) * lower.len()]);
+        difference_to(
+            output,
+            lower,
+            &mut jacobian.as_mut_slice()[j * lower.len()..(j + 1) * lower.len()],
+        );
     }
     moved.copy_from_slice(state);
     model.propagate(interval, disturbance, moved);

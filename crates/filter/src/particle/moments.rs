@@ -12,16 +12,29 @@ const OFF_DIAGONAL: f64 = 1e-15;
 const LARGEST_SWEEPS: usize = 60;
 
 /// Writes weighted mean and standard deviation of every component (n).
-pub(super) fn mean_and_std_to(states: &[f64], weights: &[f64], mean: &mut DVector<f64>, std: &mut DVector<f64>) {
+pub(super) fn mean_and_std_to(
+    states: &[f64],
+    weights: &[f64],
+    mean: &mut DVector<f64>,
+    std: &mut DVector<f64>,
+) {
     let n = mean.len();
     mean.fill(0.0);
     std.fill(0.0);
-    for (state, weight) in states.chunks_exact(n).zip(weights).filter(|(_, weight)| **weight > 0.0) {
+    for (state, weight) in states
+        .chunks_exact(n)
+        .zip(weights)
+        .filter(|(_, weight)| **weight > 0.0)
+    {
         for (sum, value) in mean.iter_mut().zip(state) {
             *sum += weight * value;
         }
     }
-    for (state, weight) in states.chunks_exact(n).zip(weights).filter(|(_, weight)| **weight > 0.0) {
+    for (state, weight) in states
+        .chunks_exact(n)
+        .zip(weights)
+        .filter(|(_, weight)| **weight > 0.0)
+    {
         for j in 0..n {
             let deviation = state[j] - mean[j];
             std[j] += weight * deviation * deviation;
@@ -31,10 +44,19 @@ pub(super) fn mean_and_std_to(states: &[f64], weights: &[f64], mean: &mut DVecto
 }
 
 /// Writes the weighted covariance (n × n) around a given mean.
-pub(super) fn covariance_to(states: &[f64], weights: &[f64], mean: &DVector<f64>, out: &mut DMatrix<f64>) {
+pub(super) fn covariance_to(
+    states: &[f64],
+    weights: &[f64],
+    mean: &DVector<f64>,
+    out: &mut DMatrix<f64>,
+) {
     let n = mean.len();
     out.fill(0.0);
-    for (state, weight) in states.chunks_exact(n).zip(weights).filter(|(_, weight)| **weight > 0.0) {
+    for (state, weight) in states
+        .chunks_exact(n)
+        .zip(weights)
+        .filter(|(_, weight)| **weight > 0.0)
+    {
         for j in 0..n {
             let right = weight * (state[j] - mean[j]);
             for i in 0..=j {
@@ -67,7 +89,12 @@ pub(super) struct SquareRoot {
 impl SquareRoot {
     pub(super) fn new(n: usize) -> Self {
         let square = || DMatrix::zeros(n, n);
-        Self { deviation: DVector::zeros(n), root: square(), reduced: square(), vectors: square() }
+        Self {
+            deviation: DVector::zeros(n),
+            root: square(),
+            reduced: square(),
+            vectors: square(),
+        }
     }
 
     /// Takes a covariance (n × n); eigenvalues of its correlations below zero are cut.
@@ -92,7 +119,11 @@ impl SquareRoot {
         for j in 0..n {
             for i in 0..=j {
                 let product: f64 = (0..n)
-                    .map(|k| self.reduced[(k, k)].max(0.0).sqrt() * self.vectors[(i, k)] * self.vectors[(j, k)])
+                    .map(|k| {
+                        self.reduced[(k, k)].max(0.0).sqrt()
+                            * self.vectors[(i, k)]
+                            * self.vectors[(j, k)]
+                    })
                     .sum();
                 self.root[(i, j)] = product;
                 self.root[(j, i)] = product;
@@ -103,7 +134,13 @@ impl SquareRoot {
     /// Adds `scale · D C^{1/2} z` to a state (n), with `z` (n) standard normal.
     pub(super) fn add_draw(&self, scale: f64, z: &[f64], state: &mut [f64]) {
         for (j, value) in state.iter_mut().enumerate() {
-            let product: f64 = self.root.column(j).iter().zip(z).map(|(root, z)| root * z).sum();
+            let product: f64 = self
+                .root
+                .column(j)
+                .iter()
+                .zip(z)
+                .map(|(root, z)| root * z)
+                .sum();
             *value += scale * self.deviation[j] * product;
         }
     }
@@ -153,7 +190,9 @@ mod tests {
 
     #[test]
     fn root_of_a_covariance_gives_it_back_across_units() {
-        let factor = DMatrix::from_fn(5, 4, |i, j| ((3 * i + 2 * j) as f64).sin() * 10f64.powi(3 * i as i32 - 6));
+        let factor = DMatrix::from_fn(5, 4, |i, j| {
+            ((3 * i + 2 * j) as f64).sin() * 10f64.powi(3 * i as i32 - 6)
+        });
         let mut covariance = &factor * factor.transpose(); // rank 4 of 5
         covariance.row_mut(2).fill(0.0);
         covariance.column_mut(2).fill(0.0);
@@ -168,7 +207,10 @@ mod tests {
         for j in 0..5 {
             for i in 0..5 {
                 let scale = (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-                assert!((found[(i, j)] - covariance[(i, j)]).abs() <= 1e-12 * scale, "({i}, {j})");
+                assert!(
+                    (found[(i, j)] - covariance[(i, j)]).abs() <= 1e-12 * scale,
+                    "({i}, {j})"
+                );
             }
         }
     }

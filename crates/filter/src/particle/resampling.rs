@@ -54,16 +54,30 @@ mod tests {
     fn counts(scheme: Resampling, weights: &[f64], seed: u64) -> Vec<usize> {
         let mut indices = vec![0; weights.len()];
         let mut cumulative = vec![0.0; weights.len()];
-        draw_indices(scheme, weights, &mut ChaCha8Rng::seed_from_u64(seed), &mut cumulative, &mut indices);
-        (0..weights.len() as u32).map(|i| indices.iter().filter(|index| **index == i).count()).collect()
+        draw_indices(
+            scheme,
+            weights,
+            &mut ChaCha8Rng::seed_from_u64(seed),
+            &mut cumulative,
+            &mut indices,
+        );
+        (0..weights.len() as u32)
+            .map(|i| indices.iter().filter(|index| **index == i).count())
+            .collect()
     }
 
     #[test]
     fn systematic_counts_differ_from_the_expected_ones_by_less_than_one() {
         let weights = [0.0, 0.31, 0.0, 0.02, 0.47, 0.2, 0.0, 0.0, 0.0, 0.0];
         for seed in [1, 2, 3] {
-            for (count, weight) in counts(Resampling::Systematic, &weights, seed).into_iter().zip(weights) {
-                assert!((count as f64 - 10.0 * weight).abs() < 1.0, "{count} for weight {weight}");
+            for (count, weight) in counts(Resampling::Systematic, &weights, seed)
+                .into_iter()
+                .zip(weights)
+            {
+                assert!(
+                    (count as f64 - 10.0 * weight).abs() < 1.0,
+                    "{count} for weight {weight}"
+                );
                 assert!(weight > 0.0 || count == 0);
             }
         }
@@ -75,14 +89,20 @@ mod tests {
         let mut sums = [0.0; 5];
         let runs = 4000;
         for seed in 0..runs {
-            for (sum, count) in sums.iter_mut().zip(counts(Resampling::Multinomial, &weights, seed)) {
+            for (sum, count) in sums
+                .iter_mut()
+                .zip(counts(Resampling::Multinomial, &weights, seed))
+            {
                 *sum += count as f64;
             }
         }
         for (sum, weight) in sums.iter().zip(weights) {
             // five standard deviations of a binomial mean
             let allowed = 5.0 * (5.0 * weight * (1.0 - weight) / runs as f64).sqrt();
-            assert!((sum / runs as f64 - 5.0 * weight).abs() <= allowed, "{sum} for {weight}");
+            assert!(
+                (sum / runs as f64 - 5.0 * weight).abs() <= allowed,
+                "{sum} for {weight}"
+            );
         }
     }
 }

@@ -68,20 +68,34 @@ impl ParticleSettings {
         if self.particles < 2 || u32::try_from(self.particles).is_err() {
             let found = self.particles as f64;
             return Err(FilterError::Setting {
-                what: "number of particles", found, allowed: "at least 2, below 2³²"
+                what: "number of particles",
+                found,
+                allowed: "at least 2, below 2³²",
             });
         }
         if self.resampling_threshold.is_nan() || self.resampling_threshold < 0.0 {
             let (what, found) = ("resampling threshold", self.resampling_threshold);
-            return Err(FilterError::Setting { what, found, allowed: "not negative" });
+            return Err(FilterError::Setting {
+                what,
+                found,
+                allowed: "not negative",
+            });
         }
         if !(self.kernel > 0.0 && self.kernel <= 1.0) {
             let allowed = "above 0 and at most 1";
-            return Err(FilterError::Setting { what: "kernel of the resampling", found: self.kernel, allowed });
+            return Err(FilterError::Setting {
+                what: "kernel of the resampling",
+                found: self.kernel,
+                allowed,
+            });
         }
         if !(1..=1024).contains(&self.threads) {
             let found = self.threads as f64;
-            return Err(FilterError::Setting { what: "number of threads", found, allowed: "between 1 and 1024" });
+            return Err(FilterError::Setting {
+                what: "number of threads",
+                found,
+                allowed: "between 1 and 1024",
+            });
         }
         Ok(())
     }

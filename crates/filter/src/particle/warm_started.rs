@@ -3,7 +3,9 @@
 //! With accurate sensors and a wide prior the weights of the first frames fall on a handful of particles, whose wrong initial
 //! motion nothing mends. A Kalman filter over the first second narrows the Gaussian from which the particles are drawn.
 
-use super::{ExcitedSystem, GaussianStart, ParticleFilter, ParticleSettings, ParticleState, ParticleStep};
+use super::{
+    ExcitedSystem, GaussianStart, ParticleFilter, ParticleSettings, ParticleState, ParticleStep,
+};
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, FilterState, Frame};
 use crate::model::{ObservationModel, ProcessModel};
@@ -12,7 +14,10 @@ use serde::{Deserialize, Serialize};
 
 /// The whole state of a warm-started filter between two steps: what a checkpoint holds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::large_enum_variant, reason = "one of them exists per filter, and it lives in a checkpoint only")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one of them exists per filter, and it lives in a checkpoint only"
+)]
 pub enum WarmStartState {
     /// The Kalman filter runs.
     Warming {
@@ -65,7 +70,14 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         let particles = ParticleFilter::new(system, particle_settings, prior.clone())?;
         let kalman = ExtendedKalmanFilter::new(model, settings)?;
         let noise_levels = kalman.noise().mean.clone();
-        Ok(Self { kalman, particles, prior, noise_levels, warm_steps, left: warm_steps })
+        Ok(Self {
+            kalman,
+            particles,
+            prior,
+            noise_levels,
+            warm_steps,
+            left: warm_steps,
+        })
     }
 
     /// Goes back to the prior.
@@ -89,7 +101,12 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
             self.particles.covariance_to(&mut covariance);
             let mean = DVector::from_column_slice(&self.particles.mean().as_slice()[..n]);
             let known = self.kalman.state().clone();
-            self.kalman.continue_from(&known, mean, covariance.view((0, 0), (n, n)).into_owned(), Some);
+            self.kalman.continue_from(
+                &known,
+                mean,
+                covariance.view((0, 0), (n, n)).into_owned(),
+                Some,
+            );
         }
         self.kalman.forget_motion();
         self.left = self.warm_steps.max(1);
@@ -110,7 +127,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         self.left -= 1;
         if self.left == 0 {
             self.take_noise_levels(self.kalman.noise().mean.clone())?;
-            self.particles.restart_from(self.particles.model().start_after(&self.kalman))?;
+            self.particles
+                .restart_from(self.particles.model().start_after(&self.kalman))?;
         }
         Ok(ParticleStep {
             log_evidence: step.log_evidence,
@@ -140,7 +158,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Returns the mean of the state (n), from whichever filter runs.
     pub fn mean(&self) -> &[f64] {
         let n = self.kalman.mean().len();
-        if self.left > 0 { self.kalman.mean().as_slice() } else { &self.particles.mean().as_slice()[..n] }
+        if self.left > 0 {
+            self.kalman.mean().as_slice()
+        } else {
+            &self.particles.mean().as_slice()[..n]
+        }
     }
 
     /// Returns the standard deviation of one entry of the state, from whichever filter runs; `None` beyond its end.
@@ -148,7 +170,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         if component >= self.kalman.mean().len() {
             None
         } else if self.left > 0 {
-            Some(self.kalman.covariance()[(component, component)].max(0.0).sqrt())
+            Some(
+                self.kalman.covariance()[(component, component)]
+                    .max(0.0)
+                    .sqrt(),
+            )
         } else {
             Some(self.particles.std()[component])
         }
@@ -156,7 +182,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
 
     /// Returns the innovation of the last step (N_0, sensor units), from whichever filter runs; NaN where a channel was missing.
     pub fn innovation(&self) -> &[f64] {
-        if self.left > 0 { self.kalman.innovation().as_slice() } else { self.particles.innovation() }
+        if self.left > 0 {
+            self.kalman.innovation().as_slice()
+        } else {
+            self.particles.innovation()
+        }
     }
 
     /// Returns the length of the state of the particles: that of the model, and the excitation of one with a direct term.
@@ -172,7 +202,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         if self.left > 0 {
             let n = self.kalman.mean().len();
             out.fill(0.0);
-            out.view_mut((0, 0), (n, n)).copy_from(self.kalman.covariance());
+            out.view_mut((0, 0), (n, n))
+                .copy_from(self.kalman.covariance());
         } else {
             self.particles.covariance_to(out);
         }
@@ -181,7 +212,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Returns the state for a checkpoint.
     pub fn state(&self) -> WarmStartState {
         if self.left > 0 {
-            WarmStartState::Warming { kalman: self.kalman.state().clone(), left: self.left }
+            WarmStartState::Warming {
+                kalman: self.kalman.state().clone(),
+                left: self.left,
+            }
         } else {
             WarmStartState::Running {
                 particles: self.particles.state().clone(),
@@ -200,7 +234,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
                 self.kalman.restore(kalman)?;
                 self.left = left.max(1);
             }
-            WarmStartState::Running { particles, noise_levels } => {
+            WarmStartState::Running {
+                particles,
+                noise_levels,
+            } => {
                 self.particles.restore(particles)?;
                 self.take_noise_levels(noise_levels)?;
                 self.left = 0;

@@ -77,7 +77,8 @@ impl<M: ParticleModel> Worker<M> {
             ImportanceDensity::Prior => 0.0,
             ImportanceDensity::Optimal => self.draw_optimal(interval, datum, rng, state, predicted),
         };
-        self.model.propagate(interval, self.disturbance.as_slice(), state);
+        self.model
+            .propagate(interval, self.disturbance.as_slice(), state);
         if !state.iter().all(|value| value.is_finite()) {
             return f64::NEG_INFINITY;
         }
@@ -85,7 +86,11 @@ impl<M: ParticleModel> Worker<M> {
         if density == ImportanceDensity::Prior {
             predicted.copy_from_slice(self.output.as_slice());
         }
-        if weight.is_finite() { weight } else { f64::NEG_INFINITY }
+        if weight.is_finite() {
+            weight
+        } else {
+            f64::NEG_INFINITY
+        }
     }
 
     /// Moves the disturbance from its prior to the density of one extended Kalman step; returns `ln p(w) − ln q(w)`.
@@ -98,19 +103,44 @@ impl<M: ParticleModel> Worker<M> {
         predicted: &mut [f64],
     ) -> f64 {
         fill_normal(self.noise.as_mut_slice(), rng);
-        self.model.linearise(interval, state, self.output.as_mut_slice(), &mut self.jacobian, &mut self.differences);
+        self.model.linearise(
+            interval,
+            state,
+            self.output.as_mut_slice(),
+            &mut self.jacobian,
+            &mut self.differences,
+        );
         for (j, predicted) in predicted.iter_mut().enumerate() {
-            let moved = self.jacobian.row(j).iter().zip(self.disturbance.iter()).map(|(a, b)| a * b).sum::<f64>();
+            let moved = self
+                .jacobian
+                .row(j)
+                .iter()
+                .zip(self.disturbance.iter())
+                .map(|(a, b)| a * b)
+                .sum::<f64>();
             *predicted = self.output[j] + moved; // y₀ + J w₀
         }
         if self.whiten_residual(datum, state).is_none() || !self.whiten_jacobian(datum) {
             return 0.0; // no sensible density from here: the prior is always right
         }
-        let Self { residual, noise, jacobian, innovation, disturbance, centre, .. } = self;
+        let Self {
+            residual,
+            noise,
+            jacobian,
+            innovation,
+            disturbance,
+            centre,
+            ..
+        } = self;
         let q = residual.len();
         for b in 0..q {
             for a in 0..q {
-                let product: f64 = jacobian.row(a).iter().zip(jacobian.row(b).iter()).map(|(a, b)| a * b).sum();
+                let product: f64 = jacobian
+                    .row(a)
+                    .iter()
+                    .zip(jacobian.row(b).iter())
+                    .map(|(a, b)| a * b)
+                    .sum();
                 innovation[(a, b)] = if a == b { 1.0 + product } else { product }; // S̃ = I + J̃ J̃ᵀ
             }
         }
@@ -136,12 +166,15 @@ impl<M: ParticleModel> Worker<M> {
 
     /// Returns `ln N(ŷ; h(x_k), R(x_k))` over the channels that are there.
     fn log_likelihood(&mut self, interval: Interval<'_>, datum: &[f64], state: &[f64]) -> f64 {
-        self.model.observe(interval, state, self.output.as_mut_slice());
+        self.model
+            .observe(interval, state, self.output.as_mut_slice());
         match self.whiten_residual(datum, state) {
             None => f64::NEG_INFINITY,
             Some(ln_determinant) => {
                 let used = datum.iter().filter(|value| !value.is_nan()).count() as f64;
-                -0.5 * (self.residual.norm_squared() + ln_determinant + used * std::f64::consts::TAU.ln())
+                -0.5 * (self.residual.norm_squared()
+                    + ln_determinant
+                    + used * std::f64::consts::TAU.ln())
             }
         }
     }
@@ -150,7 +183,13 @@ impl<M: ParticleModel> Worker<M> {
     ///
     /// A missing channel becomes a row of the identity in `R` with zero residual. `None`: `R` is not positive definite.
     fn whiten_residual(&mut self, datum: &[f64], state: &[f64]) -> Option<f64> {
-        let Self { model, output, residual, sensors, .. } = self;
+        let Self {
+            model,
+            output,
+            residual,
+            sensors,
+            ..
+        } = self;
         model.sensor_covariance(state, sensors);
         for j in 0..datum.len() {
             if datum[j].is_nan() {
@@ -175,7 +214,10 @@ impl<M: ParticleModel> Worker<M> {
             }
         }
         solve_lower_mut(&self.sensors, self.jacobian.as_mut_slice());
-        self.residual.iter().chain(self.jacobian.iter()).all(|value| value.is_finite())
+        self.residual
+            .iter()
+            .chain(self.jacobian.iter())
+            .all(|value| value.is_finite())
     }
 }
 

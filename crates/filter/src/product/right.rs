@@ -40,12 +40,15 @@ impl Right {
     pub(crate) fn pack_band(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize) {
         let n = matrix.nrows();
         let of_group = |columns: Range<usize>, runs: &mut Vec<Range<usize>>| {
-            runs.push(columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n));
+            runs.push(
+                columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n),
+            );
         };
         self.pack_with(n, of_group, |columns, run, values| {
             for (lane, column) in columns.clone().enumerate() {
                 let start = column.saturating_sub(half_bandwidth);
-                let entries = &matrix.as_slice()[column * n + start..column * n + (column + half_bandwidth + 1).min(n)];
+                let entries = &matrix.as_slice()
+                    [column * n + start..column * n + (column + half_bandwidth + 1).min(n)];
                 for (values, entry) in values[start - run.start..].iter_mut().zip(entries) {
                     values[lane] = *entry;
                 }
@@ -57,9 +60,14 @@ impl Right {
     pub(crate) fn pack_sparse(&mut self, matrix: &DMatrix<f64>) {
         self.pack_runs(matrix, |columns, runs| {
             let first_run = runs.len();
-            let entries = &matrix.as_slice()[columns.start * matrix.nrows()..columns.end * matrix.nrows()];
+            let entries =
+                &matrix.as_slice()[columns.start * matrix.nrows()..columns.end * matrix.nrows()];
             for row in 0..matrix.nrows() {
-                if entries[row..].iter().step_by(matrix.nrows()).any(|entry| *entry != 0.0) {
+                if entries[row..]
+                    .iter()
+                    .step_by(matrix.nrows())
+                    .any(|entry| *entry != 0.0)
+                {
                     match runs[first_run..].last_mut() {
                         Some(run) if run.end == row => run.end += 1,
                         _ => runs.push(row..row + 1),
@@ -71,7 +79,11 @@ impl Right {
 
     /// Packs a matrix (k × c) that is likely to have its zeros where that of the last time had them.
     pub(crate) fn repack_sparse(&mut self, matrix: &DMatrix<f64>) {
-        let entry_count = matrix.as_slice().iter().filter(|entry| **entry != 0.0).count();
+        let entry_count = matrix
+            .as_slice()
+            .iter()
+            .filter(|entry| **entry != 0.0)
+            .count();
         let mut found = 0;
         if self.is_packed() {
             self.repack_with(|columns, run, values| {
@@ -99,7 +111,8 @@ impl Right {
         let rows = matrix.nrows();
         self.pack_with(matrix.ncols(), of_group, |columns, run, values| {
             for (lane, column) in columns.clone().enumerate() {
-                let entries = &matrix.as_slice()[column * rows + run.start..column * rows + run.end];
+                let entries =
+                    &matrix.as_slice()[column * rows + run.start..column * rows + run.end];
                 for (values, entry) in values.iter_mut().zip(entries) {
                     values[lane] = *entry;
                 }
@@ -127,7 +140,10 @@ impl Right {
     }
 
     /// Does so with the runs of rows of the last time, and with what was there then.
-    pub(crate) fn repack_with(&mut self, mut write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]])) {
+    pub(crate) fn repack_with(
+        &mut self,
+        mut write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]]),
+    ) {
         let (mut start, mut values) = (0, self.values.as_mut_slice());
         for (columns, (end, _)) in column_groups(self.columns).zip(&self.ends) {
             for run in &self.runs[start..*end] {
@@ -160,5 +176,7 @@ impl Right {
 /// Returns the columns of each group.
 #[inline(always)]
 fn column_groups(columns: usize) -> impl Iterator<Item = Range<usize>> {
-    (0..columns).step_by(COLUMNS).map(move |first| first..(first + COLUMNS).min(columns))
+    (0..columns)
+        .step_by(COLUMNS)
+        .map(move |first| first..(first + COLUMNS).min(columns))
 }

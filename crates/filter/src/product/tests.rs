@@ -15,13 +15,24 @@ fn packed(matrix: &DMatrix<f64>) -> Right {
 #[test]
 fn product_is_that_of_nalgebra() {
     // less than a register of rows, then strips of every length, full and moved up
-    for (rows, arch) in (1..80).flat_map(|rows| all_instructions().into_iter().map(move |arch| (rows, arch))) {
+    for (rows, arch) in
+        (1..80).flat_map(|rows| all_instructions().into_iter().map(move |arch| (rows, arch)))
+    {
         let (left, right) = (matrix(rows, 21), matrix(21, 9));
         let mut out = DMatrix::repeat(rows, 10, 7.0);
-        Multiplier::with(arch).multiply_to(Left::new(&left), &packed(&right), Extent::Full, Sum::scaled(0.5), &mut out);
+        Multiplier::with(arch).multiply_to(
+            Left::new(&left),
+            &packed(&right),
+            Extent::Full,
+            Sum::scaled(0.5),
+            &mut out,
+        );
         let expected = 0.5 * &left * &right;
         assert!((out.columns(0, 9) - expected).amax() < 1e-14, "{rows} rows");
-        assert!(out.column(9).iter().all(|entry| *entry == 7.0), "{rows} rows");
+        assert!(
+            out.column(9).iter().all(|entry| *entry == 7.0),
+            "{rows} rows"
+        );
     }
 }
 
@@ -29,8 +40,17 @@ fn product_is_that_of_nalgebra() {
 fn product_is_added_to_a_matrix() {
     let (left, right, start) = (matrix(37, 5), matrix(5, 37), matrix(37, 37));
     let mut out = DMatrix::zeros(37, 37);
-    let sum = Sum { factor: -2.0, start: Some(Piece::new(&start)) };
-    Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, sum, &mut out);
+    let sum = Sum {
+        factor: -2.0,
+        start: Some(Piece::new(&start)),
+    };
+    Multiplier::new().multiply_to(
+        Left::new(&left),
+        &packed(&right),
+        Extent::Full,
+        sum,
+        &mut out,
+    );
     assert!((out + 2.0 * (start + left * right)).amax() < 1e-14);
 }
 
@@ -38,10 +58,16 @@ fn product_is_added_to_a_matrix() {
 fn entries_outside_the_runs_are_left_out() {
     let (left, full) = (matrix(20, 20), matrix(20, 6));
     let mut right = Right::new(20, 6, 2);
-    right.pack_runs(&full, |columns, runs| runs.extend([columns.start..columns.start + 2, 19..20]));
+    right.pack_runs(&full, |columns, runs| {
+        runs.extend([columns.start..columns.start + 2, 19..20])
+    });
     let cut = DMatrix::from_fn(20, 6, |row, column| {
         let first = column / COLUMNS * COLUMNS;
-        if (first..first + 2).contains(&row) || row == 19 { full[(row, column)] } else { 0.0 }
+        if (first..first + 2).contains(&row) || row == 19 {
+            full[(row, column)]
+        } else {
+            0.0
+        }
     });
     let mut out = DMatrix::zeros(20, 6);
     Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Full, Sum::PLAIN, &mut out);
@@ -51,7 +77,13 @@ fn entries_outside_the_runs_are_left_out() {
 #[test]
 fn zeros_of_a_sparse_factor_change_nothing() {
     let left = matrix(20, 20);
-    let sparse = DMatrix::from_fn(20, 6, |row, column| if (row * column) % 5 == 1 { 1.0 + row as f64 } else { 0.0 });
+    let sparse = DMatrix::from_fn(20, 6, |row, column| {
+        if (row * column) % 5 == 1 {
+            1.0 + row as f64
+        } else {
+            0.0
+        }
+    });
     let mut right = Right::new(20, 6, 10);
     right.pack_sparse(&sparse);
     let mut out = DMatrix::zeros(20, 6);
@@ -62,14 +94,32 @@ fn zeros_of_a_sparse_factor_change_nothing() {
 #[test]
 fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
     let band = |half: usize| {
-        DMatrix::from_fn(45, 45, move |i, j| if i.abs_diff(j) <= half { ((3 * i + 7 * j) as f64).sin() } else { 0.0 })
+        DMatrix::from_fn(45, 45, move |i, j| {
+            if i.abs_diff(j) <= half {
+                ((3 * i + 7 * j) as f64).sin()
+            } else {
+                0.0
+            }
+        })
     };
     let (left, full) = (band(4), matrix(45, 45));
     let mut right = Right::new(45, 45, 1);
     right.pack_band(&full, 2); // what is outside the band does not count
-    let cut = DMatrix::from_fn(45, 45, |i, j| if i.abs_diff(j) <= 2 { full[(i, j)] } else { 0.0 });
+    let cut = DMatrix::from_fn(45, 45, |i, j| {
+        if i.abs_diff(j) <= 2 {
+            full[(i, j)]
+        } else {
+            0.0
+        }
+    });
     let mut out = DMatrix::repeat(45, 45, 7.0);
-    Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Band(6), Sum::PLAIN, &mut out);
+    Multiplier::new().multiply_to(
+        Left::new(&left),
+        &right,
+        Extent::Band(6),
+        Sum::PLAIN,
+        &mut out,
+    );
     assert!((out - left * cut).amax() < 1e-14);
 }
 
@@ -86,10 +136,22 @@ fn stacked(first: &DMatrix<f64>, second: &DMatrix<f64>) -> Right {
 
 #[test]
 fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_for() {
-    let (first, second, by_first, by_second) = (matrix(21, 9), matrix(4, 6), matrix(6, 6), matrix(6, 6).transpose());
+    let (first, second, by_first, by_second) = (
+        matrix(21, 9),
+        matrix(4, 6),
+        matrix(6, 6),
+        matrix(6, 6).transpose(),
+    );
     let right = stacked(&by_first, &by_second);
     // the second piece has rows 9 to 13 alone
-    let left = Left::joined(Piece::after(&first, 3), 6, Piece { first_row: 9, ..Piece::new(&second) });
+    let left = Left::joined(
+        Piece::after(&first, 3),
+        6,
+        Piece {
+            first_row: 9,
+            ..Piece::new(&second)
+        },
+    );
     let mut out = DMatrix::repeat(4, 8, 7.0);
     Multiplier::new().run(Product {
         left,
@@ -98,7 +160,10 @@ fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_fo
         first_column: 2,
         extent: Extent::Full,
         sum: Sum::PLAIN,
-        store: Store::Plain { target: Target::new(&mut out), first_row: 9 },
+        store: Store::Plain {
+            target: Target::new(&mut out),
+            first_row: 9,
+        },
     });
     let expected = first.view((9, 3), (4, 6)) * by_first + second * by_second;
     assert!((out.columns(2, 6) - expected).amax() < 1e-13);
@@ -107,11 +172,17 @@ fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_fo
 
 #[test]
 fn symmetric_product_has_the_same_bits_in_both_triangles() {
-    for (n, arch) in (1..72).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
+    for (n, arch) in (1..72).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
+    {
         let factor = matrix(n, 7);
         let mut out = DMatrix::repeat(n, n, f64::NAN);
         let right = packed(&factor.transpose());
-        Multiplier::with(arch).multiply_symmetric_to(Left::new(&factor), &right, Sum::PLAIN, &mut out);
+        Multiplier::with(arch).multiply_symmetric_to(
+            Left::new(&factor),
+            &right,
+            Sum::PLAIN,
+            &mut out,
+        );
         assert!((&out - &factor * factor.transpose()).amax() < 1e-14, "{n}");
         assert_eq!(out, out.transpose(), "{n}");
     }
@@ -119,14 +190,23 @@ fn symmetric_product_has_the_same_bits_in_both_triangles() {
 
 #[test]
 fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles() {
-    for (n, arch) in (1..72).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
+    for (n, arch) in (1..72).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
+    {
         let (factor, root) = (matrix(n, 7), matrix(n, 5));
         let mut start = &root * root.transpose();
         start.fill_upper_triangle_with_lower_triangle();
         let mut out = start.clone();
         let (right, mut diagonal) = (packed(&factor.transpose()), vec![0.0; n]);
-        Multiplier::with(arch).add_symmetric_mut(Left::new(&factor), &right, &mut out, &mut diagonal);
-        assert!((&out - (start + &factor * factor.transpose())).amax() < 1e-13, "{n}");
+        Multiplier::with(arch).add_symmetric_mut(
+            Left::new(&factor),
+            &right,
+            &mut out,
+            &mut diagonal,
+        );
+        assert!(
+            (&out - (start + &factor * factor.transpose())).amax() < 1e-13,
+            "{n}"
+        );
         assert_eq!(out, out.transpose(), "{n}");
         assert_eq!(out.diagonal().as_slice(), diagonal, "{n}");
     }
@@ -135,13 +215,23 @@ fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles
 #[test]
 fn transposed_product_is_that_of_nalgebra() {
     let sizes = [(19, 42), (16, 8), (5, 30), (70, 10)];
-    for ((rows, columns), arch) in
-        sizes.iter().flat_map(|size| all_instructions().into_iter().map(move |arch| (*size, arch)))
-    {
+    for ((rows, columns), arch) in sizes.iter().flat_map(|size| {
+        all_instructions()
+            .into_iter()
+            .map(move |arch| (*size, arch))
+    }) {
         let (left, right) = (matrix(rows, 6), matrix(6, columns));
         let mut out = DMatrix::zeros(columns, rows);
-        Multiplier::with(arch).multiply_transposed_to(Left::new(&left), &packed(&right), Sum::PLAIN, &mut out);
-        assert!((out - (left * right).transpose()).amax() < 1e-13, "{rows} × {columns}");
+        Multiplier::with(arch).multiply_transposed_to(
+            Left::new(&left),
+            &packed(&right),
+            Sum::PLAIN,
+            &mut out,
+        );
+        assert!(
+            (out - (left * right).transpose()).amax() < 1e-13,
+            "{rows} × {columns}"
+        );
     }
 }
 
@@ -160,12 +250,18 @@ fn split_product_is_turned_and_mirrored() {
             first_column: 0,
             extent: Extent::Full,
             sum: Sum::PLAIN,
-            store: Store::Split { transposed, split, mirrored },
+            store: Store::Split {
+                transposed,
+                split,
+                mirrored,
+            },
         });
     }
     let expected = left * right;
     assert!((turned - expected.rows(0, split).transpose()).amax() < 1e-13);
-    assert!((out.view((split, 0), (n - split, split)) - expected.rows(split, n - split)).amax() < 1e-13);
+    assert!(
+        (out.view((split, 0), (n - split, split)) - expected.rows(split, n - split)).amax() < 1e-13
+    );
     let above = out.view((0, split), (split, n - split)).transpose();
     assert_eq!(above, out.view((split, 0), (n - split, split)));
 }

@@ -40,7 +40,12 @@ impl Target<'_> {
         block: &[[F; R]; COLUMNS],
     ) {
         let [a, b, c, d] = block;
-        let (a, b, c, d) = (cast_slice(a), cast_slice(b), cast_slice(c), cast_slice::<F, f64>(d));
+        let (a, b, c, d) = (
+            cast_slice(a),
+            cast_slice(b),
+            cast_slice(c),
+            cast_slice::<F, f64>(d),
+        );
         let mut turned = [[0.0; COLUMNS]; LONGEST];
         for (to, (((a, b), c), d)) in turned.iter_mut().zip(a.iter().zip(b).zip(c).zip(d)) {
             *to = [*a, *b, *c, *d];
@@ -60,7 +65,10 @@ impl Target<'_> {
                 rest = &mut rest[self.stride..];
             }
         }
-        for (entry, value) in rest[..columns.len()].iter_mut().zip(of_last.iter().flatten()) {
+        for (entry, value) in rest[..columns.len()]
+            .iter_mut()
+            .zip(of_last.iter().flatten())
+        {
             *entry = *value;
         }
     }
@@ -68,7 +76,11 @@ impl Target<'_> {
 
 /// Copies what is below the diagonal of a square matrix to the place above it, for some rows and as many columns.
 pub(super) fn mirror_square(arch: Arch, rows: Range<usize>, entries: &mut [f64], stride: usize) {
-    arch.dispatch(Mirror { rows, entries, stride });
+    arch.dispatch(Mirror {
+        rows,
+        entries,
+        stride,
+    });
 }
 
 struct Mirror<'m> {
@@ -82,7 +94,11 @@ impl WithSimd for Mirror<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { rows: Range { start, end }, entries, stride } = self;
+        let Self {
+            rows: Range { start, end },
+            entries,
+            stride,
+        } = self;
         let mut column = start;
         while column + TILE < end {
             // the columns before `below` hold what is copied, the others receive it

@@ -7,7 +7,9 @@ use super::band::{Band, Evaluate, Padded};
 use super::polynomials::{LARGEST_DEGREE, Polynomials};
 use super::{ProportionalForm, extend_by_reached, near};
 use crate::dense::add_scaled_slice_mut;
-use crate::product::{COLUMNS, Extent, Left, Multiplier, Piece, Product, Right, STRIP, Store, Sum, Target, strips};
+use crate::product::{
+    COLUMNS, Extent, Left, Multiplier, Piece, Product, Right, STRIP, Store, Sum, Target, strips,
+};
 use nalgebra::DMatrix;
 use std::ops::Range;
 
@@ -58,7 +60,9 @@ impl Accelerations {
             by_motion: [PairOfBands::new(free), PairOfBands::new(free)],
             half_way: DMatrix::zeros(2 * free, 2 * free),
             caused: DMatrix::zeros(STRIP, free),
-            columns: std::array::from_fn(|_| Padded::new(free, LARGEST_DEGREE * form.half_bandwidth)),
+            columns: std::array::from_fn(|_| {
+                Padded::new(free, LARGEST_DEGREE * form.half_bandwidth)
+            }),
             multiplier,
         }
     }
@@ -68,37 +72,68 @@ impl Accelerations {
         let free = form.stiffness.nrows();
         let band = |degree: usize| (2 * degree * form.half_bandwidth + 1).min(free);
         let reached: usize = form.reach.iter().map(ExactSizeIterator::len).sum();
-        let of_bands =
-            2 * band(polynomials.impulse.degree) + band(polynomials.step.degree) + band(polynomials.velocity.degree);
+        let of_bands = 2 * band(polynomials.impulse.degree)
+            + band(polynomials.step.degree)
+            + band(polynomials.velocity.degree);
         let of_block = band(polynomials.degree() + 1);
-        let spread = |reach: &Range<usize>| if reach.is_empty() { 0 } else { (reach.len() + of_block - 1).min(free) };
+        let spread = |reach: &Range<usize>| {
+            if reach.is_empty() {
+                0
+            } else {
+                (reach.len() + of_block - 1).min(free)
+            }
+        };
         let by_theta: usize = form.reach.iter().map(spread).sum();
         (band(1) + of_bands) * free + reached < 2 * (2 * of_block * free + by_theta)
     }
 
     /// Returns the number of terms by which a row of the covariance moves.
     pub(super) fn term_count(&self) -> usize {
-        let bands = 2 * self.impulse.entry_count() + self.step.entry_count() + self.velocity.entry_count();
+        let bands =
+            2 * self.impulse.entry_count() + self.step.entry_count() + self.velocity.entry_count();
         self.z.entry_count() + self.reach.iter().map(ExactSizeIterator::len).sum::<usize>() + bands
     }
 
     /// Makes the step anew, of `step_s` (s).
-    pub(super) fn set(&mut self, form: &ProportionalForm<'_>, step_s: f64, polynomials: &Polynomials) {
-        let Self { z, powers, impulse, step, velocity, by_theta, by_state, .. } = self;
+    pub(super) fn set(
+        &mut self,
+        form: &ProportionalForm<'_>,
+        step_s: f64,
+        polynomials: &Polynomials,
+    ) {
+        let Self {
+            z,
+            powers,
+            impulse,
+            step,
+            velocity,
+            by_theta,
+            by_state,
+            ..
+        } = self;
         let h = step_s;
         self.step_s = h;
         z.set(form.stiffness, form.half_bandwidth, -h * h);
         self.multiplier.arch().dispatch(Evaluate {
             z,
             powers,
-            polynomials: [&polynomials.impulse, &polynomials.step, &polynomials.velocity],
+            polynomials: [
+                &polynomials.impulse,
+                &polynomials.step,
+                &polynomials.velocity,
+            ],
             sums: [impulse, step, velocity],
         });
         let free = form.stiffness.nrows();
         let pairs = by_theta.as_mut_slice().chunks_exact_mut(free);
-        let pairs = pairs.zip(form.acceleration_by_theta.as_slice().chunks_exact(free)).zip(form.reach);
+        let pairs = pairs
+            .zip(form.acceleration_by_theta.as_slice().chunks_exact(free))
+            .zip(form.reach);
         for ((column, by_theta), reach) in pairs {
-            for (entry, by_theta) in column[reach.clone()].iter_mut().zip(&by_theta[reach.clone()]) {
+            for (entry, by_theta) in column[reach.clone()]
+                .iter_mut()
+                .zip(&by_theta[reach.clone()])
+            {
                 *entry = h * h * by_theta;
             }
         }
@@ -118,8 +153,8 @@ impl Accelerations {
                 z.transpose_to(1.0, columns, run, values);
             } else {
                 for (parameter, values) in (run.start - 2 * free..).zip(values) {
-                    let entries =
-                        &by_theta.as_slice()[parameter * free + columns.start..parameter * free + columns.end];
+                    let entries = &by_theta.as_slice()
+                        [parameter * free + columns.start..parameter * free + columns.end];
                     for (value, entry) in values.iter_mut().zip(entries) {
                         *value = *entry;
                     }
@@ -141,7 +176,14 @@ impl Accelerations {
         inputs: &mut DMatrix<f64>,
         slope: Option<&[f64]>,
     ) {
-        let Self { step_s: h, z, impulse, step, columns: [x, pushed, turned, moved, by_step], .. } = self;
+        let Self {
+            step_s: h,
+            z,
+            impulse,
+            step,
+            columns: [x, pushed, turned, moved, by_step],
+            ..
+        } = self;
         let arch = self.multiplier.arch();
         let free = step.len();
         for mut column in inputs.column_iter_mut() {
@@ -155,7 +197,11 @@ impl Accelerations {
                 step.mul_to(arch, x, pushed);
                 z.mul_to(arch, pushed, turned); // −G s ẋ
                 impulse.mul_to(arch, x, moved);
-                let terms = moved.as_slice().iter().zip(pushed.as_slice()).zip(turned.as_slice());
+                let terms = moved
+                    .as_slice()
+                    .iter()
+                    .zip(pushed.as_slice())
+                    .zip(turned.as_slice());
                 for (entry, ((moved, pushed), turned)) in velocity.iter_mut().zip(terms) {
                     *entry = *h * (moved - rest * pushed - slope_of_z * turned); // (q + (α + βG) s) ẋ
                 }
@@ -164,7 +210,9 @@ impl Accelerations {
             step.mul_to(arch, x, by_step);
             impulse.mul_to(arch, x, moved);
             add_scaled_slice_mut(velocity, *h * *h, by_step.as_slice()); // + s ẍ
-            for (entry, (turned, moved)) in acceleration.iter_mut().zip(turned.as_slice().iter().zip(moved.as_slice()))
+            for (entry, (turned, moved)) in acceleration
+                .iter_mut()
+                .zip(turned.as_slice().iter().zip(moved.as_slice()))
             {
                 *entry = turned + *h * moved; // −G s ẋ + q ẍ
             }
@@ -172,7 +220,10 @@ impl Accelerations {
         if let Some(slope) = slope {
             // the integral of s, by Horner's rule
             moved.as_mut_slice().fill(0.0);
-            for coefficient in polynomials.ramp.coefficients[..=polynomials.ramp.degree].iter().rev() {
+            for coefficient in polynomials.ramp.coefficients[..=polynomials.ramp.degree]
+                .iter()
+                .rev()
+            {
                 z.mul_to(arch, moved, turned);
                 std::mem::swap(moved, turned);
                 add_scaled_slice_mut(moved.as_mut_slice(), *coefficient, slope);
@@ -189,33 +240,92 @@ impl Accelerations {
     /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, both triangles with the same bits.
     ///
     /// First all rows from the right; what has moved is turned at once, so that its rows can move from the right too.
-    pub(super) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
-        let Self { by_state, by_motion, half_way, caused, multiplier, .. } = self;
+    pub(super) fn propagate_covariance_to(
+        &mut self,
+        covariance: &DMatrix<f64>,
+        fading: f64,
+        out: &mut DMatrix<f64>,
+    ) {
+        let Self {
+            by_state,
+            by_motion,
+            half_way,
+            caused,
+            multiplier,
+            ..
+        } = self;
         let (n, free) = (covariance.nrows(), caused.ncols());
         let moving = 2 * free;
-        let mut strip = Strip { by_state, by_motion, caused, multiplier: *multiplier };
+        let mut strip = Strip {
+            by_state,
+            by_motion,
+            caused,
+            multiplier: *multiplier,
+        };
         let start = Piece::new(covariance);
         for rows in strips(n) {
             strip.accelerate(Left::whole(start), rows.clone(), Extent::Full);
             for half in [Half::Displacements(start), Half::Velocities] {
                 let (transposed, mirrored) = (Target::new(half_way), Target::new(out));
-                let store = Store::Split { transposed, split: moving, mirrored };
-                strip.step(half, Piece::after(covariance, free), rows.clone(), Extent::Full, fading, store);
+                let store = Store::Split {
+                    transposed,
+                    split: moving,
+                    mirrored,
+                };
+                strip.step(
+                    half,
+                    Piece::after(covariance, free),
+                    rows.clone(),
+                    Extent::Full,
+                    fading,
+                    store,
+                );
             }
         }
         let start = Piece::new(half_way);
-        let reach = self.impulse.half_bandwidth().max(self.step.half_bandwidth());
+        let reach = self
+            .impulse
+            .half_bandwidth()
+            .max(self.step.half_bandwidth());
         let (of_motion, of_parameters) = out.as_mut_slice().split_at_mut(moving * n);
-        let of_parameters = Piece { entries: of_parameters, stride: n, first_row: 0 };
+        let of_parameters = Piece {
+            entries: of_parameters,
+            stride: n,
+            first_row: 0,
+        };
         for rows in strips(moving) {
-            let wanted = if rows.end <= free { rows.end + COLUMNS + reach } else { free };
-            strip.accelerate(Left::joined(start, moving, of_parameters), rows.clone(), Extent::Before(wanted));
+            let wanted = if rows.end <= free {
+                rows.end + COLUMNS + reach
+            } else {
+                free
+            };
+            strip.accelerate(
+                Left::joined(start, moving, of_parameters),
+                rows.clone(),
+                Extent::Before(wanted),
+            );
             for half in [Half::Displacements(start), Half::Velocities] {
-                let store = Store::Mirrored(Target { entries: of_motion, stride: n });
+                let store = Store::Mirrored(Target {
+                    entries: of_motion,
+                    stride: n,
+                });
                 let lower = Extent::Before(rows.end);
-                strip.step(half, Piece::after(half_way, free), rows.clone(), lower, 1.0, store);
+                strip.step(
+                    half,
+                    Piece::after(half_way, free),
+                    rows.clone(),
+                    lower,
+                    1.0,
+                    store,
+                );
             }
-            multiplier.mirror_square_mut(rows, &mut Target { entries: of_motion, stride: n });
+            multiplier.mirror_square_mut(
+                rows,
+                &mut Target {
+                    entries: of_motion,
+                    stride: n,
+                },
+            );
         }
         for column in moving..n {
             let entries = column * n + moving..(column + 1) * n;
@@ -228,7 +338,16 @@ impl Accelerations {
 
     /// Replaces `X` (n × c) by `A_i X`.
     pub(super) fn mul_mut(&mut self, columns: &mut DMatrix<f64>) {
-        let Self { step_s: h, z, impulse, step, velocity, by_theta, columns: [x, caused, term, other, _], .. } = self;
+        let Self {
+            step_s: h,
+            z,
+            impulse,
+            step,
+            velocity,
+            by_theta,
+            columns: [x, caused, term, other, _],
+            ..
+        } = self;
         let arch = self.multiplier.arch();
         let free = step.len();
         for mut column in columns.column_iter_mut() {
@@ -242,12 +361,18 @@ impl Accelerations {
             x.copy_from(velocities);
             impulse.mul_to(arch, x, term);
             step.mul_to(arch, caused, other);
-            for (entry, (term, other)) in displacements.iter_mut().zip(term.as_slice().iter().zip(other.as_slice())) {
+            for (entry, (term, other)) in displacements
+                .iter_mut()
+                .zip(term.as_slice().iter().zip(other.as_slice()))
+            {
                 *entry += *h * term + other; // x + h q̂ ẋ + ŝ ρ
             }
             velocity.mul_to(arch, x, term);
             impulse.mul_to(arch, caused, other);
-            for (entry, (term, other)) in velocities.iter_mut().zip(term.as_slice().iter().zip(other.as_slice())) {
+            for (entry, (term, other)) in velocities
+                .iter_mut()
+                .zip(term.as_slice().iter().zip(other.as_slice()))
+            {
                 *entry = term + other / *h;
             }
         }
@@ -272,9 +397,20 @@ enum Half<'m> {
 impl Strip<'_> {
     /// Writes `ρ` for the rows of `x` (m × n).
     fn accelerate(&mut self, x: Left<'_>, rows: Range<usize>, extent: Extent) {
-        let store = Store::Plain { target: Target::new(self.caused), first_row: rows.start };
+        let store = Store::Plain {
+            target: Target::new(self.caused),
+            first_row: rows.start,
+        };
         let (right, sum) = (self.by_state, Sum::PLAIN);
-        self.multiplier.run(Product { left: x, rows, right, first_column: 0, extent, sum, store });
+        self.multiplier.run(Product {
+            left: x,
+            rows,
+            right,
+            first_column: 0,
+            extent,
+            sum,
+            store,
+        });
     }
 
     /// Writes half of the motion of the rows, given `ρ` and their columns of velocities.
@@ -288,14 +424,29 @@ impl Strip<'_> {
         store: Store<'_>,
     ) {
         let (free, first_row) = (self.caused.ncols(), rows.start);
-        let left = Left::joined(velocities, free, Piece { first_row, ..Piece::new(self.caused) });
+        let left = Left::joined(
+            velocities,
+            free,
+            Piece {
+                first_row,
+                ..Piece::new(self.caused)
+            },
+        );
         let [of_x, of_v] = self.by_motion;
         let (right, first_column, start) = match half {
             Half::Displacements(start) => (of_x, 0, Some(start)),
             Half::Velocities => (of_v, free, None),
         };
         let right = &right.right;
-        self.multiplier.run(Product { left, rows, right, first_column, extent, sum: Sum { factor, start }, store });
+        self.multiplier.run(Product {
+            left,
+            rows,
+            right,
+            first_column,
+            extent,
+            sum: Sum { factor, start },
+            store,
+        });
     }
 }
 
@@ -308,7 +459,10 @@ struct PairOfBands {
 
 impl PairOfBands {
     fn new(free: usize) -> Self {
-        Self { right: Right::new(2 * free, free, 2), half_bandwidths: [0; 2] }
+        Self {
+            right: Right::new(2 * free, free, 2),
+            half_bandwidths: [0; 2],
+        }
     }
 
     fn pack(&mut self, bands: [(&Band, f64); 2]) {
@@ -316,8 +470,17 @@ impl PairOfBands {
         let n = first.len();
         let write = |columns: &Range<usize>, run: &Range<usize>, values: &mut [[f64; COLUMNS]]| {
             let [first, second] = bands;
-            let ((band, factor), skipped) = if run.start < n { (first, 0) } else { (second, n) };
-            band.transpose_to(factor, columns, &(run.start - skipped..run.end - skipped), values);
+            let ((band, factor), skipped) = if run.start < n {
+                (first, 0)
+            } else {
+                (second, n)
+            };
+            band.transpose_to(
+                factor,
+                columns,
+                &(run.start - skipped..run.end - skipped),
+                values,
+            );
         };
         let half_bandwidths = [first, second].map(Band::half_bandwidth);
         if self.right.is_packed() && self.half_bandwidths == half_bandwidths {

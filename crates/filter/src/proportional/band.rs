@@ -26,9 +26,19 @@ pub(super) struct Band {
 impl Band {
     /// Makes room for a band (N × N) up to `most` beside the diagonal, to be multiplied by one up to `margin` beside it.
     pub(super) fn new(n: usize, most: usize, margin: usize) -> Self {
-        let (most, padded) = (most.min(n.saturating_sub(1)), n.next_multiple_of(MOST_LANES));
+        let (most, padded) = (
+            most.min(n.saturating_sub(1)),
+            n.next_multiple_of(MOST_LANES),
+        );
         let entries = vec![0.0; (2 * most + 4 * margin + 1) * (padded + 2 * margin)];
-        Self { n, padded, half_bandwidth: 0, entries, most, margin }
+        Self {
+            n,
+            padded,
+            half_bandwidth: 0,
+            entries,
+            most,
+            margin,
+        }
     }
 
     /// Returns N.
@@ -60,7 +70,8 @@ impl Band {
     /// Returns where entry `(row, row + diagonal)` is.
     #[inline(always)]
     fn place(&self, diagonal: isize, row: usize) -> usize {
-        ((self.most + 2 * self.margin) as isize + diagonal) as usize * (self.padded + 2 * self.margin)
+        ((self.most + 2 * self.margin) as isize + diagonal) as usize
+            * (self.padded + 2 * self.margin)
             + self.margin
             + row
     }
@@ -81,14 +92,20 @@ impl Band {
     /// Returns where the diagonals up to `half_bandwidth` from that in the middle are, with the zeros before and after each.
     #[inline(always)]
     fn all(&self, half_bandwidth: usize) -> Range<usize> {
-        let (first, length) = (self.most + 2 * self.margin - half_bandwidth, self.padded + 2 * self.margin);
+        let (first, length) = (
+            self.most + 2 * self.margin - half_bandwidth,
+            self.padded + 2 * self.margin,
+        );
         first * length..(first + 2 * half_bandwidth + 1) * length
     }
 
     /// Sets the diagonals beyond `half_bandwidth` to zero, twice `width` of them: a wider band may have been here before.
     #[inline(always)]
     fn clear_around(&mut self, half_bandwidth: usize, width: usize) {
-        let (inner, outer) = (self.all(half_bandwidth), self.all(half_bandwidth + 2 * width));
+        let (inner, outer) = (
+            self.all(half_bandwidth),
+            self.all(half_bandwidth + 2 * width),
+        );
         self.entries[outer.start..inner.start].fill(0.0);
         self.entries[inner.end..outer.end].fill(0.0);
     }
@@ -111,7 +128,11 @@ impl Band {
             // nothing is cut off at an end: along each diagonal
             for (first, d) in self.diagonals().enumerate() {
                 let entries = &self.diagonal(d, 0)[columns.clone()];
-                for (lane, (values, entry)) in values[first..first + COLUMNS].iter_mut().zip(entries).enumerate() {
+                for (lane, (values, entry)) in values[first..first + COLUMNS]
+                    .iter_mut()
+                    .zip(entries)
+                    .enumerate()
+                {
                     values[lane] = factor * entry;
                 }
             }
@@ -148,7 +169,11 @@ impl Padded {
     /// Makes room for N entries that bands up to `margin` beside the diagonal multiply.
     pub(super) fn new(n: usize, margin: usize) -> Self {
         let margin = margin.min(n.saturating_sub(1));
-        Self { n, margin, entries: vec![0.0; n.next_multiple_of(ROWS) + 2 * margin] }
+        Self {
+            n,
+            margin,
+            entries: vec![0.0; n.next_multiple_of(ROWS) + 2 * margin],
+        }
     }
 
     pub(super) fn copy_from(&mut self, x: &[f64]) {
@@ -185,7 +210,8 @@ impl WithSimd for MulTo<'_> {
                 3 => self.rows::<S, 3>(simd, first),
                 _ if S::F64_LANES == MOST_LANES => self.rows::<S, 4>(simd, first),
                 _ => {
-                    for first in (first..(first + ROWS).min(self.band.padded)).step_by(S::F64_LANES) {
+                    for first in (first..(first + ROWS).min(self.band.padded)).step_by(S::F64_LANES)
+                    {
                         self.rows::<S, 1>(simd, first);
                     }
                 }
@@ -230,7 +256,12 @@ impl<const N: usize> WithSimd for Evaluate<'_, N> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { z, powers: [power, next], polynomials, mut sums } = self;
+        let Self {
+            z,
+            powers: [power, next],
+            polynomials,
+            mut sums,
+        } = self;
         for (polynomial, sum) in polynomials.iter().zip(&mut sums) {
             sum.half_bandwidth = (polynomial.degree * z.half_bandwidth).min(sum.most);
             let all = sum.all(sum.half_bandwidth);
@@ -240,14 +271,26 @@ impl<const N: usize> WithSimd for Evaluate<'_, N> {
         power.half_bandwidth = 0;
         power.clear_around(0, z.half_bandwidth);
         power.diagonal_mut(0)[..z.n].fill(1.0);
-        let degree = polynomials.iter().map(|polynomial| polynomial.degree).max().unwrap_or(0);
+        let degree = polynomials
+            .iter()
+            .map(|polynomial| polynomial.degree)
+            .max()
+            .unwrap_or(0);
         for k in 1..=degree {
             next.half_bandwidth = (z.half_bandwidth + power.half_bandwidth).min(next.most);
             next.clear_around(next.half_bandwidth, z.half_bandwidth);
             let mut first = 0;
             while first < z.padded {
                 let registers = ((z.padded - first) / S::F64_LANES).min(5);
-                let mut terms = Terms { z, power, next, polynomials, sums: &mut sums, k, first };
+                let mut terms = Terms {
+                    z,
+                    power,
+                    next,
+                    polynomials,
+                    sums: &mut sums,
+                    k,
+                    first,
+                };
                 match registers {
                     1 => terms.add::<S, 1>(simd),
                     2 => terms.add::<S, 2>(simd),
@@ -280,7 +323,15 @@ impl<const N: usize> Terms<'_, '_, N> {
     /// around all bands there are diagonals of zeros.
     #[inline(always)]
     fn add<S: Simd, const R: usize>(&mut self, simd: S) {
-        let Self { z, power, next, polynomials, sums, k, first } = self;
+        let Self {
+            z,
+            power,
+            next,
+            polynomials,
+            sums,
+            k,
+            first,
+        } = self;
         let rows = *first..*first + R * S::F64_LANES;
         let half = z.half_bandwidth as isize;
         for d in next.diagonals() {

@@ -125,7 +125,8 @@ impl Blocks {
         // polynomials of one matrix commute: the narrower factor stands on the right
         let by_z = |left: &DMatrix<f64>, bands, out: &mut DMatrix<f64>| {
             let extent = Extent::Band(bands * band);
-            self.multiplier.multiply_to(Left::new(left), &self.by_z, extent, Sum::PLAIN, out);
+            self.multiplier
+                .multiply_to(Left::new(left), &self.by_z, extent, Sum::PLAIN, out);
         };
         by_z(z, 2, z_2);
         by_z(z_2, 3, z_3);
@@ -133,23 +134,52 @@ impl Blocks {
     }
 
     /// Writes `q̂`, `ŝ` and what `Z` makes of them for the first substep, and the response to a ramp.
-    fn evaluate(&mut self, form: &ProportionalForm<'_>, polynomials: &Polynomials, slope: Option<&[f64]>) {
-        let Self { powers, impulse, z_impulse, step, z_step, ramp, by_z, by_square, multiplier, .. } = self;
+    fn evaluate(
+        &mut self,
+        form: &ProportionalForm<'_>,
+        polynomials: &Polynomials,
+        slope: Option<&[f64]>,
+    ) {
+        let Self {
+            powers,
+            impulse,
+            z_impulse,
+            step,
+            z_step,
+            ramp,
+            by_z,
+            by_square,
+            multiplier,
+            ..
+        } = self;
         let ([scratch, _], [term, _]) = (&mut self.square, &mut self.column);
         let band = form.half_bandwidth;
         by_square.pack_band(&powers[POWERS - 1], POWERS * band);
         let degree = polynomials.degree();
-        for (polynomial, out) in [(&polynomials.impulse, &mut *impulse), (&polynomials.step, &mut *step)] {
+        for (polynomial, out) in [
+            (&polynomials.impulse, &mut *impulse),
+            (&polynomials.step, &mut *step),
+        ] {
             let coefficients = &polynomial.coefficients;
             // Σ c_j Z^j = (… (c_n + …) Z⁴ + c_4 + … + c_7 Z³) Z⁴ + c_0 + … + c_3 Z³
             let last = degree.saturating_sub(1) / POWERS;
             out.as_mut_slice().fill(0.0); // several times faster than nalgebra's
-            add_polynomial(&coefficients[POWERS * last..=POWERS * (last + 1)], powers, band, out);
+            add_polynomial(
+                &coefficients[POWERS * last..=POWERS * (last + 1)],
+                powers,
+                band,
+                out,
+            );
             for part in (0..last).rev() {
                 let extent = Extent::Band((degree - POWERS * part) * band);
                 multiplier.multiply_to(Left::new(out), by_square, extent, Sum::PLAIN, scratch);
                 std::mem::swap(out, scratch);
-                add_polynomial(&coefficients[POWERS * part..POWERS * (part + 1)], powers, band, out);
+                add_polynomial(
+                    &coefficients[POWERS * part..POWERS * (part + 1)],
+                    powers,
+                    band,
+                    out,
+                );
             }
         }
         if let Some(slope) = slope {
@@ -175,7 +205,15 @@ impl Blocks {
     /// the size of the fast ones.
     fn double(&mut self, [rest, slope_of_z]: [f64; 2], slope: Option<&[f64]>) {
         let Self {
-            impulse, z_impulse, step, z_step, ramp, square: [product, other], column, by_square: packed, ..
+            impulse,
+            z_impulse,
+            step,
+            z_step,
+            ramp,
+            square: [product, other],
+            column,
+            by_square: packed,
+            ..
         } = self;
         let multiplier = self.multiplier;
         if let Some(slope) = slope {
@@ -189,7 +227,13 @@ impl Blocks {
         }
         let half_bandwidth = self.half_bandwidth;
         let by_square = |left: &DMatrix<f64>, right: &Right, out: &mut DMatrix<f64>| {
-            multiplier.multiply_to(Left::new(left), right, Extent::Band(2 * half_bandwidth), Sum::PLAIN, out);
+            multiplier.multiply_to(
+                Left::new(left),
+                right,
+                Extent::Band(2 * half_bandwidth),
+                Sum::PLAIN,
+                out,
+            );
         };
         packed.pack_band(z_step, half_bandwidth);
         by_square(step, packed, product);
@@ -197,7 +241,9 @@ impl Blocks {
         let of_step = step.as_mut_slice().iter_mut().zip(z_step.as_mut_slice());
         let of_impulse = impulse.as_slice().iter().zip(z_impulse.as_slice());
         let of_products = product.as_mut_slice().iter_mut().zip(other.as_slice());
-        for (((s, z_s), (q, z_q)), (product, z_s_squared)) in of_step.zip(of_impulse).zip(of_products) {
+        for (((s, z_s), (q, z_q)), (product, z_s_squared)) in
+            of_step.zip(of_impulse).zip(of_products)
+        {
             *s = 2.0 * *s + *product; // 2s − Gs s
             *product = 2.0 * *z_s + rest * q + slope_of_z * z_q;
             *z_s = 2.0 * *z_s + z_s_squared; // −2Gs + (Gs)²
@@ -217,13 +263,29 @@ impl Blocks {
     }
 
     /// Replaces `[g, B_y]` by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameters at their ends stay zero.
-    fn integrate_inputs(&mut self, [rest, slope_of_z]: [f64; 2], inputs: &mut DMatrix<f64>, slope: Option<&[f64]>) {
-        let Self { substep_s: h, impulse, step, z_step, ramp, column: [velocity, acceleration], .. } = self;
+    fn integrate_inputs(
+        &mut self,
+        [rest, slope_of_z]: [f64; 2],
+        inputs: &mut DMatrix<f64>,
+        slope: Option<&[f64]>,
+    ) {
+        let Self {
+            substep_s: h,
+            impulse,
+            step,
+            z_step,
+            ramp,
+            column: [velocity, acceleration],
+            ..
+        } = self;
         let (free, half_bandwidth) = (impulse.nrows(), self.half_bandwidth);
         // what is stored is the transpose
         let times = |matrix: &DMatrix<f64>, row: usize, vector: &DVector<f64>| {
             let terms = around(row, half_bandwidth, free);
-            dot(&matrix.as_slice()[row * free + terms.start..row * free + terms.end], &vector.as_slice()[terms])
+            dot(
+                &matrix.as_slice()[row * free + terms.start..row * free + terms.end],
+                &vector.as_slice()[terms],
+            )
         };
         for mut column in inputs.column_iter_mut() {
             velocity.copy_from(&column.rows(0, free));
@@ -248,7 +310,17 @@ impl Blocks {
 
     /// Writes `[Φ, ΨW]ᵀ`.
     fn assemble(&mut self, [rest, slope_of_z]: [f64; 2], form: &ProportionalForm<'_>) {
-        let Self { substep_s: h, impulse, z_impulse, step, z_step, transposed, by_theta, by_square, .. } = self;
+        let Self {
+            substep_s: h,
+            impulse,
+            z_impulse,
+            step,
+            z_step,
+            transposed,
+            by_theta,
+            by_square,
+            ..
+        } = self;
         let free = impulse.nrows();
         let n = transposed.nrows();
         if self.half_bandwidth < self.transposed_half_bandwidth {
@@ -264,11 +336,16 @@ impl Blocks {
             let (x, v) = (&mut of_x[of_transition.clone()], &mut of_v[of_transition]);
             let (x_by_x, x_by_v) = x.split_at_mut(free);
             let (v_by_x, v_by_v) = v.split_at_mut(free);
-            let of_x = x_by_x[rows.clone()].iter_mut().zip(&mut x_by_v[rows.clone()]);
+            let of_x = x_by_x[rows.clone()]
+                .iter_mut()
+                .zip(&mut x_by_v[rows.clone()]);
             let of_v = v_by_x[rows.clone()].iter_mut().zip(&mut v_by_v[rows]);
-            let entries = impulse.as_slice()[of_matrix.clone()].iter().zip(&z_impulse.as_slice()[of_matrix.clone()]);
+            let entries = impulse.as_slice()[of_matrix.clone()]
+                .iter()
+                .zip(&z_impulse.as_slice()[of_matrix.clone()]);
             let entries = entries.zip(&z_step.as_slice()[of_matrix]);
-            for (((x_by_x, x_by_v), (v_by_x, v_by_v)), ((q, z_q), a)) in of_x.zip(of_v).zip(entries) {
+            for (((x_by_x, x_by_v), (v_by_x, v_by_v)), ((q, z_q), a)) in of_x.zip(of_v).zip(entries)
+            {
                 *x_by_x = *a;
                 *x_by_v = *h * q;
                 *v_by_x = z_q / *h; // −G q
@@ -277,13 +354,20 @@ impl Blocks {
         }
         for (parameter, reach) in form.reach.iter().enumerate() {
             for row in reach.clone() {
-                self.theta_by_acceleration[(parameter, row)] = form.acceleration_by_theta[(row, parameter)];
+                self.theta_by_acceleration[(parameter, row)] =
+                    form.acceleration_by_theta[(row, parameter)];
             }
         }
         for (response, scale, first) in [(step, *h * *h, 0), (impulse, *h, free)] {
             by_square.pack_band(response, self.half_bandwidth);
             let left = Left::new(&self.theta_by_acceleration);
-            self.multiplier.multiply_to(left, by_square, Extent::Full, Sum::scaled(scale), by_theta);
+            self.multiplier.multiply_to(
+                left,
+                by_square,
+                Extent::Full,
+                Sum::scaled(scale),
+                by_theta,
+            );
             let entries = transposed.as_mut_slice()[first * n..].chunks_exact_mut(n);
             for (of_column, entries) in by_theta.column_iter().zip(entries) {
                 entries[2 * free..].copy_from_slice(of_column.as_slice()); // (ΨW)ᵀ
@@ -294,35 +378,55 @@ impl Blocks {
     /// Packs `[Φ, ΨW]ᵀ` without the entries that are zero by its structure.
     fn pack(&mut self, reach: &[Range<usize>]) {
         let (free, half_bandwidth) = (self.impulse.nrows(), self.half_bandwidth);
-        self.by_transition.pack_runs(&self.transposed, |columns, runs| {
-            let mut columns = columns;
-            if columns.start < free && columns.end > free {
-                columns = 0..free; // some of both halves
-            } else if columns.start >= free {
-                columns = columns.start - free..columns.end - free;
-            }
-            let of_x = near(&columns, half_bandwidth, free);
-            runs.push(of_x.clone());
-            runs.push(of_x.start + free..of_x.end + free);
-            extend_by_reached(runs, 2 * free, reach, &of_x);
-        });
+        self.by_transition
+            .pack_runs(&self.transposed, |columns, runs| {
+                let mut columns = columns;
+                if columns.start < free && columns.end > free {
+                    columns = 0..free; // some of both halves
+                } else if columns.start >= free {
+                    columns = columns.start - free..columns.end - free;
+                }
+                let of_x = near(&columns, half_bandwidth, free);
+                runs.push(of_x.clone());
+                runs.push(of_x.start + free..of_x.end + free);
+                extend_by_reached(runs, 2 * free, reach, &of_x);
+            });
     }
 
     /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, without process noise, equation (2.61); both triangles get the same bits.
-    pub(super) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
-        let Self { half_way, by_transition, multiplier, .. } = self;
+    pub(super) fn propagate_covariance_to(
+        &mut self,
+        covariance: &DMatrix<f64>,
+        fading: f64,
+        out: &mut DMatrix<f64>,
+    ) {
+        let Self {
+            half_way,
+            by_transition,
+            multiplier,
+            ..
+        } = self;
         let (moving, n) = half_way.shape();
-        multiplier.multiply_transposed_to(Left::new(covariance), by_transition, Sum::scaled(fading), half_way);
+        multiplier.multiply_transposed_to(
+            Left::new(covariance),
+            by_transition,
+            Sum::scaled(fading),
+            half_way,
+        );
         multiplier.multiply_symmetric_to(Left::new(half_way), by_transition, Sum::PLAIN, out);
         for column in moving..n {
             let (before, rest) = out.as_mut_slice().split_at_mut(column * n);
             let (with_motion, at_rest) = rest[..n].split_at_mut(moving);
             // the parameters with the motion, and among themselves
-            with_motion.copy_from_slice(&half_way.as_slice()[column * moving..(column + 1) * moving]);
+            with_motion
+                .copy_from_slice(&half_way.as_slice()[column * moving..(column + 1) * moving]);
             for (entry, of_motion) in before.chunks_exact_mut(n).zip(&*with_motion) {
                 entry[column] = *of_motion;
             }
-            for (entry, value) in at_rest.iter_mut().zip(&covariance.as_slice()[column * n + moving..]) {
+            for (entry, value) in at_rest
+                .iter_mut()
+                .zip(&covariance.as_slice()[column * n + moving..])
+            {
                 *entry = fading * value;
             }
         }
@@ -330,7 +434,12 @@ impl Blocks {
 
     /// Replaces `X` (n × c) by `A_i X`.
     pub(super) fn mul_mut(&mut self, x: &mut DMatrix<f64>) {
-        let Self { motion, transposed, half_bandwidth, .. } = self;
+        let Self {
+            motion,
+            transposed,
+            half_bandwidth,
+            ..
+        } = self;
         let (n, moving) = transposed.shape();
         let free = moving / 2;
         for mut column in x.column_iter_mut() {
@@ -339,7 +448,10 @@ impl Blocks {
                 let of_x = around(index % free, *half_bandwidth, free);
                 let of_v = of_x.start + free..of_x.end + free;
                 let x = column.as_slice();
-                *entry = [of_x, of_v, moving..n].map(|rows| dot(&transition[rows.clone()], &x[rows])).iter().sum();
+                *entry = [of_x, of_v, moving..n]
+                    .map(|rows| dot(&transition[rows.clone()], &x[rows]))
+                    .iter()
+                    .sum();
             }
             column.rows_mut(0, moving).copy_from(motion);
         }
@@ -359,7 +471,9 @@ fn add_polynomial(
         let start = column.saturating_sub(POWERS * half_bandwidth);
         let end = (column + POWERS * half_bandwidth + 1).min(n);
         let entries = column * n + start..column * n + end;
-        let [z, z_2, z_3, z_4] = powers.each_ref().map(|power| &power.as_slice()[entries.clone()]);
+        let [z, z_2, z_3, z_4] = powers
+            .each_ref()
+            .map(|power| &power.as_slice()[entries.clone()]);
         for (j, entry) in out.as_mut_slice()[entries].iter_mut().enumerate() {
             *entry += c[1] * z[j] + c[2] * z_2[j] + c[3] * z_3[j] + c[4] * z_4[j];
         }

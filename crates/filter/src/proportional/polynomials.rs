@@ -45,7 +45,10 @@ pub(super) struct Polynomial {
 
 impl Polynomial {
     fn zero() -> Self {
-        Self { degree: 0, coefficients: [0.0; LARGEST_DEGREE + 1] }
+        Self {
+            degree: 0,
+            coefficients: [0.0; LARGEST_DEGREE + 1],
+        }
     }
 
     /// Lowers the degree from `order` as far as nothing but rounding changes for `z` from `−range` to 0.
@@ -72,7 +75,8 @@ impl Polynomials {
     /// `rest`, `slope`: `−(α + βg) h = rest + slope z`; `reach`: bound of `|A_s h|`; `range`: bound of `−z`. From
     /// `(A_s h)² = (rest + slope z) A_s h + z` follows `d_{k+1} = (rest + slope z) d_k + z d_{k−1}`.
     pub(super) fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
-        let [mut impulse, mut step, mut velocity, mut ramp] = std::array::from_fn(|_| Polynomial::zero());
+        let [mut impulse, mut step, mut velocity, mut ramp] =
+            std::array::from_fn(|_| Polynomial::zero());
         let zero = [0.0; LARGEST_DEGREE + 1];
         let (mut before, mut term) = (zero, zero); // d_0 / 0!, d_1 / 1!
         term[0] = 1.0;
@@ -97,12 +101,21 @@ impl Polynomials {
         for polynomial in [&mut impulse, &mut step, &mut ramp, &mut velocity] {
             polynomial.economise(order, range);
         }
-        Self { impulse, step, velocity, ramp }
+        Self {
+            impulse,
+            step,
+            velocity,
+            ramp,
+        }
     }
 
     /// Returns the degree to which the responses are evaluated together.
     pub(super) fn degree(&self) -> usize {
-        [&self.impulse, &self.step, &self.ramp].into_iter().map(|polynomial| polynomial.degree).max().unwrap_or(0)
+        [&self.impulse, &self.step, &self.ramp]
+            .into_iter()
+            .map(|polynomial| polynomial.degree)
+            .max()
+            .unwrap_or(0)
     }
 }
 
@@ -120,7 +133,11 @@ pub(super) fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64)
         }
         // of the Chebyshev polynomial, from its highest coefficient to its lowest
         let mut entry = std::mem::take(&mut coefficients[n]);
-        for (coefficient, ratio) in coefficients[..n].iter_mut().zip(&CHEBYSHEV_RATIOS[n][..n]).rev() {
+        for (coefficient, ratio) in coefficients[..n]
+            .iter_mut()
+            .zip(&CHEBYSHEV_RATIOS[n][..n])
+            .rev()
+        {
             entry *= range * ratio;
             *coefficient -= entry;
         }

@@ -3,7 +3,9 @@
 use super::band::{Band, Evaluate, Padded};
 use super::polynomials::economise_mut;
 use super::*;
-use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
+use crate::discretise::{
+    self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow,
+};
 use crate::model::ProcessModel;
 use crate::product::{Extent, Left, Right, Sum, all_instructions};
 use nalgebra::DVector;
@@ -54,9 +56,16 @@ fn coupled(masses: usize, parameters: usize, reach: f64) -> Structure {
     let mut structure = chain(masses, parameters, reach);
     let factor = DMatrix::identity(masses, masses) + wave(masses, masses) * 0.1;
     let mass = &factor * factor.transpose();
-    structure.stiffness =
-        mass.cholesky().unwrap().solve(&(0.5 * (&structure.stiffness + structure.stiffness.transpose())));
-    let fastest = structure.stiffness.complex_eigenvalues().iter().map(|s| s.re).fold(0.0, f64::max);
+    structure.stiffness = mass
+        .cholesky()
+        .unwrap()
+        .solve(&(0.5 * (&structure.stiffness + structure.stiffness.transpose())));
+    let fastest = structure
+        .stiffness
+        .complex_eigenvalues()
+        .iter()
+        .map(|s| s.re)
+        .fold(0.0, f64::max);
     structure.stiffness *= (reach / STEP_S).powi(2) / fastest;
     structure.half_bandwidth = masses - 1;
     structure
@@ -65,7 +74,11 @@ fn coupled(masses: usize, parameters: usize, reach: f64) -> Structure {
 impl Structure {
     fn stiffness_bound(&self) -> f64 {
         let eigenvalues = self.stiffness.complex_eigenvalues();
-        assert!(eigenvalues.iter().all(|s| s.re >= 0.0 && s.im.abs() < 1e-9 * s.re));
+        assert!(
+            eigenvalues
+                .iter()
+                .all(|s| s.re >= 0.0 && s.im.abs() < 1e-9 * s.re)
+        );
         1.001 * eigenvalues.iter().map(|s| s.re).fold(0.0, f64::max)
     }
 
@@ -104,7 +117,8 @@ impl ProcessModel for Structure {
     }
     fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
         out.fill(0.0);
-        out.rows_mut(self.free(), self.free()).copy_from(&wave(self.free(), INPUTS));
+        out.rows_mut(self.free(), self.free())
+            .copy_from(&wave(self.free(), INPUTS));
     }
     fn rate_bound(&self) -> f64 {
         let k = self.stiffness_bound();
@@ -143,21 +157,36 @@ fn inputs(structure: &Structure) -> (DMatrix<f64>, Vec<f64>) {
     let mut excitation = DMatrix::zeros(n, INPUTS);
     structure.excitation_matrix(&mut excitation);
     inputs.columns_mut(1, INPUTS).copy_from(&excitation);
-    let ramp = (0..n).map(|j| if (free..2 * free).contains(&j) { 30.0 * (j as f64).sin() } else { 0.0 }).collect();
+    let ramp = (0..n)
+        .map(|j| {
+            if (free..2 * free).contains(&j) {
+                30.0 * (j as f64).sin()
+            } else {
+                0.0
+            }
+        })
+        .collect();
     (inputs, ramp)
 }
 
 /// Largest difference of two covariances, each entry by the deviations of its row and its column.
 fn worst_covariance(found: &DMatrix<f64>, expected: &DMatrix<f64>) -> f64 {
     let std = expected.diagonal().map(f64::sqrt);
-    (found - expected).component_div(&(&std * std.transpose())).amax()
+    (found - expected)
+        .component_div(&(&std * std.transpose()))
+        .amax()
 }
 
 /// Largest difference of two matrices, each entry by the largest of its column and of its kind: displacement or velocity.
 fn worst_column(found: &DMatrix<f64>, expected: &DMatrix<f64>, free: usize) -> f64 {
-    let kinds = [0..free, free..2 * free, 2 * free..found.nrows()].into_iter().filter(|rows| !rows.is_empty());
+    let kinds = [0..free, free..2 * free, 2 * free..found.nrows()]
+        .into_iter()
+        .filter(|rows| !rows.is_empty());
     kinds.fold(0.0, |worst: f64, rows| {
-        let size = expected.rows(rows.start, rows.len()).amax().max(f64::MIN_POSITIVE);
+        let size = expected
+            .rows(rows.start, rows.len())
+            .amax()
+            .max(f64::MIN_POSITIVE);
         worst.max((found - expected).rows(rows.start, rows.len()).amax() / size)
     })
 }
@@ -182,20 +211,34 @@ fn assert_agreement_with(arch: Arch, what: &str, structure: &Structure, toleranc
         integrate_inputs(structure, STEP_S, series, &mut expected, ramp, &mut work);
         transition.discretise(&form, STEP_S, structure.rate_bound(), &mut found, ramp);
         let error = worst_column(&found, &expected, structure.free());
-        assert!(error < tolerance, "{what}, {series:?}, ramp {}: inputs off by {error:e}", ramp.is_some());
+        assert!(
+            error < tolerance,
+            "{what}, {series:?}, ramp {}: inputs off by {error:e}",
+            ramp.is_some()
+        );
     }
     let (mut expected, mut found) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
     propagate_covariance(structure, STEP_S, series, &sigma, &mut expected, &mut work);
     transition.propagate_covariance_to(&sigma, 1.0, &mut found);
     let error = worst_covariance(&found, &expected);
-    assert!(error < tolerance, "{what}, {series:?}: covariance off by {error:e}");
-    assert_eq!(found, found.transpose(), "{what}: the triangles have other bits");
+    assert!(
+        error < tolerance,
+        "{what}, {series:?}: covariance off by {error:e}"
+    );
+    assert_eq!(
+        found,
+        found.transpose(),
+        "{what}: the triangles have other bits"
+    );
     let columns = sigma.columns(n - INPUTS, INPUTS).into_owned();
     let (mut expected, mut found) = (columns.clone(), columns);
     transition_mul_narrow(structure, STEP_S, series, &mut expected, &mut work);
     transition.mul_mut(&mut found);
     let error = worst_column(&found, &expected, structure.free());
-    assert!(error < tolerance, "{what}, {series:?}: columns off by {error:e}");
+    assert!(
+        error < tolerance,
+        "{what}, {series:?}: columns off by {error:e}"
+    );
 }
 
 #[test]
@@ -216,7 +259,11 @@ fn blocks_agree_with_the_operator_for_any_damping() {
         for mut structure in [chain(30, 3, 0.3), coupled(12, 3, 0.3)] {
             structure.alpha_per_s = alpha_per_s;
             structure.beta_s = 2.0 * damping_ratio / structure.stiffness_bound().sqrt();
-            assert_agreement(&format!("α {alpha_per_s}, ζ {damping_ratio}"), &structure, 1e-12);
+            assert_agreement(
+                &format!("α {alpha_per_s}, ζ {damping_ratio}"),
+                &structure,
+                1e-12,
+            );
         }
     }
 }
@@ -253,8 +300,13 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
         let room = || Band::new(n, 44 * widest, widest);
         let (mut powers, mut sums) = ([room(), room()], [room(), room()]);
         for width in widths {
-            let matrix =
-                DMatrix::from_fn(n, n, |i, j| if i.abs_diff(j) <= width { wave(n, n)[(i, j)] / 5.0 } else { 0.0 });
+            let matrix = DMatrix::from_fn(n, n, |i, j| {
+                if i.abs_diff(j) <= width {
+                    wave(n, n)[(i, j)] / 5.0
+                } else {
+                    0.0
+                }
+            });
             let mut z = Band::new(n, widest, widest);
             z.set(&matrix, width, 1.0);
             let [impulse, velocity] = &mut sums;
@@ -264,7 +316,10 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
                 polynomials: [&polynomials.impulse, &polynomials.velocity],
                 sums: [impulse, velocity],
             });
-            for (polynomial, band) in [&polynomials.impulse, &polynomials.velocity].into_iter().zip(&sums) {
+            for (polynomial, band) in [&polynomials.impulse, &polynomials.velocity]
+                .into_iter()
+                .zip(&sums)
+            {
                 let mut expected = DMatrix::zeros(n, n);
                 for coefficient in polynomial.coefficients.iter().rev() {
                     expected = &matrix * expected + DMatrix::identity(n, n) * *coefficient;
@@ -283,9 +338,18 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
                 );
                 let mut transposed = DMatrix::zeros(n, n);
                 let unit = DMatrix::identity(n, n);
-                Multiplier::with(arch).multiply_to(Left::new(&unit), &right, Extent::Full, Sum::PLAIN, &mut transposed);
+                Multiplier::with(arch).multiply_to(
+                    Left::new(&unit),
+                    &right,
+                    Extent::Full,
+                    Sum::PLAIN,
+                    &mut transposed,
+                );
                 let error = (transposed - 2.0 * expected.transpose()).amax();
-                assert!(error < 1e-14, "{n}, band {width}: transpose off by {error:e}");
+                assert!(
+                    error < 1e-14,
+                    "{n}, band {width}: transpose off by {error:e}"
+                );
             }
         }
     }
@@ -293,10 +357,18 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
 
 #[test]
 fn a_narrow_band_is_stepped_through_the_accelerations() {
-    for (structure, through_accelerations) in [(chain(40, 3, 0.4), true), (coupled(12, 3, 0.4), false)] {
+    for (structure, through_accelerations) in
+        [(chain(40, 3, 0.4), true), (coupled(12, 3, 0.4), false)]
+    {
         let form = structure.proportional_form().unwrap();
         let mut transition = Transition::new(&form);
-        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(&structure).0, None);
+        transition.discretise(
+            &form,
+            STEP_S,
+            structure.rate_bound(),
+            &mut inputs(&structure).0,
+            None,
+        );
         assert_eq!(transition.through_accelerations, through_accelerations);
     }
 }
@@ -311,13 +383,22 @@ fn a_reach_changes_nothing_but_what_is_computed() {
             narrow.by_theta[(row, parameter)] = 0.0;
         }
     }
-    let wide =
-        Structure { reach: narrow.reach.clone(), by_theta: narrow.by_theta.clone(), ..chain(40, reach.len(), 0.4) };
+    let wide = Structure {
+        reach: narrow.reach.clone(),
+        by_theta: narrow.by_theta.clone(),
+        ..chain(40, reach.len(), 0.4)
+    };
     narrow.reach = reach;
     let propagated = [&narrow, &wide].map(|structure| {
         let form = structure.proportional_form().unwrap();
         let mut transition = Transition::new(&form);
-        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
+        transition.discretise(
+            &form,
+            STEP_S,
+            structure.rate_bound(),
+            &mut inputs(structure).0,
+            None,
+        );
         let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
         transition.propagate_covariance_to(&covariance(structure), 1.0, &mut out);
         out
@@ -332,7 +413,13 @@ fn a_transition_made_anew_is_that_of_a_new_one() {
     let mut used = Transition::new(&fast.proportional_form().unwrap());
     let propagated = |transition: &mut Transition, structure: &Structure| {
         let form = structure.proportional_form().unwrap();
-        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
+        transition.discretise(
+            &form,
+            STEP_S,
+            structure.rate_bound(),
+            &mut inputs(structure).0,
+            None,
+        );
         let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
         transition.propagate_covariance_to(&covariance(structure), 1.0, &mut out);
         out
@@ -354,10 +441,21 @@ fn an_economised_polynomial_has_the_same_values_and_a_lower_degree() {
     }
     let degree = economise_mut(&mut coefficients, order, range);
     assert!(degree <= 12, "{degree}");
-    assert!(coefficients[degree + 1..].iter().all(|coefficient| *coefficient == 0.0));
+    assert!(
+        coefficients[degree + 1..]
+            .iter()
+            .all(|coefficient| *coefficient == 0.0)
+    );
     for place in 0..=50 {
         let z = -range * f64::from(place) / 50.0;
-        let found = coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * z + coefficient);
-        assert!((found - z.exp()).abs() < 1e-15, "{z}: {found} instead of {}", z.exp());
+        let found = coefficients
+            .iter()
+            .rev()
+            .fold(0.0, |sum, coefficient| sum * z + coefficient);
+        assert!(
+            (found - z.exp()).abs() < 1e-15,
+            "{z}: {found} instead of {}",
+            z.exp()
+        );
     }
 }

@@ -40,7 +40,12 @@ struct Parts<'a> {
 
 impl BoucWen {
     pub fn new(displacements: Displacements) -> Self {
-        let mut model = Self { displacements, state: Vec::new(), ground: 0.0, slopes: [[0.0; 5]; MASSES] };
+        let mut model = Self {
+            displacements,
+            state: Vec::new(),
+            ground: 0.0,
+            slopes: [[0.0; 5]; MASSES],
+        };
         model.state = vec![0.0; model.first_velocity() + 2 * MASSES + GROUPS + 5];
         model
     }
@@ -71,7 +76,11 @@ fn elastic(theta: &[f64], x: &[f64], i: usize) -> f64 {
 
 /// `|r|^η` and its logarithm's product, safe at 0.
 fn power(r: f64, exponent: f64) -> f64 {
-    if r.abs() < 1e-12 { 0.0 } else { r.abs().powf(exponent) }
+    if r.abs() < 1e-12 {
+        0.0
+    } else {
+        r.abs().powf(exponent)
+    }
 }
 
 fn sign(value: f64) -> f64 {
@@ -96,7 +105,11 @@ impl ProcessModel for BoucWen {
         self.slopes = std::array::from_fn(|i| {
             let (strength, weaker) = (power(r[i], eta), power(r[i], eta - 1.0));
             let (sv, sr) = (sign(v[i]), sign(r[i]));
-            let logarithm = if r[i].abs() < 1e-12 { 0.0 } else { strength * r[i].abs().ln() };
+            let logarithm = if r[i].abs() < 1e-12 {
+                0.0
+            } else {
+                strength * r[i].abs().ln()
+            };
             [
                 1.0 - mu * sv * sr * strength - kappa * strength,
                 -mu * eta * v[i].abs() * weaker - kappa * eta * v[i] * weaker * sr,
@@ -118,7 +131,8 @@ impl ProcessModel for BoucWen {
             let damped = beta * elastic(theta, v, i);
             out[first + i] = -alpha * v[i] - elastic(theta, r, i) - damped - self.ground;
             let strength = power(r[i], eta);
-            out[first + MASSES + i] = v[i] - mu * v[i].abs() * strength * sign(r[i]) - kappa * v[i] * strength;
+            out[first + MASSES + i] =
+                v[i] - mu * v[i].abs() * strength * sign(r[i]) - kappa * v[i] * strength;
         }
     }
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
@@ -159,7 +173,9 @@ impl ProcessModel for BoucWen {
     }
     fn rate_bound(&self) -> f64 {
         let Parts { theta, .. } = self.parts(&self.state);
-        let largest = theta.iter().fold(0.0_f64, |largest, factor| largest.max(factor.abs()));
+        let largest = theta
+            .iter()
+            .fold(0.0_f64, |largest, factor| largest.max(factor.abs()));
         (4.0 * STIFFNESS * largest).sqrt() * 1.2
     }
 }
@@ -178,7 +194,8 @@ impl ObservationModel for BoucWen {
     }
     fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
         for (row, mass) in SENSED.into_iter().enumerate() {
-            out.row_mut(row).copy_from(&columns.row(self.first_velocity() + mass));
+            out.row_mut(row)
+                .copy_from(&columns.row(self.first_velocity() + mass));
         }
     }
     fn feedthrough(&self) -> Option<&DMatrix<f64>> {
@@ -187,7 +204,12 @@ impl ObservationModel for BoucWen {
 }
 
 /// Velocities of the sensed masses without noise, by a Runge-Kutta step a sample with the excitation held.
-pub fn simulate(normal: &mut Normal, steps: usize, step_s: f64, excitation_std: f64) -> Vec<[f64; 5]> {
+pub fn simulate(
+    normal: &mut Normal,
+    steps: usize,
+    step_s: f64,
+    excitation_std: f64,
+) -> Vec<[f64; 5]> {
     let mut model = BoucWen::new(Displacements::LeftOut);
     let mut y = vec![0.0; 2 * MASSES];
     y.extend([1.0; GROUPS + 5]);
@@ -201,7 +223,9 @@ pub fn simulate(normal: &mut Normal, steps: usize, step_s: f64, excitation_std: 
                 model.derivative(&mut slope);
                 slope
             };
-            let moved = |slope: &[f64], by: f64| -> Vec<f64> { y.iter().zip(slope).map(|(y, k)| y + by * k).collect() };
+            let moved = |slope: &[f64], by: f64| -> Vec<f64> {
+                y.iter().zip(slope).map(|(y, k)| y + by * k).collect()
+            };
             let k1 = slope_at(&y);
             let k2 = slope_at(&moved(&k1, step_s / 2.0));
             let k3 = slope_at(&moved(&k2, step_s / 2.0));

@@ -24,20 +24,35 @@ fn nodes() -> Vec<(f64, f64)> {
 /// Elements: two nodes (from 1), group (from 0), section.
 fn elements() -> Vec<(usize, usize, usize, (f64, f64))> {
     let mut elements: Vec<_> = (1..=16).map(|j| (j, j + 1, (j - 1) / 4, DECK)).collect();
-    for (pier, (deck, middle, foot)) in [(5, 18, 19), (9, 20, 21), (13, 22, 23)].into_iter().enumerate() {
-        elements.extend([(deck, middle, 4 + pier, PIER), (middle, foot, 4 + pier, PIER)]);
+    for (pier, (deck, middle, foot)) in [(5, 18, 19), (9, 20, 21), (13, 22, 23)]
+        .into_iter()
+        .enumerate()
+    {
+        elements.extend([
+            (deck, middle, 4 + pier, PIER),
+            (middle, foot, 4 + pier, PIER),
+        ]);
     }
     elements
 }
 
 /// Stiffness and consistent mass of an element in global directions.
-fn element_matrices(from: (f64, f64), to: (f64, f64), (a, i): (f64, f64)) -> (Matrix6<f64>, Matrix6<f64>) {
+fn element_matrices(
+    from: (f64, f64),
+    to: (f64, f64),
+    (a, i): (f64, f64),
+) -> (Matrix6<f64>, Matrix6<f64>) {
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let l = dx.hypot(dy);
     let (c, s) = (dx / l, dy / l);
     let (e, rho) = (MODULUS, DENSITY);
-    let (k1, k2, k3, k4, k5) =
-        (e * a / l, 12.0 * e * i / l.powi(3), 6.0 * e * i / l.powi(2), 4.0 * e * i / l, 2.0 * e * i / l);
+    let (k1, k2, k3, k4, k5) = (
+        e * a / l,
+        12.0 * e * i / l.powi(3),
+        6.0 * e * i / l.powi(2),
+        4.0 * e * i / l,
+        2.0 * e * i / l,
+    );
     #[rustfmt::skip]
     let k = Matrix6::new(
         k1, 0.0, 0.0, -k1, 0.0, 0.0,
@@ -113,7 +128,11 @@ impl Bridge {
         let mut groups = vec![DMatrix::zeros(free, free); GROUPS];
         for (first, second, group, section) in elements() {
             let (k, m) = element_matrices(nodes[first - 1], nodes[second - 1], section);
-            let dofs: Vec<_> = number[first].iter().chain(&number[second]).copied().collect();
+            let dofs: Vec<_> = number[first]
+                .iter()
+                .chain(&number[second])
+                .copied()
+                .collect();
             for (i, row) in dofs.iter().enumerate() {
                 for (j, column) in dofs.iter().enumerate() {
                     if let (Some(row), Some(column)) = (row, column) {
@@ -123,14 +142,24 @@ impl Bridge {
                 }
             }
         }
-        let stiffness = groups.iter().fold(DMatrix::zeros(free, free), |sum, k| sum + k);
+        let stiffness = groups
+            .iter()
+            .fold(DMatrix::zeros(free, free), |sum, k| sum + k);
         let factor = nalgebra::Cholesky::new(mass.clone()).unwrap();
         let influence = [0, 1].map(|direction| {
-            DVector::from_fn(free, |dof, _| f64::from(u8::from(number.iter().any(|dofs| dofs[direction] == Some(dof)))))
+            DVector::from_fn(free, |dof, _| {
+                f64::from(u8::from(
+                    number.iter().any(|dofs| dofs[direction] == Some(dof)),
+                ))
+            })
         });
         let horizontal = [5, 13, 20, 22].map(|node: usize| (node, 0));
         let vertical = [9, 18, 20, 22].map(|node: usize| (node, 1));
-        let sensed = horizontal.iter().chain(&vertical).map(|(node, d)| number[*node][*d].unwrap()).collect();
+        let sensed = horizontal
+            .iter()
+            .chain(&vertical)
+            .map(|(node, d)| number[*node][*d].unwrap())
+            .collect();
         let point = Point {
             velocity: DVector::zeros(free),
             stiffness: DMatrix::zeros(free, free),
@@ -158,7 +187,10 @@ impl Bridge {
     /// The continuous system of the nominal bridge: A_u, B_u and the rows of H.
     pub fn nominal(&self) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
         let n = self.freedoms();
-        let stiffness = self.groups.iter().fold(DMatrix::zeros(n, n), |sum, k| sum + k);
+        let stiffness = self
+            .groups
+            .iter()
+            .fold(DMatrix::zeros(n, n), |sum, k| sum + k);
         let damping = DMatrix::identity(n, n) * RAYLEIGH[0] + &stiffness * RAYLEIGH[1];
         let mut system = DMatrix::zeros(2 * n, 2 * n);
         system.view_mut((0, n), (n, n)).fill_with_identity();
@@ -166,9 +198,13 @@ impl Bridge {
         system.view_mut((n, n), (n, n)).copy_from(&-damping);
         let mut input = DMatrix::zeros(2 * n, 2);
         for direction in 0..2 {
-            input.view_mut((n, direction), (n, 1)).copy_from(&-&self.influence[direction]);
+            input
+                .view_mut((n, direction), (n, 1))
+                .copy_from(&-&self.influence[direction]);
         }
-        let rows = DMatrix::from_fn(self.sensed.len(), 2 * n, |row, j| system[(n + self.sensed[row], j)]);
+        let rows = DMatrix::from_fn(self.sensed.len(), 2 * n, |row, j| {
+            system[(n + self.sensed[row], j)]
+        });
         (system, input, rows)
     }
 
@@ -188,15 +224,27 @@ impl Bridge {
         by_parameter.set_column(GROUPS, &(-RAYLEIGH[0] * &v));
         by_parameter.set_column(GROUPS + 1, &(-RAYLEIGH[1] * (&stiffness * &v)));
         let acceleration = -(&stiffness * &strain) - alpha * &v;
-        let largest_factor = theta.iter().fold(0.0_f64, |largest, factor| largest.max(*factor));
-        Point { velocity: v, stiffness, by_parameter, acceleration, alpha, beta, largest_factor }
+        let largest_factor = theta
+            .iter()
+            .fold(0.0_f64, |largest, factor| largest.max(*factor));
+        Point {
+            velocity: v,
+            stiffness,
+            by_parameter,
+            acceleration,
+            alpha,
+            beta,
+            largest_factor,
+        }
     }
 
     fn accelerate(point: &Point, columns: &DMatrix<f64>) -> DMatrix<f64> {
         let n = point.velocity.len();
         let strain = columns.rows(0, n) + point.beta * columns.rows(n, n);
         let elastic = &point.stiffness * strain;
-        &point.by_parameter * columns.rows(2 * n, GROUPS + 2) - elastic - point.alpha * columns.rows(n, n)
+        &point.by_parameter * columns.rows(2 * n, GROUPS + 2)
+            - elastic
+            - point.alpha * columns.rows(n, n)
     }
 }
 
@@ -223,19 +271,25 @@ impl ProcessModel for Bridge {
         let n = self.freedoms();
         out.fill(0.0);
         out.rows_mut(0, n).copy_from(&columns.rows(n, n));
-        out.rows_mut(n, n).copy_from(&Self::accelerate(&self.process, columns));
+        out.rows_mut(n, n)
+            .copy_from(&Self::accelerate(&self.process, columns));
     }
     fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
         let n = self.freedoms();
         out.fill(0.0);
         for direction in 0..2 {
-            out.view_mut((n, direction), (n, 1)).copy_from(&-&self.influence[direction]);
+            out.view_mut((n, direction), (n, 1))
+                .copy_from(&-&self.influence[direction]);
         }
     }
     fn rate_bound(&self) -> f64 {
         // ω_max = 228.3 rad/s as designed; up to βω = 2 a mode is not overdamped, and |λ| = ω
         let omega = 228.3 * self.process.largest_factor.max(0.0).sqrt();
-        if self.process.beta * omega < 2.0 { omega } else { self.process.beta * omega * omega }
+        if self.process.beta * omega < 2.0 {
+            omega
+        } else {
+            self.process.beta * omega * omega
+        }
     }
 }
 

@@ -38,7 +38,9 @@ impl Normal {
 
 /// Root mean square of a sequence.
 pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
+        (sum + value * value, count + 1.0)
+    });
     (sum / count).sqrt()
 }
 
@@ -53,7 +55,12 @@ pub struct Oscillator {
 impl Oscillator {
     fn jacobian_rows(&self) -> [f64; 4] {
         let [x, v, omega, zeta] = self.process;
-        [-omega * omega, -2.0 * zeta * omega, -2.0 * omega * x - 2.0 * zeta * v, -2.0 * omega * v]
+        [
+            -omega * omega,
+            -2.0 * zeta * omega,
+            -2.0 * omega * x - 2.0 * zeta * v,
+            -2.0 * omega * v,
+        ]
     }
 }
 
@@ -73,7 +80,12 @@ impl ProcessModel for Oscillator {
     }
     fn derivative(&self, out: &mut [f64]) {
         let [x, v, omega, zeta] = self.process;
-        out.copy_from_slice(&[v, self.force - 2.0 * zeta * omega * v - omega * omega * x, 0.0, 0.0]);
+        out.copy_from_slice(&[
+            v,
+            self.force - 2.0 * zeta * omega * v - omega * omega * x,
+            0.0,
+            0.0,
+        ]);
     }
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
         let row = self.jacobian_rows();
@@ -126,7 +138,13 @@ pub struct Chain {
 impl Chain {
     pub fn new(masses: usize, stiffness: f64) -> Self {
         let zero = DVector::zeros(2 * masses + 3);
-        Self { masses, stiffness, process: zero.clone(), force: 0.0, observed: zero }
+        Self {
+            masses,
+            stiffness,
+            process: zero.clone(),
+            force: 0.0,
+            observed: zero,
+        }
     }
 
     /// Nominal stiffness matrix (N_d × N_d).
@@ -143,7 +161,11 @@ impl Chain {
     /// `[K x]_i` for the nominal stiffness.
     fn force_row(&self, x: &[f64], i: usize) -> f64 {
         let below = if i > 0 { x[i - 1] } else { 0.0 };
-        let above = if i + 1 < self.masses { x[i + 1] - x[i] } else { 0.0 };
+        let above = if i + 1 < self.masses {
+            x[i + 1] - x[i]
+        } else {
+            0.0
+        };
         self.stiffness * (x[i] - below - above)
     }
 
@@ -160,7 +182,8 @@ impl Chain {
         let n = self.masses;
         let (theta, alpha, beta) = (y[2 * n], y[2 * n + 1], y[2 * n + 2]);
         let elastic = self.force_row(&y[..n], i) + beta * self.force_row(&y[n..2 * n], i);
-        let along = self.force_row(&direction[..n], i) + beta * self.force_row(&direction[n..2 * n], i);
+        let along =
+            self.force_row(&direction[..n], i) + beta * self.force_row(&direction[n..2 * n], i);
         -theta * along
             - alpha * direction[n + i]
             - elastic * direction[2 * n]

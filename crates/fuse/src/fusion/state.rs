@@ -26,7 +26,11 @@ impl Fusion {
     /// Returns the state for a checkpoint, best after a fusion.
     #[must_use]
     pub fn state(&self) -> FusionState {
-        FusionState { epoch: self.epoch, station: self.station.state(), nodes: self.nodes.clone() }
+        FusionState {
+            epoch: self.epoch,
+            station: self.station.state(),
+            nodes: self.nodes.clone(),
+        }
     }
 
     /// Goes on from a checkpoint of another life, before the first input.
@@ -34,8 +38,17 @@ impl Fusion {
     /// # Errors
     /// The state does not fit the structure; the station is then as it was.
     pub fn restore(&mut self, state: FusionState) -> Result<(), FilterError> {
-        let FusionState { epoch, station, nodes } = state;
-        let known = self.nodes.iter().zip(&nodes).filter(|(own, kept)| own.is_as(kept)).count();
+        let FusionState {
+            epoch,
+            station,
+            nodes,
+        } = state;
+        let known = self
+            .nodes
+            .iter()
+            .zip(&nodes)
+            .filter(|(own, kept)| own.is_as(kept))
+            .count();
         if (known, nodes.len()) != (self.nodes.len(), self.nodes.len()) {
             return Err(FilterError::Dimension {
                 what: "nodes of a checkpoint",

@@ -1,7 +1,9 @@
 mod restarts;
 
 use super::*;
-use spandrel_bus::{ChannelState, LocalDensity, MaskedSpan, NodeHealth, NodeLineage, ScreenedChannel};
+use spandrel_bus::{
+    ChannelState, LocalDensity, MaskedSpan, NodeHealth, NodeLineage, ScreenedChannel,
+};
 use std::path::Path;
 
 const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
@@ -13,19 +15,26 @@ fn structure() -> Structure {
 
 /// What a node sends that has learnt a little of everything.
 fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
-    let covariance = (0..10).flat_map(|j| (0..=j).map(move |i| if i == j { 0.008 } else { 0.0 })).collect();
+    let covariance = (0..10)
+        .flat_map(|j| (0..=j).map(move |i| if i == j { 0.008 } else { 0.0 }))
+        .collect();
     LocalMessage {
         header: Header {
             source: "node".into(),
             epoch,
             sequence: index,
-            time_ns: i64::try_from(index).unwrap_or(i64::MAX).saturating_mul(SECOND_NS),
+            time_ns: i64::try_from(index)
+                .unwrap_or(i64::MAX)
+                .saturating_mul(SECOND_NS),
         },
         pace,
         density: Some(LocalDensity {
             mean: vec![mean; 10],
             covariance,
-            lineage: Some(NodeLineage { own: index - 1, answers: Vec::new() }),
+            lineage: Some(NodeLineage {
+                own: index - 1,
+                answers: Vec::new(),
+            }),
             motion: None,
         }),
         restarts: 0,
@@ -37,12 +46,19 @@ fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
 
 fn local(node: usize, message: LocalMessage) -> Input {
     let arrived_ns = message.header.time_ns;
-    Input::Local { node, message: Box::new(message), bytes: 500, arrived_ns }
+    Input::Local {
+        node,
+        message: Box::new(message),
+        bytes: 500,
+        arrived_ns,
+    }
 }
 
 fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Vec<Output> {
     let mut outputs = Vec::new();
-    inputs.into_iter().for_each(|input| fusion.handle(input, &mut outputs));
+    inputs
+        .into_iter()
+        .for_each(|input| fusion.handle(input, &mut outputs));
     outputs
 }
 
@@ -59,7 +75,13 @@ fn the_station_says_whether_its_nodes_measure_or_replay() {
     for pace in [Pace::Live, Pace::Replayed] {
         let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
         assert_eq!(fusion.pace(), None, "no node has spoken");
-        run(&mut fusion, [Input::Present(vec![true; 16]), local(0, message(3, 1, pace, 0.95))]);
+        run(
+            &mut fusion,
+            [
+                Input::Present(vec![true; 16]),
+                local(0, message(3, 1, pace, 0.95)),
+            ],
+        );
         assert_eq!(fusion.pace(), Some(pace));
     }
 }
@@ -67,22 +89,52 @@ fn the_station_says_whether_its_nodes_measure_or_replay() {
 #[test]
 fn replayed_nodes_are_fused_when_all_have_spoken_and_answered_by_name() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    let outputs = run(&mut fusion, (0..15).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));
+    let outputs = run(
+        &mut fusion,
+        (0..15).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))),
+    );
     assert!(outputs.is_empty(), "node 15 has not spoken");
-    let outputs = run(&mut fusion, [local(15, message(3, 1, Pace::Replayed, 0.95))]);
+    let outputs = run(
+        &mut fusion,
+        [local(15, message(3, 1, Pace::Replayed, 0.95))],
+    );
     let blocks = estimates(&outputs);
-    assert_eq!((blocks.len(), blocks[0].header.sequence, blocks[0].estimates.len()), (1, 0, 1));
+    assert_eq!(
+        (
+            blocks.len(),
+            blocks[0].header.sequence,
+            blocks[0].estimates.len()
+        ),
+        (1, 0, 1)
+    );
     assert!(spandrel_bus::Message::check(blocks[0]).is_ok());
     let answers: Vec<_> = outputs
         .iter()
         .filter_map(|output| match output {
-            Output::Feedback(node, feedback) => Some((*node, feedback.answers, feedback.node_epoch, feedback.nodes)),
+            Output::Feedback(node, feedback) => {
+                Some((*node, feedback.answers, feedback.node_epoch, feedback.nodes))
+            }
             _ => None,
         })
         .collect();
-    assert_eq!(answers, (0..16).map(|node| (node, 1, 3, 16)).collect::<Vec<_>>());
-    assert_eq!(outputs.iter().filter(|output| matches!(output, Output::Node(_))).count(), 16);
-    assert_eq!(outputs.iter().filter(|output| matches!(output, Output::Parameter(_))).count(), 10);
+    assert_eq!(
+        answers,
+        (0..16).map(|node| (node, 1, 3, 16)).collect::<Vec<_>>()
+    );
+    assert_eq!(
+        outputs
+            .iter()
+            .filter(|output| matches!(output, Output::Node(_)))
+            .count(),
+        16
+    );
+    assert_eq!(
+        outputs
+            .iter()
+            .filter(|output| matches!(output, Output::Parameter(_)))
+            .count(),
+        10
+    );
 }
 
 #[test]
@@ -90,8 +142,14 @@ fn a_replaying_node_that_is_gone_is_not_waited_for() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let mut present = vec![true; 16];
     run(&mut fusion, [Input::Present(present.clone())]);
-    run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));
-    let outputs = run(&mut fusion, (0..15).map(|node| local(node, message(3, 2, Pace::Replayed, 0.95))));
+    run(
+        &mut fusion,
+        (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))),
+    );
+    let outputs = run(
+        &mut fusion,
+        (0..15).map(|node| local(node, message(3, 2, Pace::Replayed, 0.95))),
+    );
     assert!(estimates(&outputs).is_empty());
     present[15] = false;
     let outputs = run(&mut fusion, [Input::Present(present)]);
@@ -103,7 +161,10 @@ fn a_replaying_node_that_is_gone_is_not_waited_for() {
             _ => None,
         })
         .collect();
-    assert_eq!((states[0], states[15]), (NodeHealth::Used, NodeHealth::Silent));
+    assert_eq!(
+        (states[0], states[15]),
+        (NodeHealth::Used, NodeHealth::Silent)
+    );
 }
 
 #[test]
@@ -111,8 +172,15 @@ fn a_station_that_comes_late_begins_where_the_nodes_are() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
     for index in [5000, 5001, u64::MAX] {
-        let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Replayed, 0.95))));
-        assert_eq!(estimates(&outputs).len(), 1, "one fusion, however far the count has gone");
+        let outputs = run(
+            &mut fusion,
+            (0..16).map(|node| local(node, message(3, index, Pace::Replayed, 0.95))),
+        );
+        assert_eq!(
+            estimates(&outputs).len(),
+            1,
+            "one fusion, however far the count has gone"
+        );
     }
     assert_eq!(fusion.done(), 3);
 }
@@ -120,9 +188,18 @@ fn a_station_that_comes_late_begins_where_the_nodes_are() {
 #[test]
 fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    let outputs = run(&mut fusion, (0..9).map(|node| local(node, message(3, 1, Pace::Live, 0.95))));
+    let outputs = run(
+        &mut fusion,
+        (0..9).map(|node| local(node, message(3, 1, Pace::Live, 0.95))),
+    );
     assert!(outputs.is_empty());
-    let outputs = run(&mut fusion, [Input::Tick(SECOND_NS + SECOND_NS / 2), Input::Tick(2 * SECOND_NS)]);
+    let outputs = run(
+        &mut fusion,
+        [
+            Input::Tick(SECOND_NS + SECOND_NS / 2),
+            Input::Tick(2 * SECOND_NS),
+        ],
+    );
     assert_eq!(estimates(&outputs).len(), 1);
     // nothing more has come: what is known fades; that all are a period late is no event
     let told = |outputs: &[Output]| -> Vec<EventKind> {
@@ -132,17 +209,32 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
         };
         outputs.iter().filter_map(of_station).collect()
     };
-    let outputs = run(&mut fusion, [Input::Tick(3 * SECOND_NS), Input::Tick(4 * SECOND_NS)]);
+    let outputs = run(
+        &mut fusion,
+        [Input::Tick(3 * SECOND_NS), Input::Tick(4 * SECOND_NS)],
+    );
     let blocks = estimates(&outputs);
     assert_eq!(blocks.len(), 2);
-    assert!(blocks.iter().all(|block| block.estimates[0].flags.prediction_only));
+    assert!(
+        blocks
+            .iter()
+            .all(|block| block.estimates[0].flags.prediction_only)
+    );
     assert_eq!(told(&outputs), []);
     // three on end are one, told once, and so is that something comes again
-    let outputs = run(&mut fusion, (5..9).map(|second| Input::Tick(second * SECOND_NS)));
+    let outputs = run(
+        &mut fusion,
+        (5..9).map(|second| Input::Tick(second * SECOND_NS)),
+    );
     assert_eq!(told(&outputs), [EventKind::Gap]);
     let again = (0..9).map(|node| local(node, message(3, 9, Pace::Live, 0.95)));
-    let outputs =
-        run(&mut fusion, again.chain([Input::Tick(9 * SECOND_NS + SECOND_NS / 2), Input::Tick(10 * SECOND_NS)]));
+    let outputs = run(
+        &mut fusion,
+        again.chain([
+            Input::Tick(9 * SECOND_NS + SECOND_NS / 2),
+            Input::Tick(10 * SECOND_NS),
+        ]),
+    );
     // these nodes have taken no answer, so that the station takes over what they know
     assert_eq!(told(&outputs), [EventKind::Restart, EventKind::NodeBack]);
 }
@@ -150,13 +242,32 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
 #[test]
 fn old_messages_and_old_lives_are_refused_and_a_new_life_is_taken() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [local(0, message(3, 1, Pace::Live, 0.95)), local(0, message(3, 2, Pace::Live, 0.95))]);
-    run(&mut fusion, [local(0, message(3, 1, Pace::Live, 0.95)), local(0, message(2, 9, Pace::Live, 0.95))]);
-    assert_eq!(fusion.refused(), BTreeMap::from([("refused-old".into(), 1), ("refused-stale-epoch".into(), 1)]));
+    run(
+        &mut fusion,
+        [
+            local(0, message(3, 1, Pace::Live, 0.95)),
+            local(0, message(3, 2, Pace::Live, 0.95)),
+        ],
+    );
+    run(
+        &mut fusion,
+        [
+            local(0, message(3, 1, Pace::Live, 0.95)),
+            local(0, message(2, 9, Pace::Live, 0.95)),
+        ],
+    );
+    assert_eq!(
+        fusion.refused(),
+        BTreeMap::from([("refused-old".into(), 1), ("refused-stale-epoch".into(), 1)])
+    );
     run(&mut fusion, [local(0, message(4, 1, Pace::Live, 0.95))]);
     assert_eq!(fusion.refused().values().sum::<u64>(), 2);
     let outputs = run(&mut fusion, [Input::Tick(2 * SECOND_NS)]);
-    assert!(outputs.iter().any(|output| matches!(output, Output::Feedback(0, feedback) if feedback.node_epoch == 4)));
+    assert!(
+        outputs.iter().any(
+            |output| matches!(output, Output::Feedback(0, feedback) if feedback.node_epoch == 4)
+        )
+    );
 }
 
 #[test]
@@ -168,18 +279,29 @@ fn a_node_that_disagrees_is_left_out_and_told_of_once() {
     let mut events = 0;
     for index in 1..40 {
         let mean = |node| if node == 4 { 1.9 } else { 0.95 };
-        let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Replayed, mean(node)))));
+        let outputs = run(
+            &mut fusion,
+            (0..16).map(|node| local(node, message(3, index, Pace::Replayed, mean(node)))),
+        );
         for output in &outputs {
             match output {
                 Output::Event(event) => {
                     events += 1;
-                    assert_eq!((event.kind, event.subject.as_str()), (EventKind::NodeExcluded, "floor-5"));
+                    assert_eq!(
+                        (event.kind, event.subject.as_str()),
+                        (EventKind::NodeExcluded, "floor-5")
+                    );
                 }
                 Output::Node(node) => {
-                    assert_eq!(node.state == NodeHealth::Excluded, node.node.as_str() == "floor-5");
+                    assert_eq!(
+                        node.state == NodeHealth::Excluded,
+                        node.node.as_str() == "floor-5"
+                    );
                     assert!(spandrel_bus::Message::check(node).is_ok());
                 }
-                Output::Estimates(block) => assert!((block.estimates[0].mean[0] - 0.95).abs() < 0.06),
+                Output::Estimates(block) => {
+                    assert!((block.estimates[0].mean[0] - 0.95).abs() < 0.06)
+                }
                 Output::Parameter(_) | Output::Feedback(..) | Output::Outliers(..) => {}
             }
         }
@@ -189,7 +311,10 @@ fn a_node_that_disagrees_is_left_out_and_told_of_once() {
 
 #[test]
 fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
-    let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"\nweighting = \"graded\"");
+    let file = FILE.replace(
+        "detector = \"none\"",
+        "detector = \"one-at-a-time\"\nweighting = \"graded\"",
+    );
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
@@ -197,7 +322,10 @@ fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
     for index in 1..20 {
         // ten parameters are off by 0.3, with variances of 0.008 here and there: d² is 56, and 29.6 the limit
         let mean = |node| if node == 4 { 1.25 } else { 0.95 };
-        let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Replayed, mean(node)))));
+        let outputs = run(
+            &mut fusion,
+            (0..16).map(|node| local(node, message(3, index, Pace::Replayed, mean(node)))),
+        );
         for output in &outputs {
             let Output::Node(node) = output else { continue };
             assert!(spandrel_bus::Message::check(node).is_ok());
@@ -209,14 +337,25 @@ fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
             }
         }
     }
-    assert!(weights[..3].iter().all(|weight| (weight - 29.588 / 56.25).abs() < 1e-3), "{weights:?}");
-    assert!(weights[3..].iter().all(|weight| *weight == 0.0), "{weights:?}");
+    assert!(
+        weights[..3]
+            .iter()
+            .all(|weight| (weight - 29.588 / 56.25).abs() < 1e-3),
+        "{weights:?}"
+    );
+    assert!(
+        weights[3..].iter().all(|weight| *weight == 0.0),
+        "{weights:?}"
+    );
 }
 
 #[test]
 fn the_last_block_says_that_it_is_the_last() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));
+    run(
+        &mut fusion,
+        (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))),
+    );
     let ended = |node| {
         let mut last = message(3, 1, Pace::Replayed, 0.95);
         (last.density, last.state, last.header.time_ns) = (None, StreamState::Ended, 1_400_000_000);
@@ -224,7 +363,10 @@ fn the_last_block_says_that_it_is_the_last() {
     };
     let outputs = run(&mut fusion, (0..16).map(ended));
     let blocks = estimates(&outputs);
-    assert_eq!((blocks.len(), blocks[0].state, blocks[0].header.sequence), (1, StreamState::Ended, 1));
+    assert_eq!(
+        (blocks.len(), blocks[0].state, blocks[0].header.sequence),
+        (1, StreamState::Ended, 1)
+    );
     assert_eq!(fusion.done_ns(), Some(1_400_000_000));
 }
 
@@ -233,14 +375,30 @@ fn the_last_block_says_that_it_is_the_last() {
 fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
-    run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Live, 0.95))));
-    assert_eq!(estimates(&run(&mut fusion, [Input::Tick(2 * SECOND_NS)])).len(), 1);
+    run(
+        &mut fusion,
+        (0..16).map(|node| local(node, message(3, 1, Pace::Live, 0.95))),
+    );
+    assert_eq!(
+        estimates(&run(&mut fusion, [Input::Tick(2 * SECOND_NS)])).len(),
+        1
+    );
     // of a later life, so that what node 5 sends from now on is refused
-    run(&mut fusion, [local(5, message(4, 1000, Pace::Replayed, 0.95))]);
+    run(
+        &mut fusion,
+        [local(5, message(4, 1000, Pace::Replayed, 0.95))],
+    );
     for second in 3..6 {
         let index = second as u64 - 1;
-        run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Live, 0.95))));
-        assert_eq!(estimates(&run(&mut fusion, [Input::Tick(second * SECOND_NS)])).len(), 1, "second {second}");
+        run(
+            &mut fusion,
+            (0..16).map(|node| local(node, message(3, index, Pace::Live, 0.95))),
+        );
+        assert_eq!(
+            estimates(&run(&mut fusion, [Input::Tick(second * SECOND_NS)])).len(),
+            1,
+            "second {second}"
+        );
     }
 }
 
@@ -253,10 +411,24 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
     for (index, jitter_ns) in (1..).zip(jitter_ns) {
         let arrived_ns = index as i64 * SECOND_NS + jitter_ns;
         let message = message(3, index, Pace::Live, 0.95);
-        fusion.handle(Input::Local { node: 0, message: Box::new(message), bytes: 500, arrived_ns }, &mut outputs);
-        fusion.handle(Input::Tick(index as i64 * SECOND_NS + SECOND_NS / 2), &mut outputs);
+        fusion.handle(
+            Input::Local {
+                node: 0,
+                message: Box::new(message),
+                bytes: 500,
+                arrived_ns,
+            },
+            &mut outputs,
+        );
+        fusion.handle(
+            Input::Tick(index as i64 * SECOND_NS + SECOND_NS / 2),
+            &mut outputs,
+        );
     }
-    let heard: Vec<bool> = estimates(&outputs).iter().map(|block| !block.estimates[0].flags.prediction_only).collect();
+    let heard: Vec<bool> = estimates(&outputs)
+        .iter()
+        .map(|block| !block.estimates[0].flags.prediction_only)
+        .collect();
     assert_eq!(heard, [true; 5]);
 }
 
@@ -269,15 +441,28 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
         let hour_ns = if index > 3 { 3600 * SECOND_NS } else { 0 };
         let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS - hour_ns;
         let message = message(3, index as u64, Pace::Live, 0.95);
-        fusion.handle(Input::Local { node: 0, message: Box::new(message), bytes: 500, arrived_ns }, &mut outputs);
+        fusion.handle(
+            Input::Local {
+                node: 0,
+                message: Box::new(message),
+                bytes: 500,
+                arrived_ns,
+            },
+            &mut outputs,
+        );
         for tick in 0..20 {
-            fusion.handle(Input::Tick(arrived_ns + tick * SECOND_NS / 20), &mut outputs);
+            fusion.handle(
+                Input::Tick(arrived_ns + tick * SECOND_NS / 20),
+                &mut outputs,
+            );
         }
     }
     // half a second after the messages; at once when the clock has gone back, and then a period later
     let half_ns = SECOND_NS / 2;
     let blocks = estimates(&outputs);
-    let between = blocks.windows(2).map(|pair| (pair[1].header.time_ns - pair[0].header.time_ns) / half_ns);
+    let between = blocks
+        .windows(2)
+        .map(|pair| (pair[1].header.time_ns - pair[0].header.time_ns) / half_ns);
     assert_eq!(between.collect::<Vec<_>>(), [2, 2, 1 - 2 * 3600, 2, 2]);
 }
 
@@ -290,15 +475,32 @@ fn a_clock_that_is_set_forward_makes_nothing_older() {
         let hour_ns = if index > 3 { 3600 * SECOND_NS } else { 0 };
         let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS + hour_ns;
         let message = message(3, index as u64, Pace::Live, 0.95);
-        fusion.handle(Input::Local { node: 0, message: Box::new(message), bytes: 500, arrived_ns }, &mut outputs);
+        fusion.handle(
+            Input::Local {
+                node: 0,
+                message: Box::new(message),
+                bytes: 500,
+                arrived_ns,
+            },
+            &mut outputs,
+        );
         for tick in 0..20 {
-            fusion.handle(Input::Tick(arrived_ns + tick * SECOND_NS / 20), &mut outputs);
+            fusion.handle(
+                Input::Tick(arrived_ns + tick * SECOND_NS / 20),
+                &mut outputs,
+            );
         }
     }
     let blocks = estimates(&outputs);
     assert!((5..=7).contains(&blocks.len()), "{}", blocks.len());
-    let variances: Vec<f64> = blocks.iter().map(|block| block.estimates[0].covariance[0]).collect();
-    assert!(variances.iter().all(|variance| *variance < 0.012), "{variances:?}");
+    let variances: Vec<f64> = blocks
+        .iter()
+        .map(|block| block.estimates[0].covariance[0])
+        .collect();
+    assert!(
+        variances.iter().all(|variance| *variance < 0.012),
+        "{variances:?}"
+    );
     let growth = variances.windows(2).map(|pair| pair[1] / pair[0]);
     assert!(growth.fold(0.0, f64::max) < 1.5, "{variances:?}");
 }
@@ -310,8 +512,14 @@ fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
     let known = |index| {
         let mut known = message(3, index, Pace::Live, 0.8);
         let density = known.density.as_mut().unwrap();
-        density.covariance.iter_mut().for_each(|entry| *entry *= 0.01);
-        density.lineage = Some(NodeLineage { own: index - 1, answers: vec![index - 1] });
+        density
+            .covariance
+            .iter_mut()
+            .for_each(|entry| *entry *= 0.01);
+        density.lineage = Some(NodeLineage {
+            own: index - 1,
+            answers: vec![index - 1],
+        });
         known
     };
     run(&mut fusion, (0..16).map(|node| local(node, known(500))));
@@ -323,9 +531,14 @@ fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
     let answers: Vec<_> = answers.collect();
     assert_eq!(answers.len(), 16);
     for answer in answers {
-        assert!((answer.mean[0] - 0.8).abs() < 1e-9 && answer.covariance[0] < 1e-4, "{answer:?}");
+        assert!(
+            (answer.mean[0] - 0.8).abs() < 1e-9 && answer.covariance[0] < 1e-4,
+            "{answer:?}"
+        );
     }
-    let events = outputs.iter().filter(|output| matches!(output, Output::Event(event) if event.subject == "fuse"));
+    let events = outputs
+        .iter()
+        .filter(|output| matches!(output, Output::Event(event) if event.subject == "fuse"));
     assert_eq!(events.count(), 1);
 }
 
@@ -335,7 +548,10 @@ fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts
     run(&mut fusion, [Input::Present(vec![true; 16])]);
     // node 15 began five periods after the others
     for index in 1..=10_u64 {
-        let outputs = run(&mut fusion, (0..15).map(|node| local(node, message(3, index, Pace::Replayed, 0.95))));
+        let outputs = run(
+            &mut fusion,
+            (0..15).map(|node| local(node, message(3, index, Pace::Replayed, 0.95))),
+        );
         assert!(estimates(&outputs).is_empty(), "{index}");
         if index < 6 {
             continue;
@@ -343,7 +559,10 @@ fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts
         let mut late = message(3, index - 5, Pace::Replayed, 0.95);
         late.header.time_ns = index as i64 * SECOND_NS;
         let outputs = run(&mut fusion, [local(15, late)]);
-        assert_eq!(estimates(&outputs).last().map(|block| block.header.time_ns), Some(index as i64 * SECOND_NS));
+        assert_eq!(
+            estimates(&outputs).last().map(|block| block.header.time_ns),
+            Some(index as i64 * SECOND_NS)
+        );
     }
 }
 
@@ -352,14 +571,21 @@ fn variances_alone_are_answered_where_the_file_asks_for_no_more() {
     let file = FILE.replace("[fusion]", "[fusion]\ncovariance = \"variances\"");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
-    let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));
+    let outputs = run(
+        &mut fusion,
+        (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))),
+    );
     let answered = |output: &Output| matches!(output, Output::Feedback(_, feedback) if feedback.covariance.len() == 10);
     assert_eq!(outputs.iter().filter(|output| answered(output)).count(), 16);
 }
 
 fn events(outputs: &[Output]) -> Vec<(EventKind, &str, i64)> {
     let events = outputs.iter().filter_map(|output| match output {
-        Output::Event(event) => Some((event.kind, event.subject.as_str(), event.time_ns / SECOND_NS)),
+        Output::Event(event) => Some((
+            event.kind,
+            event.subject.as_str(),
+            event.time_ns / SECOND_NS,
+        )),
         _ => None,
     });
     events.collect()
@@ -390,7 +616,10 @@ fn live(
                     .flat_map(|input| run(fusion, [input])),
             );
         }
-        outputs.extend(run(fusion, [Input::Tick(second as i64 * SECOND_NS + SECOND_NS / 2)]));
+        outputs.extend(run(
+            fusion,
+            [Input::Tick(second as i64 * SECOND_NS + SECOND_NS / 2)],
+        ));
     }
     outputs
 }
@@ -401,21 +630,44 @@ fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
     let silent = |second| (10..20).contains(&second);
-    let sends = |node, second| (node != 5 || !silent(second)).then(|| message(3, second, Pace::Live, 0.95));
+    let sends =
+        |node, second| (node != 5 || !silent(second)).then(|| message(3, second, Pace::Live, 0.95));
     let outputs = live(&mut fusion, 1..30, sends);
     // told of in the third fusion without it, so that a message that was lost is nothing
-    assert_eq!(events(&outputs), [(EventKind::NodeSilent, "floor-8", 12), (EventKind::NodeBack, "floor-8", 20)]);
+    assert_eq!(
+        events(&outputs),
+        [
+            (EventKind::NodeSilent, "floor-8", 12),
+            (EventKind::NodeBack, "floor-8", 20)
+        ]
+    );
     let displays = outputs.iter().filter_map(|output| match output {
         Output::Node(display) if display.node.as_str() == "floor-8" => Some(display),
         _ => None,
     });
     for display in displays {
         let is_silent = silent((display.time_ns / SECOND_NS) as u64);
-        let (since_s, heard_s) =
-            (display.silent_since_ns.map(|ns| ns / SECOND_NS), display.heard_ns.unwrap() / SECOND_NS);
-        assert_eq!(display.state, if is_silent { NodeHealth::Silent } else { NodeHealth::Used });
+        let (since_s, heard_s) = (
+            display.silent_since_ns.map(|ns| ns / SECOND_NS),
+            display.heard_ns.unwrap() / SECOND_NS,
+        );
+        assert_eq!(
+            display.state,
+            if is_silent {
+                NodeHealth::Silent
+            } else {
+                NodeHealth::Used
+            }
+        );
         assert_eq!(since_s, is_silent.then_some(10));
-        assert_eq!(heard_s, if is_silent { 9 } else { display.time_ns / SECOND_NS });
+        assert_eq!(
+            heard_s,
+            if is_silent {
+                9
+            } else {
+                display.time_ns / SECOND_NS
+            }
+        );
     }
 }
 
@@ -425,7 +677,10 @@ fn a_node_without_samples_is_silent_though_its_worker_sends() {
     run(&mut fusion, [Input::Present(vec![true; 16])]);
     let sends = |node, second| {
         let samples = if node == 5 && second >= 10 { 0 } else { 250 };
-        Some(LocalMessage { samples, ..message(3, second, Pace::Live, 0.95) })
+        Some(LocalMessage {
+            samples,
+            ..message(3, second, Pace::Live, 0.95)
+        })
     };
     let outputs = live(&mut fusion, 1..15, sends);
     assert_eq!(events(&outputs), [(EventKind::NodeSilent, "floor-8", 12)]);
@@ -439,9 +694,20 @@ fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
     let mean = |node, second| if node == 4 && second < 40 { 1.9 } else { 0.95 };
-    let outputs = live(&mut fusion, 1..90, |node, second| Some(message(3, second, Pace::Live, mean(node, second))));
-    let told: Vec<_> = events(&outputs).into_iter().map(|(kind, subject, _)| (kind, subject)).collect();
-    assert_eq!(told, [(EventKind::NodeExcluded, "floor-5"), (EventKind::NodeBack, "floor-5")]);
+    let outputs = live(&mut fusion, 1..90, |node, second| {
+        Some(message(3, second, Pace::Live, mean(node, second)))
+    });
+    let told: Vec<_> = events(&outputs)
+        .into_iter()
+        .map(|(kind, subject, _)| (kind, subject))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            (EventKind::NodeExcluded, "floor-5"),
+            (EventKind::NodeBack, "floor-5")
+        ]
+    );
 }
 
 /// Broke: no fusion followed the end of the last nodes, so that they stayed what they had been in the one before.
@@ -450,19 +716,39 @@ fn the_last_nodes_that_end_are_told_to_have_ended() {
     for pace in [Pace::Replayed, Pace::Live] {
         let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
         run(&mut fusion, [Input::Present(vec![true; 16])]);
-        live(&mut fusion, 1..4, |_, second| Some(message(3, second, pace, 0.95)));
+        live(&mut fusion, 1..4, |_, second| {
+            Some(message(3, second, pace, 0.95))
+        });
         let ended = |_, _| {
             let last = message(3, 3, pace, 0.95);
-            Some(LocalMessage { density: None, state: StreamState::Ended, ..last })
+            Some(LocalMessage {
+                density: None,
+                state: StreamState::Ended,
+                ..last
+            })
         };
         let outputs = live(&mut fusion, 4..8, ended);
         for node in 0..16 {
-            assert_eq!(health(&outputs, node).last(), Some(&NodeHealth::Ended), "{pace:?} node {node}");
+            assert_eq!(
+                health(&outputs, node).last(),
+                Some(&NodeHealth::Ended),
+                "{pace:?} node {node}"
+            );
         }
-        assert_eq!(estimates(&outputs).last().map(|block| block.state), Some(StreamState::Ended), "{pace:?}");
+        assert_eq!(
+            estimates(&outputs).last().map(|block| block.state),
+            Some(StreamState::Ended),
+            "{pace:?}"
+        );
         // a sensor that begins anew under the same worker is heard again
-        let outputs = live(&mut fusion, 8..10, |_, second| Some(message(3, second, pace, 0.95)));
-        assert_eq!(health(&outputs, 0).last(), Some(&NodeHealth::Used), "{pace:?}");
+        let outputs = live(&mut fusion, 8..10, |_, second| {
+            Some(message(3, second, pace, 0.95))
+        });
+        assert_eq!(
+            health(&outputs, 0).last(),
+            Some(&NodeHealth::Used),
+            "{pace:?}"
+        );
     }
 }
 
@@ -471,18 +757,34 @@ fn the_last_nodes_that_end_are_told_to_have_ended() {
 fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
-    live(&mut fusion, 1..4, |_, second| Some(message(3, second, Pace::Live, 0.95)));
+    live(&mut fusion, 1..4, |_, second| {
+        Some(message(3, second, Pace::Live, 0.95))
+    });
     let one = (0..16).map(|node| node == 3).collect();
-    assert!(run(&mut fusion, [Input::Present(one)]).is_empty(), "one is there");
+    assert!(
+        run(&mut fusion, [Input::Present(one)]).is_empty(),
+        "one is there"
+    );
     let outputs = run(&mut fusion, [Input::Present(vec![false; 16])]);
     assert_eq!(events(&outputs), [(EventKind::NodeSilent, "fuse", 3)]);
-    assert!((0..16).all(|node| health(&outputs, node) == [NodeHealth::Ended]), "{outputs:?}");
+    assert!(
+        (0..16).all(|node| health(&outputs, node) == [NodeHealth::Ended]),
+        "{outputs:?}"
+    );
     // and stays so in the fusions that follow, until a node is there again
     let outputs = live(&mut fusion, 4..12, |_, _| None);
     assert_eq!(health(&outputs, 3), [NodeHealth::Ended; 8]);
-    assert!(events(&outputs).iter().all(|(_, subject, _)| *subject == "fuse"), "{:?}", events(&outputs));
+    assert!(
+        events(&outputs)
+            .iter()
+            .all(|(_, subject, _)| *subject == "fuse"),
+        "{:?}",
+        events(&outputs)
+    );
     run(&mut fusion, [Input::Present(vec![true; 16])]);
-    let outputs = live(&mut fusion, 12..14, |_, second| Some(message(3, second, Pace::Live, 0.95)));
+    let outputs = live(&mut fusion, 12..14, |_, second| {
+        Some(message(3, second, Pace::Live, 0.95))
+    });
     assert_eq!(health(&outputs, 3), [NodeHealth::Used; 2]);
 }
 
@@ -491,7 +793,11 @@ fn what_nodes_tell_of_their_channels_is_passed_on_by_name() {
     let file = FILE.replace("[fusion]", "[outliers]\n\n[fusion]");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
-    let names: Vec<String> = fusion.screened_channels().flatten().map(ToString::to_string).collect();
+    let names: Vec<String> = fusion
+        .screened_channels()
+        .flatten()
+        .map(ToString::to_string)
+        .collect();
     assert_eq!((names.len(), names[1].as_str()), (32, "acceleration-1"));
     let screened = |rejected, masked| ScreenedChannel {
         state: ChannelState::Screening,
@@ -501,23 +807,58 @@ fn what_nodes_tell_of_their_channels_is_passed_on_by_name() {
         scale: 0.5,
         masked,
     };
-    let span = MaskedSpan { from_ns: 5, to_ns: 9, samples: 3 };
+    let span = MaskedSpan {
+        from_ns: 5,
+        to_ns: 9,
+        samples: 3,
+    };
     let mut told = Vec::new();
-    for (index, rejected, masked) in [(1, 3, Some(span)), (2, 3, None), (3, 5, None), (4, 1, None)] {
+    for (index, rejected, masked) in [(1, 3, Some(span)), (2, 3, None), (3, 5, None), (4, 1, None)]
+    {
         let screening = vec![screened(0, None), screened(rejected, masked)];
-        told.extend(run(&mut fusion, [local(0, LocalMessage { screening, ..message(3, index, Pace::Live, 0.95) })]));
+        told.extend(run(
+            &mut fusion,
+            [local(
+                0,
+                LocalMessage {
+                    screening,
+                    ..message(3, index, Pace::Live, 0.95)
+                },
+            )],
+        ));
     }
     let of_second = told.iter().filter_map(|output| match output {
-        Output::Outliers(0, display) if display.channel.as_str() == "acceleration-1" => Some(display),
+        Output::Outliers(0, display) if display.channel.as_str() == "acceleration-1" => {
+            Some(display)
+        }
         _ => None,
     });
-    let found: Vec<_> = of_second.map(|display| (display.flagged, display.rejected, display.masked)).collect();
+    let found: Vec<_> = of_second
+        .map(|display| (display.flagged, display.rejected, display.masked))
+        .collect();
     // the last one is of a filter that has begun anew
-    assert_eq!(found, [(3, 3, Some(span)), (0, 3, Some(span)), (2, 5, Some(span)), (1, 1, Some(span))]);
+    assert_eq!(
+        found,
+        [
+            (3, 3, Some(span)),
+            (0, 3, Some(span)),
+            (2, 5, Some(span)),
+            (1, 1, Some(span))
+        ]
+    );
     // of other channels than those of the node
     run(
         &mut fusion,
-        [local(0, LocalMessage { screening: vec![screened(0, None)], ..message(3, 5, Pace::Live, 0.95) })],
+        [local(
+            0,
+            LocalMessage {
+                screening: vec![screened(0, None)],
+                ..message(3, 5, Pace::Live, 0.95)
+            },
+        )],
     );
-    assert_eq!(fusion.refused(), BTreeMap::from([("refused-screening".into(), 1)]));
+    assert_eq!(
+        fusion.refused(),
+        BTreeMap::from([("refused-screening".into(), 1)])
+    );
 }

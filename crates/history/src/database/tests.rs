@@ -1,7 +1,8 @@
 use super::*;
 use crate::batch::{Collector, Input};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, Message as _, ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, Message as _,
+    ParameterDisplay,
 };
 use spandrel_structure::Structure;
 use std::path::Path;
@@ -25,7 +26,11 @@ fn parameter(name_of: &str, time_ns: i64, mean: f64) -> Input {
         time_ns,
         mean,
         std: 0.01,
-        interval: CredibleInterval { level: 0.95, low: mean - 0.02, high: mean + 0.02 },
+        interval: CredibleInterval {
+            level: 0.95,
+            low: mean - 0.02,
+            high: mean + 0.02,
+        },
         probability_of_loss: if mean < 0.9 { 0.99 } else { 0.0 },
         loss: 0.05,
         reference: 1.0,
@@ -33,11 +38,17 @@ fn parameter(name_of: &str, time_ns: i64, mean: f64) -> Input {
 }
 
 fn storey_2() -> Series {
-    Series { kind: Kind::Parameter, name: "storey-2".to_owned() }
+    Series {
+        kind: Kind::Parameter,
+        name: "storey-2".to_owned(),
+    }
 }
 
 fn from_s(seconds: i64) -> SpanQuery {
-    SpanQuery { from_ns: START_NS + seconds * SECOND_NS, ..SpanQuery::default() }
+    SpanQuery {
+        from_ns: START_NS + seconds * SECOND_NS,
+        ..SpanQuery::default()
+    }
 }
 
 /// Ten minutes of storey 2 at 10 Hz, which loses 20 % after five, in batches of one second.
@@ -46,7 +57,11 @@ fn ten_minutes(collector: &mut Collector) -> Vec<Arc<Batch>> {
     for second in 0..600 {
         for tenth in 0..10 {
             let mean = if second < 300 { 1.0 } else { 0.8 };
-            collector.handle(parameter("storey-2", START_NS + (second * 10 + tenth) * DISPLAY_NS, mean));
+            collector.handle(parameter(
+                "storey-2",
+                START_NS + (second * 10 + tenth) * DISPLAY_NS,
+                mean,
+            ));
         }
         batches.extend(collector.take(second + 1).map(Arc::new));
     }
@@ -68,19 +83,37 @@ async fn keeps_and_answers(database: &Database) {
         database.write("life", some).await.unwrap();
     }
     let structure = name("demo");
-    let span =
-        |query: SpanQuery| async move { database.span(STRUCTURE, &name("demo"), &storey_2(), &query).await.unwrap() };
-    let all = span(SpanQuery { points: 20_000, ..SpanQuery::default() }).await;
+    let span = |query: SpanQuery| async move {
+        database
+            .span(STRUCTURE, &name("demo"), &storey_2(), &query)
+            .await
+            .unwrap()
+    };
+    let all = span(SpanQuery {
+        points: 20_000,
+        ..SpanQuery::default()
+    })
+    .await;
     assert_eq!((all.resolution_s, all.rows.time_s.len()), (None, 6_000));
     assert_eq!(all.kept_from_s, Some(START_NS as f64 / 1e9));
-    let few = span(SpanQuery { points: 4, ..from_s(120) }).await;
+    let few = span(SpanQuery {
+        points: 4,
+        ..from_s(120)
+    })
+    .await;
     assert_eq!(few.rows.count.iter().sum::<u64>(), 4_800);
     assert_eq!(few.rows.mean.first().copied(), Some(1.0));
     assert_eq!(few.rows.probability_of_loss.last().copied(), Some(0.99));
 
     // after an hour the values go, their minutes stay
-    let keep = Keep { display_s: Some(60), ..Keep::default() };
-    database.prune(STRUCTURE, START_NS + 600 * SECOND_NS, &keep).await.unwrap();
+    let keep = Keep {
+        display_s: Some(60),
+        ..Keep::default()
+    };
+    database
+        .prune(STRUCTURE, START_NS + 600 * SECOND_NS, &keep)
+        .await
+        .unwrap();
     let old = span(SpanQuery::default()).await;
     assert_eq!((old.resolution_s, old.rows.time_s.len()), (Some(60), 10));
     assert_eq!(old.rows.count, [600; 10], "nothing is counted twice");
@@ -90,13 +123,30 @@ async fn keeps_and_answers(database: &Database) {
     let new = span(from_s(580)).await;
     assert_eq!((new.resolution_s, new.rows.time_s.len()), (None, 200));
     // and when the minutes have gone, the hour and the day remain
-    let keep = Keep { display_s: Some(0), minute_s: Some(0), hour_s: None, ..Keep::default() };
-    database.prune(STRUCTURE, START_NS + 100_000 * SECOND_NS, &keep).await.unwrap();
+    let keep = Keep {
+        display_s: Some(0),
+        minute_s: Some(0),
+        hour_s: None,
+        ..Keep::default()
+    };
+    database
+        .prune(STRUCTURE, START_NS + 100_000 * SECOND_NS, &keep)
+        .await
+        .unwrap();
     let oldest = span(SpanQuery::default()).await;
     assert_eq!(oldest.resolution_s, Some(3_600));
     assert_eq!(oldest.rows.count.iter().sum::<u64>(), 6_000);
-    let nothing =
-        database.span(STRUCTURE, &structure, &Series { kind: Kind::Noise, name: "x".into() }, &from_s(0)).await;
+    let nothing = database
+        .span(
+            STRUCTURE,
+            &structure,
+            &Series {
+                kind: Kind::Noise,
+                name: "x".into(),
+            },
+            &from_s(0),
+        )
+        .await;
     assert_eq!(nothing.unwrap().kept_from_s, None);
 }
 
@@ -129,7 +179,12 @@ fn alert(seconds: i64, state: AlertState) -> AlertMessage {
 
 async fn keeps_what_happened(database: &Database) {
     let mut collector = Collector::new(&demo(), "spandrel");
-    let states = [AlertState::Pending, AlertState::Raised, AlertState::Acknowledged, AlertState::Cleared];
+    let states = [
+        AlertState::Pending,
+        AlertState::Raised,
+        AlertState::Acknowledged,
+        AlertState::Cleared,
+    ];
     for (seconds, state) in (0..).zip(states) {
         collector.handle(Input::Alert(alert(seconds, state)));
     }
@@ -151,15 +206,36 @@ async fn keeps_what_happened(database: &Database) {
     };
     collector.handle(Input::Event(event.clone()));
     let batch = Arc::new(collector.take(1).unwrap());
-    database.write("another-life", std::slice::from_ref(&batch)).await.unwrap();
+    database
+        .write("another-life", std::slice::from_ref(&batch))
+        .await
+        .unwrap();
     // another life of the service hears the same again
     database.write("a-third-life", &[batch]).await.unwrap();
-    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
-    assert_eq!(log.alerts.iter().map(|alert| alert.state).collect::<Vec<_>>(), states);
-    assert_eq!((log.acknowledgements, log.events), (vec![seen], vec![event]));
-    let late = database.log(STRUCTURE, &name("demo"), &from_s(3)).await.unwrap();
+    let log = database
+        .log(STRUCTURE, &name("demo"), &from_s(0))
+        .await
+        .unwrap();
+    assert_eq!(
+        log.alerts
+            .iter()
+            .map(|alert| alert.state)
+            .collect::<Vec<_>>(),
+        states
+    );
+    assert_eq!(
+        (log.acknowledgements, log.events),
+        (vec![seen], vec![event])
+    );
+    let late = database
+        .log(STRUCTURE, &name("demo"), &from_s(3))
+        .await
+        .unwrap();
     assert_eq!((late.alerts.len(), late.events.len()), (1, 0));
-    let other = database.log("other/demo", &name("demo"), &from_s(0)).await.unwrap();
+    let other = database
+        .log("other/demo", &name("demo"), &from_s(0))
+        .await
+        .unwrap();
     assert!(other.alerts.is_empty(), "another root is another site");
 }
 
@@ -172,7 +248,10 @@ async fn a_file_keeps_and_answers() {
     database.close().await;
     // and it is there for the next life
     let database = file(folder.path()).await;
-    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    let log = database
+        .log(STRUCTURE, &name("demo"), &from_s(0))
+        .await
+        .unwrap();
     assert_eq!(log.alerts.len(), 4);
 }
 
@@ -185,16 +264,35 @@ async fn keeps_the_last_revision(database: &Database) {
         ..alert(seconds, AlertState::Raised)
     };
     // a second alert begins at 30 s
-    let first = [(10, 0, Some(1)), (11, 1, Some(1)), (12, 2, Some(1)), (15, 5, Some(1))];
+    let first = [
+        (10, 0, Some(1)),
+        (11, 1, Some(1)),
+        (12, 2, Some(1)),
+        (15, 5, Some(1)),
+    ];
     let second = [(30, 0, Some(2)), (31, 1, Some(2)), (33, 2, Some(2))];
     for (number, (seconds, revision, since_ns)) in (1..).zip(first.into_iter().chain(second)) {
         let mut collector = Collector::new(&demo(), "spandrel");
         collector.handle(Input::Alert(revised(seconds, revision, since_ns)));
-        database.write("revisions", &[Arc::new(collector.take(number).unwrap())]).await.unwrap();
+        database
+            .write("revisions", &[Arc::new(collector.take(number).unwrap())])
+            .await
+            .unwrap();
     }
-    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
-    let kept: Vec<_> = log.alerts.iter().map(|alert| (alert.time_ns - START_NS, alert.revision)).collect();
-    assert_eq!(kept, [(10, 0), (15, 5), (30, 0), (33, 2)].map(|(seconds, revision)| (seconds * SECOND_NS, revision)));
+    let log = database
+        .log(STRUCTURE, &name("demo"), &from_s(0))
+        .await
+        .unwrap();
+    let kept: Vec<_> = log
+        .alerts
+        .iter()
+        .map(|alert| (alert.time_ns - START_NS, alert.revision))
+        .collect();
+    assert_eq!(
+        kept,
+        [(10, 0), (15, 5), (30, 0), (33, 2)]
+            .map(|(seconds, revision)| (seconds * SECOND_NS, revision))
+    );
 }
 
 #[tokio::test]
@@ -208,7 +306,9 @@ mod server;
 
 #[tokio::test]
 async fn a_server_keeps_and_answers_and_may_be_away() {
-    let Some(mut server) = server::Server::start_or_skip() else { return };
+    let Some(mut server) = server::Server::start_or_skip() else {
+        return;
+    };
     let database = Database::new(&Address::Postgres(server.url())).unwrap();
     keeps_and_answers(&database).await;
     keeps_what_happened(&database).await;
@@ -220,14 +320,19 @@ async fn a_server_keeps_and_answers_and_may_be_away() {
     assert!(matches!(error, HistoryError::Database { .. }), "{error:?}");
     server.start();
     database.write("late", &batch).await.unwrap();
-    let log = database.log(STRUCTURE, &name("demo"), &from_s(10)).await.unwrap();
+    let log = database
+        .log(STRUCTURE, &name("demo"), &from_s(10))
+        .await
+        .unwrap();
     assert_eq!(log.alerts.len(), 1);
 }
 
 /// What no check of messages lets through any more, and what none can see: sums that leave the numbers of a computer.
 #[tokio::test]
 async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written() {
-    let Some(server) = server::Server::start_or_skip() else { return };
+    let Some(server) = server::Server::start_or_skip() else {
+        return;
+    };
     let database = Database::new(&Address::Postgres(server.url())).unwrap();
     let mut collector = Collector::new(&demo(), "spandrel");
     let event = |seconds: i64, subject: &str| {
@@ -242,34 +347,70 @@ async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written(
     };
     let batches = |collector: &mut Collector| vec![Arc::new(collector.take(1).unwrap())];
     // no two bytes in a row are alike, so that nothing is gained by packing them
-    let long: String =
-        (0..20_000_u32).map(|k| char::from(b'!' + (k.wrapping_mul(2_654_435_761) >> 25) as u8 % 90)).collect();
-    for (seconds, subject) in [(0, "filter"), (1, "fil\0ter"), (2, "node"), (3, long.as_str()), (4, "channel")] {
+    let long: String = (0..20_000_u32)
+        .map(|k| char::from(b'!' + (k.wrapping_mul(2_654_435_761) >> 25) as u8 % 90))
+        .collect();
+    for (seconds, subject) in [
+        (0, "filter"),
+        (1, "fil\0ter"),
+        (2, "node"),
+        (3, long.as_str()),
+        (4, "channel"),
+    ] {
         collector.handle(event(seconds, subject));
     }
     collector.handle(Input::Alert(alert(5, AlertState::Raised)));
     (0..250).for_each(|k| collector.handle(parameter("storey-2", START_NS + k * DISPLAY_NS, 1.0)));
-    database.write("life", &batches(&mut collector)).await.unwrap();
-    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
-    let subjects: Vec<&str> = log.events.iter().map(|event| event.subject.as_str()).collect();
-    assert_eq!((subjects, log.alerts.len()), (vec!["filter", "node", "channel"], 1));
+    database
+        .write("life", &batches(&mut collector))
+        .await
+        .unwrap();
+    let log = database
+        .log(STRUCTURE, &name("demo"), &from_s(0))
+        .await
+        .unwrap();
+    let subjects: Vec<&str> = log
+        .events
+        .iter()
+        .map(|event| event.subject.as_str())
+        .collect();
+    assert_eq!(
+        (subjects, log.alerts.len()),
+        (vec!["filter", "node", "channel"], 1)
+    );
     assert_eq!(database.set_aside(), 2);
     // the squares of these are finite, and their sum is not
     for k in 0..2 {
         collector.handle(parameter("storey-1", START_NS + k * DISPLAY_NS, 1.2e154));
         collector.handle(parameter("storey-3", START_NS + k * DISPLAY_NS, 1.0));
-        database.write(&format!("life-{k}"), &batches(&mut collector)).await.unwrap();
+        database
+            .write(&format!("life-{k}"), &batches(&mut collector))
+            .await
+            .unwrap();
     }
     assert_eq!(database.set_aside(), 2 + RESOLUTIONS_S.len() as u64);
     let count = |of: &'static str| {
-        let series = Series { kind: Kind::Parameter, name: of.to_owned() };
+        let series = Series {
+            kind: Kind::Parameter,
+            name: of.to_owned(),
+        };
         let database = &database;
         async move {
-            let span = database.span(STRUCTURE, &name("demo"), &series, &SpanQuery::default()).await.unwrap();
+            let span = database
+                .span(STRUCTURE, &name("demo"), &series, &SpanQuery::default())
+                .await
+                .unwrap();
             span.rows.count.iter().sum::<u64>()
         }
     };
-    assert_eq!((count("storey-1").await, count("storey-2").await, count("storey-3").await), (2, 250, 2));
+    assert_eq!(
+        (
+            count("storey-1").await,
+            count("storey-2").await,
+            count("storey-3").await
+        ),
+        (2, 250, 2)
+    );
 }
 
 /// What was kept before names were limited: it is answered, and not with what no reader would take.
@@ -285,14 +426,26 @@ async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
         who: "Ada\0".to_owned(),
         note: "first\nsecond".to_owned(),
     }));
-    let named = AlertMessage { acknowledged_by: Some("Ada\0".to_owned()), ..alert(0, AlertState::Acknowledged) };
+    let named = AlertMessage {
+        acknowledged_by: Some("Ada\0".to_owned()),
+        ..alert(0, AlertState::Acknowledged)
+    };
     collector.handle(Input::Alert(named));
-    database.write("life", &[Arc::new(collector.take(1).unwrap())]).await.unwrap();
-    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    database
+        .write("life", &[Arc::new(collector.take(1).unwrap())])
+        .await
+        .unwrap();
+    let log = database
+        .log(STRUCTURE, &name("demo"), &from_s(0))
+        .await
+        .unwrap();
     assert!(log.check().is_ok(), "{log:?}");
     assert_eq!(log.acknowledgements[0].who, "Ada\u{fffd}");
     assert_eq!(log.acknowledgements[0].note, "first\nsecond");
-    assert_eq!(log.alerts[0].acknowledged_by.as_deref(), Some("Ada\u{fffd}"));
+    assert_eq!(
+        log.alerts[0].acknowledged_by.as_deref(),
+        Some("Ada\u{fffd}")
+    );
 }
 
 #[tokio::test]
@@ -328,17 +481,30 @@ async fn a_month_of_fifty_parameters() {
             happened: Vec::new(),
         };
         for k in 0..50_i64 {
-            let series = Series { kind: Kind::Parameter, name: format!("p-{k}") };
+            let series = Series {
+                kind: Kind::Parameter,
+                name: format!("p-{k}"),
+            };
             let wave = ((minute * 7 + k * 13) as f64).sin();
-            let mut sums = Sums::of(START_NS + minute * 60 * SECOND_NS, [1.0 + 0.01 * wave, 0.01, 0.001]);
+            let mut sums = Sums::of(
+                START_NS + minute * 60 * SECOND_NS,
+                [1.0 + 0.01 * wave, 0.01, 0.001],
+            );
             sums.count = 600;
             for resolution_s in RESOLUTIONS_S {
-                let at = (START_NS / SECOND_NS + minute * 60).div_euclid(resolution_s) * resolution_s;
-                batch.buckets.insert((series.clone(), resolution_s, at), sums);
+                let at =
+                    (START_NS / SECOND_NS + minute * 60).div_euclid(resolution_s) * resolution_s;
+                batch
+                    .buckets
+                    .insert((series.clone(), resolution_s, at), sums);
             }
             if minute >= (month_s - 3_600) / 60 {
                 let times = (0..600).map(|k| START_NS + minute * 60 * SECOND_NS + k * DISPLAY_NS);
-                batch.points.extend(times.map(|time_ns| (series.clone(), time_ns, [1.0 + 0.01 * wave, 0.01, 0.001])));
+                batch
+                    .points
+                    .extend(times.map(|time_ns| {
+                        (series.clone(), time_ns, [1.0 + 0.01 * wave, 0.01, 0.001])
+                    }));
             }
         }
         hour.push(Arc::new(batch));
@@ -349,15 +515,26 @@ async fn a_month_of_fifty_parameters() {
     }
     let written = start.elapsed();
     database.close().await;
-    let bytes = std::fs::metadata(folder.path().join("history.sqlite")).unwrap().len();
+    let bytes = std::fs::metadata(folder.path().join("history.sqlite"))
+        .unwrap()
+        .len();
     let database = file(folder.path()).await;
-    let series = Series { kind: Kind::Parameter, name: "p-17".to_owned() };
+    let series = Series {
+        kind: Kind::Parameter,
+        name: "p-17".to_owned(),
+    };
     let mut slowest = Duration::ZERO;
     for days in [30, 7, 1] {
         let start = std::time::Instant::now();
         let from_ns = START_NS + (month_s - days * 86_400) * SECOND_NS;
-        let query = SpanQuery { from_ns, ..SpanQuery::default() };
-        let span = database.span(STRUCTURE, &name("demo"), &series, &query).await.unwrap();
+        let query = SpanQuery {
+            from_ns,
+            ..SpanQuery::default()
+        };
+        let span = database
+            .span(STRUCTURE, &name("demo"), &series, &query)
+            .await
+            .unwrap();
         println!(
             "{days} days: {} rows of {:?} s in {:.0?}",
             span.rows.time_s.len(),
@@ -366,7 +543,10 @@ async fn a_month_of_fifty_parameters() {
         );
         slowest = slowest.max(start.elapsed());
     }
-    println!("{:.0} MB, written in {written:.0?}, slowest plot {slowest:.0?}", bytes as f64 / 1e6);
+    println!(
+        "{:.0} MB, written in {written:.0?}, slowest plot {slowest:.0?}",
+        bytes as f64 / 1e6
+    );
     assert!(bytes < 1_000_000_000);
 }
 
@@ -382,9 +562,18 @@ async fn tables_of_a_later_version_are_refused_and_left_as_they_are() {
     let mut collector = Collector::new(&demo(), "spandrel");
     let batches = ten_minutes(&mut collector);
     let refused = earlier.write("life", &batches[..1]).await.unwrap_err();
-    assert!(matches!(refused, HistoryError::Version { .. }), "{refused:?}");
+    assert!(
+        matches!(refused, HistoryError::Version { .. }),
+        "{refused:?}"
+    );
     let told = refused.to_string();
-    assert!(told.contains("history.sqlite") && told.contains("a later version"), "{told}");
-    let rows = sqlx::query("SELECT COUNT(*) FROM series").fetch_one(&database.pool).await.unwrap();
+    assert!(
+        told.contains("history.sqlite") && told.contains("a later version"),
+        "{told}"
+    );
+    let rows = sqlx::query("SELECT COUNT(*) FROM series")
+        .fetch_one(&database.pool)
+        .await
+        .unwrap();
     assert_eq!(rows.try_get::<i64, _>(0).unwrap(), 0);
 }

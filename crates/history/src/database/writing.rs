@@ -58,9 +58,13 @@ impl Failed {
         let code = error.code().unwrap_or_default();
         match address {
             // data exception, integrity constraint, a row too large for its index
-            Address::Postgres(_) => ["22", "23", "54"].iter().any(|class| code.starts_with(class)),
+            Address::Postgres(_) => ["22", "23", "54"]
+                .iter()
+                .any(|class| code.starts_with(class)),
             // too big, constraint, mismatch; the last byte of an extended code says which
-            Address::Sqlite(_) => code.parse::<u32>().is_ok_and(|code| [18, 19, 20].contains(&(code & 0xff))),
+            Address::Sqlite(_) => code
+                .parse::<u32>()
+                .is_ok_and(|code| [18, 19, 20].contains(&(code & 0xff))),
         }
     }
 
@@ -134,7 +138,14 @@ impl<'w> Writing<'w> {
         care: Care,
         numbers: &'w HashMap<(String, Series), i64>,
     ) -> Self {
-        Self { connection, address, care, numbers, found: HashMap::new(), set_aside: SetAside::default() }
+        Self {
+            connection,
+            address,
+            care,
+            numbers,
+            found: HashMap::new(),
+            set_aside: SetAside::default(),
+        }
     }
 
     /// The numbers of series that were not known before, and what was left out.
@@ -143,16 +154,25 @@ impl<'w> Writing<'w> {
     }
 
     /// Writes batches but for those that an earlier attempt of the same life has written.
-    pub(super) async fn write_all(&mut self, life: &str, batches: &[Arc<Batch>]) -> Result<(), Failed> {
-        let Some(last) = batches.last() else { return Ok(()) };
+    pub(super) async fn write_all(
+        &mut self,
+        life: &str,
+        batches: &[Arc<Batch>],
+    ) -> Result<(), Failed> {
+        let Some(last) = batches.last() else {
+            return Ok(());
+        };
         let written = sqlx::query("SELECT batch FROM writer WHERE id = $1")
             .bind(life.to_owned())
             .fetch_optional(&mut *self.connection)
             .await?;
         let written: i64 = written.map(|row| row.try_get(0)).transpose()?.unwrap_or(0);
         for batch in batches.iter().filter(|batch| batch.number > written) {
-            let series =
-                batch.points.iter().map(|(series, ..)| series).chain(batch.buckets.keys().map(|(series, ..)| series));
+            let series = batch
+                .points
+                .iter()
+                .map(|(series, ..)| series)
+                .chain(batch.buckets.keys().map(|(series, ..)| series));
             for series in series {
                 let key = (batch.structure.clone(), series.clone());
                 if !self.numbers.contains_key(&key) && !self.found.contains_key(&key) {
@@ -171,9 +191,12 @@ impl<'w> Writing<'w> {
                 self.write(batch, Rows::Happened(&batch.happened)).await?;
             }
         }
-        let statement =
-            "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO UPDATE SET batch = excluded.batch";
-        sqlx::query(statement).bind(life.to_owned()).bind(last.number).execute(&mut *self.connection).await?;
+        let statement = "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO UPDATE SET batch = excluded.batch";
+        sqlx::query(statement)
+            .bind(life.to_owned())
+            .bind(last.number)
+            .execute(&mut *self.connection)
+            .await?;
         Ok(())
     }
 
@@ -190,7 +213,9 @@ impl<'w> Writing<'w> {
                     self.connection.execute("RELEASE SAVEPOINT piece").await?;
                 }
                 Err(failed) if failed.is_of_the_rows(self.address) => {
-                    self.connection.execute("ROLLBACK TO SAVEPOINT piece").await?;
+                    self.connection
+                        .execute("ROLLBACK TO SAVEPOINT piece")
+                        .await?;
                     if rows.len() > 1 {
                         let [first, second] = rows.halves();
                         open.extend([second, first]);
@@ -220,28 +245,52 @@ impl<'w> Writing<'w> {
 
     fn number(&self, batch: &Batch, series: &Series) -> i64 {
         let key = (batch.structure.clone(), series.clone());
-        self.numbers.get(&key).or_else(|| self.found.get(&key)).copied().unwrap_or_default()
+        self.numbers
+            .get(&key)
+            .or_else(|| self.found.get(&key))
+            .copied()
+            .unwrap_or_default()
     }
 
-    async fn insert_points(&mut self, batch: &Batch, points: &[(Series, i64, [f64; 3])]) -> Result<(), Failed> {
+    async fn insert_points(
+        &mut self,
+        batch: &Batch,
+        points: &[(Series, i64, [f64; 3])],
+    ) -> Result<(), Failed> {
         let statement = format!(
             "INSERT INTO point (series, time_ns, mean, std, probability) VALUES {} ON CONFLICT DO NOTHING",
             placeholders(points.len(), 5)
         );
-        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(points.len() == ROWS_AT_ONCE);
+        let mut insert =
+            sqlx::query(AssertSqlSafe(statement)).persistent(points.len() == ROWS_AT_ONCE);
         for (series, time_ns, [mean, std, probability]) in points {
-            insert = insert.bind(self.number(batch, series)).bind(*time_ns).bind(*mean).bind(*std).bind(*probability);
+            insert = insert
+                .bind(self.number(batch, series))
+                .bind(*time_ns)
+                .bind(*mean)
+                .bind(*std)
+                .bind(*probability);
         }
         insert.execute(&mut *self.connection).await?;
         Ok(())
     }
 
-    async fn insert_buckets(&mut self, batch: &Batch, buckets: &[(&(Series, i64, i64), &Sums)]) -> Result<(), Failed> {
+    async fn insert_buckets(
+        &mut self,
+        batch: &Batch,
+        buckets: &[(&(Series, i64, i64), &Sums)],
+    ) -> Result<(), Failed> {
         // SQLite and PostgreSQL have other words for the lesser and the larger of two
-        let lesser =
-            |c: &str| format!("{c} = CASE WHEN excluded.{c} < bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
-        let larger =
-            |c: &str| format!("{c} = CASE WHEN excluded.{c} > bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
+        let lesser = |c: &str| {
+            format!(
+                "{c} = CASE WHEN excluded.{c} < bucket.{c} THEN excluded.{c} ELSE bucket.{c} END"
+            )
+        };
+        let larger = |c: &str| {
+            format!(
+                "{c} = CASE WHEN excluded.{c} > bucket.{c} THEN excluded.{c} ELSE bucket.{c} END"
+            )
+        };
         let sum = |c: &str| format!("{c} = bucket.{c} + excluded.{c}");
         let updates: Vec<String> = ["count", "mean_sum", "square_sum", "variance_sum"]
             .map(sum)
@@ -255,12 +304,27 @@ impl<'w> Writing<'w> {
             placeholders(buckets.len(), BUCKET_COLUMNS.len()),
             updates.join(", ")
         );
-        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(buckets.len() == ROWS_AT_ONCE);
+        let mut insert =
+            sqlx::query(AssertSqlSafe(statement)).persistent(buckets.len() == ROWS_AT_ONCE);
         for ((series, resolution_s, start_s), sums) in buckets {
-            insert = insert.bind(self.number(batch, series)).bind(*resolution_s).bind(*start_s);
-            insert = insert.bind(sums.first_ns).bind(sums.last_ns).bind(sums.count);
-            insert = insert.bind(sums.mean_sum).bind(sums.square_sum).bind(sums.variance_sum);
-            insert = insert.bind(sums.least).bind(sums.largest).bind(sums.low).bind(sums.high).bind(sums.probability);
+            insert = insert
+                .bind(self.number(batch, series))
+                .bind(*resolution_s)
+                .bind(*start_s);
+            insert = insert
+                .bind(sums.first_ns)
+                .bind(sums.last_ns)
+                .bind(sums.count);
+            insert = insert
+                .bind(sums.mean_sum)
+                .bind(sums.square_sum)
+                .bind(sums.variance_sum);
+            insert = insert
+                .bind(sums.least)
+                .bind(sums.largest)
+                .bind(sums.low)
+                .bind(sums.high)
+                .bind(sums.probability);
         }
         insert.execute(&mut *self.connection).await?;
         Ok(())
@@ -268,15 +332,29 @@ impl<'w> Writing<'w> {
 }
 
 /// The number of a series, a new one if it has none.
-async fn number_of(connection: &mut AnyConnection, structure: &str, series: &Series) -> Result<i64, sqlx::Error> {
+async fn number_of(
+    connection: &mut AnyConnection,
+    structure: &str,
+    series: &Series,
+) -> Result<i64, sqlx::Error> {
     let statement = "INSERT INTO series (id, structure, kind, name) \
                      SELECT COALESCE(MAX(id), 0) + 1, $1, $2, $3 FROM series WHERE TRUE \
                      ON CONFLICT (structure, kind, name) DO NOTHING";
     let (kind, name) = (series.kind.as_str(), series.name.clone());
-    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(kind).bind(name.clone());
+    let insert = sqlx::query(statement)
+        .bind(structure.to_owned())
+        .bind(kind)
+        .bind(name.clone());
     insert.execute(&mut *connection).await?;
-    let select = sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3");
-    select.bind(structure.to_owned()).bind(kind).bind(name).fetch_one(connection).await?.try_get(0)
+    let select =
+        sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3");
+    select
+        .bind(structure.to_owned())
+        .bind(kind)
+        .bind(name)
+        .fetch_one(connection)
+        .await?
+        .try_get(0)
 }
 
 /// `($1, $2), ($3, $4)` for two rows of two columns.
@@ -286,14 +364,23 @@ fn placeholders(rows: usize, columns: usize) -> String {
         text.push_str(if row == 0 { "(" } else { ", (" });
         for column in 1..=columns {
             // writing to a String does not fail
-            let _ = write!(text, "{}${}", if column == 1 { "" } else { ", " }, row * columns + column);
+            let _ = write!(
+                text,
+                "{}${}",
+                if column == 1 { "" } else { ", " },
+                row * columns + column
+            );
         }
         text.push(')');
     }
     text
 }
 
-async fn insert_happened(connection: &mut AnyConnection, structure: &str, happened: &Happened) -> Result<(), Failed> {
+async fn insert_happened(
+    connection: &mut AnyConnection,
+    structure: &str,
+    happened: &Happened,
+) -> Result<(), Failed> {
     if let Happened::Alert(alert) = happened
         && alert.revision > 0
         && replace_revision(connection, structure, alert).await?
@@ -301,20 +388,38 @@ async fn insert_happened(connection: &mut AnyConnection, structure: &str, happen
         return Ok(());
     }
     let (time_ns, kind, subject, state, message) = match happened {
-        Happened::Alert(m) => {
-            (m.time_ns, "alert", m.parameter.to_string(), m.state.as_str().to_owned(), serde_json::to_string(m)?)
-        }
-        Happened::Acknowledgement(m) => {
-            (m.time_ns, "acknowledgement", m.parameter.to_string(), m.who.clone(), serde_json::to_string(m)?)
-        }
+        Happened::Alert(m) => (
+            m.time_ns,
+            "alert",
+            m.parameter.to_string(),
+            m.state.as_str().to_owned(),
+            serde_json::to_string(m)?,
+        ),
+        Happened::Acknowledgement(m) => (
+            m.time_ns,
+            "acknowledgement",
+            m.parameter.to_string(),
+            m.who.clone(),
+            serde_json::to_string(m)?,
+        ),
         Happened::Event(m) => {
             let kind = serde_json::to_string(&m.kind)?;
-            (m.time_ns, "event", m.subject.clone(), kind, serde_json::to_string(m)?)
+            (
+                m.time_ns,
+                "event",
+                m.subject.clone(),
+                kind,
+                serde_json::to_string(m)?,
+            )
         }
     };
     let statement = "INSERT INTO happened (structure, time_ns, kind, subject, state, message) \
                      VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT DO NOTHING";
-    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(time_ns).bind(kind).bind(subject);
+    let insert = sqlx::query(statement)
+        .bind(structure.to_owned())
+        .bind(time_ns)
+        .bind(kind)
+        .bind(subject);
     insert.bind(state).bind(message).execute(connection).await?;
     Ok(())
 }
@@ -329,8 +434,15 @@ async fn replace_revision(
     let (subject, state) = (alert.parameter.to_string(), alert.state.as_str());
     let statement = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
                      AND state = $3 AND time_ns <= $4 ORDER BY time_ns DESC LIMIT 1";
-    let select = sqlx::query(statement).bind(structure.to_owned()).bind(subject.clone()).bind(state);
-    let Some(row) = select.bind(alert.time_ns).fetch_optional(&mut *connection).await? else {
+    let select = sqlx::query(statement)
+        .bind(structure.to_owned())
+        .bind(subject.clone())
+        .bind(state);
+    let Some(row) = select
+        .bind(alert.time_ns)
+        .fetch_optional(&mut *connection)
+        .await?
+    else {
         return Ok(false);
     };
     let (time_ns, message) = (row.try_get::<i64, _>(0)?, row.try_get::<String, _>(1)?);
@@ -340,8 +452,14 @@ async fn replace_revision(
     }
     let statement = "UPDATE happened SET time_ns = $1, message = $2 \
                      WHERE structure = $3 AND time_ns = $4 AND kind = 'alert' AND subject = $5 AND state = $6";
-    let update = sqlx::query(statement).bind(alert.time_ns).bind(serde_json::to_string(alert)?);
-    let update = update.bind(structure.to_owned()).bind(time_ns).bind(subject).bind(state);
+    let update = sqlx::query(statement)
+        .bind(alert.time_ns)
+        .bind(serde_json::to_string(alert)?);
+    let update = update
+        .bind(structure.to_owned())
+        .bind(time_ns)
+        .bind(subject)
+        .bind(state);
     update.execute(connection).await?;
     Ok(true)
 }

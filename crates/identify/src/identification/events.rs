@@ -13,7 +13,9 @@ impl Identification {
     pub(super) fn tell_noise_events(&self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
         if step.training_ended {
             let why = match self.estimator.settings().noise_settings.rule {
-                NoiseRule::HalfOrDouble => "neither halving nor doubling a level has improved on them for ten frames",
+                NoiseRule::HalfOrDouble => {
+                    "neither halving nor doubling a level has improved on them for ten frames"
+                }
                 NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => {
                     "their relative deviations are below 10 % and the innovations agree with them"
                 }
@@ -22,30 +24,50 @@ impl Identification {
         }
         if step.training_overdue {
             let name = self.most_uncertain_level();
-            let why = format!("the level of {name} is hardly informed by these sensors; see spandrel check");
+            let why = format!(
+                "the level of {name} is hardly informed by these sensors; see spandrel check"
+            );
             let what = "noise levels still in training: no alert is decided on";
             outputs.push(self.event(time_ns, EventKind::Unidentified, what, &why));
         }
         if step.training_restarted {
             let why = "the innovations kept disagreeing with their covariance";
-            outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels back in training", why));
+            outputs.push(self.event(
+                time_ns,
+                EventKind::Calibration,
+                "noise levels back in training",
+                why,
+            ));
         }
     }
 
     /// Tells when an excitation that should be measured has been silent for long, repeats itself, and is back.
     ///
     /// One that repeats itself counts as missing: `values` are those of the frame as it came.
-    pub(super) fn hear_excitations(&mut self, time_ns: i64, values: &[f64], outputs: &mut Vec<Output>) {
+    pub(super) fn hear_excitations(
+        &mut self,
+        time_ns: i64,
+        values: &[f64],
+        outputs: &mut Vec<Output>,
+    ) {
         let differs = |channel: &usize| {
             let (now, before) = (values[*channel], self.last_values[*channel]);
             !now.is_nan() && now.to_bits() != before.to_bits()
         };
         let moves = self.observation_channels.iter().any(differs);
-        for (last, value) in self.last_values.iter_mut().zip(values).filter(|(_, value)| !value.is_nan()) {
+        for (last, value) in self
+            .last_values
+            .iter_mut()
+            .zip(values)
+            .filter(|(_, value)| !value.is_nan())
+        {
             *last = *value;
         }
         let Some(stream) = self.stream else { return };
-        let spans = Spans { long: stream.bridged_frames().max(1), stuck: stream.stuck_frames() };
+        let spans = Spans {
+            long: stream.bridged_frames().max(1),
+            stuck: stream.stuck_frames(),
+        };
         for input in 0..self.excitation.len() {
             let value = self.excitation_channels[input].map(|channel| values[channel]);
             let change = self.hearing[input].take(value, moves, spans);
@@ -61,7 +83,9 @@ impl Identification {
                 ),
                 Some(Heard::Stuck) => (
                     EventKind::ChannelExcluded,
-                    format!("the sensor of {name} is stuck at one value while the structure moves: it is not used"),
+                    format!(
+                        "the sensor of {name} is stuck at one value while the structure moves: it is not used"
+                    ),
                     "what shakes the structure is not known: no alert is decided on",
                 ),
                 Some(Heard::Again) => (
@@ -81,11 +105,16 @@ impl Identification {
 
     /// Tells when parameters reach their bounds, once until they have kept off them for as long as a gap may be.
     pub(super) fn tell_clipping(&mut self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
-        let Some(bridged) = self.stream.map(Stream::bridged_frames) else { return };
+        let Some(bridged) = self.stream.map(Stream::bridged_frames) else {
+            return;
+        };
         let clips = step.limited_states > 0;
         if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
-            let at_bound =
-                self.parameter_views.iter().enumerate().filter(|(index, _)| self.estimator.is_at_bound(*index));
+            let at_bound = self
+                .parameter_views
+                .iter()
+                .enumerate()
+                .filter(|(index, _)| self.estimator.is_at_bound(*index));
             let names: Vec<&str> = at_bound.map(|(_, view)| view.name().as_str()).collect();
             outputs.push(self.event(
                 time_ns,
@@ -94,13 +123,24 @@ impl Identification {
                 &format!("the estimate left its bounds: {}", names.join(", ")),
             ));
         }
-        self.since_clipped = if clips { Some(0) } else { self.since_clipped.map(|frames| frames + 1) };
+        self.since_clipped = if clips {
+            Some(0)
+        } else {
+            self.since_clipped.map(|frames| frames + 1)
+        };
     }
 
     /// Reports when particles lose the state, and when they follow the data again.
     pub(super) fn tell_particles(&self, time_ns: i64, had_lost: bool, outputs: &mut Vec<Output>) {
-        let Estimator::Particles(particles) = &self.estimator else { return };
-        let Some(health) = particles.health().filter(|health| health.is_lost() != had_lost) else { return };
+        let Estimator::Particles(particles) = &self.estimator else {
+            return;
+        };
+        let Some(health) = particles
+            .health()
+            .filter(|health| health.is_lost() != had_lost)
+        else {
+            return;
+        };
         let why = format!(
             "{:.0} of {} particles count, and the innovations squared are {:.1} times what they predict",
             health.effective_share() * particles.count() as f64,
@@ -108,25 +148,37 @@ impl Identification {
             health.misfit(),
         );
         let (kind, what) = match health.is_lost() {
-            true => (EventKind::Unidentified, "the particles have lost the state: no alert is decided on"),
-            false => (EventKind::Calibration, "the particles follow the data again"),
+            true => (
+                EventKind::Unidentified,
+                "the particles have lost the state: no alert is decided on",
+            ),
+            false => (
+                EventKind::Calibration,
+                "the particles follow the data again",
+            ),
         };
         outputs.push(self.event(time_ns, kind, what, &why));
     }
 
     /// Tells what changed for a channel, as an event and on its topic.
     pub(super) fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let Some(outliers) = self.estimator.outliers() else { return };
+        let Some(outliers) = self.estimator.outliers() else {
+            return;
+        };
         for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
-            let Some((change, why)) = view.take(time_ns, screen) else { continue };
+            let Some((change, why)) = view.take(time_ns, screen) else {
+                continue;
+            };
             let (kind, what) = match change {
-                OutlierChange::FaultBegan => {
-                    (EventKind::ChannelExcluded, "the sensor is faulty: its samples are not used")
-                }
+                OutlierChange::FaultBegan => (
+                    EventKind::ChannelExcluded,
+                    "the sensor is faulty: its samples are not used",
+                ),
                 OutlierChange::FaultEnded => (EventKind::ChannelBack, "the sensor is used again"),
-                OutlierChange::Rescaled | OutlierChange::Trained => {
-                    (EventKind::Calibration, "the scale of its residuals was estimated anew")
-                }
+                OutlierChange::Rescaled | OutlierChange::Trained => (
+                    EventKind::Calibration,
+                    "the scale of its residuals was estimated anew",
+                ),
             };
             outputs.push(Output::Event(Event {
                 structure: self.structure.clone(),
@@ -136,18 +188,31 @@ impl Identification {
                 what: what.to_owned(),
                 why,
             }));
-            outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
+            outputs.push(Output::Outliers(view.display(
+                &self.structure,
+                time_ns,
+                screen,
+            )));
         }
     }
 
     /// Tells what happened to the model classes, as events and on their topic.
     pub(super) fn tell_classes(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let (Some(bank), Some(view)) = (self.estimator.classes(), &mut self.classes) else { return };
+        let (Some(bank), Some(view)) = (self.estimator.classes(), &mut self.classes) else {
+            return;
+        };
         let told = view.take(time_ns, bank);
         if !told.is_empty() {
-            outputs.push(Output::Classes(view.display(&self.structure, time_ns, bank)));
+            outputs.push(Output::Classes(view.display(
+                &self.structure,
+                time_ns,
+                bank,
+            )));
         }
-        outputs.extend(told.into_iter().map(|told| self.event(time_ns, told.kind, &told.what, &told.why)));
+        outputs.extend(
+            told.into_iter()
+                .map(|told| self.event(time_ns, told.kind, &told.what, &told.why)),
+        );
     }
 
     fn most_uncertain_level(&self) -> &str {
@@ -161,7 +226,14 @@ impl Identification {
         self.event_of(IDENTIFY, time_ns, kind, what, why)
     }
 
-    fn event_of(&self, subject: &str, time_ns: i64, kind: EventKind, what: &str, why: &str) -> Output {
+    fn event_of(
+        &self,
+        subject: &str,
+        time_ns: i64,
+        kind: EventKind,
+        what: &str,
+        why: &str,
+    ) -> Output {
         Output::Event(Event {
             structure: self.structure.clone(),
             time_ns,

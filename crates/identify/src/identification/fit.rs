@@ -1,7 +1,9 @@
 //! The verdict on the fit as others read it: the only place that knows the types of the filter and those of the bus.
 
 use crate::estimator::Estimator;
-use spandrel_bus::{ChannelFitDisplay, FitDisplay, FitReason, FitReasons, FitVerdict, Name, NameError};
+use spandrel_bus::{
+    ChannelFitDisplay, FitDisplay, FitReason, FitReasons, FitVerdict, Name, NameError,
+};
 use spandrel_filter::ChannelFit;
 use spandrel_structure::Structure;
 
@@ -34,8 +36,14 @@ pub(super) struct FitView {
 impl FitView {
     pub(super) fn new(structure: &Structure) -> Result<Self, NameError> {
         let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
-        let channels = structure.observation_channels().iter().map(|channel| Name::new(names[*channel]));
-        Ok(Self { channels: channels.collect::<Result<_, _>>()?, displayed: None })
+        let channels = structure
+            .observation_channels()
+            .iter()
+            .map(|channel| Name::new(names[*channel]));
+        Ok(Self {
+            channels: channels.collect::<Result<_, _>>()?,
+            displayed: None,
+        })
     }
 
     /// Continues after a checkpoint: the verdict of its last frame was displayed then.
@@ -44,17 +52,42 @@ impl FitView {
     }
 
     /// Returns the display of the verdict; `None` where nobody judges the fit.
-    pub(super) fn display(&mut self, structure: &Name, time_ns: i64, estimator: &Estimator) -> Option<FitDisplay> {
+    pub(super) fn display(
+        &mut self,
+        structure: &Name,
+        time_ns: i64,
+        estimator: &Estimator,
+    ) -> Option<FitDisplay> {
         let judged = judged(estimator)?;
         self.displayed = Some(judged);
-        let Judged { verdict, reasons, follows_jump } = judged;
-        let channels = self.channels.iter().zip(estimator.channel_fits()).map(|(name, fit)| channel_display(name, fit));
+        let Judged {
+            verdict,
+            reasons,
+            follows_jump,
+        } = judged;
+        let channels = self
+            .channels
+            .iter()
+            .zip(estimator.channel_fits())
+            .map(|(name, fit)| channel_display(name, fit));
         let channels = channels.collect();
-        Some(FitDisplay { structure: structure.clone(), time_ns, verdict, reasons, follows_jump, channels })
+        Some(FitDisplay {
+            structure: structure.clone(),
+            time_ns,
+            verdict,
+            reasons,
+            follows_jump,
+            channels,
+        })
     }
 
     /// Returns the display if the verdict is another one than displayed last.
-    pub(super) fn take_change(&mut self, structure: &Name, time_ns: i64, estimator: &Estimator) -> Option<FitDisplay> {
+    pub(super) fn take_change(
+        &mut self,
+        structure: &Name,
+        time_ns: i64,
+        estimator: &Estimator,
+    ) -> Option<FitDisplay> {
         if judged(estimator) == self.displayed {
             return None;
         }
@@ -69,7 +102,8 @@ fn channel_display(name: &Name, fit: &ChannelFit) -> ChannelFitDisplay {
         largest_autocorrelation: known(fit.largest_autocorrelation),
         explained_share: known(fit.explained_share),
         // rounding may leave a correlation a little beyond one
-        excitation_correlation: known(fit.excitation_correlation).map(|correlation| correlation.clamp(-1.0, 1.0)),
+        excitation_correlation: known(fit.excitation_correlation)
+            .map(|correlation| correlation.clamp(-1.0, 1.0)),
         noise_ratio: known(fit.noise_ratio),
     }
 }

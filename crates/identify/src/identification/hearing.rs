@@ -38,7 +38,15 @@ pub(super) enum Heard {
 
 impl Hearing {
     pub(super) fn new(may_rest: bool) -> Self {
-        Self { may_rest, known: false, silent: 0, heard: 0, last: f64::NAN, repeats: 0, lost: false }
+        Self {
+            may_rest,
+            known: false,
+            silent: 0,
+            heard: 0,
+            last: f64::NAN,
+            repeats: 0,
+            lost: false,
+        }
     }
 
     /// Takes the sample of a frame as it came, NaN where there was none, and whether any response has moved.
@@ -49,10 +57,18 @@ impl Hearing {
         self.count_repeats(value, moves);
         let is_heard = !value.is_nan() && !self.is_stuck(spans);
         self.known |= is_heard;
-        (self.silent, self.heard) = if is_heard { (0, self.heard + 1) } else { (self.silent + 1, 0) };
+        (self.silent, self.heard) = if is_heard {
+            (0, self.heard + 1)
+        } else {
+            (self.silent + 1, 0)
+        };
         if !self.lost && (self.is_stuck(spans) || self.silent >= spans.long) {
             self.lost = true;
-            return Some(if self.is_stuck(spans) { Heard::Stuck } else { Heard::Silent });
+            return Some(if self.is_stuck(spans) {
+                Heard::Stuck
+            } else {
+                Heard::Silent
+            });
         }
         if self.lost && self.heard >= spans.long {
             self.lost = false;
@@ -91,17 +107,36 @@ mod tests {
     const SPANS: Spans = Spans { long: 10, stuck: 5 };
 
     /// Takes samples while the structure moves, and returns what changed at which of them.
-    fn changes(hearing: &mut Hearing, values: impl IntoIterator<Item = f64>, moves: bool) -> Vec<(usize, Heard)> {
-        let changes = values.into_iter().map(|value| hearing.take(Some(value), moves, SPANS)).enumerate();
-        changes.filter_map(|(index, change)| Some((index, change?))).collect()
+    fn changes(
+        hearing: &mut Hearing,
+        values: impl IntoIterator<Item = f64>,
+        moves: bool,
+    ) -> Vec<(usize, Heard)> {
+        let changes = values
+            .into_iter()
+            .map(|value| hearing.take(Some(value), moves, SPANS))
+            .enumerate();
+        changes
+            .filter_map(|(index, change)| Some((index, change?)))
+            .collect()
     }
 
     #[test]
     fn sample_that_repeats_itself_is_stuck_until_it_has_been_heard_for_long() {
         let mut hearing = Hearing::new(false);
-        assert_eq!(changes(&mut hearing, [1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0], true), [(7, Heard::Stuck)]);
+        assert_eq!(
+            changes(
+                &mut hearing,
+                [1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0],
+                true
+            ),
+            [(7, Heard::Stuck)]
+        );
         assert!(hearing.is_silent() && hearing.is_stuck(SPANS));
-        assert_eq!(changes(&mut hearing, (0..12).map(f64::from), true), [(9, Heard::Again)]);
+        assert_eq!(
+            changes(&mut hearing, (0..12).map(f64::from), true),
+            [(9, Heard::Again)]
+        );
         assert!(!hearing.is_silent());
     }
 
@@ -109,7 +144,10 @@ mod tests {
     fn nothing_is_stuck_while_nothing_moves_nor_a_force_that_rests() {
         assert_eq!(changes(&mut Hearing::new(false), [0.5; 30], false), []);
         assert_eq!(changes(&mut Hearing::new(true), [0.0; 30], true), []);
-        assert_eq!(changes(&mut Hearing::new(true), [0.5; 30], true), [(5, Heard::Stuck)]);
+        assert_eq!(
+            changes(&mut Hearing::new(true), [0.5; 30], true),
+            [(5, Heard::Stuck)]
+        );
         assert_eq!(Hearing::new(false).take(None, true, SPANS), None);
     }
 
@@ -117,7 +155,10 @@ mod tests {
     fn gaps_neither_hide_a_stuck_sensor_nor_make_one() {
         let slow = |value: f64| [value, f64::NAN];
         let stuck = std::iter::repeat_with(|| slow(2.0)).take(6).flatten();
-        assert_eq!(changes(&mut Hearing::new(false), stuck, true), [(10, Heard::Stuck)]);
+        assert_eq!(
+            changes(&mut Hearing::new(false), stuck, true),
+            [(10, Heard::Stuck)]
+        );
         let moving = (0..20).map(f64::from).flat_map(slow);
         assert_eq!(changes(&mut Hearing::new(false), moving, true), []);
     }

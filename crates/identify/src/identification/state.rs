@@ -39,7 +39,10 @@ impl Identification {
             band_limit: self.band_limit.clone(),
             stream: self.stream,
             screening: self.screening.clone(),
-            calibration: self.classes.as_ref().and_then(|classes| classes.calibration().cloned()),
+            calibration: self
+                .classes
+                .as_ref()
+                .and_then(|classes| classes.calibration().cloned()),
             restarts: self.restarts,
             unobserved: self.unobserved,
             hearing: self.hearing.clone(),
@@ -59,13 +62,29 @@ impl Identification {
                 usize::from(state.band_limit.is_some()),
                 usize::from(self.band_limit.is_some()),
             ),
-            ("screened channels of a checkpoint", state.screening.len(), self.screening.len()),
-            ("excitations of a checkpoint", state.hearing.len(), self.hearing.len()),
-            ("channels of a checkpoint", state.last_values.len(), self.last_values.len()),
+            (
+                "screened channels of a checkpoint",
+                state.screening.len(),
+                self.screening.len(),
+            ),
+            (
+                "excitations of a checkpoint",
+                state.hearing.len(),
+                self.hearing.len(),
+            ),
+            (
+                "channels of a checkpoint",
+                state.last_values.len(),
+                self.last_values.len(),
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         self.estimator.restore(state.estimator)?;

@@ -9,9 +9,18 @@ fn structure() -> Structure {
 
 /// Simulated frames of the demo's building in one block.
 fn frames(count: usize) -> FrameBlock {
-    let values = structure().simulator(5).take(count).flat_map(|frame| frame.values).collect();
+    let values = structure()
+        .simulator(5)
+        .take(count)
+        .flat_map(|frame| frame.values)
+        .collect();
     FrameBlock {
-        header: Header { source: "ingest".into(), epoch: 7, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "ingest".into(),
+            epoch: 7,
+            sequence: 0,
+            time_ns: 0,
+        },
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         channels: 6,
@@ -23,7 +32,9 @@ fn frames(count: usize) -> FrameBlock {
 fn run(blocks: Vec<FrameBlock>) -> Vec<Output> {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
-    blocks.into_iter().for_each(|block| core.handle(Input::Frames(block), &mut outputs));
+    blocks
+        .into_iter()
+        .for_each(|block| core.handle(Input::Frames(block), &mut outputs));
     outputs
 }
 
@@ -36,7 +47,16 @@ fn estimates(outputs: &[Output]) -> Vec<&Estimate> {
 }
 
 fn events(outputs: &[Output]) -> Vec<&Event> {
-    outputs.iter().filter_map(|output| if let Output::Event(event) = output { Some(event) } else { None }).collect()
+    outputs
+        .iter()
+        .filter_map(|output| {
+            if let Output::Event(event) = output {
+                Some(event)
+            } else {
+                None
+            }
+        })
+        .collect()
 }
 
 /// Cuts a block at the given lengths, the rest in one.
@@ -58,21 +78,38 @@ fn each_frame_gives_one_numbered_estimate() {
     let numbers: Vec<_> = outputs
         .iter()
         .filter_map(|output| match output {
-            Output::Estimates(block) => Some((block.header.sequence, block.estimates.len(), block.header.epoch)),
+            Output::Estimates(block) => Some((
+                block.header.sequence,
+                block.estimates.len(),
+                block.header.epoch,
+            )),
             _ => None,
         })
         .collect();
     assert_eq!(numbers, [(0, 1, 7), (1, 99, 7), (100, 200, 7)]);
     let last = estimates(&outputs)[299];
-    assert_eq!((last.mean.len(), last.covariance.len(), last.innovations.len()), (6, 21, 5));
+    assert_eq!(
+        (
+            last.mean.len(),
+            last.covariance.len(),
+            last.innovations.len()
+        ),
+        (6, 21, 5)
+    );
     assert!(last.variance(4).unwrap() > 0.0);
 }
 
 #[test]
 fn parameters_are_displayed_ten_times_a_second_of_measurement() {
     let outputs = run(vec![frames(300)]);
-    let displayed = outputs.iter().filter(|output| matches!(output, Output::Parameter(_))).count();
-    let noise = outputs.iter().filter(|output| matches!(output, Output::Noise(_))).count();
+    let displayed = outputs
+        .iter()
+        .filter(|output| matches!(output, Output::Parameter(_)))
+        .count();
+    let noise = outputs
+        .iter()
+        .filter(|output| matches!(output, Output::Noise(_)))
+        .count();
     assert_eq!((displayed, noise), (30 * 6, 30));
 }
 
@@ -83,8 +120,15 @@ fn diverged_filter_is_restarted_and_says_so() {
     let outputs = run(vec![block]);
     let estimates = estimates(&outputs);
     assert!(estimates[200].flags.restarted && !estimates[201].flags.restarted);
-    assert!(estimates.iter().all(|estimate| estimate.mean.iter().all(|mean| mean.is_finite())));
-    let restarts: Vec<_> = events(&outputs).into_iter().filter(|event| event.kind == EventKind::Restart).collect();
+    assert!(
+        estimates
+            .iter()
+            .all(|estimate| estimate.mean.iter().all(|mean| mean.is_finite()))
+    );
+    let restarts: Vec<_> = events(&outputs)
+        .into_iter()
+        .filter(|event| event.kind == EventKind::Restart)
+        .collect();
     assert_eq!(restarts.len(), 1);
     assert_eq!(restarts[0].time_ns, 2_000_000_000);
     assert!(!restarts[0].why.is_empty());
@@ -101,9 +145,16 @@ fn lost_frames_are_bridged_and_numbering_goes_on() {
     core.handle(Input::Frames(after), &mut outputs);
     let estimates = estimates(&outputs);
     assert_eq!((estimates.len(), core.done()), (400, 400));
-    assert!(estimates[200..250].iter().all(|estimate| estimate.flags.prediction_only));
+    assert!(
+        estimates[200..250]
+            .iter()
+            .all(|estimate| estimate.flags.prediction_only)
+    );
     assert!(!estimates[250].flags.prediction_only);
-    assert_eq!(estimates[199].mean, estimates[249].mean, "parameters stand still in predictions");
+    assert_eq!(
+        estimates[199].mean, estimates[249].mean,
+        "parameters stand still in predictions"
+    );
     assert_eq!(events(&outputs)[0].kind, EventKind::Gap);
 }
 
@@ -120,8 +171,15 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
     core.handle(Input::gap(3000, 9000), &mut outputs);
     assert_eq!(estimates(&outputs).len(), 9000);
     let after = mean(&core);
-    assert!(after.rows(0, 10).iter().all(|entry| *entry == 0.0), "the motion is back at its prior");
-    assert_eq!(after.rows(10, 5), before.rows(10, 5), "the parameters are kept");
+    assert!(
+        after.rows(0, 10).iter().all(|entry| *entry == 0.0),
+        "the motion is back at its prior"
+    );
+    assert_eq!(
+        after.rows(10, 5),
+        before.rows(10, 5),
+        "the parameters are kept"
+    );
 }
 
 /// The estimates of a long gap were more than a message may have where there are some dozens of parameters: it ended the service.
@@ -140,7 +198,11 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
         assert_eq!(block.header.sequence, next, "one follows the other");
         grid = grid.or(block.grid());
         assert_eq!(block.header.time_ns, grid.unwrap().time_ns(next));
-        assert!(block.estimates.len() * block.item_bytes() <= MOST_BYTES, "{} estimates", block.estimates.len());
+        assert!(
+            block.estimates.len() * block.item_bytes() <= MOST_BYTES,
+            "{} estimates",
+            block.estimates.len()
+        );
         next = block.end();
     }
     assert_eq!(next, 9000);
@@ -150,9 +212,11 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
 #[test]
 fn responses_are_told_with_the_estimates_of_their_frames() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
-    let response = "\n[[response]]\nname = \"roof\"\nquantity = \"displacement\"\ndof = \"floor-5\"\n";
+    let response =
+        "\n[[response]]\nname = \"roof\"\nquantity = \"displacement\"\ndof = \"floor-5\"\n";
     let text = std::fs::read_to_string(&path).unwrap() + response;
-    let mut core = Identification::new(&Structure::parse(&text, &path).unwrap(), "identify").unwrap();
+    let mut core =
+        Identification::new(&Structure::parse(&text, &path).unwrap(), "identify").unwrap();
     let mut outputs = Vec::new();
     core.handle(Input::Frames(frames(8000)), &mut outputs);
     let lengths: Vec<usize> = outputs
@@ -164,7 +228,10 @@ fn responses_are_told_with_the_estimates_of_their_frames() {
         })
         .collect();
     assert!(lengths.len() > 2, "one block: {lengths:?}");
-    assert!(lengths.chunks(2).all(|pair| pair[0] == pair[1]), "{lengths:?}");
+    assert!(
+        lengths.chunks(2).all(|pair| pair[0] == pair[1]),
+        "{lengths:?}"
+    );
     assert_eq!(lengths.iter().sum::<usize>(), 2 * 8000);
 }
 
@@ -176,7 +243,12 @@ fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
         core.handle(Input::Frames(frames(200)), &mut Vec::new());
         core
     };
-    let said = |outputs: &[Output]| outputs.iter().map(|output| format!("{output:?}")).collect::<Vec<_>>();
+    let said = |outputs: &[Output]| {
+        outputs
+            .iter()
+            .map(|output| format!("{output:?}"))
+            .collect::<Vec<_>>()
+    };
     let (mut whole, mut outputs) = (begun(), Vec::new());
     whole.handle(Input::gap(200, 9000), &mut outputs);
     let (mut core, mut together, mut left) = (begun(), Vec::new(), Some(Input::gap(200, 9000)));
@@ -184,12 +256,23 @@ fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
     while let Some(input) = left {
         let mut part = Vec::new();
         left = core.handle_part(input, &mut part);
-        assert!(estimates(&part).len() as u64 <= MOST_BRIDGED, "{} at once", estimates(&part).len());
+        assert!(
+            estimates(&part).len() as u64 <= MOST_BRIDGED,
+            "{} at once",
+            estimates(&part).len()
+        );
         together.extend(said(&part));
         dones.push(core.done());
     }
     assert_eq!(together, said(&outputs));
-    assert_eq!(events(&outputs).iter().filter(|event| event.kind == EventKind::Gap).count(), 1, "it is told once");
+    assert_eq!(
+        events(&outputs)
+            .iter()
+            .filter(|event| event.kind == EventKind::Gap)
+            .count(),
+        1,
+        "it is told once"
+    );
     assert_eq!(core.state(), whole.state());
     assert!(dones.len() > 60 && dones.last() == Some(&9000), "{dones:?}");
 }
@@ -202,8 +285,15 @@ fn new_epoch_of_frames_keeps_the_parameters() {
     let estimates = estimates(&outputs);
     assert_eq!(estimates.len(), 2200);
     let moved = (estimates[2000].mean[0] - estimates[1999].mean[0]).abs();
-    assert!(moved < 3.0 * estimates[1999].variance(0).unwrap().sqrt(), "moved by {moved}");
-    assert!(events(&outputs).iter().any(|event| event.kind == EventKind::Restart && event.why.contains("epoch")));
+    assert!(
+        moved < 3.0 * estimates[1999].variance(0).unwrap().sqrt(),
+        "moved by {moved}"
+    );
+    assert!(
+        events(&outputs)
+            .iter()
+            .any(|event| event.kind == EventKind::Restart && event.why.contains("epoch"))
+    );
 }
 
 #[test]
@@ -211,12 +301,23 @@ fn source_that_starts_anew_while_the_building_shakes_spoils_no_level() {
     let all = frames(3000);
     let mut parts = cut(all, &[2000]);
     let mut again = parts.remove(1);
-    again.header = Header { source: "ingest".into(), epoch: 8, sequence: 0, time_ns: 0 };
+    again.header = Header {
+        source: "ingest".into(),
+        epoch: 8,
+        sequence: 0,
+        time_ns: 0,
+    };
     let outputs = run(vec![parts.remove(0), again]);
     let estimates = estimates(&outputs);
     let (before, after) = (estimates[1999].noise_mean[0], estimates[2999].noise_mean[0]);
-    assert!((0.5..1.5).contains(&(after / before)), "noise level from {before:e} to {after:e}");
-    let worst = estimates[2000..].iter().map(|e| (e.mean[0] - 1.0).abs()).fold(0.0, f64::max);
+    assert!(
+        (0.5..1.5).contains(&(after / before)),
+        "noise level from {before:e} to {after:e}"
+    );
+    let worst = estimates[2000..]
+        .iter()
+        .map(|e| (e.mean[0] - 1.0).abs())
+        .fold(0.0, f64::max);
     assert!(worst < 0.05, "storey 1 moved to {worst} from the truth");
 }
 
@@ -228,9 +329,16 @@ fn missing_ground_motion_widens_the_prediction_of_its_step() {
     }
     let outputs = run(vec![block]);
     let estimates = estimates(&outputs);
-    assert!(estimates.iter().all(|estimate| !estimate.flags.restarted && estimate.used_channels == 5));
+    assert!(
+        estimates
+            .iter()
+            .all(|estimate| !estimate.flags.restarted && estimate.used_channels == 5)
+    );
     // the filter knows that it does not know: no innovation of that stretch is absurd
-    let worst = estimates[500..530].iter().map(|e| e.normalised_innovation_squared).fold(0.0, f64::max);
+    let worst = estimates[500..530]
+        .iter()
+        .map(|e| e.normalised_innovation_squared)
+        .fold(0.0, f64::max);
     assert!(worst < 30.0, "normalised innovation squared of {worst}");
 }
 
@@ -241,10 +349,18 @@ fn training_ends_although_the_level_of_an_unmeasured_excitation_stays_uncertain(
     let mut core = Identification::new(&structure, "identify").unwrap();
     let mut block = frames(1);
     block.channels = structure.channel_count() as u16;
-    block.values = structure.simulator(1).take(9000).flat_map(|frame| frame.values).collect();
+    block.values = structure
+        .simulator(1)
+        .take(9000)
+        .flat_map(|frame| frame.values)
+        .collect();
     let mut outputs = Vec::new();
     core.handle(Input::Frames(block), &mut outputs);
-    assert!(events(&outputs).iter().all(|event| event.kind != EventKind::Unidentified));
+    assert!(
+        events(&outputs)
+            .iter()
+            .all(|event| event.kind != EventKind::Unidentified)
+    );
     assert_eq!(estimates(&outputs)[8999].flags.phase, Phase::Working);
 }
 
@@ -254,7 +370,11 @@ fn of_text(change: impl Fn(String) -> String, count: usize) -> (Structure, Frame
     let text = change(std::fs::read_to_string(&path).unwrap());
     let structure = Structure::parse(&text, &path).unwrap();
     let mut block = frames(1);
-    block.values = structure.simulator(5).take(count).flat_map(|frame| frame.values).collect();
+    block.values = structure
+        .simulator(5)
+        .take(count)
+        .flat_map(|frame| frame.values)
+        .collect();
     (structure, block)
 }
 
@@ -268,8 +388,10 @@ fn identified(structure: &Structure, block: FrameBlock) -> Vec<Output> {
 #[test]
 fn noise_that_keeps_disagreeing_goes_back_to_training_and_is_told() {
     // the floors become a hundred times noisier at 40 s; the published rule cannot follow by itself
-    let (structure, mut block) =
-        of_text(|text| text.replace("[filter]", "[filter]\nnoise-rule = \"published\""), 12_000);
+    let (structure, mut block) = of_text(
+        |text| text.replace("[filter]", "[filter]\nnoise-rule = \"published\""),
+        12_000,
+    );
     for (k, frame) in block.values.chunks_exact_mut(6).enumerate().skip(4000) {
         for (c, value) in frame.iter_mut().enumerate().skip(1) {
             *value += 0.5 * f64::sin((k * (7 * c + 3)) as f64 * 1.7);
@@ -277,19 +399,32 @@ fn noise_that_keeps_disagreeing_goes_back_to_training_and_is_told() {
     }
     let outputs = identified(&structure, block);
     let told = events(&outputs);
-    let back = told.iter().find(|event| event.what == "noise levels back in training").expect("the event");
+    let back = told
+        .iter()
+        .find(|event| event.what == "noise levels back in training")
+        .expect("the event");
     assert!(back.time_ns > 40_000_000_000 && back.kind == EventKind::Calibration);
 }
 
 #[test]
 fn parameters_at_their_bounds_are_told_once() {
     let (structure, block) = of_text(
-        |text| text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]").replace("at-s = 60", "at-s = 20"),
+        |text| {
+            text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]")
+                .replace("at-s = 60", "at-s = 20")
+        },
         4000,
     );
     let outputs = identified(&structure, block);
-    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what == "parameters kept at their bounds").collect();
-    assert!(told.iter().any(|event| event.why.contains("storey-2") && event.time_ns > 20_000_000_000), "{told:?}");
+    let told: Vec<_> = events(&outputs)
+        .into_iter()
+        .filter(|e| e.what == "parameters kept at their bounds")
+        .collect();
+    assert!(
+        told.iter()
+            .any(|event| event.why.contains("storey-2") && event.time_ns > 20_000_000_000),
+        "{told:?}"
+    );
     assert!(told.len() <= 3, "{} times", told.len()); // in 40 s, with 10 s of quiet between
 }
 
@@ -297,35 +432,62 @@ fn parameters_at_their_bounds_are_told_once() {
 fn parameters_that_a_class_keeps_at_their_bounds_are_named() {
     let (structure, block) = of_text(
         |text| {
-            text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]").replace("at-s = 60", "at-s = 20")
+            text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]")
+                .replace("at-s = 60", "at-s = 20")
                 + "\n[classes]\nkind = \"self-calibrating\"\n"
         },
         4000,
     );
     let outputs = identified(&structure, block);
-    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what == "parameters kept at their bounds").collect();
-    assert!(told.iter().any(|event| event.why.contains("storey-2")), "{told:?}");
-    assert!(told.iter().all(|event| event.why.contains("storey-")), "{told:?}");
+    let told: Vec<_> = events(&outputs)
+        .into_iter()
+        .filter(|e| e.what == "parameters kept at their bounds")
+        .collect();
+    assert!(
+        told.iter().any(|event| event.why.contains("storey-2")),
+        "{told:?}"
+    );
+    assert!(
+        told.iter().all(|event| event.why.contains("storey-")),
+        "{told:?}"
+    );
 }
 
 #[test]
 fn ground_channel_that_is_stuck_is_told_within_seconds_and_nothing_is_decided_on() {
-    let (structure, mut block) = of_text(|text| text.replace("adapt-noise = true", "adapt-noise = false"), 6000);
+    let (structure, mut block) = of_text(
+        |text| text.replace("adapt-noise = true", "adapt-noise = false"),
+        6000,
+    );
     let stuck_at = block.values[2000 * 6];
     for frame in block.values.chunks_exact_mut(6).skip(2000) {
         frame[0] = stuck_at;
     }
     let outputs = identified(&structure, block);
-    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.kind == EventKind::ChannelExcluded).collect();
+    let told: Vec<_> = events(&outputs)
+        .into_iter()
+        .filter(|e| e.kind == EventKind::ChannelExcluded)
+        .collect();
     assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].subject == "ground" && told[0].time_ns == 22_000_000_000, "{told:?}");
+    assert!(
+        told[0].subject == "ground" && told[0].time_ns == 22_000_000_000,
+        "{told:?}"
+    );
     let estimates = estimates(&outputs);
-    let phases: Vec<Phase> = estimates.iter().map(|estimate| estimate.flags.phase).collect();
-    let turns: Vec<usize> = (1..phases.len()).filter(|at| phases[*at] != phases[at - 1]).collect();
+    let phases: Vec<Phase> = estimates
+        .iter()
+        .map(|estimate| estimate.flags.phase)
+        .collect();
+    let turns: Vec<usize> = (1..phases.len())
+        .filter(|at| phases[*at] != phases[at - 1])
+        .collect();
     assert_eq!((phases[0], &turns[..]), (Phase::Working, &[2200][..]));
     // the motion of the ground is taken as unknown: the building is still identified
     let storeys = &estimates[5999].mean[..5];
-    let worst = storeys.iter().map(|mean| (mean - 1.0).abs()).fold(0.0, f64::max);
+    let worst = storeys
+        .iter()
+        .map(|mean| (mean - 1.0).abs())
+        .fold(0.0, f64::max);
     assert!(worst < 0.1, "off by {worst}");
 }
 
@@ -336,29 +498,58 @@ fn excitation_that_is_never_measured_is_told_once() {
         frame[0] = f64::NAN;
     }
     let outputs = identified(&structure, block);
-    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what.contains("has no samples")).collect();
+    let told: Vec<_> = events(&outputs)
+        .into_iter()
+        .filter(|e| e.what.contains("has no samples"))
+        .collect();
     assert_eq!(told.len(), 1);
-    assert!(told[0].what.contains("ground") && told[0].time_ns < 11_000_000_000, "{told:?}");
-    assert!(estimates(&outputs).iter().all(|estimate| estimate.flags.phase != Phase::Working), "nothing is decided");
-    assert_eq!(estimates(&outputs)[2999].flags.phase, Phase::ExcitationSilent);
+    assert!(
+        told[0].what.contains("ground") && told[0].time_ns < 11_000_000_000,
+        "{told:?}"
+    );
+    assert!(
+        estimates(&outputs)
+            .iter()
+            .all(|estimate| estimate.flags.phase != Phase::Working),
+        "nothing is decided"
+    );
+    assert_eq!(
+        estimates(&outputs)[2999].flags.phase,
+        Phase::ExcitationSilent
+    );
 }
 
 #[test]
 fn excitation_that_falls_silent_is_trusted_again_only_after_it_has_been_back_for_as_long() {
-    let (structure, mut block) = of_text(|text| text.replace("adapt-noise = true", "adapt-noise = false"), 6000);
+    let (structure, mut block) = of_text(
+        |text| text.replace("adapt-noise = true", "adapt-noise = false"),
+        6000,
+    );
     for frame in block.values.chunks_exact_mut(6).skip(1000).take(2000) {
         frame[0] = f64::NAN;
     }
     let outputs = identified(&structure, block);
-    let phases: Vec<Phase> = estimates(&outputs).iter().map(|estimate| estimate.flags.phase).collect();
-    let turns: Vec<usize> = (1..phases.len()).filter(|at| phases[*at] != phases[at - 1]).collect();
+    let phases: Vec<Phase> = estimates(&outputs)
+        .iter()
+        .map(|estimate| estimate.flags.phase)
+        .collect();
+    let turns: Vec<usize> = (1..phases.len())
+        .filter(|at| phases[*at] != phases[at - 1])
+        .collect();
     assert_eq!((phases[0], &turns[..]), (Phase::Working, &[1999, 3999][..]));
-    assert!(events(&outputs).iter().any(|event| event.what == "ground is measured again"));
+    assert!(
+        events(&outputs)
+            .iter()
+            .any(|event| event.what == "ground is measured again")
+    );
 }
 
 #[test]
 fn long_stretch_without_any_channel_neither_diverges_nor_spoils_the_parameters() {
-    let (structure, mut block) = of_text(|text| text.replace("half-life-s = 10", "half-life-s = 2"), 12_000);
+    let (structure, mut block) = of_text(
+        |text| text.replace("half-life-s = 10", "half-life-s = 2"),
+        12_000,
+    );
     for value in &mut block.values[3000 * 6..10_000 * 6] {
         *value = f64::NAN;
     }
@@ -380,7 +571,13 @@ fn diverged_filter_finds_the_parameters_again_in_mid_motion() {
     let outputs = identified(&structure, block);
     let estimates = estimates(&outputs);
     assert!(estimates[4000].flags.restarted);
-    assert_eq!(estimates.iter().filter(|estimate| estimate.flags.restarted).count(), 1);
+    assert_eq!(
+        estimates
+            .iter()
+            .filter(|estimate| estimate.flags.restarted)
+            .count(),
+        1
+    );
     for mean in &estimates[8999].mean {
         assert!((mean - 1.0).abs() < 0.02, "{:?}", estimates[8999].mean);
     }
@@ -401,22 +598,37 @@ proptest! {
 fn verdict_on_the_fit_is_shown_with_the_parameters_and_in_the_flags() {
     let (structure, block) = of_text(|text| text, 3000);
     let outputs = identified(&structure, block);
-    let shown: Vec<_> =
-        outputs.iter().filter_map(|output| if let Output::Fit(fit) = output { Some(fit) } else { None }).collect();
-    let flags: Vec<_> = estimates(&outputs).iter().map(|estimate| estimate.flags).collect();
+    let shown: Vec<_> = outputs
+        .iter()
+        .filter_map(|output| {
+            if let Output::Fit(fit) = output {
+                Some(fit)
+            } else {
+                None
+            }
+        })
+        .collect();
+    let flags: Vec<_> = estimates(&outputs)
+        .iter()
+        .map(|estimate| estimate.flags)
+        .collect();
     let first = flags.iter().position(|flags| flags.fit.is_some()).unwrap();
     let ten_periods = (10.0 * 100.0 / structure.natural_frequencies_hz()[0]) as usize;
-    assert!((ten_periods..ten_periods + 200).contains(&first), "{first}, ten periods are {ten_periods} frames");
+    assert!(
+        (ten_periods..ten_periods + 200).contains(&first),
+        "{first}, ten periods are {ten_periods} frames"
+    );
     assert!(flags[first..].iter().all(|flags| flags.fit.is_some()));
     // ten times a second
     let least = (3000 - first) / 10;
     assert!(shown.len() >= least, "{} of {least}", shown.len());
     let last = estimates(&outputs)[2999].flags;
     assert_eq!(last.fit, shown.last().map(|fit| fit.verdict));
-    assert!(
-        shown
-            .iter()
-            .all(|fit| fit.channels.len() <= 5
-                && fit.channels.iter().all(|channel| channel.channel.as_str() != "ground"))
-    );
+    assert!(shown.iter().all(|fit| {
+        fit.channels.len() <= 5
+            && fit
+                .channels
+                .iter()
+                .all(|channel| channel.channel.as_str() != "ground")
+    }));
 }

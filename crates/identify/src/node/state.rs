@@ -49,11 +49,19 @@ impl NodeIdentification {
                 usize::from(state.band_limit.is_some()),
                 usize::from(self.band_limit.is_some()),
             ),
-            ("screened channels of a checkpoint", state.screening.len(), self.screening.len()),
+            (
+                "screened channels of a checkpoint",
+                state.screening.len(),
+                self.screening.len(),
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
-                return Err(FilterError::Dimension { what, found, expected });
+                return Err(FilterError::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
             }
         }
         self.filter.restore(state.filter)?;

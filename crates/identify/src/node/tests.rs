@@ -21,9 +21,19 @@ fn worker() -> NodeIdentification {
 
 /// Samples from number `from` to before `to` of a slow swing, from time 0 on.
 fn samples(from: u64, to: u64, pace: Pace) -> SampleBlock {
-    let value = |number: u64| [0.001 * (number as f64 * 0.06).sin(), -0.01 * (number as f64 * 0.06).sin()];
+    let value = |number: u64| {
+        [
+            0.001 * (number as f64 * 0.06).sin(),
+            -0.01 * (number as f64 * 0.06).sin(),
+        ]
+    };
     SampleBlock {
-        header: Header { source: "floor-4".into(), epoch: 1, sequence: from, time_ns: (from * 40_000_000) as i64 },
+        header: Header {
+            source: "floor-4".into(),
+            epoch: 1,
+            sequence: from,
+            time_ns: (from * 40_000_000) as i64,
+        },
         sampling_rate_hz: 25.0,
         pace,
         channels: 2,
@@ -32,9 +42,14 @@ fn samples(from: u64, to: u64, pace: Pace) -> SampleBlock {
     }
 }
 
-fn run(worker: &mut NodeIdentification, inputs: impl IntoIterator<Item = NodeInput>) -> Vec<LocalMessage> {
+fn run(
+    worker: &mut NodeIdentification,
+    inputs: impl IntoIterator<Item = NodeInput>,
+) -> Vec<LocalMessage> {
     let mut outputs = Vec::new();
-    inputs.into_iter().for_each(|input| worker.handle(input, &mut outputs));
+    inputs
+        .into_iter()
+        .for_each(|input| worker.handle(input, &mut outputs));
     let local = outputs.into_iter().filter_map(|output| match output {
         NodeOutput::Local(message) => Some(message),
         NodeOutput::Event(_) => None,
@@ -45,7 +60,12 @@ fn run(worker: &mut NodeIdentification, inputs: impl IntoIterator<Item = NodeInp
 fn answer(message: &LocalMessage) -> NodeInput {
     let density = message.density.clone().unwrap();
     NodeInput::Feedback(FeedbackMessage {
-        header: Header { source: "fuse".into(), epoch: 9, sequence: 0, time_ns: 0 },
+        header: Header {
+            source: "fuse".into(),
+            epoch: 9,
+            sequence: 0,
+            time_ns: 0,
+        },
         node_epoch: message.header.epoch,
         answers: message.header.sequence,
         nodes: 1,
@@ -59,11 +79,20 @@ fn answer(message: &LocalMessage) -> NodeInput {
 #[test]
 fn live_samples_wait_for_nothing() {
     let mut worker = worker();
-    let sent = run(&mut worker, [NodeInput::Samples(samples(0, 100, Pace::Live))]);
+    let sent = run(
+        &mut worker,
+        [NodeInput::Samples(samples(0, 100, Pace::Live))],
+    );
     let indices: Vec<u64> = sent.iter().map(|message| message.header.sequence).collect();
     assert_eq!(indices, [1, 2, 3, 4]);
     assert_eq!(sent[1].header.time_ns, 49 * 40_000_000);
-    assert_eq!(sent[1].density.as_ref().unwrap().lineage, Some(NodeLineage { own: 0, answers: Vec::new() }));
+    assert_eq!(
+        sent[1].density.as_ref().unwrap().lineage,
+        Some(NodeLineage {
+            own: 0,
+            answers: Vec::new()
+        })
+    );
     for message in &sent {
         assert!(spandrel_bus::Message::check(message).is_ok());
     }
@@ -73,8 +102,10 @@ fn live_samples_wait_for_nothing() {
 fn replayed_samples_wait_for_each_answer_whatever_the_blocks() {
     let means = |cuts: &[u64]| {
         let mut worker = worker();
-        let mut inputs: VecDeque<NodeInput> =
-            cuts.windows(2).map(|cut| NodeInput::Samples(samples(cut[0], cut[1], Pace::Replayed))).collect();
+        let mut inputs: VecDeque<NodeInput> = cuts
+            .windows(2)
+            .map(|cut| NodeInput::Samples(samples(cut[0], cut[1], Pace::Replayed)))
+            .collect();
         let mut sent = Vec::new();
         while let Some(input) = inputs.pop_front() {
             let mut new = run(&mut worker, [input]);
@@ -90,17 +121,32 @@ fn replayed_samples_wait_for_each_answer_whatever_the_blocks() {
     let whole = means(&[0, 100]);
     assert_eq!(whole.len(), 4);
     assert_eq!(whole, means(&[0, 10, 25, 26, 60, 99, 100]));
-    assert!((whole[1][0] - whole[0][0] - 0.01).abs() < 0.02, "the answer has been taken");
+    assert!(
+        (whole[1][0] - whole[0][0] - 0.01).abs() < 0.02,
+        "the answer has been taken"
+    );
 }
 
 #[test]
 fn a_late_answer_gives_the_same_as_one_in_time() {
     let late = |samples_late: u64| {
         let mut worker = worker();
-        let first = run(&mut worker, [NodeInput::Samples(samples(0, 25, Pace::Live))]);
+        let first = run(
+            &mut worker,
+            [NodeInput::Samples(samples(0, 25, Pace::Live))],
+        );
         let middle = 25 + samples_late;
-        run(&mut worker, [NodeInput::Samples(samples(25, middle, Pace::Live)), answer(&first[0])]);
-        let second = run(&mut worker, [NodeInput::Samples(samples(middle, 50, Pace::Live))]);
+        run(
+            &mut worker,
+            [
+                NodeInput::Samples(samples(25, middle, Pace::Live)),
+                answer(&first[0]),
+            ],
+        );
+        let second = run(
+            &mut worker,
+            [NodeInput::Samples(samples(middle, 50, Pace::Live))],
+        );
         second[0].density.clone().unwrap()
     };
     let in_time = late(0);
@@ -115,7 +161,11 @@ fn gaps_are_bridged_and_nonsense_is_dropped() {
     let mut wild = samples(25, 50, Pace::Live);
     wild.samples[4] = 1e30;
     wild.samples[7] = f64::INFINITY;
-    let foreign = SampleBlock { channels: 3, samples: vec![0.0; 6], ..samples(50, 60, Pace::Live) };
+    let foreign = SampleBlock {
+        channels: 3,
+        samples: vec![0.0; 6],
+        ..samples(50, 60, Pace::Live)
+    };
     let inputs = [
         samples(0, 25, Pace::Live),
         wild,
@@ -130,22 +180,53 @@ fn gaps_are_bridged_and_nonsense_is_dropped() {
     assert_eq!(dropped["samples-of-another-node"], 1);
     assert_eq!(dropped["samples-out-of-order"], 1);
     assert_eq!(dropped["missing-samples"], 10);
-    assert!(sent.iter().flat_map(|message| &message.density.as_ref().unwrap().mean).all(|mean| mean.is_finite()));
+    assert!(
+        sent.iter()
+            .flat_map(|message| &message.density.as_ref().unwrap().mean)
+            .all(|mean| mean.is_finite())
+    );
 }
 
 #[test]
 fn answers_of_no_use_change_nothing() {
     let mut worker = worker();
-    let first = run(&mut worker, [NodeInput::Samples(samples(0, 25, Pace::Live))]);
-    let NodeInput::Feedback(good) = answer(&first[0]) else { unreachable!() };
+    let first = run(
+        &mut worker,
+        [NodeInput::Samples(samples(0, 25, Pace::Live))],
+    );
+    let NodeInput::Feedback(good) = answer(&first[0]) else {
+        unreachable!()
+    };
     let before = worker.filter().filter().parameters();
-    let nan = FeedbackMessage { mean: vec![f64::NAN; 10], ..good.clone() };
-    let other_life = FeedbackMessage { node_epoch: 4, ..good.clone() };
-    let never_sent = FeedbackMessage { answers: 2, ..good.clone() };
-    let short = FeedbackMessage { mean: vec![1.0; 3], covariance: vec![1.0; 3], ..good.clone() };
-    run(&mut worker, [nan, other_life, never_sent, short].map(NodeInput::Feedback));
+    let nan = FeedbackMessage {
+        mean: vec![f64::NAN; 10],
+        ..good.clone()
+    };
+    let other_life = FeedbackMessage {
+        node_epoch: 4,
+        ..good.clone()
+    };
+    let never_sent = FeedbackMessage {
+        answers: 2,
+        ..good.clone()
+    };
+    let short = FeedbackMessage {
+        mean: vec![1.0; 3],
+        covariance: vec![1.0; 3],
+        ..good.clone()
+    };
+    run(
+        &mut worker,
+        [nan, other_life, never_sent, short].map(NodeInput::Feedback),
+    );
     assert_eq!(worker.filter().filter().parameters(), before);
-    assert_eq!((worker.dropped()["useless-feedback"], worker.dropped()["stale-feedback"]), (2, 2));
+    assert_eq!(
+        (
+            worker.dropped()["useless-feedback"],
+            worker.dropped()["stale-feedback"]
+        ),
+        (2, 2)
+    );
     run(&mut worker, [NodeInput::Feedback(good.clone())]);
     assert_ne!(worker.filter().filter().parameters(), before);
     run(&mut worker, [NodeInput::Feedback(good)]);
@@ -161,17 +242,33 @@ fn periods_end_at_whole_seconds_wherever_the_samples_begin() {
         block.header.time_ns += phase_ns;
         let sent = run(&mut worker, [NodeInput::Samples(block)]);
         let first = if from == 25 { 49 } else { 24 };
-        let expected = (first..125).step_by(25).map(|number| number * 40_000_000 + phase_ns);
-        assert_eq!(sent.iter().map(|message| message.header.time_ns).collect::<Vec<_>>(), expected.collect::<Vec<_>>());
+        let expected = (first..125)
+            .step_by(25)
+            .map(|number| number * 40_000_000 + phase_ns);
+        assert_eq!(
+            sent.iter()
+                .map(|message| message.header.time_ns)
+                .collect::<Vec<_>>(),
+            expected.collect::<Vec<_>>()
+        );
         // also what was learnt in a part of a period counts, since the prior that nodes share
-        let prior = NodeLineage { own: 0, answers: Vec::new() };
-        assert!(sent.iter().all(|message| message.density.as_ref().unwrap().lineage.as_ref() == Some(&prior)));
+        let prior = NodeLineage {
+            own: 0,
+            answers: Vec::new(),
+        };
+        assert!(
+            sent.iter()
+                .all(|message| message.density.as_ref().unwrap().lineage.as_ref() == Some(&prior))
+        );
     }
 }
 
 #[test]
 fn periods_stay_in_step_while_the_clock_of_the_samples_drifts() {
-    for (drift_ns, reason) in [(4_000_000, "missing-samples"), (-4_000_000, "samples-out-of-step")] {
+    for (drift_ns, reason) in [
+        (4_000_000, "missing-samples"),
+        (-4_000_000, "samples-out-of-step"),
+    ] {
         let mut worker = worker();
         let mut sent = Vec::new();
         for block in 0..40 {
@@ -180,10 +277,18 @@ fn periods_stay_in_step_while_the_clock_of_the_samples_drifts() {
             sent.extend(run(&mut worker, [NodeInput::Samples(part)]));
         }
         // 160 ms in all: four samples
-        assert!((3..=4).contains(&worker.dropped()[reason]), "{:?}", worker.dropped());
+        assert!(
+            (3..=4).contains(&worker.dropped()[reason]),
+            "{:?}",
+            worker.dropped()
+        );
         for message in &sent {
             let off_ns = (message.header.time_ns - 960_000_000).rem_euclid(1_000_000_000);
-            assert!(off_ns.min(1_000_000_000 - off_ns) <= 32_000_000, "{}", message.header.time_ns);
+            assert!(
+                off_ns.min(1_000_000_000 - off_ns) <= 32_000_000,
+                "{}",
+                message.header.time_ns
+            );
         }
         assert!(sent.len() >= 7);
     }
@@ -196,12 +301,22 @@ fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
     again.header.epoch = 2;
     let inputs = [samples(0, 60, Pace::Live), again].map(NodeInput::Samples);
     let sent = run(&mut worker, inputs);
-    let ends: Vec<i64> = sent.iter().map(|message| message.header.time_ns / 40_000_000).collect();
+    let ends: Vec<i64> = sent
+        .iter()
+        .map(|message| message.header.time_ns / 40_000_000)
+        .collect();
     assert_eq!(ends, [24, 49, 74, 99, 124, 149]);
     let indices: Vec<u64> = sent.iter().map(|message| message.header.sequence).collect();
     assert_eq!(indices, [1, 2, 3, 4, 5, 6]);
-    let named: Vec<bool> = sent.iter().map(|message| message.density.as_ref().unwrap().lineage.is_some()).collect();
-    assert_eq!(named, [true, true, false, false, false, false], "nothing faded while the sensor was away");
+    let named: Vec<bool> = sent
+        .iter()
+        .map(|message| message.density.as_ref().unwrap().lineage.is_some())
+        .collect();
+    assert_eq!(
+        named,
+        [true, true, false, false, false, false],
+        "nothing faded while the sensor was away"
+    );
     run(&mut worker, [answer(&sent[5])]);
     let next = run(
         &mut worker,
@@ -212,7 +327,13 @@ fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
         }],
     );
     let lineage = next[0].density.as_ref().unwrap().lineage.clone();
-    assert_eq!(lineage, Some(NodeLineage { own: 6, answers: vec![6] }));
+    assert_eq!(
+        lineage,
+        Some(NodeLineage {
+            own: 6,
+            answers: vec![6]
+        })
+    );
 }
 
 /// Broke: variances alone were asked for, and the whole triangle was sent.
@@ -220,9 +341,14 @@ fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
 fn variances_alone_are_sent_where_the_file_asks_for_no_more() {
     let asks = "[fusion]\ncovariance = \"variances\"";
     assert_eq!(FILE.matches("[fusion]").count(), 1);
-    let structure = Structure::parse(&FILE.replace("[fusion]", asks), Path::new("building.toml")).unwrap();
+    let structure =
+        Structure::parse(&FILE.replace("[fusion]", asks), Path::new("building.toml")).unwrap();
     let mut worker = NodeIdentification::new(&structure, 3, 5).unwrap();
-    let block = SampleBlock { sampling_rate_hz: 250.0, samples: vec![0.0; 500], ..samples(0, 0, Pace::Live) };
+    let block = SampleBlock {
+        sampling_rate_hz: 250.0,
+        samples: vec![0.0; 500],
+        ..samples(0, 0, Pace::Live)
+    };
     let sent = run(&mut worker, [NodeInput::Samples(block)]);
     assert_eq!(sent[0].density.as_ref().unwrap().covariance.len(), 10);
     assert!(spandrel_bus::Message::check(&sent[0]).is_ok());
@@ -234,7 +360,10 @@ fn screening_worker() -> NodeIdentification {
         .replace("sampling-rate-hz = 250", "sampling-rate-hz = 25")
         .replace("motion = \"samples\"", "motion = \"none\"")
         .replace("samples-per-period = 50", "")
-        .replace("[fusion]", "[outliers]\ntraining-s = 2\nwindow-s = 40\n\n[fusion]");
+        .replace(
+            "[fusion]",
+            "[outliers]\ntraining-s = 2\nwindow-s = 40\n\n[fusion]",
+        );
     let structure = Structure::parse(&text, Path::new("building.toml")).unwrap();
     NodeIdentification::new(&structure, 3, 5).unwrap()
 }
@@ -247,15 +376,29 @@ fn rejected_samples_of_a_node_are_told_by_channel_with_its_messages() {
     // sample 500 of the second channel is a spike
     block.samples[2 * 500 + 1] = 100.0;
     let sent = run(&mut worker, [NodeInput::Samples(block)]);
-    assert!(sent.iter().all(|message| message.screening.len() == 2 && message.samples == 25));
+    assert!(
+        sent.iter()
+            .all(|message| message.screening.len() == 2 && message.samples == 25)
+    );
     let rejected = |period: usize, channel: usize| sent[period].screening[channel].rejected;
-    assert_eq!(rejected(20, 1), rejected(19, 1) + 1, "the spike is in the period from 500 on");
+    assert_eq!(
+        rejected(20, 1),
+        rejected(19, 1) + 1,
+        "the spike is in the period from 500 on"
+    );
     assert_eq!(rejected(20, 0), rejected(19, 0));
     let at_ns = 500 * 40_000_000;
-    let span = MaskedSpan { from_ns: at_ns, to_ns: at_ns, samples: 1 };
+    let span = MaskedSpan {
+        from_ns: at_ns,
+        to_ns: at_ns,
+        samples: 1,
+    };
     assert_eq!(sent[20].screening[1].masked, Some(span));
     assert_eq!(sent[21].screening[1].masked, None, "it is told once");
-    assert!(sent.iter().all(|message| spandrel_bus::Message::check(message).is_ok()));
+    assert!(
+        sent.iter()
+            .all(|message| spandrel_bus::Message::check(message).is_ok())
+    );
     let trained = |period: usize| sent[period].screening[1].state == ChannelState::Screening;
     assert!(!trained(0) && trained(20));
 }
@@ -266,36 +409,81 @@ fn a_message_says_that_it_is_of_no_samples() {
     let mut block = samples(0, 100, Pace::Live);
     block.samples[2 * 25..2 * 75].fill(f64::NAN);
     let sent = run(&mut worker, [NodeInput::Samples(block)]);
-    assert_eq!(sent.iter().map(|message| message.samples).collect::<Vec<_>>(), [25, 0, 0, 25]);
+    assert_eq!(
+        sent.iter()
+            .map(|message| message.samples)
+            .collect::<Vec<_>>(),
+        [25, 0, 0, 25]
+    );
     // and so it does of a gap between blocks
-    let sent = run(&mut worker, [NodeInput::Samples(samples(150, 175, Pace::Live))]);
-    assert_eq!(sent.iter().map(|message| message.samples).collect::<Vec<_>>(), [0, 0, 25]);
+    let sent = run(
+        &mut worker,
+        [NodeInput::Samples(samples(150, 175, Pace::Live))],
+    );
+    assert_eq!(
+        sent.iter()
+            .map(|message| message.samples)
+            .collect::<Vec<_>>(),
+        [0, 0, 25]
+    );
 }
 
 /// A new life of a worker, from what was written of the one before.
 fn next_life(before: &NodeIdentification, mut worker: NodeIdentification) -> NodeIdentification {
     let bytes = postcard::to_stdvec(&before.state()).unwrap();
-    worker.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+    worker
+        .restore(postcard::from_bytes(&bytes).unwrap())
+        .unwrap();
     worker
 }
 
 #[test]
 fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known() {
     let mut undisturbed = worker();
-    let first = run(&mut undisturbed, [NodeInput::Samples(samples(0, 40, Pace::Live))]);
-    run(&mut undisturbed, [answer(&first[0]), NodeInput::Samples(samples(40, 60, Pace::Live))]);
+    let first = run(
+        &mut undisturbed,
+        [NodeInput::Samples(samples(0, 40, Pace::Live))],
+    );
+    run(
+        &mut undisturbed,
+        [
+            answer(&first[0]),
+            NodeInput::Samples(samples(40, 60, Pace::Live)),
+        ],
+    );
     assert_eq!(undisturbed.position(), Some((1, 60)));
     let mut again = next_life(&undisturbed, worker());
     assert_eq!((again.position(), again.epoch()), (Some((1, 60)), 6));
-    let past =
-        run(&mut again, [NodeInput::Past(samples(60, 80, Pace::Live)), NodeInput::Past(samples(80, 110, Pace::Live))]);
-    assert_eq!(past, [], "the station may have heard of it by the life before");
-    let expected = run(&mut undisturbed, [NodeInput::Samples(samples(60, 150, Pace::Live))]);
-    let told = run(&mut again, [NodeInput::Samples(samples(110, 150, Pace::Live))]);
-    let of =
-        |message: &LocalMessage| (message.header.sequence, message.header.time_ns, message.density.clone().unwrap());
+    let past = run(
+        &mut again,
+        [
+            NodeInput::Past(samples(60, 80, Pace::Live)),
+            NodeInput::Past(samples(80, 110, Pace::Live)),
+        ],
+    );
+    assert_eq!(
+        past,
+        [],
+        "the station may have heard of it by the life before"
+    );
+    let expected = run(
+        &mut undisturbed,
+        [NodeInput::Samples(samples(60, 150, Pace::Live))],
+    );
+    let told = run(
+        &mut again,
+        [NodeInput::Samples(samples(110, 150, Pace::Live))],
+    );
+    let of = |message: &LocalMessage| {
+        (
+            message.header.sequence,
+            message.header.time_ns,
+            message.density.clone().unwrap(),
+        )
+    };
     for (expected, told) in expected[2..].iter().zip(&told) {
-        let ((sequence, time_ns, expected), (told_sequence, told_ns, told)) = (of(expected), of(told));
+        let ((sequence, time_ns, expected), (told_sequence, told_ns, told)) =
+            (of(expected), of(told));
         assert_eq!((told_sequence, told_ns), (sequence, time_ns));
         assert_eq!(
             (told.mean, told.covariance),
@@ -303,13 +491,33 @@ fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known()
             "message {sequence}, to the bit"
         );
         // a name that the station has only heard of in the life before
-        assert_eq!(told.lineage, Some(NodeLineage { own: 1, answers: Vec::new() }));
+        assert_eq!(
+            told.lineage,
+            Some(NodeLineage {
+                own: 1,
+                answers: Vec::new()
+            })
+        );
     }
-    assert_eq!(told.iter().map(|message| message.header.sequence).collect::<Vec<_>>(), [5, 6]);
+    assert_eq!(
+        told.iter()
+            .map(|message| message.header.sequence)
+            .collect::<Vec<_>>(),
+        [5, 6]
+    );
     // and after an answer it tells what it learns from then on
     run(&mut again, [answer(&told[1])]);
-    let next = run(&mut again, [NodeInput::Samples(samples(150, 175, Pace::Live))]);
-    assert_eq!(next[0].density.as_ref().unwrap().lineage, Some(NodeLineage { own: 6, answers: vec![6] }));
+    let next = run(
+        &mut again,
+        [NodeInput::Samples(samples(150, 175, Pace::Live))],
+    );
+    assert_eq!(
+        next[0].density.as_ref().unwrap().lineage,
+        Some(NodeLineage {
+            own: 6,
+            answers: vec![6]
+        })
+    );
 }
 
 #[test]
@@ -317,21 +525,43 @@ fn what_a_worker_has_missed_for_good_is_a_gap() {
     let mut first = worker();
     run(&mut first, [NodeInput::Samples(samples(0, 60, Pace::Live))]);
     let mut second = next_life(&first, worker());
-    let told = run(&mut second, [NodeInput::Samples(samples(80, 100, Pace::Live))]);
+    let told = run(
+        &mut second,
+        [NodeInput::Samples(samples(80, 100, Pace::Live))],
+    );
     assert_eq!(second.dropped()["missing-samples"], 20);
-    let ends: Vec<i64> = told.iter().map(|message| message.header.time_ns / 40_000_000).collect();
+    let ends: Vec<i64> = told
+        .iter()
+        .map(|message| message.header.time_ns / 40_000_000)
+        .collect();
     assert_eq!(ends, [74, 99], "its periods end where they did");
-    assert!(told.iter().all(|message| message.density.as_ref().unwrap().lineage.is_none()), "it was never answered");
+    assert!(
+        told.iter()
+            .all(|message| message.density.as_ref().unwrap().lineage.is_none()),
+        "it was never answered"
+    );
 }
 
 #[test]
 fn the_past_waits_for_no_answer() {
     let mut first = worker();
-    run(&mut first, [NodeInput::Samples(samples(0, 20, Pace::Replayed))]);
+    run(
+        &mut first,
+        [NodeInput::Samples(samples(0, 20, Pace::Replayed))],
+    );
     let mut second = next_life(&first, worker());
-    assert_eq!(run(&mut second, [NodeInput::Past(samples(20, 110, Pace::Replayed))]), []);
+    assert_eq!(
+        run(
+            &mut second,
+            [NodeInput::Past(samples(20, 110, Pace::Replayed))]
+        ),
+        []
+    );
     assert_eq!((second.awaits(), second.position()), (None, Some((1, 110))));
-    let told = run(&mut second, [NodeInput::Samples(samples(110, 130, Pace::Replayed))]);
+    let told = run(
+        &mut second,
+        [NodeInput::Samples(samples(110, 130, Pace::Replayed))],
+    );
     assert_eq!(told.len(), 1);
     assert_eq!(second.awaits(), Some(5));
 }
@@ -347,6 +577,12 @@ fn an_answer_to_the_life_before_is_of_no_use() {
 
 #[test]
 fn a_state_of_other_channels_is_refused() {
-    let error = worker().restore(screening_worker().state()).unwrap_err().to_string();
-    assert!(error.contains("screened channels of a checkpoint"), "{error}");
+    let error = worker()
+        .restore(screening_worker().state())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("screened channels of a checkpoint"),
+        "{error}"
+    );
 }

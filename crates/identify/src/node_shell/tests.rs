@@ -23,9 +23,14 @@ struct Lives {
 
 impl Lives {
     async fn new() -> Self {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
+        let file =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
         let structure = Structure::read(&file).unwrap();
-        let config = BusConfig { root: "lives".into(), listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+        let config = BusConfig {
+            root: "lives".into(),
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..BusConfig::default()
+        };
         let bus = Bus::open(&config).await.unwrap();
         let keys = config.keys(structure.name()).unwrap();
         let node = Name::new(structure.nodes()[0].name()).unwrap();
@@ -40,14 +45,34 @@ impl Lives {
         };
         let samples = bus.publish_numbered(stream).await.unwrap();
         let folder = tempfile::tempdir().unwrap();
-        let remembering = Remembering { folder: folder.path().to_owned(), every: Duration::ZERO };
-        Self { structure, bus, keys, remembering, samples, put: FIRST, _folder: folder }
+        let remembering = Remembering {
+            folder: folder.path().to_owned(),
+            every: Duration::ZERO,
+        };
+        Self {
+            structure,
+            bus,
+            keys,
+            remembering,
+            samples,
+            put: FIRST,
+            _folder: folder,
+        }
     }
 
     async fn begin(&self, epoch: u64, set_aside: &SetAside) -> NodeService {
         let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
         let remembering = Some(&self.remembering);
-        let service = NodeService::start(&self.structure, 0, &self.bus, &self.keys, epoch, pool, remembering).await;
+        let service = NodeService::start(
+            &self.structure,
+            0,
+            &self.bus,
+            &self.keys,
+            epoch,
+            pool,
+            remembering,
+        )
+        .await;
         service.unwrap().without(set_aside.clone())
     }
 
@@ -69,7 +94,11 @@ impl Lives {
     /// Puts a block of a slow swing, live.
     async fn put(&mut self) {
         let node = &self.structure.nodes()[0];
-        let rate_hz = self.structure.of_node(node.name()).unwrap().sampling_rate_hz();
+        let rate_hz = self
+            .structure
+            .of_node(node.name())
+            .unwrap()
+            .sampling_rate_hz();
         let numbers = self.put..self.put + BLOCK;
         let value = |number: u64| 0.001 * (number as f64 * 0.06).sin();
         let block = SampleBlock {
@@ -82,7 +111,9 @@ impl Lives {
             sampling_rate_hz: rate_hz,
             pace: Pace::Live,
             channels: node.channels().len() as u16,
-            samples: numbers.flat_map(|number| vec![value(number); node.channels().len()]).collect(),
+            samples: numbers
+                .flat_map(|number| vec![value(number); node.channels().len()])
+                .collect(),
             state: StreamState::Running,
         };
         self.put += BLOCK;
@@ -91,7 +122,9 @@ impl Lives {
 }
 
 async fn within<T>(what: &str, event: impl Future<Output = T>) -> T {
-    tokio::time::timeout(Duration::from_secs(60), event).await.unwrap_or_else(|_| panic!("waited in vain: {what}"))
+    tokio::time::timeout(Duration::from_secs(60), event)
+        .await
+        .unwrap_or_else(|_| panic!("waited in vain: {what}"))
 }
 
 /// Waits for an estimate that a life of the worker tells of.
@@ -108,7 +141,13 @@ async fn estimate_of(local: &Subscription<LocalMessage>, epoch: u64) {
 async fn kept_in(folder: PathBuf) {
     let is_kept = || {
         std::fs::read_dir(&folder).is_ok_and(|mut entries| {
-            entries.any(|entry| entry.unwrap().path().extension().is_some_and(|extension| extension == "checkpoint"))
+            entries.any(|entry| {
+                entry
+                    .unwrap()
+                    .path()
+                    .extension()
+                    .is_some_and(|extension| extension == "checkpoint")
+            })
         })
     };
     while !is_kept() {
@@ -125,30 +164,70 @@ fn is_lost(ended: &Result<(), IdentifyError>) -> bool {
 async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
     let mut lives = Lives::new().await;
     let node = Name::new(lives.structure.nodes()[0].name()).unwrap();
-    let local = lives.bus.subscribe::<LocalMessage>(lives.keys.local(&node), 1024).await.unwrap();
-    let statuses = lives.bus.subscribe::<Status>(lives.keys.status(Service::Identify, &node), 1024).await.unwrap();
-    let events = lives.bus.subscribe::<Event>(lives.keys.event(), 1024).await.unwrap();
+    let local = lives
+        .bus
+        .subscribe::<LocalMessage>(lives.keys.local(&node), 1024)
+        .await
+        .unwrap();
+    let statuses = lives
+        .bus
+        .subscribe::<Status>(lives.keys.status(Service::Identify, &node), 1024)
+        .await
+        .unwrap();
+    let events = lives
+        .bus
+        .subscribe::<Event>(lives.keys.event(), 1024)
+        .await
+        .unwrap();
     let set_aside = SetAside::default();
 
     let first = tokio::spawn(lives.begin(1, &set_aside).await.run(std::future::pending()));
-    lives.measure_until("an estimate of the first life", estimate_of(&local, 1)).await;
-    lives.measure_until("a checkpoint", kept_in(lives.remembering.folder.join("nodes").join(node.as_str()))).await;
+    lives
+        .measure_until("an estimate of the first life", estimate_of(&local, 1))
+        .await;
+    lives
+        .measure_until(
+            "a checkpoint",
+            kept_in(lives.remembering.folder.join("nodes").join(node.as_str())),
+        )
+        .await;
     let poisoned = lives.put;
     POISONED.store(poisoned + 20, Ordering::Relaxed);
-    let ended = lives.measure_until("the end of the first life", first).await.unwrap();
+    let ended = lives
+        .measure_until("the end of the first life", first)
+        .await
+        .unwrap();
     assert!(is_lost(&ended), "{ended:?}");
-    let expected = format!("samples {poisoned} to {} are set aside: they count as missing", poisoned + BLOCK - 1);
+    let expected = format!(
+        "samples {poisoned} to {} are set aside: they count as missing",
+        poisoned + BLOCK - 1
+    );
     let told = async { while events.messages().recv_async().await.unwrap().1.what != expected {} };
     within(&expected, told).await;
 
     // the same samples come again: who does not know of them dies as well
-    let ignorant = tokio::spawn(lives.begin(2, &SetAside::default()).await.run(std::future::pending()));
-    let ended = lives.measure_until("the end of the second life", ignorant).await.unwrap();
+    let ignorant = tokio::spawn(
+        lives
+            .begin(2, &SetAside::default())
+            .await
+            .run(std::future::pending()),
+    );
+    let ended = lives
+        .measure_until("the end of the second life", ignorant)
+        .await
+        .unwrap();
     assert!(is_lost(&ended), "{ended:?}");
 
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let third = tokio::spawn(lives.begin(3, &set_aside).await.run(async move { drop(stopped.await) }));
-    lives.measure_until("an estimate of the third life", estimate_of(&local, 3)).await;
+    let third = tokio::spawn(
+        lives
+            .begin(3, &set_aside)
+            .await
+            .run(async move { drop(stopped.await) }),
+    );
+    lives
+        .measure_until("an estimate of the third life", estimate_of(&local, 3))
+        .await;
     let status = async {
         loop {
             let (_, status) = statuses.messages().recv_async().await.unwrap();
@@ -160,5 +239,8 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
     let status = within("a status of the third life", status).await;
     assert_eq!(status.drops["samples-set-aside"], BLOCK, "{status:?}");
     drop(stop);
-    within("the end of the third life", third).await.unwrap().unwrap();
+    within("the end of the third life", third)
+        .await
+        .unwrap()
+        .unwrap();
 }

@@ -25,12 +25,20 @@ impl IdentifyService {
         }
         self.put_status().await?;
         let (kind, what) = match self.load.load() {
-            Load::DisplayShed => (EventKind::Overloaded, "values for people are put at a tenth of their rate"),
+            Load::DisplayShed => (
+                EventKind::Overloaded,
+                "values for people are put at a tenth of their rate",
+            ),
             Load::Normal => (EventKind::CaughtUp, "values for people are put as ever"),
             Load::Behind | Load::CatchingUp => return Ok(true),
         };
         if matches!(self.seat, Seat::Leading(_)) {
-            self.tell(kind, what.to_owned(), format!("identification is {behind} frames behind ingest")).await?;
+            self.tell(
+                kind,
+                what.to_owned(),
+                format!("identification is {behind} frames behind ingest"),
+            )
+            .await?;
         }
         Ok(true)
     }

@@ -6,8 +6,8 @@ use crate::identification::Identification;
 use crate::memory::{Memory, identity};
 use crate::seat::{Held, Leading, Seat, StandingBy, next_term};
 use spandrel_bus::{
-    Claim, Description, EncodeError, EventKind, Forget, Header, Keep, MAX_MESSAGE_BYTES, Message as _, NumberedStream,
-    Question, Service, StateMessage, StreamState,
+    Claim, Description, EncodeError, EventKind, Forget, Header, Keep, MAX_MESSAGE_BYTES,
+    Message as _, NumberedStream, Question, Service, StateMessage, StreamState,
 };
 use spandrel_structure::Structure;
 use std::time::Duration;
@@ -22,8 +22,14 @@ pub const ESTIMATES_KEPT: u64 = 32_768;
 /// what it needs no more stays for other readers, whose links may fail for a while.
 const KEEP: Keep = Keep {
     last: ESTIMATES_KEPT,
-    needed: Some(Forget { at_least: 8_192, after: Duration::from_secs(30) }),
-    released: Some(Forget { at_least: 1_024, after: Duration::from_secs(15) }),
+    needed: Some(Forget {
+        at_least: 8_192,
+        after: Duration::from_secs(30),
+    }),
+    released: Some(Forget {
+        at_least: 1_024,
+        after: Duration::from_secs(15),
+    }),
 };
 
 /// Questions for the state that wait; one more is not heard, and asked again.
@@ -37,17 +43,33 @@ const ASLEEP: Duration = Duration::from_millis(1500);
 
 /// Refuses a structure whose state does not fit one message: nobody could ever take it over, and who stands by would be told so only
 /// by the log.
-pub(super) fn check_size(structure: &Structure, core: &Identification) -> Result<(), IdentifyError> {
+pub(super) fn check_size(
+    structure: &Structure,
+    core: &Identification,
+) -> Result<(), IdentifyError> {
     check_size_of(structure.name(), identity(structure).seal(&core.state())?)
 }
 
 fn check_size_of(structure: &str, checkpoint: Vec<u8>) -> Result<(), IdentifyError> {
     // as large as numbers get
-    let header = Header { source: structure.to_owned(), epoch: u64::MAX, sequence: u64::MAX, time_ns: i64::MIN };
-    match (StateMessage { header, term: u64::MAX, checkpoint }).encode() {
-        Err(EncodeError::TooLarge { bytes }) => {
-            Err(IdentifyError::StateTooLarge { structure: structure.to_owned(), bytes, most: MAX_MESSAGE_BYTES })
-        }
+    let header = Header {
+        source: structure.to_owned(),
+        epoch: u64::MAX,
+        sequence: u64::MAX,
+        time_ns: i64::MIN,
+    };
+    match (StateMessage {
+        header,
+        term: u64::MAX,
+        checkpoint,
+    })
+    .encode()
+    {
+        Err(EncodeError::TooLarge { bytes }) => Err(IdentifyError::StateTooLarge {
+            structure: structure.to_owned(),
+            bytes,
+            most: MAX_MESSAGE_BYTES,
+        }),
         _ => Ok(()),
     }
 }
@@ -66,9 +88,13 @@ impl IdentifyService {
         let leader = self.claims.leading();
         self.hear(leader.as_ref());
         match (&self.seat, leader) {
-            (Seat::Leading(own), Some(leader)) if leader > own.claim => self.step_back(leader).await,
+            (Seat::Leading(own), Some(leader)) if leader > own.claim => {
+                self.step_back(leader).await
+            }
             (Seat::Leading(_), _) => Ok(()),
-            (Seat::StandingBy(own), Some(leader)) if own.in_step_with.as_ref() == Some(&leader) => Ok(()),
+            (Seat::StandingBy(own), Some(leader)) if own.in_step_with.as_ref() == Some(&leader) => {
+                Ok(())
+            }
             (Seat::Joining | Seat::StandingBy(_), Some(leader)) => self.join(&leader).await,
             (Seat::StandingBy(_), None) => self.take_over().await,
             (Seat::Joining, None) => {
@@ -143,11 +169,16 @@ impl IdentifyService {
             keep: KEEP,
         };
         let estimates = self.bus.stand_by_numbered(stream).await?;
-        self.frames = Some(follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?);
+        self.frames =
+            Some(follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?);
         self.epoch = epoch;
         self.last_time_ns = core.last_time_ns();
         self.core = Some(core);
-        self.seat = Seat::StandingBy(StandingBy { estimates, held: Held::default(), in_step_with });
+        self.seat = Seat::StandingBy(StandingBy {
+            estimates,
+            held: Held::default(),
+            in_step_with,
+        });
         Ok(())
     }
 
@@ -176,7 +207,10 @@ impl IdentifyService {
         if !matches!(self.seat, Seat::StandingBy(_)) {
             return Ok(());
         }
-        let (remembered, former) = (self.memory.as_ref().map_or(0, Memory::last_term), self.heard);
+        let (remembered, former) = (
+            self.memory.as_ref().map_or(0, Memory::last_term),
+            self.heard,
+        );
         let term = next_term(now_ns(), self.heard, remembered);
         if let Some(memory) = &self.memory {
             memory.keep_term(term);
@@ -189,12 +223,24 @@ impl IdentifyService {
             return Ok(token.withdraw().await?);
         }
         let description = self.bus.publish_latest(self.keys.description()).await?;
-        let (structure, text) = (self.keys.structure().clone(), self.structure.text().to_owned());
+        let (structure, text) = (
+            self.keys.structure().clone(),
+            self.structure.text().to_owned(),
+        );
         description.put(&Description { structure, text }).await?;
-        let progress = self.bus.publish_progress(self.keys.progress(Service::Identify), self.id.to_string()).await?;
-        let questions = self.bus.questions(self.keys.state(), QUESTIONS_WAITING).await?;
-        let Seat::StandingBy(StandingBy { estimates, mut held, in_step_with }) =
-            std::mem::replace(&mut self.seat, Seat::Joining)
+        let progress = self
+            .bus
+            .publish_progress(self.keys.progress(Service::Identify), self.id.to_string())
+            .await?;
+        let questions = self
+            .bus
+            .questions(self.keys.state(), QUESTIONS_WAITING)
+            .await?;
+        let Seat::StandingBy(StandingBy {
+            estimates,
+            mut held,
+            in_step_with,
+        }) = std::mem::replace(&mut self.seat, Seat::Joining)
         else {
             return Ok(()); // it was
         };
@@ -202,7 +248,10 @@ impl IdentifyService {
         let led = self.led.latest();
         let position = self.core.as_ref().and_then(Identification::position);
         if let Some((epoch, _)) = position {
-            let done = led.as_ref().filter(|led| led.header.epoch == epoch).map_or(0, |led| led.done);
+            let done = led
+                .as_ref()
+                .filter(|led| led.header.epoch == epoch)
+                .map_or(0, |led| led.done);
             estimates.put_again(epoch, done).await?;
         }
         if let Some((epoch, done)) = position {
@@ -218,7 +267,14 @@ impl IdentifyService {
         self.awake = Instant::now();
         let what = format!("identification is led by {claim} from now on");
         info!(structure = self.keys.structure().as_str(), %claim, why, frame = position.map(|(_, done)| done), "leads");
-        self.seat = Seat::Leading(Leading { claim, token, estimates, progress, questions, _description: description });
+        self.seat = Seat::Leading(Leading {
+            claim,
+            token,
+            estimates,
+            progress,
+            questions,
+            _description: description,
+        });
         if in_step_with.is_some() {
             let why = format!("the one that led in term {former} is gone");
             self.tell(EventKind::Takeover, what, why).await?;
@@ -238,7 +294,9 @@ impl IdentifyService {
     pub(super) async fn has_kept_the_lead(&mut self) -> Result<bool, IdentifyError> {
         let slept = self.awake.elapsed() > ASLEEP;
         self.awake = Instant::now();
-        let Seat::Leading(own) = &self.seat else { return Ok(true) };
+        let Seat::Leading(own) = &self.seat else {
+            return Ok(true);
+        };
         if !slept {
             return Ok(true);
         }
@@ -253,18 +311,40 @@ impl IdentifyService {
 
     /// Gives the state to one that wants to stand by.
     pub(super) fn answer(&self, question: Question) {
-        let (Seat::Leading(leading), Some(core)) = (&self.seat, &self.core) else { return };
+        let (Seat::Leading(leading), Some(core)) = (&self.seat, &self.core) else {
+            return;
+        };
         let (epoch, sequence) = core.position().unwrap_or((0, 0));
         let time_ns = self.last_time_ns.unwrap_or(0);
-        let header = Header { source: self.id.to_string(), epoch, sequence, time_ns };
-        let (state, identity, key, term) =
-            (core.state(), identity(&self.structure), self.keys.state(), leading.claim.term());
+        let header = Header {
+            source: self.id.to_string(),
+            epoch,
+            sequence,
+            time_ns,
+        };
+        let (state, identity, key, term) = (
+            core.state(),
+            identity(&self.structure),
+            self.keys.state(),
+            leading.claim.term(),
+        );
         // Megabytes over a slow link: not on a thread of the runtime, and nobody waits for it.
         spawn_blocking(move || {
             let sealed = identity.seal(&state).map_err(|error| error.to_string());
             let answered = async {
                 match sealed {
-                    Ok(checkpoint) => question.answer(&key, &StateMessage { header, term, checkpoint }).await,
+                    Ok(checkpoint) => {
+                        question
+                            .answer(
+                                &key,
+                                &StateMessage {
+                                    header,
+                                    term,
+                                    checkpoint,
+                                },
+                            )
+                            .await
+                    }
                     Err(why) => {
                         question.refuse(&why).await;
                         Ok(())
@@ -285,7 +365,12 @@ mod tests {
     #[test]
     fn a_state_that_fits_no_message_is_told_with_its_size() {
         assert!(check_size_of("tower", vec![0; MAX_MESSAGE_BYTES / 2]).is_ok());
-        let refused = check_size_of("tower", vec![0; MAX_MESSAGE_BYTES]).unwrap_err().to_string();
-        assert!(refused.contains("tower") && refused.contains("at most 8388608"), "{refused}");
+        let refused = check_size_of("tower", vec![0; MAX_MESSAGE_BYTES])
+            .unwrap_err()
+            .to_string();
+        assert!(
+            refused.contains("tower") && refused.contains("at most 8388608"),
+            "{refused}"
+        );
     }
 }

@@ -12,21 +12,35 @@ const FRAMES: u64 = 600;
 const BLOCK: u64 = 40;
 
 fn structure() -> Structure {
-    Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")).unwrap()
+    Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"))
+        .unwrap()
 }
 
 fn blocks() -> Vec<FrameBlock> {
     let structure = structure();
-    let rows: Vec<Vec<f64>> = structure.simulator(5).take(FRAMES as usize).map(|frame| frame.values).collect();
+    let rows: Vec<Vec<f64>> = structure
+        .simulator(5)
+        .take(FRAMES as usize)
+        .map(|frame| frame.values)
+        .collect();
     let block = |(number, rows): (u64, &[Vec<f64>])| {
         let sequence = FIRST + number * BLOCK;
         FrameBlock {
-            header: Header { source: "ingest".into(), epoch: 7, sequence, time_ns: sequence as i64 * 10_000_000 },
+            header: Header {
+                source: "ingest".into(),
+                epoch: 7,
+                sequence,
+                time_ns: sequence as i64 * 10_000_000,
+            },
             t0_ns: 0,
             sampling_rate_hz: 100.0,
             channels: structure.channel_count() as u16,
             values: rows.concat(),
-            state: if (number + 1) * BLOCK >= FRAMES { StreamState::Ended } else { StreamState::Running },
+            state: if (number + 1) * BLOCK >= FRAMES {
+                StreamState::Ended
+            } else {
+                StreamState::Running
+            },
         }
     };
     (0..).zip(rows.chunks(BLOCK as usize)).map(block).collect()
@@ -38,8 +52,16 @@ fn without_the_frame() -> Vec<String> {
     let mut outputs = Vec::new();
     for block in blocks() {
         let (mut before, mut after) = (block.clone(), block.clone());
-        before.truncate(POISON.saturating_sub(block.header.sequence).min(block.count()));
-        after.skip((POISON + 1).saturating_sub(block.header.sequence).min(block.count()));
+        before.truncate(
+            POISON
+                .saturating_sub(block.header.sequence)
+                .min(block.count()),
+        );
+        after.skip(
+            (POISON + 1)
+                .saturating_sub(block.header.sequence)
+                .min(block.count()),
+        );
         let holds_it = (block.header.sequence..block.end()).contains(&POISON);
         match holds_it {
             false => core.handle(Input::Frames(block), &mut outputs),
@@ -54,12 +76,21 @@ fn without_the_frame() -> Vec<String> {
         Output::Estimates(block) => Some(block.estimates),
         _ => None,
     });
-    estimates.flatten().map(|estimate| format!("{estimate:?}")).collect()
+    estimates
+        .flatten()
+        .map(|estimate| format!("{estimate:?}"))
+        .collect()
 }
 
 /// Runs the service on frames of which one makes it panic, and returns what a reader of its estimates gets.
-async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (Vec<(u64, String)>, u64) {
-    let config = BusConfig { root: "poison".into(), listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+async fn estimates_of_a_service_that_dies(
+    remembering: Option<Remembering>,
+) -> (Vec<(u64, String)>, u64) {
+    let config = BusConfig {
+        root: "poison".into(),
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::default()
+    };
     let bus = Bus::open(&config).await.unwrap();
     let keys = config.keys("demo").unwrap();
     let stream = NumberedStream {
@@ -74,12 +105,23 @@ async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (
     let frames = bus.publish_numbered::<FrameBlock>(stream).await.unwrap();
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let id = Name::new("identify").unwrap();
-    let service =
-        IdentifyService::start(&structure(), &bus, keys.clone(), id, pool, remembering.as_ref(), Precedence::Leads)
-            .await
-            .unwrap();
+    let service = IdentifyService::start(
+        &structure(),
+        &bus,
+        keys.clone(),
+        id,
+        pool,
+        remembering.as_ref(),
+        Precedence::Leads,
+    )
+    .await
+    .unwrap();
     let estimates = bus
-        .follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), bus.reading(Start::Beginning))
+        .follow::<EstimateBlock>(
+            keys.estimates(),
+            keys.estimates_buffer(),
+            bus.reading(Start::Beginning),
+        )
         .await
         .unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
@@ -90,20 +132,40 @@ async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (
     }
     let mut found = Vec::new();
     loop {
-        let delivery = tokio::time::timeout(Duration::from_secs(30), estimates.deliveries().recv_async()).await;
-        let Delivery::Block(block) = delivery.unwrap().unwrap() else { continue };
-        found.extend(block.iter().map(|(number, estimate)| (number, format!("{estimate:?}"))));
+        let delivery =
+            tokio::time::timeout(Duration::from_secs(30), estimates.deliveries().recv_async())
+                .await;
+        let Delivery::Block(block) = delivery.unwrap().unwrap() else {
+            continue;
+        };
+        found.extend(
+            block
+                .iter()
+                .map(|(number, estimate)| (number, format!("{estimate:?}"))),
+        );
         if block.state == StreamState::Ended {
             break;
         }
     }
-    let status =
-        bus.subscribe::<Status>(keys.status(Service::Identify, &Name::new("identify").unwrap()), 8).await.unwrap();
-    let (_, status) =
-        tokio::time::timeout(Duration::from_secs(10), status.messages().recv_async()).await.unwrap().unwrap();
+    let status = bus
+        .subscribe::<Status>(
+            keys.status(Service::Identify, &Name::new("identify").unwrap()),
+            8,
+        )
+        .await
+        .unwrap();
+    let (_, status) = tokio::time::timeout(Duration::from_secs(10), status.messages().recv_async())
+        .await
+        .unwrap()
+        .unwrap();
     drop(stop);
     running.await.unwrap().unwrap();
-    assert_eq!(status.drops.get("frames-set-aside"), Some(&1), "{:?}", status.drops);
+    assert_eq!(
+        status.drops.get("frames-set-aside"),
+        Some(&1),
+        "{:?}",
+        status.drops
+    );
     (found, status.restarts)
 }
 
@@ -111,14 +173,20 @@ async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (
 async fn a_frame_that_kills_the_identification_twice_is_set_aside_and_nothing_else_changes() {
     POISONED.store(POISON, Ordering::Relaxed);
     let folder = tempfile::tempdir().unwrap();
-    let remembering = Remembering { folder: folder.path().to_owned(), every: Duration::from_millis(50) };
+    let remembering = Remembering {
+        folder: folder.path().to_owned(),
+        every: Duration::from_millis(50),
+    };
     for remembering in [Some(remembering), None] {
         let (found, restarts) = estimates_of_a_service_that_dies(remembering).await;
         assert_eq!(restarts, 2);
         let numbers: Vec<u64> = found.iter().map(|(number, _)| *number).collect();
         assert_eq!(numbers, (FIRST..FIRST + FRAMES).collect::<Vec<_>>());
         let expected = without_the_frame();
-        let differs = found.iter().zip(&expected).position(|((_, found), expected)| found != expected);
+        let differs = found
+            .iter()
+            .zip(&expected)
+            .position(|((_, found), expected)| found != expected);
         assert_eq!(differs, None, "first estimate that differs");
     }
 }

@@ -23,7 +23,12 @@ fn alignment(channels: &[usize]) -> Alignment {
 
 fn block(node: usize, time_ns: i64, values: &[f64]) -> SampleBlock {
     SampleBlock {
-        header: Header { source: format!("node-{node}"), epoch: 1, sequence: 0, time_ns },
+        header: Header {
+            source: format!("node-{node}"),
+            epoch: 1,
+            sequence: 0,
+            time_ns,
+        },
         sampling_rate_hz: 100.0,
         pace: Pace::Live,
         channels: 1,
@@ -33,7 +38,10 @@ fn block(node: usize, time_ns: i64, values: &[f64]) -> SampleBlock {
 }
 
 fn ended(node: usize, time_ns: i64, values: &[f64]) -> SampleBlock {
-    SampleBlock { state: StreamState::Ended, ..block(node, time_ns, values) }
+    SampleBlock {
+        state: StreamState::Ended,
+        ..block(node, time_ns, values)
+    }
 }
 
 fn feed(alignment: &mut Alignment, blocks: Vec<(usize, SampleBlock)>) -> Vec<FrameBlock> {
@@ -77,7 +85,13 @@ fn a_frame_waits_for_every_node() {
 #[test]
 fn time_zero_is_the_earliest_first_sample_whoever_comes_first() {
     let mut alignment = alignment(&[1, 1]);
-    let out = feed(&mut alignment, vec![(0, block(0, T0 + 2 * STEP, &[3.0])), (1, block(1, T0, &[1.0, 2.0, 3.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![
+            (0, block(0, T0 + 2 * STEP, &[3.0])),
+            (1, block(1, T0, &[1.0, 2.0, 3.0])),
+        ],
+    );
     assert_eq!(values(&out), [-1.0, 1.0, -1.0, 2.0, 3.0, 3.0]);
     assert_eq!(out[0].t0_ns, T0);
 }
@@ -86,7 +100,10 @@ fn time_zero_is_the_earliest_first_sample_whoever_comes_first() {
 fn a_sample_goes_to_the_nearest_frame_and_is_not_interpolated() {
     let mut alignment = alignment(&[1, 1]);
     let shifted = block(1, T0 + 4 * STEP / 10, &[10.0, 20.0, 30.0]);
-    let out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0, 2.0, 3.0])), (1, shifted)]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[1.0, 2.0, 3.0])), (1, shifted)],
+    );
     assert_eq!(values(&out), [1.0, 10.0, 2.0, 20.0, 3.0, 30.0]);
 }
 
@@ -95,7 +112,11 @@ fn a_gap_of_a_node_is_missing_once_it_has_delivered_something_later() {
     let mut alignment = alignment(&[1, 1]);
     let out = feed(
         &mut alignment,
-        vec![(0, block(0, T0, &[1.0, 2.0, 3.0])), (1, block(1, T0, &[10.0])), (1, block(1, T0 + 2 * STEP, &[30.0]))],
+        vec![
+            (0, block(0, T0, &[1.0, 2.0, 3.0])),
+            (1, block(1, T0, &[10.0])),
+            (1, block(1, T0 + 2 * STEP, &[30.0])),
+        ],
     );
     assert_eq!(values(&out), [1.0, 10.0, 2.0, -1.0, 3.0, 30.0]);
     assert_eq!(alignment.counts().missing, 1);
@@ -104,17 +125,26 @@ fn a_gap_of_a_node_is_missing_once_it_has_delivered_something_later() {
 #[test]
 fn an_ended_node_is_not_waited_for() {
     let mut alignment = alignment(&[1, 1]);
-    let out = feed(&mut alignment, vec![(0, ended(0, T0, &[1.0])), (1, block(1, T0, &[10.0, 20.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, ended(0, T0, &[1.0])), (1, block(1, T0, &[10.0, 20.0]))],
+    );
     assert_eq!(values(&out), [1.0, 10.0, -1.0, 20.0]);
 }
 
 #[test]
 fn a_lost_node_is_not_waited_for_and_is_taken_back() {
     let mut alignment = alignment(&[1, 1]);
-    let mut out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0, 20.0]))]);
+    let mut out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0, 20.0]))],
+    );
     alignment.handle(Input::Lost { node: 0 }, &mut out);
     assert_eq!(values(&out), [1.0, 10.0, -1.0, 20.0]);
-    let back = vec![(0, block(0, T0 + 2 * STEP, &[3.0])), (1, block(1, T0 + 2 * STEP, &[30.0]))];
+    let back = vec![
+        (0, block(0, T0 + 2 * STEP, &[3.0])),
+        (1, block(1, T0 + 2 * STEP, &[30.0])),
+    ];
     // Taken back: the frame of the first sample after the loss may already be closed for node 1 alone.
     assert_eq!(values(&feed(&mut alignment, back)), [3.0, 30.0]);
 }
@@ -122,7 +152,10 @@ fn a_lost_node_is_not_waited_for_and_is_taken_back() {
 #[test]
 fn the_end_of_all_nodes_is_the_end_of_the_frames() {
     let mut alignment = alignment(&[1, 1]);
-    let out = feed(&mut alignment, vec![(0, ended(0, T0, &[1.0])), (1, ended(1, T0, &[10.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, ended(0, T0, &[1.0])), (1, ended(1, T0, &[10.0]))],
+    );
     assert_eq!(out.len(), 1);
     assert_eq!(out[0].state, StreamState::Ended);
 }
@@ -130,15 +163,26 @@ fn the_end_of_all_nodes_is_the_end_of_the_frames() {
 #[test]
 fn an_end_without_samples_is_passed_on() {
     let mut alignment = alignment(&[1]);
-    let out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (0, ended(0, T0 + STEP, &[]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[1.0])), (0, ended(0, T0 + STEP, &[]))],
+    );
     assert_eq!(out.len(), 2);
-    assert_eq!((out[1].header.sequence, out[1].state), (1, StreamState::Ended));
+    assert_eq!(
+        (out[1].header.sequence, out[1].state),
+        (1, StreamState::Ended)
+    );
 }
 
 #[test]
 fn nodes_that_begin_again_after_the_end_begin_a_new_epoch() {
     let mut alignment = alignment(&[1, 1]);
-    let record = || vec![(0, ended(0, T0, &[1.0, 2.0])), (1, ended(1, T0, &[10.0, 20.0]))];
+    let record = || {
+        vec![
+            (0, ended(0, T0, &[1.0, 2.0])),
+            (1, ended(1, T0, &[10.0, 20.0])),
+        ]
+    };
     let first = feed(&mut alignment, record());
     let second = feed(&mut alignment, record());
     assert_eq!(values(&first), values(&second));
@@ -151,7 +195,10 @@ fn a_frame_whose_lateness_is_over_is_closed_and_what_comes_later_is_late() {
     let mut out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0, 2.0]))]);
     alignment.handle(Input::Deadline { time_ns: T0 }, &mut out);
     assert_eq!(values(&out), [1.0, -1.0]);
-    let out = feed(&mut alignment, vec![(1, block(1, T0 - STEP, &[9.0, 10.0, 20.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(1, block(1, T0 - STEP, &[9.0, 10.0, 20.0]))],
+    );
     assert_eq!(values(&out), [2.0, 20.0]);
     assert_eq!(alignment.counts().late + alignment.counts().duplicate, 2);
 }
@@ -159,7 +206,10 @@ fn a_frame_whose_lateness_is_over_is_closed_and_what_comes_later_is_late() {
 #[test]
 fn a_second_sample_of_a_frame_is_a_duplicate() {
     let mut alignment = alignment(&[1]);
-    let double = SampleBlock { sampling_rate_hz: 200.0, ..block(0, T0, &[1.0, 1.5, 2.0, 2.5]) };
+    let double = SampleBlock {
+        sampling_rate_hz: 200.0,
+        ..block(0, T0, &[1.0, 1.5, 2.0, 2.5])
+    };
     let out = feed(&mut alignment, vec![(0, double)]);
     assert_eq!(values(&out), [1.0, 2.0]);
     assert_eq!(alignment.counts().duplicate, 2);
@@ -168,30 +218,61 @@ fn a_second_sample_of_a_frame_is_a_duplicate() {
 #[test]
 fn a_slower_node_is_missing_in_between() {
     let mut alignment = alignment(&[1, 1]);
-    let slow = SampleBlock { sampling_rate_hz: 50.0, ..ended(1, T0, &[10.0, 30.0]) };
-    let out = feed(&mut alignment, vec![(0, ended(0, T0, &[1.0, 2.0, 3.0])), (1, slow)]);
+    let slow = SampleBlock {
+        sampling_rate_hz: 50.0,
+        ..ended(1, T0, &[10.0, 30.0])
+    };
+    let out = feed(
+        &mut alignment,
+        vec![(0, ended(0, T0, &[1.0, 2.0, 3.0])), (1, slow)],
+    );
     assert_eq!(values(&out), [1.0, 10.0, 2.0, -1.0, 3.0, 30.0]);
 }
 
 #[test]
 fn values_that_no_sensor_measures_are_missing_and_counted() {
     let mut alignment = alignment(&[1]);
-    let out = feed(&mut alignment, vec![(0, block(0, T0, &[f64::INFINITY, 1001.0, f64::NAN, 5.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[f64::INFINITY, 1001.0, f64::NAN, 5.0]))],
+    );
     assert_eq!(values(&out), [-1.0, -1.0, -1.0, 5.0]);
-    assert_eq!((alignment.counts().not_finite, alignment.counts().out_of_range), (1, 1));
+    assert_eq!(
+        (
+            alignment.counts().not_finite,
+            alignment.counts().out_of_range
+        ),
+        (1, 1)
+    );
 }
 
 #[test]
 fn blocks_of_another_shape_or_source_are_refused() {
     let mut alignment = alignment(&[2]);
-    assert!(feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (0, block(7, T0, &[1.0]))]).is_empty());
-    assert_eq!((alignment.counts().wrong_channels, alignment.counts().unknown_node), (1, 1));
+    assert!(
+        feed(
+            &mut alignment,
+            vec![(0, block(0, T0, &[1.0])), (0, block(7, T0, &[1.0]))]
+        )
+        .is_empty()
+    );
+    assert_eq!(
+        (
+            alignment.counts().wrong_channels,
+            alignment.counts().unknown_node
+        ),
+        (1, 1)
+    );
 }
 
 #[test]
 fn a_sample_outside_the_tolerance_belongs_to_no_frame() {
     let nodes = layout(&[1]).nodes().to_vec();
-    let mut alignment = Alignment::new(Layout::new(nodes, 100.0, 0.001).unwrap(), "ingest".into(), 1);
+    let mut alignment = Alignment::new(
+        Layout::new(nodes, 100.0, 0.001).unwrap(),
+        "ingest".into(),
+        1,
+    );
     let inputs = vec![
         (0, block(0, T0, &[1.0])),
         (0, block(0, T0 + STEP + STEP / 5, &[2.0])),
@@ -204,9 +285,19 @@ fn a_sample_outside_the_tolerance_belongs_to_no_frame() {
 #[test]
 fn a_node_whose_samples_are_all_outside_the_tolerance_does_not_stop_the_others() {
     let nodes = layout(&[1, 1]).nodes().to_vec();
-    let mut alignment = Alignment::new(Layout::new(nodes, 100.0, 0.001).unwrap(), "ingest".into(), 1);
-    let inputs = vec![(1, block(1, T0 + STEP / 4, &[10.0, 20.0, 30.0])), (0, block(0, T0, &[1.0, 2.0, 3.0]))];
-    assert_eq!(values(&feed(&mut alignment, inputs)), [1.0, -1.0, 2.0, -1.0]);
+    let mut alignment = Alignment::new(
+        Layout::new(nodes, 100.0, 0.001).unwrap(),
+        "ingest".into(),
+        1,
+    );
+    let inputs = vec![
+        (1, block(1, T0 + STEP / 4, &[10.0, 20.0, 30.0])),
+        (0, block(0, T0, &[1.0, 2.0, 3.0])),
+    ];
+    assert_eq!(
+        values(&feed(&mut alignment, inputs)),
+        [1.0, -1.0, 2.0, -1.0]
+    );
     assert_eq!(alignment.counts().off_grid, 3);
 }
 
@@ -221,7 +312,10 @@ fn a_clock_far_ahead_does_not_stop_the_others() {
         (1, block(1, T0 + 2 * STEP, &[30.0])), // the clock is right again
         (0, block(0, T0 + 2 * STEP, &[3.0])),
     ];
-    assert_eq!(values(&feed(&mut alignment, inputs)), [1.0, 10.0, 2.0, -1.0, 3.0, 30.0]);
+    assert_eq!(
+        values(&feed(&mut alignment, inputs)),
+        [1.0, 10.0, 2.0, -1.0, 3.0, 30.0]
+    );
     assert_eq!(alignment.counts().retracted, 1);
 }
 
@@ -229,9 +323,15 @@ fn a_clock_far_ahead_does_not_stop_the_others() {
 fn a_long_hole_in_all_nodes_starts_a_new_epoch_instead_of_filling_it() {
     let mut alignment = alignment(&[1]);
     let later = T0 + 2 * LONGEST_HOLE * STEP;
-    let out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (0, block(0, later, &[2.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[1.0])), (0, block(0, later, &[2.0]))],
+    );
     let last = out.last().unwrap();
-    assert_eq!((last.header.epoch, last.header.sequence, last.t0_ns), (2, 0, later));
+    assert_eq!(
+        (last.header.epoch, last.header.sequence, last.t0_ns),
+        (2, 0, later)
+    );
     assert_eq!(values(&out), [1.0, 2.0]);
 }
 
@@ -239,9 +339,15 @@ fn a_long_hole_in_all_nodes_starts_a_new_epoch_instead_of_filling_it() {
 fn clocks_that_have_gone_far_back_start_a_new_epoch() {
     let mut alignment = alignment(&[1]);
     let earlier = T0 - 2 * LONGEST_HOLE * STEP;
-    let out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (0, block(0, earlier, &[2.0]))]);
+    let out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[1.0])), (0, block(0, earlier, &[2.0]))],
+    );
     let last = out.last().unwrap();
-    assert_eq!((last.header.epoch, last.header.sequence, last.t0_ns), (2, 0, earlier));
+    assert_eq!(
+        (last.header.epoch, last.header.sequence, last.t0_ns),
+        (2, 0, earlier)
+    );
 }
 
 #[test]
@@ -249,7 +355,10 @@ fn a_record_replayed_again_after_its_source_was_killed_gives_the_same_frames() {
     let mut alignment = alignment(&[1, 1]);
     let record = |epoch: u64| {
         let at = |node: usize, value: f64| {
-            let mut block = SampleBlock { pace: Pace::Replayed, ..block(node, T0, &[value, value + 1.0]) };
+            let mut block = SampleBlock {
+                pace: Pace::Replayed,
+                ..block(node, T0, &[value, value + 1.0])
+            };
             block.header.epoch = epoch;
             (node, block)
         };
@@ -257,7 +366,10 @@ fn a_record_replayed_again_after_its_source_was_killed_gives_the_same_frames() {
     };
     let first = feed(&mut alignment, record(1));
     let second = feed(&mut alignment, record(2));
-    let again: Vec<FrameBlock> = second.into_iter().filter(|block| block.header.epoch == 2).collect();
+    let again: Vec<FrameBlock> = second
+        .into_iter()
+        .filter(|block| block.header.epoch == 2)
+        .collect();
     assert_eq!(values(&first), values(&again));
     assert_eq!(alignment.counts().late, 0);
 }
@@ -274,7 +386,10 @@ fn a_node_that_alone_goes_back_is_late() {
         (0, block(0, T0 + 2 * STEP, &[3.0])),
         (1, block(1, T0 + 2 * STEP, &[30.0])),
     ];
-    assert_eq!(values(&feed(&mut alignment, inputs)), [1.0, 10.0, 2.0, 20.0, 3.0, 30.0]);
+    assert_eq!(
+        values(&feed(&mut alignment, inputs)),
+        [1.0, 10.0, 2.0, 20.0, 3.0, 30.0]
+    );
     assert_eq!(alignment.counts().late, 1);
 }
 
@@ -282,7 +397,10 @@ fn a_node_that_alone_goes_back_is_late() {
 #[test]
 fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come() {
     let mut alignment = alignment(&[1, 1]);
-    let mut out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0]))]);
+    let mut out = feed(
+        &mut alignment,
+        vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0]))],
+    );
     alignment.handle(Input::Lost { node: 1 }, &mut out);
     for number in 1..4 {
         let at = T0 + number * STEP;
@@ -291,7 +409,13 @@ fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come
         let inputs = vec![(0, block(0, at, &[2.0])), (1, back)];
         out.extend(feed(&mut alignment, inputs));
     }
-    assert_eq!(values(&out)[2..].iter().filter(|value| **value == 20.0).count(), 2);
+    assert_eq!(
+        values(&out)[2..]
+            .iter()
+            .filter(|value| **value == 20.0)
+            .count(),
+        2
+    );
     assert_eq!(
         alignment.counts().late + alignment.counts().duplicate,
         1,
@@ -317,10 +441,20 @@ struct Record {
 }
 
 fn record() -> impl Strategy<Value = Record> {
-    (-20_000_000i64..20_000_000, vec(prop::bool::weighted(0.9), 1..60), vec(1usize..7, 60))
+    (
+        -20_000_000i64..20_000_000,
+        vec(prop::bool::weighted(0.9), 1..60),
+        vec(1usize..7, 60),
+    )
         // Half a step from a frame 1 ns decides; TimeGrid's own tests are about that.
-        .prop_filter("on the edge", |(offset, ..)| (offset.rem_euclid(STEP) - STEP / 2).abs() > 10)
-        .prop_map(|(offset_ns, kept, cuts)| Record { offset_ns, kept, cuts })
+        .prop_filter("on the edge", |(offset, ..)| {
+            (offset.rem_euclid(STEP) - STEP / 2).abs() > 10
+        })
+        .prop_map(|(offset_ns, kept, cuts)| Record {
+            offset_ns,
+            kept,
+            cuts,
+        })
 }
 
 fn cut(node: usize, record: &Record, one_by_one: bool) -> Vec<SampleBlock> {
@@ -336,13 +470,21 @@ fn cut(node: usize, record: &Record, one_by_one: bool) -> Vec<SampleBlock> {
         match blocks.last_mut().filter(|_| room > 0) {
             Some(block) => block.samples.push(value),
             None => {
-                blocks.push(block(node, T0 + record.offset_ns + number as i64 * STEP, &[value]));
+                blocks.push(block(
+                    node,
+                    T0 + record.offset_ns + number as i64 * STEP,
+                    &[value],
+                ));
                 room = if one_by_one { 1 } else { *cuts.next().unwrap() };
             }
         }
         room -= 1;
     }
-    blocks.push(ended(node, T0 + record.offset_ns + record.kept.len() as i64 * STEP, &[]));
+    blocks.push(ended(
+        node,
+        T0 + record.offset_ns + record.kept.len() as i64 * STEP,
+        &[],
+    ));
     let mut sequence = 0;
     for block in &mut blocks {
         block.header.sequence = sequence;
@@ -355,7 +497,12 @@ fn cut(node: usize, record: &Record, one_by_one: bool) -> Vec<SampleBlock> {
 fn from_place(blocks: Vec<SampleBlock>, place: NodePlace) -> Vec<SampleBlock> {
     let after = |mut block: SampleBlock| {
         let is_end = block.state == StreamState::Ended;
-        block.skip(place.sequence.saturating_sub(block.header.sequence).min(block.count()));
+        block.skip(
+            place
+                .sequence
+                .saturating_sub(block.header.sequence)
+                .min(block.count()),
+        );
         (block.count() > 0 || (is_end && !place.ended)).then_some(block)
     };
     blocks.into_iter().filter_map(after).collect()

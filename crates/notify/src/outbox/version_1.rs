@@ -16,7 +16,8 @@ pub(crate) struct Remembered {
 
 impl From<Remembered> for super::Remembered {
     fn from(former: Remembered) -> Self {
-        let last: Vec<spandrel_bus::AlertMessage> = former.last.into_iter().map(Into::into).collect();
+        let last: Vec<spandrel_bus::AlertMessage> =
+            former.last.into_iter().map(Into::into).collect();
         Self {
             keys: former.keys,
             // Version 1 sent every alert that it took, so that the last one of each parameter is no news.
@@ -36,8 +37,18 @@ struct Undelivered {
 }
 
 impl From<Undelivered> for super::Undelivered {
-    fn from(Undelivered { receiver, alert, age_s }: Undelivered) -> Self {
-        Self { receiver, alert: alert.into(), age_s }
+    fn from(
+        Undelivered {
+            receiver,
+            alert,
+            age_s,
+        }: Undelivered,
+    ) -> Self {
+        Self {
+            receiver,
+            alert: alert.into(),
+            age_s,
+        }
     }
 }
 

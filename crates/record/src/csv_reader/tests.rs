@@ -4,7 +4,11 @@ use super::*;
 use crate::Quantity;
 
 fn reader(text: &str, mapping: &ColumnMapping) -> Result<CsvReader, RecordError> {
-    CsvReader::new(Box::new(std::io::Cursor::new(text.to_owned())), Path::new("hall.csv"), mapping)
+    CsvReader::new(
+        Box::new(std::io::Cursor::new(text.to_owned())),
+        Path::new("hall.csv"),
+        mapping,
+    )
 }
 
 fn rows(text: &str, mapping: &ColumnMapping) -> Result<Vec<(i64, Vec<f64>)>, RecordError> {
@@ -17,7 +21,9 @@ fn rows(text: &str, mapping: &ColumnMapping) -> Result<Vec<(i64, Vec<f64>)>, Rec
 }
 
 fn message(text: &str) -> String {
-    rows(text, &ColumnMapping::by_name(["a", "b"])).unwrap_err().to_string()
+    rows(text, &ColumnMapping::by_name(["a", "b"]))
+        .unwrap_err()
+        .to_string()
 }
 
 #[test]
@@ -30,8 +36,12 @@ fn values_come_in_the_order_of_the_mapping_and_other_columns_are_ignored() {
 #[test]
 fn units_become_si() {
     let mapping = ColumnMapping::new(vec![
-        ChannelColumn::new("acceleration").with_unit("g", Quantity::Acceleration).unwrap(),
-        ChannelColumn::new("displacement").with_unit("mm", Quantity::Displacement).unwrap(),
+        ChannelColumn::new("acceleration")
+            .with_unit("g", Quantity::Acceleration)
+            .unwrap(),
+        ChannelColumn::new("displacement")
+            .with_unit("mm", Quantity::Displacement)
+            .unwrap(),
     ]);
     let found = rows("time,acceleration,displacement\n0,1,250\n", &mapping).unwrap();
     assert_eq!(found, [(0, vec![9.80665, 0.25])]);
@@ -42,47 +52,94 @@ fn unit_in_the_header_counts_unless_another_is_declared() {
     let column = |column: &str| ChannelColumn::new("roof").with_column(column);
     let read = |text: &str, column: ChannelColumn| rows(text, &ColumnMapping::new(vec![column]));
     let by_file = |name: &str| column(name).in_unit_of_file(Quantity::Acceleration);
-    let found = read("time,roof [g]\n0,2\n", by_file("roof [g]").with_calibration(-1.0, 0.5).unwrap()).unwrap();
-    assert_eq!(found, [(0, vec![0.5 - 2.0 * 9.80665])], "the calibration acts after it, as with other formats");
-    let declared = column("roof (g)").with_unit("gal", Quantity::Acceleration).unwrap();
-    assert_eq!(read("time,roof (g)\n0,2\n", declared).unwrap(), [(0, vec![0.02])]);
-    assert_eq!(read("time,roof [south]\n0,2\n", by_file("roof [south]")).unwrap(), [(0, vec![2.0])]);
-    assert_eq!(read("time,roof [g]\n0,2\n", column("roof [g]")).unwrap(), [(0, vec![2.0])]);
-    let error = read("time,roof [mm]\n0,2\n", by_file("roof [mm]")).unwrap_err().to_string();
-    assert!(error.contains("roof") && error.contains("mm") && error.contains("acceleration"), "{error}");
+    let found = read(
+        "time,roof [g]\n0,2\n",
+        by_file("roof [g]").with_calibration(-1.0, 0.5).unwrap(),
+    )
+    .unwrap();
+    assert_eq!(
+        found,
+        [(0, vec![0.5 - 2.0 * 9.80665])],
+        "the calibration acts after it, as with other formats"
+    );
+    let declared = column("roof (g)")
+        .with_unit("gal", Quantity::Acceleration)
+        .unwrap();
+    assert_eq!(
+        read("time,roof (g)\n0,2\n", declared).unwrap(),
+        [(0, vec![0.02])]
+    );
+    assert_eq!(
+        read("time,roof [south]\n0,2\n", by_file("roof [south]")).unwrap(),
+        [(0, vec![2.0])]
+    );
+    assert_eq!(
+        read("time,roof [g]\n0,2\n", column("roof [g]")).unwrap(),
+        [(0, vec![2.0])]
+    );
+    let error = read("time,roof [mm]\n0,2\n", by_file("roof [mm]"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("roof") && error.contains("mm") && error.contains("acceleration"),
+        "{error}"
+    );
 }
 
 #[test]
 fn empty_and_nan_fields_are_missing_samples() {
-    let found = rows("time,a,b\n0,,1\n1,NaN, \n", &ColumnMapping::by_name(["a", "b"])).unwrap();
+    let found = rows(
+        "time,a,b\n0,,1\n1,NaN, \n",
+        &ColumnMapping::by_name(["a", "b"]),
+    )
+    .unwrap();
     assert!(found[0].1[0].is_nan() && found[0].1[1] == 1.0);
     assert!(found[1].1.iter().all(|value| value.is_nan()));
 }
 
 #[test]
 fn gap_in_time_stays_a_gap() {
-    let found = rows("time,a\n0,1\n0.01,2\n7.5,3\n", &ColumnMapping::by_name(["a"])).unwrap();
+    let found = rows(
+        "time,a\n0,1\n0.01,2\n7.5,3\n",
+        &ColumnMapping::by_name(["a"]),
+    )
+    .unwrap();
     let times: Vec<i64> = found.iter().map(|(time_ns, _)| *time_ns).collect();
     assert_eq!(times, [0, 10_000_000, 7_500_000_000]);
 }
 
 #[test]
 fn windows_lines_byte_order_mark_and_white_space_are_read() {
-    let found = rows("\u{feff}time , a\r\n 0 , 1\r\n1, 2 \r\n", &ColumnMapping::by_name(["a"])).unwrap();
+    let found = rows(
+        "\u{feff}time , a\r\n 0 , 1\r\n1, 2 \r\n",
+        &ColumnMapping::by_name(["a"]),
+    )
+    .unwrap();
     assert_eq!(found, [(0, vec![1.0]), (1_000_000_000, vec![2.0])]);
 }
 
 #[test]
 fn iso_8601_times_are_read() {
-    let found = rows("time,a\n2024-02-29T12:00:00Z,1\n2024-02-29T12:00:00.005Z,2\n", &ColumnMapping::by_name(["a"]));
+    let found = rows(
+        "time,a\n2024-02-29T12:00:00Z,1\n2024-02-29T12:00:00.005Z,2\n",
+        &ColumnMapping::by_name(["a"]),
+    );
     let times: Vec<i64> = found.unwrap().iter().map(|(time_ns, _)| *time_ns).collect();
-    assert_eq!(times, [1_709_208_000_000_000_000, 1_709_208_000_005_000_000]);
+    assert_eq!(
+        times,
+        [1_709_208_000_000_000_000, 1_709_208_000_005_000_000]
+    );
 }
 
 #[test]
 fn missing_columns_are_all_named_beside_those_that_are_there() {
-    let error = reader("time_s,c\n", &ColumnMapping::by_name(["a", "b"])).err().unwrap();
-    assert_eq!(error.to_string(), "hall.csv:1: has no column `time`, `a`, `b`; its columns are `time_s`, `c`");
+    let error = reader("time_s,c\n", &ColumnMapping::by_name(["a", "b"]))
+        .err()
+        .unwrap();
+    assert_eq!(
+        error.to_string(),
+        "hall.csv:1: has no column `time`, `a`, `b`; its columns are `time_s`, `c`"
+    );
 }
 
 #[test]
@@ -113,8 +170,14 @@ fn errors_name_file_line_found_and_allowed() {
         message("time,a,b\n0,inf,2\n"),
         "hall.csv:2: column `a` is `inf`, must be a finite number, or empty for a missing sample"
     );
-    assert_eq!(message("time,a,b\n0,1\n"), "hall.csv:2: row has 2 fields, must have 3 as the header");
-    assert_eq!(message("time,a,b\nnoon,1,2\n"), "hall.csv:2: time is `noon`, must be seconds or ISO 8601");
+    assert_eq!(
+        message("time,a,b\n0,1\n"),
+        "hall.csv:2: row has 2 fields, must have 3 as the header"
+    );
+    assert_eq!(
+        message("time,a,b\nnoon,1,2\n"),
+        "hall.csv:2: time is `noon`, must be seconds or ISO 8601"
+    );
     assert_eq!(
         message("time,a,b\n0,1,2\n2024-02-29T12:00:00Z,1,2\n"),
         "hall.csv:3: time is `2024-02-29T12:00:00Z`, must be a number as the first time of the file"
@@ -166,21 +229,41 @@ fn header_behind_other_lines_keeps_the_line_numbers_of_the_file() {
     let mapping = ColumnMapping::by_name(["a"]);
     let text = "Recorder 7, hall\nStart: 2025-03-06\n\ntime,a\n0,1\n0.01,?\n";
     let error = rows(text, &mapping).unwrap_err();
-    assert!(error.to_string().starts_with("hall.csv:6: column `a` is `?`"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .starts_with("hall.csv:6: column `a` is `?`"),
+        "{error}"
+    );
 }
 
 #[test]
 fn table_of_numbers_without_times_is_counted_at_the_declared_rate() {
-    let columns = vec![ChannelColumn::new("roof").with_column("2"), ChannelColumn::new("base").with_column("1")];
+    let columns = vec![
+        ChannelColumn::new("roof").with_column("2"),
+        ChannelColumn::new("base").with_column("1"),
+    ];
     let mapping = ColumnMapping::new(columns).with_time(TimeSource::Counted { rate_hz: 100.0 });
     let found = rows("-3.359\t-0.052\t7\n-0.627\t-0.054\t8\n", &mapping).unwrap();
-    assert_eq!(found, [(0, vec![-0.052, -3.359]), (10_000_000, vec![-0.054, -0.627])]);
+    assert_eq!(
+        found,
+        [
+            (0, vec![-0.052, -3.359]),
+            (10_000_000, vec![-0.054, -0.627])
+        ]
+    );
 }
 
 #[test]
 fn times_in_microseconds_are_read() {
-    let time = TimeSource::Column { name: "t".to_owned(), unit: TimeUnit::Microseconds };
+    let time = TimeSource::Column {
+        name: "t".to_owned(),
+        unit: TimeUnit::Microseconds,
+    };
     let mapping = ColumnMapping::by_name(["a"]).with_time(time);
     let found = rows("n,t,a\n0,991011697,1\n1,991020030,2\n", &mapping).unwrap();
-    assert_eq!(found, [(991_011_697_000, vec![1.0]), (991_020_030_000, vec![2.0])]);
+    assert_eq!(
+        found,
+        [(991_011_697_000, vec![1.0]), (991_020_030_000, vec![2.0])]
+    );
 }

@@ -14,8 +14,13 @@ const FIELD_WIDTH: usize = 15;
 /// Whether the head of a file is that of a PEER record.
 pub(crate) fn is_at2(head: &str) -> bool {
     let mut lines = head.lines();
-    let title = lines.next().is_some_and(|line| line.to_ascii_uppercase().contains("PEER"));
-    title && lines.take(3).any(|line| line.to_ascii_uppercase().contains("NPTS"))
+    let title = lines
+        .next()
+        .is_some_and(|line| line.to_ascii_uppercase().contains("PEER"));
+    title
+        && lines
+            .take(3)
+            .any(|line| line.to_ascii_uppercase().contains("NPTS"))
 }
 
 /// Reads one channel.
@@ -28,19 +33,38 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let points = lines.line("the number of points")?;
     let (count, step_s) = points_and_step(points).ok_or_else(|| {
         let allowed = "`NPTS= points, DT= seconds SEC` or `points seconds NPTS, DT`";
-        Fault::at_line(lines.number(), "number of points", format!("`{}`", points.trim()), allowed)
+        Fault::at_line(
+            lines.number(),
+            "number of points",
+            format!("`{}`", points.trim()),
+            allowed,
+        )
     })?;
-    let name = ["ACCELERATION", "VELOCITY", "DISPLACEMENT"].into_iter().find(|name| units.contains(name));
+    let name = ["ACCELERATION", "VELOCITY", "DISPLACEMENT"]
+        .into_iter()
+        .find(|name| units.contains(name));
     let name = name.unwrap_or("samples").to_ascii_lowercase();
     let unit = units.split_once("UNITS OF").map(|(_, unit)| unit.trim());
-    let unit = unit.and_then(|unit| unit.split([' ', ',', ';']).next()).unwrap_or_default();
+    let unit = unit
+        .and_then(|unit| unit.split([' ', ',', ';']).next())
+        .unwrap_or_default();
     let unit = unit.trim_end_matches('.').to_ascii_lowercase();
 
     // Files with other numbers a line are about; the first line of numbers tells how many.
-    let per_line = lines.clone().next().map_or(1, |line| line.trim_end().len().div_ceil(FIELD_WIDTH).max(1));
-    let columns = NumberColumns { per_line, width: FIELD_WIDTH };
+    let per_line = lines
+        .clone()
+        .next()
+        .map_or(1, |line| line.trim_end().len().div_ceil(FIELD_WIDTH).max(1));
+    let columns = NumberColumns {
+        per_line,
+        width: FIELD_WIDTH,
+    };
     let samples = lines.numbers(columns, count, &name)?;
-    let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![Segment::new(0, samples)]);
+    let channel = RecordedChannel::new(
+        name,
+        Some(rate_from_step(step_s)),
+        vec![Segment::new(0, samples)],
+    );
     Ok(vec![channel.with_unit(unit).with_description(place)])
 }
 
@@ -48,7 +72,12 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
 fn points_and_step(line: &str) -> Option<(usize, f64)> {
     let upper = line.to_ascii_uppercase();
     let after = |key: &str| {
-        let rest = upper.split_once(key)?.1.trim_start().strip_prefix('=')?.trim_start();
+        let rest = upper
+            .split_once(key)?
+            .1
+            .trim_start()
+            .strip_prefix('=')?
+            .trim_start();
         rest.split([' ', ',']).next()
     };
     let mut words = upper.split_whitespace();
@@ -72,16 +101,28 @@ mod tests {
     fn samples_rate_and_unit_are_read() {
         let channels = read(FILE.as_bytes()).unwrap();
         let channel = &channels[0];
-        assert_eq!((channel.name(), channel.unit()), ("acceleration", Some("g")));
+        assert_eq!(
+            (channel.name(), channel.unit()),
+            ("acceleration", Some("g"))
+        );
         assert_eq!(channel.sampling_rate_hz(), Some(200.0));
-        assert_eq!(channel.samples().collect::<Vec<_>>(), [1e-3, -2e-3, 3e-3, 4e-3, 5e-3, 6e-3, -7e-3]);
+        assert_eq!(
+            channel.samples().collect::<Vec<_>>(),
+            [1e-3, -2e-3, 3e-3, 4e-3, 5e-3, 6e-3, -7e-3]
+        );
         assert!(is_at2(FILE));
     }
 
     #[test]
     fn newer_header_is_read() {
-        assert_eq!(points_and_step("   4096    0.0100   NPTS, DT"), Some((4096, 0.01)));
-        assert_eq!(points_and_step("NPTS=   5372, DT=   .0100 SEC,"), Some((5372, 0.01)));
+        assert_eq!(
+            points_and_step("   4096    0.0100   NPTS, DT"),
+            Some((4096, 0.01))
+        );
+        assert_eq!(
+            points_and_step("NPTS=   5372, DT=   .0100 SEC,"),
+            Some((5372, 0.01))
+        );
         assert_eq!(points_and_step("NPTS=  -1, DT= .01 SEC"), None);
         assert_eq!(points_and_step("NPTS=  10, DT= 0 SEC"), None);
     }

@@ -36,7 +36,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
 }
 
-fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<RecordedChannel, Fault> {
+fn read_channel(
+    lines: &mut TextLines<'_>,
+    first: &str,
+    place: usize,
+) -> Result<RecordedChannel, Fault> {
     let lower = first.to_ascii_lowercase();
     let text_lines: usize = lower
         .split_once("with ")
@@ -44,7 +48,12 @@ fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<
         .filter(|_| lower.contains("(format v"))
         .ok_or_else(|| {
             let allowed = "`(Format vNN.NN with NN text lines)`";
-            Fault::at_line(lines.number(), "first line of a channel", format!("`{}`", first.trim()), allowed)
+            Fault::at_line(
+                lines.number(),
+                "first line of a channel",
+                format!("`{}`", first.trim()),
+                allowed,
+            )
         })?;
     let mut description = String::new();
     for _ in 1..text_lines {
@@ -58,36 +67,77 @@ fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<
     let (count, columns) = counted(lines, "real-header values")?;
     let reals = lines.numbers(columns, count, "the reals")?;
     let header_line = lines.number();
-    let integer = |index: usize| integers.get(index - 1).copied().filter(|value| *value != UNKNOWN);
-    let real = |index: usize| reals.get(index - 1).copied().filter(|value| *value != UNKNOWN as f64);
+    let integer = |index: usize| {
+        integers
+            .get(index - 1)
+            .copied()
+            .filter(|value| *value != UNKNOWN)
+    };
+    let real = |index: usize| {
+        reals
+            .get(index - 1)
+            .copied()
+            .filter(|value| *value != UNKNOWN as f64)
+    };
 
     let (comments, _) = number_before(lines, "comment line")?;
     let mut source = None;
     for _ in 0..comments {
         let comment = lines.line("the comment lines")?;
-        let codes = comment.split_once("<SCNL>").and_then(|(_, rest)| rest.split_whitespace().next());
+        let codes = comment
+            .split_once("<SCNL>")
+            .and_then(|(_, rest)| rest.split_whitespace().next());
         source = source.or(codes);
     }
-    let step_s =
-        real(62).map(|step_ms| step_ms / 1e3).or(real(34)).filter(|step_s| *step_s > 0.0).ok_or_else(|| {
-            let found = reals.get(61).map_or_else(|| "absent".to_owned(), f64::to_string);
-            Fault::at_line(header_line, "time step (real 62)", found, "a positive number of milliseconds")
+    let step_s = real(62)
+        .map(|step_ms| step_ms / 1e3)
+        .or(real(34))
+        .filter(|step_s| *step_s > 0.0)
+        .ok_or_else(|| {
+            let found = reals
+                .get(61)
+                .map_or_else(|| "absent".to_owned(), f64::to_string);
+            Fault::at_line(
+                header_line,
+                "time step (real 62)",
+                found,
+                "a positive number of milliseconds",
+            )
         })?;
 
     let (count, line) = number_before(lines, "pts")?;
-    let refused =
-        |what: &str, allowed: &str| Fault::at_line(lines.number(), what, format!("`{}`", line.trim()), allowed);
+    let refused = |what: &str, allowed: &str| {
+        Fault::at_line(lines.number(), what, format!("`{}`", line.trim()), allowed)
+    };
     let lower = line.to_ascii_lowercase();
-    let quantity = ["acceleration", "velocity", "displacement"].into_iter().find(|name| lower.contains(name));
-    let quantity = quantity.ok_or_else(|| refused("quantity", "acceleration, velocity or displacement"))?;
-    let unit = lower.split_once("units=").map(|(_, rest)| rest.split(['(', ' ', ',']).next().unwrap_or_default());
-    let unit = unit.ok_or_else(|| refused("unit", "`units=UNIT`"))?.trim_end_matches('.').to_owned();
-    let columns = format_of(&lower).ok_or_else(|| refused("columns", "`Format=(8F10.5)` or alike"))?;
+    let quantity = ["acceleration", "velocity", "displacement"]
+        .into_iter()
+        .find(|name| lower.contains(name));
+    let quantity =
+        quantity.ok_or_else(|| refused("quantity", "acceleration, velocity or displacement"))?;
+    let unit = lower
+        .split_once("units=")
+        .map(|(_, rest)| rest.split(['(', ' ', ',']).next().unwrap_or_default());
+    let unit = unit
+        .ok_or_else(|| refused("unit", "`units=UNIT`"))?
+        .trim_end_matches('.')
+        .to_owned();
+    let columns =
+        format_of(&lower).ok_or_else(|| refused("columns", "`Format=(8F10.5)` or alike"))?;
     let samples = lines.numbers(columns, count, quantity)?;
     let end = lines.line("the end of the channel")?;
-    if !end.to_ascii_lowercase().replace('-', " ").contains("end of data") {
+    if !end
+        .to_ascii_lowercase()
+        .replace('-', " ")
+        .contains("end of data")
+    {
         let allowed = "`End-of-data` behind the samples";
-        return Err(Fault::at_line(lines.number(), "line", format!("`{}`", end.trim()), allowed));
+        return Err(Fault::at_line(
+            lines.number(),
+            "line",
+            format!("`{}`", end.trim()),
+            allowed,
+        ));
     }
 
     let name = match (integer(50).filter(|number| *number > 0), source) {
@@ -95,36 +145,69 @@ fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<
         (None, Some(codes)) => format!("{codes}.{quantity}"),
         (None, None) => format!("channel-{place}.{quantity}"),
     };
-    let start_ns = integer(40).zip(integer(41)).zip(integer(44).zip(integer(45))).zip(real(30));
-    let start_ns =
-        start_ns.and_then(|(((year, day), (hour, minute)), second)| day_of_year_ns(year, day, hour, minute, second));
-    let origin = if start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
+    let start_ns = integer(40)
+        .zip(integer(41))
+        .zip(integer(44).zip(integer(45)))
+        .zip(real(30));
+    let start_ns = start_ns.and_then(|(((year, day), (hour, minute)), second)| {
+        day_of_year_ns(year, day, hour, minute, second)
+    });
+    let origin = if start_ns.is_some() {
+        TimeOrigin::Epoch
+    } else {
+        TimeOrigin::Start
+    };
     let segment = Segment::new(start_ns.unwrap_or(0), samples);
     let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![segment]);
-    Ok(channel.with_unit(unit).with_description(description).with_origin(origin))
+    Ok(channel
+        .with_unit(unit)
+        .with_description(description)
+        .with_origin(origin))
 }
 
 /// Reads a line that begins with a number and contains `what`.
 fn number_before<'a>(lines: &mut TextLines<'a>, what: &str) -> Result<(usize, &'a str), Fault> {
     let line = lines.line("the header")?;
-    let number = line.split_whitespace().next().and_then(|number| number.parse().ok());
+    let number = line
+        .split_whitespace()
+        .next()
+        .and_then(|number| number.parse().ok());
     let number = number.filter(|_| line.to_ascii_lowercase().contains(what));
-    let refused =
-        || Fault::at_line(lines.number(), "line", format!("`{}`", line.trim()), format!("a number and `{what}`"));
+    let refused = || {
+        Fault::at_line(
+            lines.number(),
+            "line",
+            format!("`{}`", line.trim()),
+            format!("a number and `{what}`"),
+        )
+    };
     Ok((number.ok_or_else(refused)?, line))
 }
 
 /// Reads a line that states the number of values and their columns.
 fn counted(lines: &mut TextLines<'_>, what: &str) -> Result<(usize, NumberColumns), Fault> {
     let (count, line) = number_before(lines, what)?;
-    let refused =
-        || Fault::at_line(lines.number(), "columns", format!("`{}`", line.trim()), "`Format= (10I8)` or alike");
-    Ok((count, format_of(&line.to_ascii_lowercase()).ok_or_else(refused)?))
+    let refused = || {
+        Fault::at_line(
+            lines.number(),
+            "columns",
+            format!("`{}`", line.trim()),
+            "`Format= (10I8)` or alike",
+        )
+    };
+    Ok((
+        count,
+        format_of(&line.to_ascii_lowercase()).ok_or_else(refused)?,
+    ))
 }
 
 /// The columns of `format= (8f10.5)`.
 fn format_of(lower: &str) -> Option<NumberColumns> {
-    let format = lower.split_once("format=")?.1.trim_start().strip_prefix('(')?;
+    let format = lower
+        .split_once("format=")?
+        .1
+        .trim_start()
+        .strip_prefix('(')?;
     columns_of(format.split(')').next()?)
 }
 
@@ -139,19 +222,29 @@ mod tests {
         }
         let mut reals = [-999.0; 100];
         (reals[29], reals[33], reals[61]) = (4.4, 0.02, 5.0);
-        let mut text = "Uncorrected acceleration  (Format v01.20 with 4 text lines)\nHill\n".to_owned();
+        let mut text =
+            "Uncorrected acceleration  (Format v01.20 with 4 text lines)\nHill\n".to_owned();
         text += "Sta Chan  1: 360 deg (Rcrdr Chan  1)\n";
         text += "Values used when parameter or data value is unknown/unspecified:   -999, -999.0\n";
         text += " 100 Integer-header values follow on  10 lines, Format= (10I8)\n";
         for line in integers.chunks(10) {
-            text += &(line.iter().map(|value| format!("{value:>8}")).collect::<String>() + "\n");
+            text += &(line
+                .iter()
+                .map(|value| format!("{value:>8}"))
+                .collect::<String>()
+                + "\n");
         }
         text += " 100 Real-header values follow on  17 lines, Format= (6F13.6)\n";
         for line in reals.chunks(6) {
-            text += &(line.iter().map(|value| format!("{value:>13.6}")).collect::<String>() + "\n");
+            text += &(line
+                .iter()
+                .map(|value| format!("{value:>13.6}"))
+                .collect::<String>()
+                + "\n");
         }
         text += "   1 Comment line(s) follow, each starting with a \"|\":\n|<SCNL>HILL.HNZ.XX.--   <AUTH> \n";
-        text += &format!("   10 acceleration pts, approx  1 secs, units={unit}(02)Format=(8f9.6)\n");
+        text +=
+            &format!("   10 acceleration pts, approx  1 secs, units={unit}(02)Format=(8f9.6)\n");
         text += &format!("{}\n  .000001  .000002\n", "-1.000023".repeat(8));
         text += "End-of-data for Chan  1 acceleration\n";
         text
@@ -161,9 +254,18 @@ mod tests {
     fn channels_one_after_the_other_are_read() {
         let file = channel(1, "g     ") + &channel(-999, "cm/sec2");
         let channels = read(file.as_bytes()).unwrap();
-        assert_eq!((channels[0].name(), channels[1].name()), ("channel-1.acceleration", "HILL.HNZ.XX.--.acceleration"));
-        assert_eq!((channels[0].unit(), channels[1].unit()), (Some("g"), Some("cm/sec2")));
-        assert_eq!(channels[0].samples().collect::<Vec<_>>()[7..], [-1.000023, 1e-6, 2e-6]);
+        assert_eq!(
+            (channels[0].name(), channels[1].name()),
+            ("channel-1.acceleration", "HILL.HNZ.XX.--.acceleration")
+        );
+        assert_eq!(
+            (channels[0].unit(), channels[1].unit()),
+            (Some("g"), Some("cm/sec2"))
+        );
+        assert_eq!(
+            channels[0].samples().collect::<Vec<_>>()[7..],
+            [-1.000023, 1e-6, 2e-6]
+        );
         assert_eq!(channels[0].sampling_rate_hz(), Some(200.0));
         // date -u -d '2018-08-29T02:33:04Z' +%s
         assert_eq!(channels[0].start_ns(), Some(1_535_509_984_400_000_000));
@@ -176,7 +278,9 @@ mod tests {
         for end in 0..file.len() {
             let cut = &file[..end];
             match read(cut.as_bytes()) {
-                Ok(channels) if channels.len() == 1 => assert!(end + 30 > one && end <= one + 1, "cut at {end}"),
+                Ok(channels) if channels.len() == 1 => {
+                    assert!(end + 30 > one && end <= one + 1, "cut at {end}")
+                }
                 Ok(_) => assert!(end + 30 > file.len(), "cut at {end}"),
                 Err(_) => assert!(end < file.len() - 20, "cut at {end}"),
             }
@@ -185,8 +289,13 @@ mod tests {
 
     #[test]
     fn time_step_that_is_unknown_is_refused() {
-        let file = channel(1, "g").replace("     0.020000", "     0.000000").replace("     5.000000", "  -999.000000");
+        let file = channel(1, "g")
+            .replace("     0.020000", "     0.000000")
+            .replace("     5.000000", "  -999.000000");
         let told = read(file.as_bytes()).unwrap_err().to_string();
-        assert!(told.contains("time step (real 62) is -999, must be a positive number of milliseconds"), "{told}");
+        assert!(
+            told.contains("time step (real 62) is -999, must be a positive number of milliseconds"),
+            "{told}"
+        );
     }
 }

@@ -13,11 +13,19 @@ use crate::record_time::civil_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
 /// Columns of files that do not state them.
-const COLUMNS: NumberColumns = NumberColumns { per_line: 8, width: 10 };
+const COLUMNS: NumberColumns = NumberColumns {
+    per_line: 8,
+    width: 10,
+};
 
 /// Whether the head of a file is that of a CSMIP volume 2 file.
 pub(crate) fn is_csmip(head: &str) -> bool {
-    let lower = head.lines().next().unwrap_or_default().trim_start().to_ascii_lowercase();
+    let lower = head
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .trim_start()
+        .to_ascii_lowercase();
     lower.starts_with("corrected accelerogram")
 }
 
@@ -46,13 +54,23 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
             blocks += 1;
         } else if lower.contains("points of") && lower.contains("data unequally") {
             let allowed = "equally spaced samples (volume 2)";
-            return Err(Fault::at_line(lines.number(), "data", "unequally spaced", allowed));
+            return Err(Fault::at_line(
+                lines.number(),
+                "data",
+                "unequally spaced",
+                allowed,
+            ));
         } else {
             heading.take(line, &lower);
         }
     }
     if blocks > 0 {
-        return Err(Fault::at_line(lines.number(), "end of the file", "here", "after `End of data for channel`"));
+        return Err(Fault::at_line(
+            lines.number(),
+            "end of the file",
+            "here",
+            "after `End of data for channel`",
+        ));
     }
     if channels.is_empty() {
         return Err(Fault::of_file("number of blocks of data", 0, "at least 1"));
@@ -62,14 +80,25 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
 
 fn blocks_of_channel(blocks: usize, line: u64) -> Result<(), Fault> {
     match blocks {
-        0 => Err(Fault::at_line(line, "number of blocks of this channel", 0, "at least 1")),
+        0 => Err(Fault::at_line(
+            line,
+            "number of blocks of this channel",
+            0,
+            "at least 1",
+        )),
         _ => Ok(()),
     }
 }
 
-fn read_block(lines: &mut TextLines<'_>, lower: &str, heading: &Heading) -> Result<RecordedChannel, Fault> {
+fn read_block(
+    lines: &mut TextLines<'_>,
+    lower: &str,
+    heading: &Heading,
+) -> Result<RecordedChannel, Fault> {
     let line = lines.number();
-    let refused = |what: &str, allowed: &str| Fault::at_line(line, what, format!("`{}`", lower.trim()), allowed);
+    let refused = |what: &str, allowed: &str| {
+        Fault::at_line(line, what, format!("`{}`", lower.trim()), allowed)
+    };
     let mut words = lower.split_whitespace();
     let count: usize = words
         .next()
@@ -81,24 +110,40 @@ fn read_block(lines: &mut TextLines<'_>, lower: &str, heading: &Heading) -> Resu
         Some("displ") => "displacement",
         _ => return Err(refused("quantity", "accel, veloc or displ")),
     };
-    let step_s = lower.split_once("spaced at").and_then(|(_, rest)| rest.split_whitespace().next()).and_then(decimal);
-    let step_s =
-        step_s.filter(|step_s| *step_s > 0.0).ok_or_else(|| refused("time step", "`spaced at SECONDS sec`"))?;
-    let unit = lower
-        .split_once("units:")
-        .or_else(|| lower.split_once("in cm").map(|(before, _)| (before, &lower[before.len() + 3..])));
+    let step_s = lower
+        .split_once("spaced at")
+        .and_then(|(_, rest)| rest.split_whitespace().next())
+        .and_then(decimal);
+    let step_s = step_s
+        .filter(|step_s| *step_s > 0.0)
+        .ok_or_else(|| refused("time step", "`spaced at SECONDS sec`"))?;
+    let unit = lower.split_once("units:").or_else(|| {
+        lower
+            .split_once("in cm")
+            .map(|(before, _)| (before, &lower[before.len() + 3..]))
+    });
     let unit = unit.and_then(|(_, rest)| rest.split([' ', ')', '(']).find(|word| !word.is_empty()));
     let unit = unit.unwrap_or_default().trim_end_matches('.');
-    let columns = lower.rsplit_once('(').and_then(|(_, rest)| columns_of(rest.split(')').next()?)).unwrap_or(COLUMNS);
+    let columns = lower
+        .rsplit_once('(')
+        .and_then(|(_, rest)| columns_of(rest.split(')').next()?))
+        .unwrap_or(COLUMNS);
     let samples = lines.numbers(columns, count, quantity)?;
     let name = match heading.channel {
         Some(number) => format!("channel-{number}.{quantity}"),
         None => quantity.to_owned(),
     };
     let segment = Segment::new(heading.start_ns.unwrap_or(0), samples);
-    let origin = if heading.start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
+    let origin = if heading.start_ns.is_some() {
+        TimeOrigin::Epoch
+    } else {
+        TimeOrigin::Start
+    };
     let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![segment]);
-    Ok(channel.with_unit(unit).with_description(heading.place.clone()).with_origin(origin))
+    Ok(channel
+        .with_unit(unit)
+        .with_description(heading.place.clone())
+        .with_origin(origin))
 }
 
 impl Heading {
@@ -110,10 +155,15 @@ impl Heading {
             self.start_ns = start_ns(rest);
         }
         if let Some(rest) = lower.strip_prefix("chan") {
-            let number = rest.trim_start().split(':').next().and_then(|number| number.trim().parse().ok());
+            let number = rest
+                .trim_start()
+                .split(':')
+                .next()
+                .and_then(|number| number.trim().parse().ok());
             // older files: the recorder's channel first, and then `(STA CHN:  7)`
-            let station =
-                lower.split_once("sta chn:").and_then(|(_, rest)| rest.split(')').next()?.trim().parse().ok());
+            let station = lower
+                .split_once("sta chn:")
+                .and_then(|(_, rest)| rest.split(')').next()?.trim().parse().ok());
             self.channel = station.or(number).or(self.channel);
             let words = line.split_once(':').map_or(line, |(_, words)| words);
             self.place = words.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -133,7 +183,11 @@ fn start_ns(text: &str) -> Option<i64> {
         _ => year,
     };
     let mut time = time.split(':').map(str::trim);
-    let (hour, minute, second) = (time.next()?.parse().ok()?, time.next()?.parse().ok()?, decimal(time.next()?)?);
+    let (hour, minute, second) = (
+        time.next()?.parse().ok()?,
+        time.next()?.parse().ok()?,
+        decimal(time.next()?)?,
+    );
     civil_ns(year, month, day, hour, minute, second)
 }
 
@@ -147,9 +201,16 @@ mod tests {
             text += "Corrected accelerogram   89324   Chan  1:  Tran       from\n";
             text += "89324-VAA6D           Start time: 12/20/22, 10:34: 1.5 UTC (GPS)\n";
             text += &format!("Chan  {channel}:  Tran     Location: Top of column\n");
-            text += "  9 points of instrument- and baseline-corrected accel, veloc and displ data\n";
-            for (quantity, unit) in [("accel", "cm/sec2."), ("veloc", "cm/sec. "), ("displ", "cm.     ")] {
-                text += &format!(" 9 points of {quantity} data equally spaced at 0.010 sec, in {unit} (8f10.5)\n");
+            text +=
+                "  9 points of instrument- and baseline-corrected accel, veloc and displ data\n";
+            for (quantity, unit) in [
+                ("accel", "cm/sec2."),
+                ("veloc", "cm/sec. "),
+                ("displ", "cm.     "),
+            ] {
+                text += &format!(
+                    " 9 points of {quantity} data equally spaced at 0.010 sec, in {unit} (8f10.5)\n"
+                );
                 text += &format!("{}\n   1.00000\n", "-100.12345".repeat(8));
             }
             text += &format!("/&  ----------  End of data for channel  {channel}  ----------\n");
@@ -162,15 +223,27 @@ mod tests {
         let channels = read(file().as_bytes()).unwrap();
         let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
         let quantities = ["acceleration", "velocity", "displacement"];
-        let expected: Vec<String> =
-            [4, 7].iter().flat_map(|n| quantities.map(|quantity| format!("channel-{n}.{quantity}"))).collect();
+        let expected: Vec<String> = [4, 7]
+            .iter()
+            .flat_map(|n| quantities.map(|quantity| format!("channel-{n}.{quantity}")))
+            .collect();
         assert_eq!(names, expected);
-        let units: Vec<_> = channels.iter().take(3).map(|channel| channel.unit().unwrap()).collect();
+        let units: Vec<_> = channels
+            .iter()
+            .take(3)
+            .map(|channel| channel.unit().unwrap())
+            .collect();
         assert_eq!(units, ["cm/sec2", "cm/sec", "cm"]);
-        assert_eq!(channels[0].samples().collect::<Vec<_>>()[7..], [-100.12345, 1.0]);
+        assert_eq!(
+            channels[0].samples().collect::<Vec<_>>()[7..],
+            [-100.12345, 1.0]
+        );
         // date -u -d '2022-12-20T10:34:01Z' +%s
         assert_eq!(channels[5].start_ns(), Some(1_671_532_441_500_000_000));
-        assert_eq!(channels[0].description(), Some("Tran Location: Top of column"));
+        assert_eq!(
+            channels[0].description(),
+            Some("Tran Location: Top of column")
+        );
     }
 
     #[test]
@@ -179,8 +252,14 @@ mod tests {
             \u{20}2 POINTS OF ACCEL DATA EQUALLY SPACED AT  .020 SEC.  (UNITS: CM/SEC/SEC)\n     8.750    11.303\n\
             /&  ----------  END OF DATA FOR CHANNEL  7  ----------\n";
         let channels = read(file.as_bytes()).unwrap();
-        assert_eq!((channels[0].name(), channels[0].unit()), ("channel-7.acceleration", Some("cm/sec/sec")));
-        assert_eq!((channels[0].sampling_rate_hz(), channels[0].origin()), (Some(50.0), TimeOrigin::Start));
+        assert_eq!(
+            (channels[0].name(), channels[0].unit()),
+            ("channel-7.acceleration", Some("cm/sec/sec"))
+        );
+        assert_eq!(
+            (channels[0].sampling_rate_hz(), channels[0].origin()),
+            (Some(50.0), TimeOrigin::Start)
+        );
     }
 
     #[test]
@@ -189,7 +268,10 @@ mod tests {
         let first = file.find("End of data").unwrap();
         for end in 0..file.len() {
             match read(&file.as_bytes()[..end]) {
-                Ok(channels) => assert!(channels.len() == 3 && end > first || channels.len() == 6, "cut at {end}"),
+                Ok(channels) => assert!(
+                    channels.len() == 3 && end > first || channels.len() == 6,
+                    "cut at {end}"
+                ),
                 Err(_) => assert!(end <= file.len() - 10, "cut at {end}"),
             }
         }

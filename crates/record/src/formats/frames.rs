@@ -19,8 +19,13 @@ pub(crate) struct FrameRows {
 impl FrameRows {
     /// Takes what a segment states of its frames; those of all segments must be of the same channels and rate.
     pub(crate) fn take_layout(&mut self, metadata: &BTreeMap<String, String>) -> Result<(), Fault> {
-        let stated = StatedLayout::from_metadata(metadata)
-            .ok_or_else(|| Fault::of_file("metadata of the frames", format!("{metadata:?}"), "that of a frame log"))?;
+        let stated = StatedLayout::from_metadata(metadata).ok_or_else(|| {
+            Fault::of_file(
+                "metadata of the frames",
+                format!("{metadata:?}"),
+                "that of a frame log",
+            )
+        })?;
         let layout = stated.layout;
         if self.names.is_empty() {
             self.columns = vec![Vec::new(); layout.channels.len()];
@@ -28,23 +33,38 @@ impl FrameRows {
             return Ok(());
         }
         if (&layout.channels, layout.sampling_rate_hz) != (&self.names, self.rate_hz) {
-            let told = |names: &[String], rate_hz: f64| format!("{} at {rate_hz} Hz", names.join(", "));
+            let told =
+                |names: &[String], rate_hz: f64| format!("{} at {rate_hz} Hz", names.join(", "));
             let found = told(&layout.channels, layout.sampling_rate_hz);
-            return Err(Fault::of_file("channels of the frames", found, told(&self.names, self.rate_hz)));
+            return Err(Fault::of_file(
+                "channels of the frames",
+                found,
+                told(&self.names, self.rate_hz),
+            ));
         }
         Ok(())
     }
 
     /// Takes the frames of a message that ends at this byte.
     pub(crate) fn take(&mut self, place: usize, message: &[u8]) -> Result<(), Fault> {
-        let refused =
-            |found: String| Fault::at_byte(place, "message of frames before here", found, "as its schema says");
-        let block = decode_frames(message).ok_or_else(|| refused(format!("{} bytes long", message.len())))?;
+        let refused = |found: String| {
+            Fault::at_byte(
+                place,
+                "message of frames before here",
+                found,
+                "as its schema says",
+            )
+        };
+        let block = decode_frames(message)
+            .ok_or_else(|| refused(format!("{} bytes long", message.len())))?;
         if usize::from(block.channels) != self.columns.len() {
             return Err(refused(format!("one of {} channels", block.channels)));
         }
-        for (number, row) in (block.sequence..).zip(block.values.chunks_exact(self.columns.len().max(1))) {
-            self.times_ns.push(frame_time_ns(block.t0_ns, block.sampling_rate_hz, number));
+        for (number, row) in
+            (block.sequence..).zip(block.values.chunks_exact(self.columns.len().max(1)))
+        {
+            self.times_ns
+                .push(frame_time_ns(block.t0_ns, block.sampling_rate_hz, number));
             for (column, value) in self.columns.iter_mut().zip(row) {
                 column.push(*value);
             }
@@ -55,26 +75,42 @@ impl FrameRows {
     /// The channels, in the order of time, and what a person should know. Of frames closer than half a step the first one
     /// stays: epochs that overlap measure the same time twice.
     pub(crate) fn channels(self) -> (Vec<RecordedChannel>, Vec<String>) {
-        let Self { names, rate_hz, times_ns, columns } = self;
+        let Self {
+            names,
+            rate_hz,
+            times_ns,
+            columns,
+        } = self;
         let half_step_ns = (0.5e9 / rate_hz) as i64;
         let mut order: Vec<usize> = (0..times_ns.len()).collect();
         order.sort_by_key(|row| times_ns[*row]); // stable
         let mut last_ns: Option<i64> = None;
         order.retain(|row| {
-            let is_apart = last_ns.is_none_or(|last_ns| times_ns[*row].saturating_sub(last_ns) > half_step_ns);
-            last_ns = if is_apart { Some(times_ns[*row]) } else { last_ns };
+            let is_apart =
+                last_ns.is_none_or(|last_ns| times_ns[*row].saturating_sub(last_ns) > half_step_ns);
+            last_ns = if is_apart {
+                Some(times_ns[*row])
+            } else {
+                last_ns
+            };
             is_apart
         });
         let mut remarks = Vec::new();
         if order.len() < times_ns.len() {
             let left_out = times_ns.len() - order.len();
-            remarks.push(format!("{left_out} frames are of times that another frame has, and are left out"));
+            remarks.push(format!(
+                "{left_out} frames are of times that another frame has, and are left out"
+            ));
         }
         let sorted_ns: Vec<i64> = order.iter().map(|row| times_ns[*row]).collect();
         let channel = |(name, column): (String, Vec<f64>)| {
             let values: Vec<f64> = order.iter().map(|row| column[*row]).collect();
-            RecordedChannel::from_times(name, Some(rate_hz), &sorted_ns, &values).with_origin(TimeOrigin::Epoch)
+            RecordedChannel::from_times(name, Some(rate_hz), &sorted_ns, &values)
+                .with_origin(TimeOrigin::Epoch)
         };
-        (names.into_iter().zip(columns).map(channel).collect(), remarks)
+        (
+            names.into_iter().zip(columns).map(channel).collect(),
+            remarks,
+        )
     }
 }

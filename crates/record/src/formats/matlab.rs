@@ -24,7 +24,10 @@ const LEVEL_5: u16 = 0x0100;
 
 /// Whether a file begins as MAT-files of level 5 do, or as HDF5 within the header of one.
 pub(crate) fn is_matlab(head: &[u8]) -> bool {
-    head.starts_with(b"MATLAB ") && head.get(126..128).is_some_and(|mark| mark == b"IM" || mark == b"MI")
+    head.starts_with(b"MATLAB ")
+        && head
+            .get(126..128)
+            .is_some_and(|mark| mark == b"IM" || mark == b"MI")
 }
 
 /// Reads all series of all variables.
@@ -32,11 +35,20 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut file = Bytes::new(bytes, ByteOrder::Little);
     file.seek(HEADER_BYTES - 4)?;
     let mark = file.clone().take(4)?;
-    file.order = if mark[2..] == *b"IM" { ByteOrder::Little } else { ByteOrder::Big };
+    file.order = if mark[2..] == *b"IM" {
+        ByteOrder::Little
+    } else {
+        ByteOrder::Big
+    };
     let version = file.u16()?;
     if version != LEVEL_5 {
         let allowed = "level 5 (0100): save it with `-v7`; version 7.3 is HDF5 and is not read";
-        return Err(Fault::at_byte(HEADER_BYTES - 4, "version of the MAT-file", format!("{version:04x}"), allowed));
+        return Err(Fault::at_byte(
+            HEADER_BYTES - 4,
+            "version of the MAT-file",
+            format!("{version:04x}"),
+            allowed,
+        ));
     }
     file.take(2)?;
     let mut variables = Vec::new();
@@ -47,12 +59,18 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
         match kind {
             COMPRESSED => {
                 let decoder = flate2::read::ZlibDecoder::new(data);
-                let element = budget
-                    .unpack(decoder)
-                    .map_err(|found| Fault::at_byte(start, "compressed element", found, "data of zlib"))?;
+                let element = budget.unpack(decoder).map_err(|found| {
+                    Fault::at_byte(start, "compressed element", found, "data of zlib")
+                })?;
                 let mut element = Bytes::new(&element, file.order);
-                let (kind, data) = tagged(&mut element)
-                    .map_err(|_| Fault::at_byte(start, "compressed element", "shorter than it states", "whole"))?;
+                let (kind, data) = tagged(&mut element).map_err(|_| {
+                    Fault::at_byte(
+                        start,
+                        "compressed element",
+                        "shorter than it states",
+                        "whole",
+                    )
+                })?;
                 if kind == MATRIX {
                     // places within what was compressed mean nothing to a reader of the file
                     let named = Array::read(Bytes::new(data, file.order), 0).map_err(|fault| {
@@ -67,10 +85,18 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
                 }
             }
             MATRIX => {
-                let named = Array::read(Bytes::new(data, file.order), 0).map_err(|fault| fault.moved_by(start + 8))?;
+                let named = Array::read(Bytes::new(data, file.order), 0)
+                    .map_err(|fault| fault.moved_by(start + 8))?;
                 variables.extend(named);
             }
-            other => return Err(Fault::at_byte(start, "type of an element", other, "14 (array) or 15 (compressed)")),
+            other => {
+                return Err(Fault::at_byte(
+                    start,
+                    "type of an element",
+                    other,
+                    "14 (array) or 15 (compressed)",
+                ));
+            }
         }
     }
     channels::of_variables(&variables)
@@ -83,9 +109,14 @@ fn tagged<'a>(file: &mut Bytes<'a>) -> Result<(u32, &'a [u8]), Fault> {
     if word >> 16 != 0 {
         let (kind, length, start) = (word & 0xffff, (word >> 16) as usize, file.position());
         let data = file.take(4)?;
-        let data = data
-            .get(..length)
-            .ok_or_else(|| Fault::at_byte(start - 4, "length of a small element", length, "at most 4 bytes"))?;
+        let data = data.get(..length).ok_or_else(|| {
+            Fault::at_byte(
+                start - 4,
+                "length of a small element",
+                length,
+                "at most 4 bytes",
+            )
+        })?;
         return Ok((kind, data));
     }
     let length = file.u32()? as usize;

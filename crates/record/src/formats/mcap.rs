@@ -50,15 +50,23 @@ const CUT_OFF: &str = "the file was cut off: it is read up to its last whole chu
 /// Reads the frames of a segment of a frame log; also returns what a person should know of the file.
 pub(crate) fn read_frames(bytes: &[u8], frames: &mut FrameRows) -> Result<Vec<String>, Fault> {
     let mut topics = BTreeMap::new();
-    let is_whole = each_record(bytes, |place, record| take(&mut topics, frames, place, record))?;
-    Ok(if is_whole { Vec::new() } else { vec![CUT_OFF.to_owned()] })
+    let is_whole = each_record(bytes, |place, record| {
+        take(&mut topics, frames, place, record)
+    })?;
+    Ok(if is_whole {
+        Vec::new()
+    } else {
+        vec![CUT_OFF.to_owned()]
+    })
 }
 
 /// Reads all numbers; also returns what a person should know of the file.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), Fault> {
     let mut topics: BTreeMap<u16, Topic> = BTreeMap::new();
     let mut frames = FrameRows::default();
-    let is_whole = each_record(bytes, |place, record| take(&mut topics, &mut frames, place, record))?;
+    let is_whole = each_record(bytes, |place, record| {
+        take(&mut topics, &mut frames, place, record)
+    })?;
     let (mut channels, mut remarks) = frames.channels();
     if !is_whole {
         remarks.push(CUT_OFF.to_owned());
@@ -75,18 +83,31 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), 
         channels.extend(topic.channels()?);
     }
     if channels.is_empty() {
-        let found =
-            if others.is_empty() { "no message".to_owned() } else { format!("the topics {}", others.join(", ")) };
-        return Err(Fault::of_file("content", found, "messages in JSON with numbers, or frames"));
+        let found = if others.is_empty() {
+            "no message".to_owned()
+        } else {
+            format!("the topics {}", others.join(", "))
+        };
+        return Err(Fault::of_file(
+            "content",
+            found,
+            "messages in JSON with numbers, or frames",
+        ));
     }
     if !others.is_empty() {
-        remarks.push(format!("topics that are not JSON are left out: {}", others.join(", ")));
+        remarks.push(format!(
+            "topics that are not JSON are left out: {}",
+            others.join(", ")
+        ));
     }
     Ok((channels, remarks))
 }
 
 /// Calls `take` with each record and the byte up to which the file was used; returns whether the file has an end.
-fn each_record(bytes: &[u8], mut take: impl FnMut(usize, Record<'_>) -> Result<(), Fault>) -> Result<bool, Fault> {
+fn each_record(
+    bytes: &[u8],
+    mut take: impl FnMut(usize, Record<'_>) -> Result<(), Fault>,
+) -> Result<bool, Fault> {
     let options = LinearReaderOptions::default()
         .with_prevalidate_chunk_crcs(true) // no message of a chunk that is damaged, or not whole
         .with_record_length_limit(LONGEST_RECORD_BYTES);
@@ -97,7 +118,9 @@ fn each_record(bytes: &[u8], mut take: impl FnMut(usize, Record<'_>) -> Result<(
             Ok(LinearReadEvent::ReadRequest(wanted)) => {
                 // no more than there is: the length may be a false one
                 let given = wanted.min(bytes.len() - used);
-                reader.insert(given).copy_from_slice(&bytes[used..used + given]);
+                reader
+                    .insert(given)
+                    .copy_from_slice(&bytes[used..used + given]);
                 reader.notify_read(given);
                 used += given;
             }
@@ -107,7 +130,14 @@ fn each_record(bytes: &[u8], mut take: impl FnMut(usize, Record<'_>) -> Result<(
                 take(used, record)?;
             }
             Err(McapError::UnexpectedEof) if used == bytes.len() => return Ok(false),
-            Err(error) => return Err(Fault::at_byte(used, "record before here", told(&error), "whole and undamaged")),
+            Err(error) => {
+                return Err(Fault::at_byte(
+                    used,
+                    "record before here",
+                    told(&error),
+                    "whole and undamaged",
+                ));
+            }
         }
     }
     Ok(true)
@@ -139,7 +169,12 @@ fn take(
         }
         Record::Message { header, data } => {
             let topic = topics.get_mut(&header.channel_id).ok_or_else(|| {
-                Fault::at_byte(place, "channel of a message", header.channel_id, "one that the file states before it")
+                Fault::at_byte(
+                    place,
+                    "channel of a message",
+                    header.channel_id,
+                    "one that the file states before it",
+                )
             })?;
             if topic.encoding == FRAMES_ENCODING {
                 return frames.take(place, &data);
@@ -148,10 +183,20 @@ fn take(
                 return Ok(());
             }
             let time_ns = i64::try_from(header.log_time).map_err(|_| {
-                Fault::at_byte(place, "log time of a message", header.log_time, "below 2^63 ns, before the year 2262")
+                Fault::at_byte(
+                    place,
+                    "log time of a message",
+                    header.log_time,
+                    "below 2^63 ns, before the year 2262",
+                )
             })?;
             let message: Value = serde_json::from_slice(&data).map_err(|error| {
-                Fault::at_byte(place, format!("message of {}", topic.name), format!("wrong ({error})"), "JSON")
+                Fault::at_byte(
+                    place,
+                    format!("message of {}", topic.name),
+                    format!("wrong ({error})"),
+                    "JSON",
+                )
             })?;
             take_numbers(&message, &mut String::new(), time_ns, &mut topic.fields);
         }
@@ -161,7 +206,12 @@ fn take(
 }
 
 /// Takes the numbers of a message by the names of their fields.
-fn take_numbers(value: &Value, path: &mut String, time_ns: i64, fields: &mut BTreeMap<String, Vec<(i64, f64)>>) {
+fn take_numbers(
+    value: &Value,
+    path: &mut String,
+    time_ns: i64,
+    fields: &mut BTreeMap<String, Vec<(i64, f64)>>,
+) {
     match value {
         Value::Number(number) => {
             let number = number.as_f64().unwrap_or(f64::NAN);
@@ -189,24 +239,50 @@ fn take_numbers(value: &Value, path: &mut String, time_ns: i64, fields: &mut BTr
 
 impl Topic {
     fn channels(self) -> Result<Vec<RecordedChannel>, Fault> {
-        let Self { name, metadata, fields, .. } = self;
+        let Self {
+            name,
+            metadata,
+            fields,
+            ..
+        } = self;
         let is_alone = fields.len() == 1;
-        let rate_hz = metadata.get(keys::SAMPLING_RATE).and_then(|rate| rate.parse::<f64>().ok());
+        let rate_hz = metadata
+            .get(keys::SAMPLING_RATE)
+            .and_then(|rate| rate.parse::<f64>().ok());
         let rate_hz = rate_hz.filter(|rate_hz| rate_hz.is_finite() && *rate_hz > 0.0);
-        let is_relative = metadata.get(keys::TIME_ORIGIN).is_some_and(|origin| origin == keys::START_OF_RECORD);
-        let origin = if is_relative { TimeOrigin::Start } else { TimeOrigin::Epoch };
+        let is_relative = metadata
+            .get(keys::TIME_ORIGIN)
+            .is_some_and(|origin| origin == keys::START_OF_RECORD);
+        let origin = if is_relative {
+            TimeOrigin::Start
+        } else {
+            TimeOrigin::Epoch
+        };
         let stated = |key: &str| metadata.get(key).cloned().unwrap_or_default();
         let mut channels = Vec::new();
         for (field, mut samples) in fields {
-            let name = if is_alone && field == VALUE_FIELD { name.clone() } else { format!("{name}.{field}") };
+            let name = if is_alone && field == VALUE_FIELD {
+                name.clone()
+            } else {
+                format!("{name}.{field}")
+            };
             samples.sort_by_key(|(time_ns, _)| *time_ns);
             if let Some(pair) = samples.windows(2).find(|pair| pair[0].0 == pair[1].0) {
                 let found = format!("there twice at {} ns", pair[0].0);
-                return Err(Fault::of_file(format!("sample of {name}"), found, "there once at any time"));
+                return Err(Fault::of_file(
+                    format!("sample of {name}"),
+                    found,
+                    "there once at any time",
+                ));
             }
             let (times_ns, values): (Vec<i64>, Vec<f64>) = samples.into_iter().unzip();
-            let channel = RecordedChannel::from_times(name, rate_hz, &times_ns, &values).with_origin(origin);
-            channels.push(channel.with_unit(stated(keys::UNIT)).with_description(stated(keys::DESCRIPTION)));
+            let channel =
+                RecordedChannel::from_times(name, rate_hz, &times_ns, &values).with_origin(origin);
+            channels.push(
+                channel
+                    .with_unit(stated(keys::UNIT))
+                    .with_description(stated(keys::DESCRIPTION)),
+            );
         }
         Ok(channels)
     }

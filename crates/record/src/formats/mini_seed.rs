@@ -36,7 +36,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
     let channels = series::join(records)?;
     match channels.is_empty() {
-        true => Err(Fault::of_file("number of records with samples", 0, "at least 1")),
+        true => Err(Fault::of_file(
+            "number of records with samples",
+            0,
+            "at least 1",
+        )),
         false => Ok(channels),
     }
 }

@@ -5,7 +5,9 @@ use std::path::Path;
 use crate::record_time::TimeForm;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 use crate::table_layout::{HEAD_BYTES, Separator, TableLayout};
-use crate::{ColumnMapping, CsvReader, ReadOptions, RecordError, RecordReader, TimeSource, TimeUnit};
+use crate::{
+    ColumnMapping, CsvReader, ReadOptions, RecordError, RecordReader, TimeSource, TimeUnit,
+};
 
 /// Rate at which rows without times are counted while they are read; it is no statement of the file.
 const COUNTING_HZ: f64 = 1.0;
@@ -14,7 +16,11 @@ const COUNTING_HZ: f64 = 1.0;
 ///
 /// The time stands in the column that the options name, else in the first one whose name begins with `time` or is `t`, else
 /// in the first column if that has dates.
-pub(crate) fn read(bytes: Vec<u8>, path: &Path, options: &ReadOptions) -> Result<Vec<RecordedChannel>, RecordError> {
+pub(crate) fn read(
+    bytes: Vec<u8>,
+    path: &Path,
+    options: &ReadOptions,
+) -> Result<Vec<RecordedChannel>, RecordError> {
     let head = &bytes[..bytes.len().min(HEAD_BYTES as usize)];
     let layout = TableLayout::find(head, options.time_column.as_deref());
     let (header, row) = first_lines(&bytes, &layout);
@@ -22,20 +28,36 @@ pub(crate) fn read(bytes: Vec<u8>, path: &Path, options: &ReadOptions) -> Result
     let time_column = match &options.time_column {
         Some(name) => Some(name.clone()),
         None => {
-            let is_time = |name: &&String| name.to_ascii_lowercase().starts_with("time") || name.as_str() == "t";
+            let is_time = |name: &&String| {
+                name.to_ascii_lowercase().starts_with("time") || name.as_str() == "t"
+            };
             let dated = row.first().filter(is_date).and_then(|_| header.first());
-            header.iter().find(is_time).filter(|_| layout.has_header).or(dated).cloned()
+            header
+                .iter()
+                .find(is_time)
+                .filter(|_| layout.has_header)
+                .or(dated)
+                .cloned()
         }
     };
-    let is_sample = |field: &str| field.is_empty() || field.replace(',', ".").parse::<f64>().is_ok();
+    let is_sample =
+        |field: &str| field.is_empty() || field.replace(',', ".").parse::<f64>().is_ok();
     let is_channel = |index: usize| {
-        Some(&header[index]) != time_column.as_ref() && row.get(index).is_none_or(|field| is_sample(field))
+        Some(&header[index]) != time_column.as_ref()
+            && row.get(index).is_none_or(|field| is_sample(field))
     };
-    let columns: Vec<String> =
-        (0..header.len()).filter(|index| is_channel(*index)).map(|index| header[index].clone()).collect();
+    let columns: Vec<String> = (0..header.len())
+        .filter(|index| is_channel(*index))
+        .map(|index| header[index].clone())
+        .collect();
     let time = match time_column {
-        Some(name) => TimeSource::Column { name, unit: options.time_unit.unwrap_or(TimeUnit::Seconds) },
-        None => TimeSource::Counted { rate_hz: COUNTING_HZ },
+        Some(name) => TimeSource::Column {
+            name,
+            unit: options.time_unit.unwrap_or(TimeUnit::Seconds),
+        },
+        None => TimeSource::Counted {
+            rate_hz: COUNTING_HZ,
+        },
     };
     let is_counted = matches!(time, TimeSource::Counted { .. });
     let mapping = ColumnMapping::by_name(columns.iter().cloned()).with_time(time);
@@ -49,7 +71,10 @@ pub(crate) fn read(bytes: Vec<u8>, path: &Path, options: &ReadOptions) -> Result
     let mut samples = vec![Vec::new(); columns.len()];
     while let Some(row) = reader.next_row()? {
         times_ns.push(row.time_ns);
-        samples.iter_mut().zip(row.values).for_each(|(samples, value)| samples.push(*value));
+        samples
+            .iter_mut()
+            .zip(row.values)
+            .for_each(|(samples, value)| samples.push(*value));
     }
     let channel = |(name, samples): (String, Vec<f64>)| {
         let unit = unit_of(&name).to_owned();
@@ -77,17 +102,33 @@ fn first_lines(bytes: &[u8], layout: &TableLayout) -> (Vec<String>, Vec<String>)
     match layout.has_header {
         true => {
             let is_blank = |line: &&[u8]| line.trim_ascii().is_empty();
-            (first, lines.find(|line| !is_blank(line)).map(fields).unwrap_or_default())
+            (
+                first,
+                lines
+                    .find(|line| !is_blank(line))
+                    .map(fields)
+                    .unwrap_or_default(),
+            )
         }
-        false => ((1..=first.len()).map(|number| number.to_string()).collect(), first),
+        false => (
+            (1..=first.len()).map(|number| number.to_string()).collect(),
+            first,
+        ),
     }
 }
 
 /// The unit in brackets at the end of a name.
 pub(crate) fn unit_of(name: &str) -> &str {
-    let inner =
-        |open: char, close: char| name.trim_end().strip_suffix(close)?.rsplit_once(open).map(|(_, unit)| unit.trim());
-    inner('[', ']').or_else(|| inner('(', ')')).filter(|unit| *unit != "-").unwrap_or_default()
+    let inner = |open: char, close: char| {
+        name.trim_end()
+            .strip_suffix(close)?
+            .rsplit_once(open)
+            .map(|(_, unit)| unit.trim())
+    };
+    inner('[', ']')
+        .or_else(|| inner('(', ')'))
+        .filter(|unit| *unit != "-")
+        .unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -100,11 +141,15 @@ mod tests {
 
     #[test]
     fn columns_of_numbers_become_channels_with_unit_rate_and_gap() {
-        let text = "Time (-),note,roof [g],base (kN)\n0.00,calm,1,\n0.01,calm,2,5\n0.05,windy,3,6\n";
+        let text =
+            "Time (-),note,roof [g],base (kN)\n0.00,calm,1,\n0.01,calm,2,5\n0.05,windy,3,6\n";
         let channels = read_text(text, &ReadOptions::default());
         let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
         assert_eq!(names, ["roof [g]", "base (kN)"]);
-        assert_eq!((channels[0].unit(), channels[1].unit()), (Some("g"), Some("kN")));
+        assert_eq!(
+            (channels[0].unit(), channels[1].unit()),
+            (Some("g"), Some("kN"))
+        );
         assert_eq!(channels[1].present(), 2);
         assert_eq!(channels[0].segments().len(), 2);
     }
@@ -115,21 +160,34 @@ mod tests {
         let channels = read_text(text, &ReadOptions::default());
         // date -u -d '2022-11-04T08:36:24Z' +%s
         assert_eq!(channels[0].start_ns(), Some(1_667_550_984_897_000_000));
-        assert_eq!((channels[0].sampling_rate_hz(), channels[0].origin()), (Some(100.0), TimeOrigin::Epoch));
+        assert_eq!(
+            (channels[0].sampling_rate_hz(), channels[0].origin()),
+            (Some(100.0), TimeOrigin::Epoch)
+        );
     }
 
     #[test]
     fn table_without_times_has_no_rate() {
         let channels = read_text("1.5\t2\n2.5\t3\n", &ReadOptions::default());
-        assert_eq!((channels[1].name(), channels[1].sampling_rate_hz()), ("2", None));
+        assert_eq!(
+            (channels[1].name(), channels[1].sampling_rate_hz()),
+            ("2", None)
+        );
         assert_eq!(channels[0].samples().collect::<Vec<_>>(), [1.5, 2.5]);
     }
 
     #[test]
     fn named_time_column_in_microseconds_is_used() {
         let time_column = Some("fine".to_owned());
-        let options = ReadOptions { time_column, time_unit: Some(TimeUnit::Microseconds), ..ReadOptions::default() };
-        let channels = read_text("who:,me\n\nn,fine,a\n0,10000,1\n1,20000,2\n2,30000,3\n", &options);
+        let options = ReadOptions {
+            time_column,
+            time_unit: Some(TimeUnit::Microseconds),
+            ..ReadOptions::default()
+        };
+        let channels = read_text(
+            "who:,me\n\nn,fine,a\n0,10000,1\n1,20000,2\n2,30000,3\n",
+            &options,
+        );
         assert_eq!(channels[0].sampling_rate_hz(), Some(100.0));
     }
 }

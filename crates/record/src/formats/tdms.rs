@@ -64,21 +64,35 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut order: Vec<String> = Vec::new(); // of the raw data, from segment to segment
     let mut start = 0;
     while start < bytes.len() {
-        let length = read_segment(&bytes[start..], &mut objects, &mut order).map_err(|fault| fault.moved_by(start))?;
+        let length = read_segment(&bytes[start..], &mut objects, &mut order)
+            .map_err(|fault| fault.moved_by(start))?;
         start += length;
     }
-    let mut paths: Vec<(usize, &String)> = objects.iter().map(|(path, object)| (object.place, path)).collect();
+    let mut paths: Vec<(usize, &String)> = objects
+        .iter()
+        .map(|(path, object)| (object.place, path))
+        .collect();
     paths.sort_unstable();
-    let channels: Vec<RecordedChannel> =
-        paths.into_iter().filter_map(|(_, path)| channel(path, &objects).transpose()).collect::<Result<_, _>>()?;
+    let channels: Vec<RecordedChannel> = paths
+        .into_iter()
+        .filter_map(|(_, path)| channel(path, &objects).transpose())
+        .collect::<Result<_, _>>()?;
     match channels.is_empty() {
-        true => Err(Fault::of_file("number of channels with numbers", 0, "at least 1")),
+        true => Err(Fault::of_file(
+            "number of channels with numbers",
+            0,
+            "at least 1",
+        )),
         false => Ok(channels),
     }
 }
 
 /// Reads a segment and returns its length.
-fn read_segment(bytes: &[u8], objects: &mut BTreeMap<String, Object>, order: &mut Vec<String>) -> Result<usize, Fault> {
+fn read_segment(
+    bytes: &[u8],
+    objects: &mut BTreeMap<String, Object>,
+    order: &mut Vec<String>,
+) -> Result<usize, Fault> {
     let mut lead_in = Bytes::new(bytes, ByteOrder::Little);
     let tag = lead_in.take(4)?;
     if tag != b"TDSm" {
@@ -104,14 +118,17 @@ fn read_segment(bytes: &[u8], objects: &mut BTreeMap<String, Object>, order: &mu
             return Err(Fault::at_byte(12, "length of the segment", next, allowed));
         }
     };
-    let raw_start = usize::try_from(raw_start).ok().filter(|start| *start <= segment_length).ok_or_else(|| {
-        Fault::at_byte(
-            20,
-            "start of the raw data",
-            raw_start,
-            format!("at most {segment_length}, the end of the segment"),
-        )
-    })?;
+    let raw_start = usize::try_from(raw_start)
+        .ok()
+        .filter(|start| *start <= segment_length)
+        .ok_or_else(|| {
+            Fault::at_byte(
+                20,
+                "start of the raw data",
+                raw_start,
+                format!("at most {segment_length}, the end of the segment"),
+            )
+        })?;
     let segment = &bytes[LEAD_IN_BYTES..LEAD_IN_BYTES + segment_length];
     let byte_order = lead_in.order;
     if contents & contents::NEW_OBJECTS != 0 {
@@ -119,7 +136,8 @@ fn read_segment(bytes: &[u8], objects: &mut BTreeMap<String, Object>, order: &mu
     }
     if contents & contents::METADATA != 0 {
         let metadata = Bytes::new(&segment[..raw_start], byte_order);
-        let metadata = Metadata::read(metadata, objects).map_err(|fault| fault.moved_by(LEAD_IN_BYTES))?;
+        let metadata =
+            Metadata::read(metadata, objects).map_err(|fault| fault.moved_by(LEAD_IN_BYTES))?;
         metadata.apply(objects, order);
     }
     if contents & contents::RAW_DATA != 0 {
@@ -132,8 +150,13 @@ fn read_segment(bytes: &[u8], objects: &mut BTreeMap<String, Object>, order: &mu
 }
 
 /// Makes the channel of an object; none of groups, of the file, and of texts.
-fn channel(path: &str, objects: &BTreeMap<String, Object>) -> Result<Option<RecordedChannel>, Fault> {
-    let (Some(object), Some(name)) = (objects.get(path), name_of(path)) else { return Ok(None) };
+fn channel(
+    path: &str,
+    objects: &BTreeMap<String, Object>,
+) -> Result<Option<RecordedChannel>, Fault> {
+    let (Some(object), Some(name)) = (objects.get(path), name_of(path)) else {
+        return Ok(None);
+    };
     if object.samples.is_empty() {
         return Ok(None);
     }
@@ -146,18 +169,28 @@ fn channel(path: &str, objects: &BTreeMap<String, Object>) -> Result<Option<Reco
         Some(Property::Text(text)) => Some(text.clone()),
         Some(Property::Number(_) | Property::Time(_) | Property::Other) | None => None,
     };
-    let rate_hz = number("wf_increment").filter(|step_s| step_s.is_finite() && *step_s > 0.0).map(rate_from_step);
+    let rate_hz = number("wf_increment")
+        .filter(|step_s| step_s.is_finite() && *step_s > 0.0)
+        .map(rate_from_step);
     let offset_ns = (number("wf_start_offset").unwrap_or(0.0) * 1e9).round() as i64;
     let start_ns = match object.properties.get("wf_start_time") {
         // zero is what LabVIEW writes of a waveform without a date
-        Some(Property::Time(time_ns)) if *time_ns != -SECONDS_1904_TO_1970 * 1_000_000_000 => Some(*time_ns),
+        Some(Property::Time(time_ns)) if *time_ns != -SECONDS_1904_TO_1970 * 1_000_000_000 => {
+            Some(*time_ns)
+        }
         _ => None,
     };
-    let origin = if start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
+    let origin = if start_ns.is_some() {
+        TimeOrigin::Epoch
+    } else {
+        TimeOrigin::Start
+    };
     let segment = Segment::new(start_ns.unwrap_or(0).saturating_add(offset_ns), samples);
     let channel = RecordedChannel::new(name, rate_hz, vec![segment]).with_origin(origin);
     let channel = channel.with_unit(text("unit_string").unwrap_or_default());
-    Ok(Some(channel.with_description(text("description").unwrap_or_default())))
+    Ok(Some(
+        channel.with_description(text("description").unwrap_or_default()),
+    ))
 }
 
 /// `group/channel` of `/'group'/'channel'`; a quote within a name is doubled.

@@ -30,7 +30,11 @@ pub(crate) struct NumberColumns {
 
 impl<'a> TextLines<'a> {
     pub(crate) fn new(text: &'a str) -> Self {
-        Self { rest: text.lines(), number: 0, is_ended: text.ends_with('\n') }
+        Self {
+            rest: text.lines(),
+            number: 0,
+            is_ended: text.ends_with('\n'),
+        }
     }
 
     /// The number of the line read last.
@@ -40,18 +44,38 @@ impl<'a> TextLines<'a> {
 
     /// The next line; a fault at the end of the file.
     pub(crate) fn line(&mut self, what: &str) -> Result<&'a str, Fault> {
-        self.next().ok_or_else(|| Fault::at_line(self.number, "end of the file", "here", format!("after {what}")))
+        self.next().ok_or_else(|| {
+            Fault::at_line(
+                self.number,
+                "end of the file",
+                "here",
+                format!("after {what}"),
+            )
+        })
     }
 
     /// Reads `count` decimal numbers; every line but the last must be full.
-    pub(crate) fn numbers(&mut self, columns: NumberColumns, count: usize, what: &str) -> Result<Vec<f64>, Fault> {
+    pub(crate) fn numbers(
+        &mut self,
+        columns: NumberColumns,
+        count: usize,
+        what: &str,
+    ) -> Result<Vec<f64>, Fault> {
         self.values(columns, count, what, decimals)
     }
 
     /// Reads `count` whole numbers, which may touch: `36012069` can be two.
-    pub(crate) fn integers(&mut self, columns: NumberColumns, count: usize, what: &str) -> Result<Vec<i64>, Fault> {
+    pub(crate) fn integers(
+        &mut self,
+        columns: NumberColumns,
+        count: usize,
+        what: &str,
+    ) -> Result<Vec<i64>, Fault> {
         self.values(columns, count, what, |line, width| {
-            fields(line, width)?.into_iter().map(|field| field.parse().ok()).collect()
+            fields(line, width)?
+                .into_iter()
+                .map(|field| field.parse().ok())
+                .collect()
         })
     }
 
@@ -76,15 +100,30 @@ impl<'a> TextLines<'a> {
             let expected = columns.per_line.min(count - values.len());
             let allowed = || format!("{expected} numbers {} wide", columns.width);
             let Some(read) = parse(line, columns.width) else {
-                return Err(Fault::at_line(self.number, what, format!("`{}`", line.trim_end()), allowed()));
+                return Err(Fault::at_line(
+                    self.number,
+                    what,
+                    format!("`{}`", line.trim_end()),
+                    allowed(),
+                ));
             };
             let is_last = self.rest.clone().next().is_none();
             if is_last && !self.is_ended && line.len() % columns.width != 0 {
                 let found = format!("cut off after `{}`", line.trim_end());
-                return Err(Fault::at_line(self.number, what, found, "a whole last line"));
+                return Err(Fault::at_line(
+                    self.number,
+                    what,
+                    found,
+                    "a whole last line",
+                ));
             }
             if read.len() != expected {
-                return Err(Fault::at_line(self.number, what, format!("{} numbers", read.len()), allowed()));
+                return Err(Fault::at_line(
+                    self.number,
+                    what,
+                    format!("{} numbers", read.len()),
+                    allowed(),
+                ));
             }
             values.extend(read);
         }
@@ -115,8 +154,15 @@ fn fields(line: &str, width: usize) -> Option<Vec<&str>> {
     if !line.is_ascii() || width == 0 {
         return None;
     }
-    let cut = |start: usize| line.get(start..(start + width).min(line.len())).map(str::trim);
-    (0..line.len()).step_by(width).map(cut).map(|field| field.filter(|field| !field.is_empty())).collect()
+    let cut = |start: usize| {
+        line.get(start..(start + width).min(line.len()))
+            .map(str::trim)
+    };
+    (0..line.len())
+        .step_by(width)
+        .map(cut)
+        .map(|field| field.filter(|field| !field.is_empty()))
+        .collect()
 }
 
 /// A number as Fortran writes it; an exponent may begin with D.
@@ -132,11 +178,17 @@ pub(crate) fn decimal(text: &str) -> Option<f64> {
 pub(crate) fn columns_of(format: &str) -> Option<NumberColumns> {
     let format = format.trim().to_ascii_lowercase();
     let format = match format.split_once('p') {
-        Some((scale, rest)) if scale.bytes().all(|byte| byte.is_ascii_digit()) => rest.trim_start_matches(','),
+        Some((scale, rest)) if scale.bytes().all(|byte| byte.is_ascii_digit()) => {
+            rest.trim_start_matches(',')
+        }
         _ => format.as_str(),
     };
     let (count, rest) = format.split_once(|symbol: char| symbol.is_ascii_alphabetic())?;
-    let per_line = if count.is_empty() { 1 } else { count.trim().parse().ok()? };
+    let per_line = if count.is_empty() {
+        1
+    } else {
+        count.trim().parse().ok()?
+    };
     let width = rest.split('.').next()?.trim().parse().ok()?;
     (per_line > 0 && width > 0).then_some(NumberColumns { per_line, width })
 }
@@ -148,34 +200,70 @@ mod tests {
     #[test]
     fn touching_numbers_are_cut_at_their_width() {
         let mut lines = TextLines::new("-1.5289E-2 2.1143E-2\n 2.2332E-2-3.7283E-3\n");
-        let columns = NumberColumns { per_line: 2, width: 10 };
+        let columns = NumberColumns {
+            per_line: 2,
+            width: 10,
+        };
         let numbers = lines.numbers(columns, 4, "acceleration").unwrap();
         assert_eq!(numbers, [-1.5289e-2, 2.1143e-2, 2.2332e-2, -3.7283e-3]);
     }
 
     #[test]
     fn numbers_apart_need_no_width() {
-        let columns = NumberColumns { per_line: 3, width: 10 };
-        assert_eq!(TextLines::new("1.5 2.5 -3\n").numbers(columns, 3, "x").unwrap(), [1.5, 2.5, -3.0]);
+        let columns = NumberColumns {
+            per_line: 3,
+            width: 10,
+        };
+        assert_eq!(
+            TextLines::new("1.5 2.5 -3\n")
+                .numbers(columns, 3, "x")
+                .unwrap(),
+            [1.5, 2.5, -3.0]
+        );
     }
 
     #[test]
     fn touching_integers_are_cut_at_their_width() {
-        let columns = NumberColumns { per_line: 3, width: 5 };
-        assert_eq!(TextLines::new("    736012   -1\n").integers(columns, 3, "x").unwrap(), [7, 36012, -1]);
+        let columns = NumberColumns {
+            per_line: 3,
+            width: 5,
+        };
+        assert_eq!(
+            TextLines::new("    736012   -1\n")
+                .integers(columns, 3, "x")
+                .unwrap(),
+            [7, 36012, -1]
+        );
     }
 
     #[test]
     fn short_line_stars_and_early_end_name_their_line() {
-        let columns = NumberColumns { per_line: 2, width: 6 };
-        let told = |text: &str| TextLines::new(text).numbers(columns, 4, "velocity").unwrap_err().to_string();
-        assert_eq!(told("1.0 2.0\n3.0\n"), "line 2: velocity is 1 numbers, must be 2 numbers 6 wide");
-        assert_eq!(told("1.0 2.0\n******   4.0\n"), "line 2: velocity is `******   4.0`, must be 2 numbers 6 wide");
+        let columns = NumberColumns {
+            per_line: 2,
+            width: 6,
+        };
+        let told = |text: &str| {
+            TextLines::new(text)
+                .numbers(columns, 4, "velocity")
+                .unwrap_err()
+                .to_string()
+        };
+        assert_eq!(
+            told("1.0 2.0\n3.0\n"),
+            "line 2: velocity is 1 numbers, must be 2 numbers 6 wide"
+        );
+        assert_eq!(
+            told("1.0 2.0\n******   4.0\n"),
+            "line 2: velocity is `******   4.0`, must be 2 numbers 6 wide"
+        );
         assert_eq!(
             told("1.0   2.0\n3.0   4."),
             "line 2: velocity is cut off after `3.0   4.`, must be a whole last line"
         );
-        assert_eq!(told("1.0 2.0\n"), "line 1: number of values of velocity is 2 to the end of the file, must be 4");
+        assert_eq!(
+            told("1.0 2.0\n"),
+            "line 1: number of values of velocity is 2 to the end of the file, must be 4"
+        );
     }
 
     #[test]

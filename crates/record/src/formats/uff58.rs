@@ -18,13 +18,21 @@ const HEADER_LINES: usize = 11;
 const TIME_RESPONSE: i64 = 1;
 /// Axis type of time.
 const TIME_AXIS: i64 = 17;
-const MONTHS: [&str; 12] = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
+const MONTHS: [&str; 12] = [
+    "jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec",
+];
 
 /// Whether a file begins as universal files do.
 pub(crate) fn is_uff(head: &str) -> bool {
-    let mut lines = head.lines().map(str::trim_end).skip_while(|line| line.is_empty());
+    let mut lines = head
+        .lines()
+        .map(str::trim_end)
+        .skip_while(|line| line.is_empty());
     lines.next().is_some_and(|line| line.trim() == "-1")
-        && lines.next().is_some_and(|line| line.trim_start().starts_with(|first: char| first.is_ascii_digit()))
+        && lines.next().is_some_and(|line| {
+            line.trim_start()
+                .starts_with(|first: char| first.is_ascii_digit())
+        })
 }
 
 /// Reads all time responses; datasets of other numbers and functions of other types are left out, if there is one.
@@ -44,7 +52,9 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
                 "`    -1`",
             ));
         }
-        let Some(number) = next_line(&mut file) else { break };
+        let Some(number) = next_line(&mut file) else {
+            break;
+        };
         match number.split_whitespace().next() {
             Some("58") => read_dataset(&mut file, None, &mut channels, &mut left_out)?,
             Some("58b") => {
@@ -57,12 +67,21 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
             }
             Some(_) | None => {
                 let found = format!("`{}`", number.trim());
-                return Err(Fault::at_byte(file.position(), "number of a dataset", found, "a number, or 58b"));
+                return Err(Fault::at_byte(
+                    file.position(),
+                    "number of a dataset",
+                    found,
+                    "a number, or 58b",
+                ));
             }
         }
     }
     match channels.is_empty() {
-        true => Err(Fault::of_file("content", left_out.join(", "), "a time response in a dataset 58 or 58b")),
+        true => Err(Fault::of_file(
+            "content",
+            left_out.join(", "),
+            "a time response in a dataset 58 or 58b",
+        )),
         false => Ok(channels),
     }
 }
@@ -77,9 +96,13 @@ struct Binary {
 impl Binary {
     /// Reads the first line: `58b`, byte order, kind of floating point numbers, lines of text, bytes behind them.
     fn of(line: &str, file: &Bytes<'_>) -> Result<Self, Fault> {
-        let refused =
-            |what: &str, allowed: &str| Fault::at_byte(file.position(), what, format!("`{}`", line.trim()), allowed);
-        let mut words = line.split_whitespace().skip(1).map(|word| word.parse::<usize>().ok());
+        let refused = |what: &str, allowed: &str| {
+            Fault::at_byte(file.position(), what, format!("`{}`", line.trim()), allowed)
+        };
+        let mut words = line
+            .split_whitespace()
+            .skip(1)
+            .map(|word| word.parse::<usize>().ok());
         let order = match words.next().flatten() {
             Some(1) => ByteOrder::Little,
             Some(2) => ByteOrder::Big,
@@ -88,7 +111,10 @@ impl Binary {
         if words.next().flatten() != Some(2) {
             return Err(refused("kind of floating point numbers", "2 (IEEE 754)"));
         }
-        let bytes = words.nth(1).flatten().ok_or_else(|| refused("number of bytes", "a number"))?;
+        let bytes = words
+            .nth(1)
+            .flatten()
+            .ok_or_else(|| refused("number of bytes", "a number"))?;
         Ok(Self { order, bytes })
     }
 }
@@ -124,7 +150,8 @@ fn read_dataset(
 ) -> Result<(), Fault> {
     let start = file.position();
     let header = Header::read(file)?;
-    let is_time = header.function == TIME_RESPONSE || (header.function == 0 && header.abscissa == TIME_AXIS);
+    let is_time =
+        header.function == TIME_RESPONSE || (header.function == 0 && header.abscissa == TIME_AXIS);
     if !is_time {
         left_out.push(format!("function of type {}", header.function));
         if let Some(binary) = binary {
@@ -137,7 +164,12 @@ fn read_dataset(
         4 => Precision::Double,
         other => {
             let allowed = "2 (real, single precision) or 4 (real, double precision)";
-            return Err(Fault::at_byte(start, "data type of a time response", other, allowed));
+            return Err(Fault::at_byte(
+                start,
+                "data type of a time response",
+                other,
+                allowed,
+            ));
         }
     };
     let (abscissae, samples) = match binary {
@@ -146,7 +178,10 @@ fn read_dataset(
     };
     end_of_dataset(file)?;
     let mut name = header.name.clone();
-    let same = channels.iter().filter(|channel| channel.name().split('#').next() == Some(&header.name)).count();
+    let same = channels
+        .iter()
+        .filter(|channel| channel.name().split('#').next() == Some(&header.name))
+        .count();
     if same > 0 {
         name += &format!("#{}", same + 1);
     }
@@ -155,20 +190,40 @@ fn read_dataset(
     let channel = match header.is_even {
         true => {
             let first_ns = start_ns.saturating_add(seconds_ns(header.first_s));
-            RecordedChannel::new(name, Some(rate_from_step(header.step_s)), vec![Segment::new(first_ns, samples)])
+            RecordedChannel::new(
+                name,
+                Some(rate_from_step(header.step_s)),
+                vec![Segment::new(first_ns, samples)],
+            )
         }
         false => {
-            let times_ns: Vec<i64> =
-                abscissae.iter().map(|time_s| start_ns.saturating_add(seconds_ns(*time_s))).collect();
+            let times_ns: Vec<i64> = abscissae
+                .iter()
+                .map(|time_s| start_ns.saturating_add(seconds_ns(*time_s)))
+                .collect();
             if let Some(index) = times_ns.windows(2).position(|pair| pair[1] <= pair[0]) {
                 let found = format!("{} s after {} s", abscissae[index + 1], abscissae[index]);
-                return Err(Fault::at_byte(start, "abscissa", found, "later than the one before"));
+                return Err(Fault::at_byte(
+                    start,
+                    "abscissa",
+                    found,
+                    "later than the one before",
+                ));
             }
             RecordedChannel::from_times(name, None, &times_ns, &samples)
         }
     };
-    let origin = if header.start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
-    channels.push(channel.with_unit(header.unit).with_description(header.description).with_origin(origin));
+    let origin = if header.start_ns.is_some() {
+        TimeOrigin::Epoch
+    } else {
+        TimeOrigin::Start
+    };
+    channels.push(
+        channel
+            .with_unit(header.unit)
+            .with_description(header.description)
+            .with_origin(origin),
+    );
     Ok(())
 }
 
@@ -188,28 +243,51 @@ impl Header {
             })?);
         }
         let refused = |line: usize, what: &str, allowed: &str| {
-            Fault::at_byte(starts[line - 1], what, format!("`{}`", lines[line - 1].trim_end()), allowed)
+            Fault::at_byte(
+                starts[line - 1],
+                what,
+                format!("`{}`", lines[line - 1].trim_end()),
+                allowed,
+            )
         };
         let words = |line: usize| lines[line - 1].split_whitespace();
         let whole = |word: Option<&str>| word.and_then(|word| word.parse::<i64>().ok());
 
-        let function = whole(words(6).next()).ok_or_else(|| refused(6, "function type", "a number"))?;
+        let function =
+            whole(words(6).next()).ok_or_else(|| refused(6, "function type", "a number"))?;
         let mut numbers = words(7);
-        let (data, count, spacing) = (whole(numbers.next()), whole(numbers.next()), whole(numbers.next()));
+        let (data, count, spacing) = (
+            whole(numbers.next()),
+            whole(numbers.next()),
+            whole(numbers.next()),
+        );
         let count = count.and_then(|count| usize::try_from(count).ok());
         let Some(((data, count), spacing)) = data.zip(count).zip(spacing) else {
-            return Err(refused(7, "data type, number of values and spacing", "three whole numbers"));
+            return Err(refused(
+                7,
+                "data type, number of values and spacing",
+                "three whole numbers",
+            ));
         };
         let first_s = numbers.next().and_then(decimal);
         let step_s = numbers.next().and_then(decimal);
         let (Some(first_s), Some(step_s)) = (first_s, step_s) else {
-            return Err(refused(7, "first abscissa and increment", "two numbers of seconds"));
+            return Err(refused(
+                7,
+                "first abscissa and increment",
+                "two numbers of seconds",
+            ));
         };
         let is_even = spacing == 1;
         if is_even && step_s <= 0.0 {
-            return Err(refused(7, "increment of the abscissa", "a positive number of seconds"));
+            return Err(refused(
+                7,
+                "increment of the abscissa",
+                "a positive number of seconds",
+            ));
         }
-        let abscissa = whole(words(8).next()).ok_or_else(|| refused(8, "type of the abscissa", "a number"))?;
+        let abscissa =
+            whole(words(8).next()).ok_or_else(|| refused(8, "type of the abscissa", "a number"))?;
         let (label, unit) = axis(&lines[8]);
         Ok(Self {
             name: name_of(&lines[5], label.as_deref(), &lines[0]),
@@ -229,7 +307,9 @@ impl Header {
 
 /// A text that is not blank and not `NONE`.
 fn stated(field: &str) -> Option<String> {
-    Some(field.trim()).filter(|field| !field.is_empty() && *field != "NONE").map(str::to_owned)
+    Some(field.trim())
+        .filter(|field| !field.is_empty() && *field != "NONE")
+        .map(str::to_owned)
 }
 
 /// Characters `from` to `to` of a line; label and unit may be other than ASCII.
@@ -239,15 +319,26 @@ fn characters(line: &str, from: usize, to: usize) -> String {
 
 /// Label and unit of an axis line: `I10,3I5,2(1X,20A1)`.
 fn axis(line: &str) -> (Option<String>, Option<String>) {
-    (stated(&characters(line, 26, 46)), stated(&characters(line, 47, 67)))
+    (
+        stated(&characters(line, 26, 46)),
+        stated(&characters(line, 47, 67)),
+    )
 }
 
 /// Name from the response: entity, node and direction; else from the label of the ordinate, or the first line.
 fn name_of(degrees_of_freedom: &str, label: Option<&str>, first: &str) -> String {
     // 2(I5,I10),2(1X,10A1,I10,I4)
     let entity = stated(&characters(degrees_of_freedom, 31, 41));
-    let node = characters(degrees_of_freedom, 41, 51).trim().parse::<i64>().ok().filter(|node| *node != 0);
-    let direction = characters(degrees_of_freedom, 51, 55).trim().parse::<i64>().ok().unwrap_or(0);
+    let node = characters(degrees_of_freedom, 41, 51)
+        .trim()
+        .parse::<i64>()
+        .ok()
+        .filter(|node| *node != 0);
+    let direction = characters(degrees_of_freedom, 51, 55)
+        .trim()
+        .parse::<i64>()
+        .ok()
+        .unwrap_or(0);
     let axis = match direction.unsigned_abs() {
         1 => "x",
         2 => "y",
@@ -266,7 +357,10 @@ fn name_of(degrees_of_freedom: &str, label: Option<&str>, first: &str) -> String
         (Some(entity), Some(place)) => format!("{entity}.{place}"),
         (Some(entity), None) => entity,
         (None, Some(place)) => place,
-        (None, None) => label.map(str::to_owned).or_else(|| stated(first)).unwrap_or_else(|| "function".to_owned()),
+        (None, None) => label
+            .map(str::to_owned)
+            .or_else(|| stated(first))
+            .unwrap_or_else(|| "function".to_owned()),
     }
 }
 
@@ -284,7 +378,14 @@ fn start_ns(line: &str) -> Option<i64> {
         _ => year,
     };
     let mut time = time.trim().split(':');
-    civil_ns(year, month, day, time.next()?.parse().ok()?, time.next()?.parse().ok()?, decimal(time.next()?)?)
+    civil_ns(
+        year,
+        month,
+        day,
+        time.next()?.parse().ok()?,
+        time.next()?.parse().ok()?,
+        decimal(time.next()?)?,
+    )
 }
 
 /// Abscissae, if they are written, and samples.
@@ -306,7 +407,9 @@ fn binary_samples(
         };
         if !header.is_even {
             // abscissae are single whatever the ordinates are
-            abscissae.push(f64::from(data.f32().map_err(|fault| fault.moved_by(start))?));
+            abscissae.push(f64::from(
+                data.f32().map_err(|fault| fault.moved_by(start))?,
+            ));
         }
         let sample = value(&mut data).map_err(|fault| fault.moved_by(start))?;
         samples.push(if sample.is_finite() { sample } else { f64::NAN });
@@ -314,7 +417,11 @@ fn binary_samples(
     Ok((abscissae, samples))
 }
 
-fn text_samples(file: &mut Bytes<'_>, precision: Precision, header: &Header) -> Result<Values, Fault> {
+fn text_samples(
+    file: &mut Bytes<'_>,
+    precision: Precision,
+    header: &Header,
+) -> Result<Values, Fault> {
     let start = file.position();
     let mut numbers = Vec::new();
     let per_value = if header.is_even { 1 } else { 2 };
@@ -336,33 +443,48 @@ fn text_samples(file: &mut Bytes<'_>, precision: Precision, header: &Header) -> 
         let read = numbers_of_line(&line, widths, expected);
         let refused = || {
             let allowed = format!("{expected} numbers, {} wide", widths[widths.len() - 1]);
-            Fault::at_byte(at, "line of values", format!("`{}`", line.trim_end()), allowed)
+            Fault::at_byte(
+                at,
+                "line of values",
+                format!("`{}`", line.trim_end()),
+                allowed,
+            )
         };
         numbers.extend(read.ok_or_else(refused)?);
     }
     match header.is_even {
         true => Ok((Vec::new(), numbers)),
-        false => Ok(numbers.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip()),
+        false => Ok(numbers
+            .chunks_exact(2)
+            .map(|pair| (pair[0], pair[1]))
+            .unzip()),
     }
 }
 
 /// Numbers of a line: as they stand if they stand apart, else cut where the widths say.
 fn numbers_of_line(line: &str, widths: &[usize], expected: usize) -> Option<Vec<f64>> {
     if let [width] = widths {
-        let columns = NumberColumns { per_line: expected, width: *width };
-        return TextLines::new(&format!("{line}\n")).numbers(columns, expected, "values").ok();
+        let columns = NumberColumns {
+            per_line: expected,
+            width: *width,
+        };
+        return TextLines::new(&format!("{line}\n"))
+            .numbers(columns, expected, "values")
+            .ok();
     }
     let apart: Option<Vec<f64>> = line.split_whitespace().map(decimal).collect();
-    apart.filter(|numbers| numbers.len() == expected).or_else(|| {
-        let mut rest = line.trim_end();
-        let mut numbers = Vec::new();
-        for width in widths.iter().cycle().take(expected) {
-            let (field, after) = rest.split_at_checked((*width).min(rest.len()))?;
-            numbers.push(decimal(field.trim())?);
-            rest = after;
-        }
-        Some(numbers)
-    })
+    apart
+        .filter(|numbers| numbers.len() == expected)
+        .or_else(|| {
+            let mut rest = line.trim_end();
+            let mut numbers = Vec::new();
+            for width in widths.iter().cycle().take(expected) {
+                let (field, after) = rest.split_at_checked((*width).min(rest.len()))?;
+                numbers.push(decimal(field.trim())?);
+                rest = after;
+            }
+            Some(numbers)
+        })
 }
 
 /// The line behind the data, which must end the dataset.
@@ -374,7 +496,12 @@ fn end_of_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
             Some(line) if line.trim() == "-1" => return Ok(()),
             Some(line) => {
                 let found = format!("`{}`", line.trim_end());
-                return Err(Fault::at_byte(at, "line behind the values", found, "`    -1`"));
+                return Err(Fault::at_byte(
+                    at,
+                    "line behind the values",
+                    found,
+                    "`    -1`",
+                ));
             }
             None => {
                 return Err(Fault::at_byte(
@@ -395,7 +522,12 @@ fn skip_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
             return Ok(());
         }
     }
-    Err(Fault::at_byte(file.position(), "end of the file", "here", "after the line `    -1` that ends the dataset"))
+    Err(Fault::at_byte(
+        file.position(),
+        "end of the file",
+        "here",
+        "after the line `    -1` that ends the dataset",
+    ))
 }
 
 /// The next line as text, without its end; binary data may follow it.
@@ -404,11 +536,20 @@ fn next_line(file: &mut Bytes<'_>) -> Option<String> {
         return None;
     }
     let rest = file.clone().take(file.left()).ok()?;
-    let length = rest.iter().position(|byte| *byte == b'\n').map_or(rest.len(), |newline| newline + 1);
+    let length = rest
+        .iter()
+        .position(|byte| *byte == b'\n')
+        .map_or(rest.len(), |newline| newline + 1);
     let line = file.take(length).ok()?;
     // the columns count from the start of the line: only its end is taken off
-    let end = line.iter().rposition(|byte| !byte.is_ascii_whitespace()).map_or(0, |last| last + 1);
-    let indent = line[..end].iter().position(|byte| !byte.is_ascii_whitespace()).unwrap_or(0);
+    let end = line
+        .iter()
+        .rposition(|byte| !byte.is_ascii_whitespace())
+        .map_or(0, |last| last + 1);
+    let indent = line[..end]
+        .iter()
+        .position(|byte| !byte.is_ascii_whitespace())
+        .unwrap_or(0);
     Some(" ".repeat(indent) + &text(&line[indent..end]))
 }
 

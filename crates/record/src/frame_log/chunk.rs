@@ -52,7 +52,9 @@ pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
 
 /// The content of a chunk from the body of its record; `None` if any bit that matters is not as it was written.
 pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
-    let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, body) else { return None };
+    let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, body) else {
+        return None;
+    };
     let is_whole = header.compression.is_empty()
         && body.len() == CHUNK_HEAD_BYTES + data.len()
         && header.uncompressed_size == data.len() as u64
@@ -90,11 +92,20 @@ pub(super) fn whole_chunks(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, 
     let mut from = 0;
     std::iter::from_fn(move || {
         loop {
-            let start = from + bytes.get(from..)?.iter().position(|byte| *byte == op::CHUNK)?;
+            let start = from
+                + bytes
+                    .get(from..)?
+                    .iter()
+                    .position(|byte| *byte == op::CHUNK)?;
             from = start + 1;
             let (_, length) = record_head(&bytes[start..])?;
             let body = start + RECORD_HEAD_BYTES as usize;
-            let Some(end) = usize::try_from(length).ok().and_then(|length| body.checked_add(length)) else { continue };
+            let Some(end) = usize::try_from(length)
+                .ok()
+                .and_then(|length| body.checked_add(length))
+            else {
+                continue;
+            };
             if let Some(content) = bytes.get(body..end).and_then(chunk_content) {
                 from = end;
                 return Some((start, end, content));
@@ -115,7 +126,8 @@ pub(super) fn append_entries<B: Borrow<LoggedFrames>>(
         let (epoch, end, ended) = (block.epoch, block.end(), block.ended);
         let mut first = block.sequence;
         if let Some(last) = entries.last_mut() {
-            let is_old = epoch < last.epoch || (epoch == last.epoch && (end, ended) <= (last.end, last.ended));
+            let is_old = epoch < last.epoch
+                || (epoch == last.epoch && (end, ended) <= (last.end, last.ended));
             if is_old {
                 continue;
             }
@@ -131,6 +143,14 @@ pub(super) fn append_entries<B: Borrow<LoggedFrames>>(
                 }
             }
         }
-        entries.push(Entry { epoch, first, end, frames: end - first, ended, offset, length });
+        entries.push(Entry {
+            epoch,
+            first,
+            end,
+            frames: end - first,
+            ended,
+            offset,
+            length,
+        });
     }
 }

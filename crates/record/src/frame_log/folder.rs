@@ -33,7 +33,10 @@ pub(super) struct Segments {
 impl Folder {
     /// The folder with the segments that its files are, by their names.
     pub(super) fn read(path: &Path) -> Result<Self, RecordError> {
-        let failed = |source| RecordError::ReadFile { path: path.to_owned(), source };
+        let failed = |source| RecordError::ReadFile {
+            path: path.to_owned(),
+            source,
+        };
         let mut segments = Segments::default();
         for entry in std::fs::read_dir(path).map_err(failed)? {
             let entry = entry.map_err(failed)?;
@@ -41,7 +44,10 @@ impl Folder {
                 segments.set_size(name, entry.metadata().map_err(failed)?.len());
             }
         }
-        Ok(Self { path: path.to_owned(), segments: Mutex::new(segments) })
+        Ok(Self {
+            path: path.to_owned(),
+            segments: Mutex::new(segments),
+        })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -57,13 +63,19 @@ impl Folder {
         let sizes = &self.segments().sizes;
         let place = SegmentName { epoch, sequence };
         let before = sizes.range(..=place).next_back();
-        before.or_else(|| sizes.range(place..).next()).map(|(name, _)| *name)
+        before
+            .or_else(|| sizes.range(place..).next())
+            .map(|(name, _)| *name)
     }
 
     /// The segment after this one.
     pub(super) fn segment_after(&self, name: SegmentName) -> Option<SegmentName> {
         use std::ops::Bound::{Excluded, Unbounded};
-        self.segments().sizes.range((Excluded(name), Unbounded)).next().map(|(name, _)| *name)
+        self.segments()
+            .sizes
+            .range((Excluded(name), Unbounded))
+            .next()
+            .map(|(name, _)| *name)
     }
 
     pub(super) fn names(&self) -> Vec<SegmentName> {
@@ -78,7 +90,11 @@ impl Folder {
     ) -> Result<Option<T>, RecordError> {
         {
             let mut segments = self.segments();
-            if let Some((_, entries)) = segments.written.as_ref().filter(|(written, _)| *written == name) {
+            if let Some((_, entries)) = segments
+                .written
+                .as_ref()
+                .filter(|(written, _)| *written == name)
+            {
                 return Ok(Some(take(entries)));
             }
             if let Some(entries) = segments.kept_index(name) {
@@ -100,7 +116,9 @@ impl Folder {
     pub(super) fn delete(&self, name: SegmentName) -> Result<(), RecordError> {
         let path = name.path(&self.path);
         match std::fs::remove_file(&path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(RecordError::WriteLog { path, source }),
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                Err(RecordError::WriteLog { path, source })
+            }
             _ => {
                 self.segments().forget(name);
                 Ok(())
@@ -122,7 +140,10 @@ impl Segments {
     /// The oldest segments, without the one that is being written.
     pub(super) fn oldest(&self) -> impl Iterator<Item = SegmentName> {
         let written = self.written.as_ref().map(|(name, _)| *name);
-        self.sizes.keys().copied().filter(move |name| Some(*name) != written)
+        self.sizes
+            .keys()
+            .copied()
+            .filter(move |name| Some(*name) != written)
     }
 
     pub(super) fn newest(&self) -> Option<SegmentName> {
@@ -142,7 +163,11 @@ impl Segments {
 
     /// The index of the segment that is being written, which begins if it is another one.
     pub(super) fn index_of_written(&mut self, name: SegmentName) -> &mut Vec<Entry> {
-        if self.written.as_ref().is_none_or(|(written, _)| *written != name) {
+        if self
+            .written
+            .as_ref()
+            .is_none_or(|(written, _)| *written != name)
+        {
             self.end_written();
         }
         &mut self.written.get_or_insert_with(|| (name, Vec::new())).1

@@ -93,14 +93,16 @@ impl LoggedFrames {
     /// Drops the frames before this number; node positions stay, as they are those after the last frame.
     pub(super) fn skip_to(&mut self, number: u64) {
         let skipped = number.saturating_sub(self.sequence).min(self.count());
-        self.values.drain(..skipped as usize * usize::from(self.channels));
+        self.values
+            .drain(..skipped as usize * usize::from(self.channels));
         self.sequence += skipped;
     }
 
     /// Drops all but the first frames; the end of the epoch and the positions of the nodes go with those after.
     pub(super) fn truncate(&mut self, frames: u64) {
         if frames < self.count() {
-            self.values.truncate(frames as usize * usize::from(self.channels));
+            self.values
+                .truncate(frames as usize * usize::from(self.channels));
             self.ended = false;
             self.nodes.clear();
         }
@@ -125,23 +127,48 @@ impl LoggedFrames {
     /// Checks what the log could not give back as it was.
     pub(super) fn check(&self, layout: &LogLayout) -> Result<(), RecordError> {
         let refused = |what: &'static str, found: String, allowed: String| {
-            Err(RecordError::NotLoggable { structure: layout.structure.clone(), what, found, allowed })
+            Err(RecordError::NotLoggable {
+                structure: layout.structure.clone(),
+                what,
+                found,
+                allowed,
+            })
         };
         let channels = usize::from(self.channels);
         if channels != layout.channels.len() {
-            return refused("number of channels", channels.to_string(), layout.channels.len().to_string());
+            return refused(
+                "number of channels",
+                channels.to_string(),
+                layout.channels.len().to_string(),
+            );
         }
         if !self.values.len().is_multiple_of(channels.max(1)) {
-            return refused("number of values", self.values.len().to_string(), format!("a multiple of {channels}"));
+            return refused(
+                "number of values",
+                self.values.len().to_string(),
+                format!("a multiple of {channels}"),
+            );
         }
         if !self.nodes.is_empty() && self.nodes.len() != layout.nodes.len() {
-            return refused("number of nodes", self.nodes.len().to_string(), format!("0 or {}", layout.nodes.len()));
+            return refused(
+                "number of nodes",
+                self.nodes.len().to_string(),
+                format!("0 or {}", layout.nodes.len()),
+            );
         }
         if self.source.len() > usize::from(u16::MAX) {
-            return refused("length of the source", self.source.len().to_string(), format!("at most {}", u16::MAX));
+            return refused(
+                "length of the source",
+                self.source.len().to_string(),
+                format!("at most {}", u16::MAX),
+            );
         }
         if u32::try_from(self.count()).is_err() {
-            return refused("number of frames", self.count().to_string(), format!("at most {}", u32::MAX));
+            return refused(
+                "number of frames",
+                self.count().to_string(),
+                format!("at most {}", u32::MAX),
+            );
         }
         if !(self.sampling_rate_hz.is_finite() && self.sampling_rate_hz > 0.0) {
             let found = format!("{} Hz", self.sampling_rate_hz);
@@ -149,7 +176,11 @@ impl LoggedFrames {
         }
         match self.sequence.checked_add(self.count()) {
             Some(_) => Ok(()),
-            None => refused("number of the first frame", self.sequence.to_string(), "below 2^64".to_owned()),
+            None => refused(
+                "number of the first frame",
+                self.sequence.to_string(),
+                "below 2^64".to_owned(),
+            ),
         }
     }
 }

@@ -32,7 +32,10 @@ impl StatedLayout {
             (SAMPLING_RATE, self.layout.sampling_rate_hz.to_string()),
             (BOOT_ID, self.boot_id.clone()),
         ];
-        stated.into_iter().map(|(key, text)| (key.to_owned(), text)).collect()
+        stated
+            .into_iter()
+            .map(|(key, text)| (key.to_owned(), text))
+            .collect()
     }
 
     /// `None` if something is missing or is not what it must be.
@@ -44,7 +47,10 @@ impl StatedLayout {
             nodes: names(NODES)?,
             sampling_rate_hz: metadata.get(SAMPLING_RATE)?.parse().ok()?,
         };
-        Some(Self { layout, boot_id: metadata.get(BOOT_ID).cloned().unwrap_or_default() })
+        Some(Self {
+            layout,
+            boot_id: metadata.get(BOOT_ID).cloned().unwrap_or_default(),
+        })
     }
 }
 
@@ -59,16 +65,24 @@ impl LogLayout {
             ("nodes", list(&found.nodes), list(&self.nodes)),
             ("sampling rate", rate(found), rate(self)),
         ];
-        match parts.into_iter().find(|(_, found, expected)| found != expected) {
+        match parts
+            .into_iter()
+            .find(|(_, found, expected)| found != expected)
+        {
             None => Ok(()),
-            Some((what, found, expected)) => {
-                Err(RecordError::OtherLog { folder: folder.to_owned(), what, found, expected })
-            }
+            Some((what, found, expected)) => Err(RecordError::OtherLog {
+                folder: folder.to_owned(),
+                what,
+                found,
+                expected,
+            }),
         }
     }
 }
 
 /// Which start of the machine this is; empty where that cannot be told.
 pub(super) fn boot_id() -> String {
-    std::fs::read_to_string("/proc/sys/kernel/random/boot_id").map(|id| id.trim().to_owned()).unwrap_or_default()
+    std::fs::read_to_string("/proc/sys/kernel/random/boot_id")
+        .map(|id| id.trim().to_owned())
+        .unwrap_or_default()
 }

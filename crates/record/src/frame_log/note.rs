@@ -25,15 +25,21 @@ enum Noted {
 }
 
 impl Noted {
-    const WORDS: [(Self, &'static [u8]); 3] =
-        [(Self::Written, b"written"), (Self::Complete, b"complete"), (Self::Closed, b"closed")];
+    const WORDS: [(Self, &'static [u8]); 3] = [
+        (Self::Written, b"written"),
+        (Self::Complete, b"complete"),
+        (Self::Closed, b"closed"),
+    ];
 
     fn of(text: &[u8]) -> Self {
         match text {
             [] => Self::Nothing,
             [_] => Self::Incomplete,
             // between two words: it was being written
-            _ => Self::WORDS.iter().find(|(_, word)| *word == text).map_or(Self::Written, |(noted, _)| *noted),
+            _ => Self::WORDS
+                .iter()
+                .find(|(_, word)| *word == text)
+                .map_or(Self::Written, |(noted, _)| *noted),
         }
     }
 }
@@ -50,17 +56,33 @@ impl Note {
     /// Locks a folder, and reads what was noted last.
     pub(super) fn lock(folder: &Path) -> Result<Self, RecordError> {
         let path = folder.join(LOCK);
-        let failed = |source| RecordError::WriteLog { path: path.clone(), source };
-        let opened = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path);
+        let failed = |source| RecordError::WriteLog {
+            path: path.clone(),
+            source,
+        };
+        let opened = OpenOptions::new()
+            .create(true)
+            .read(true)
+            .write(true)
+            .truncate(false)
+            .open(&path);
         let file = opened.map_err(failed)?;
         match file.try_lock() {
             Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(RecordError::LogInUse { folder: folder.to_owned() }),
+            Err(TryLockError::WouldBlock) => {
+                return Err(RecordError::LogInUse {
+                    folder: folder.to_owned(),
+                });
+            }
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
         let mut text = [0; 16];
         let length = file.read_at(&mut text, 0).map_err(failed)?;
-        Ok(Self { file, noted: Noted::of(&text[..length]), path })
+        Ok(Self {
+            file,
+            noted: Noted::of(&text[..length]),
+            path,
+        })
     }
 
     /// Whether all frames that others may know of are in the log; none where that was not noted.
@@ -86,7 +108,11 @@ impl Note {
     }
 
     pub(super) fn complete(&mut self, is_complete: bool) -> Result<(), RecordError> {
-        self.note(if is_complete { Noted::Complete } else { Noted::Incomplete })
+        self.note(if is_complete {
+            Noted::Complete
+        } else {
+            Noted::Incomplete
+        })
     }
 
     /// The log is closed; what it lacks, it lacks.
@@ -98,13 +124,22 @@ impl Note {
     }
 
     fn note(&mut self, noted: Noted) -> Result<(), RecordError> {
-        let word = Noted::WORDS.iter().find(|(known, _)| *known == noted).map(|(_, word)| *word);
+        let word = Noted::WORDS
+            .iter()
+            .find(|(known, _)| *known == noted)
+            .map(|(_, word)| *word);
         let written = match word {
-            Some(word) => self.file.write_all_at(word, 0).and_then(|()| self.file.set_len(word.len() as u64)),
+            Some(word) => self
+                .file
+                .write_all_at(word, 0)
+                .and_then(|()| self.file.set_len(word.len() as u64)),
             None => self.file.set_len(1),
         };
         let forced = written.and_then(|()| self.file.sync_data());
-        forced.map_err(|source| RecordError::WriteLog { path: self.path.clone(), source })?;
+        forced.map_err(|source| RecordError::WriteLog {
+            path: self.path.clone(),
+            source,
+        })?;
         self.noted = noted;
         Ok(())
     }
@@ -119,18 +154,30 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let note = || Note::lock(folder.path()).unwrap();
         let found = |note: &Note| (note.is_complete(), note.allows_closed());
-        assert_eq!(found(&note()), (None, true), "as an earlier version left it");
+        assert_eq!(
+            found(&note()),
+            (None, true),
+            "as an earlier version left it"
+        );
         note().written().unwrap();
         assert_eq!(found(&note()), (None, false));
         note().closed().unwrap();
         assert_eq!(found(&note()), (Some(true), true));
         note().complete(true).unwrap();
         note().written().unwrap();
-        assert_eq!(found(&note()), (Some(true), false), "complete, and not closed");
+        assert_eq!(
+            found(&note()),
+            (Some(true), false),
+            "complete, and not closed"
+        );
         note().complete(false).unwrap();
         note().closed().unwrap();
         note().written().unwrap();
-        assert_eq!(found(&note()), (Some(false), false), "it lacks what it lacks");
+        assert_eq!(
+            found(&note()),
+            (Some(false), false),
+            "it lacks what it lacks"
+        );
         std::fs::write(folder.path().join(LOCK), "writlete").unwrap();
         assert_eq!(found(&note()), (None, false));
     }

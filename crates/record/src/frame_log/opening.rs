@@ -21,7 +21,9 @@ pub(super) fn newest(folder: &Folder, stated: &StatedLayout) -> Result<OpenedLog
     };
     let mut is_newest = true;
     loop {
-        let Some(name) = folder.segments().newest() else { return Ok(opened) };
+        let Some(name) = folder.segments().newest() else {
+            return Ok(opened);
+        };
         let path = name.path(folder.path());
         let found = match scan(&path) {
             Ok(found) => found,
@@ -38,7 +40,12 @@ pub(super) fn newest(folder: &Folder, stated: &StatedLayout) -> Result<OpenedLog
             opened.was_closed = found.end == SegmentEnd::InOrder;
             is_newest = false;
         }
-        let Scan { stated: found_layout, foreign_encoding, last, .. } = &found;
+        let Scan {
+            stated: found_layout,
+            foreign_encoding,
+            last,
+            ..
+        } = &found;
         if let Some(encoding) = foreign_encoding {
             return Err(RecordError::OtherLog {
                 folder: folder.path().to_owned(),

@@ -37,7 +37,9 @@ const HEAD_BYTES: usize = 44;
 /// Puts the message of these frames into `bytes`, which it empties; counts were checked to fit.
 pub(super) fn encode_to(frames: &LoggedFrames, bytes: &mut Vec<u8>) {
     bytes.clear();
-    bytes.reserve(HEAD_BYTES + frames.source.len() + 24 * frames.nodes.len() + 8 * frames.values.len());
+    bytes.reserve(
+        HEAD_BYTES + frames.source.len() + 24 * frames.nodes.len() + 8 * frames.values.len(),
+    );
     bytes.extend(frames.epoch.to_le_bytes());
     bytes.extend(frames.sequence.to_le_bytes());
     bytes.extend(frames.t0_ns.to_le_bytes());
@@ -85,14 +87,33 @@ pub(crate) fn decode(bytes: &[u8]) -> Option<LoggedFrames> {
         return None;
     }
     let (values, _) = values.as_chunks::<8>();
-    let values = values.iter().map(|value| f64::from_le_bytes(*value)).collect();
+    let values = values
+        .iter()
+        .map(|value| f64::from_le_bytes(*value))
+        .collect();
     let (numbers, _) = positions.as_chunks::<8>();
-    let numbers: Vec<u64> = numbers.iter().map(|number| u64::from_le_bytes(*number)).collect();
+    let numbers: Vec<u64> = numbers
+        .iter()
+        .map(|number| u64::from_le_bytes(*number))
+        .collect();
     let (positions, _) = numbers.as_chunks::<3>();
-    let position =
-        |[epoch, sequence, ended]: &[u64; 3]| NodePosition { epoch: *epoch, sequence: *sequence, ended: *ended != 0 };
+    let position = |[epoch, sequence, ended]: &[u64; 3]| NodePosition {
+        epoch: *epoch,
+        sequence: *sequence,
+        ended: *ended != 0,
+    };
     let nodes = positions.iter().map(position).collect();
-    Some(LoggedFrames { source, epoch, sequence, t0_ns, sampling_rate_hz, channels, values, ended, nodes })
+    Some(LoggedFrames {
+        source,
+        epoch,
+        sequence,
+        t0_ns,
+        sampling_rate_hz,
+        channels,
+        values,
+        ended,
+        nodes,
+    })
 }
 
 /// The next bytes of a message.

@@ -36,11 +36,26 @@ impl FrameLogReader {
     ///
     /// # Errors
     /// A segment cannot be opened or read. A damaged chunk is no error but a gap.
-    pub fn read(&self, epoch: u64, after: u64, limit: u64, bytes: usize) -> Result<Option<LoggedFrames>, RecordError> {
-        let mut reading = Reading { epoch, next: after, limit, bytes, joined: None };
+    pub fn read(
+        &self,
+        epoch: u64,
+        after: u64,
+        limit: u64,
+        bytes: usize,
+    ) -> Result<Option<LoggedFrames>, RecordError> {
+        let mut reading = Reading {
+            epoch,
+            next: after,
+            limit,
+            bytes,
+            joined: None,
+        };
         let mut segment = self.folder.segment_at(epoch, after);
         while let Some(name) = segment.filter(|name| name.epoch <= epoch) {
-            while let Some(entries) = self.folder.with_index(name, |entries| reading.group(entries))? {
+            while let Some(entries) = self
+                .folder
+                .with_index(name, |entries| reading.group(entries))?
+            {
                 let Some(last) = entries.last() else { break };
                 let before = reading.next;
                 if !self.read_group(name, &entries, &mut reading)? {
@@ -58,16 +73,29 @@ impl FrameLogReader {
     }
 
     /// Reads the chunks of some entries, which follow each other; whether more is wanted.
-    fn read_group(&self, name: SegmentName, entries: &[Entry], reading: &mut Reading) -> Result<bool, RecordError> {
-        let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Ok(true) };
+    fn read_group(
+        &self,
+        name: SegmentName,
+        entries: &[Entry],
+        reading: &mut Reading,
+    ) -> Result<bool, RecordError> {
+        let (Some(first), Some(last)) = (entries.first(), entries.last()) else {
+            return Ok(true);
+        };
         let path = name.path(self.folder.path());
         let read = || -> Result<Vec<u8>, RecordError> {
-            let mut file = File::open(&path).map_err(|source| RecordError::Open { path: path.clone(), source })?;
+            let mut file = File::open(&path).map_err(|source| RecordError::Open {
+                path: path.clone(),
+                source,
+            })?;
             let mut bytes = Vec::new();
             let length = last.offset + last.length - first.offset;
             file.seek(SeekFrom::Start(first.offset))
                 .and_then(|_| file.take(length).read_to_end(&mut bytes))
-                .map_err(|source| RecordError::ReadFile { path: path.clone(), source })?;
+                .map_err(|source| RecordError::ReadFile {
+                    path: path.clone(),
+                    source,
+                })?;
             Ok(bytes)
         };
         let bytes = match read() {
@@ -93,8 +121,19 @@ impl FrameLogReader {
         };
         let mut segment = self.folder.segment_at(lowest, 0);
         while let Some(name) = segment {
-            let epoch_of = |entries: &[Entry]| entries.iter().map(|entry| entry.epoch).find(|epoch| *epoch >= lowest);
-            if let Some(found) = self.folder.with_index(name, epoch_of).ok().flatten().flatten() {
+            let epoch_of = |entries: &[Entry]| {
+                entries
+                    .iter()
+                    .map(|entry| entry.epoch)
+                    .find(|epoch| *epoch >= lowest)
+            };
+            if let Some(found) = self
+                .folder
+                .with_index(name, epoch_of)
+                .ok()
+                .flatten()
+                .flatten()
+            {
                 return Some(found);
             }
             segment = self.folder.segment_after(name);
@@ -107,9 +146,23 @@ impl FrameLogReader {
     pub fn spans(&self) -> Vec<LogSpan> {
         let mut spans: BTreeMap<u64, LogSpan> = BTreeMap::new();
         for name in self.folder.names() {
-            let Ok(Some(entries)) = self.folder.with_index(name, <[Entry]>::to_vec) else { continue };
-            for Entry { epoch, first, end, frames, .. } in entries {
-                let span = spans.entry(epoch).or_insert(LogSpan { epoch, from: first, to: first, missing: 0 });
+            let Ok(Some(entries)) = self.folder.with_index(name, <[Entry]>::to_vec) else {
+                continue;
+            };
+            for Entry {
+                epoch,
+                first,
+                end,
+                frames,
+                ..
+            } in entries
+            {
+                let span = spans.entry(epoch).or_insert(LogSpan {
+                    epoch,
+                    from: first,
+                    to: first,
+                    missing: 0,
+                });
                 // what is missing between the entries, and within this one
                 span.missing += first.saturating_sub(span.to) + (end - first - frames);
                 span.to = end;
@@ -138,9 +191,15 @@ impl Reading {
         let start = entries.partition_point(is_before);
         let mut group: Vec<Entry> = Vec::new();
         let mut frames = 0;
-        for entry in entries[start..].iter().take_while(|entry| entry.epoch == self.epoch) {
+        for entry in entries[start..]
+            .iter()
+            .take_while(|entry| entry.epoch == self.epoch)
+        {
             let begin = group.first().map_or(entry.offset, |first| first.offset);
-            let wanted = (self.bytes as u64).saturating_mul(2).saturating_add(LEAST_READ_BYTES).min(READ_BYTES);
+            let wanted = (self.bytes as u64)
+                .saturating_mul(2)
+                .saturating_add(LEAST_READ_BYTES)
+                .min(READ_BYTES);
             let is_enough = frames >= self.limit || entry.offset + entry.length - begin > wanted;
             if !group.is_empty() && is_enough {
                 break;

@@ -12,8 +12,8 @@ use std::path::Path;
 
 use binrw::{BinWrite, BinWriterExt};
 use mcap::records::{
-    Channel, ChunkHeader, ChunkIndex, DataEnd, Footer, Header, MessageHeader, MessageIndex, MessageIndexEntry,
-    SchemaHeader, Statistics, SummaryOffset, op,
+    Channel, ChunkHeader, ChunkIndex, DataEnd, Footer, Header, MessageHeader, MessageIndex,
+    MessageIndexEntry, SchemaHeader, Statistics, SummaryOffset, op,
 };
 
 use super::chunk::{CHUNK_HEAD_BYTES, RECORD_HEAD_BYTES, record_head};
@@ -51,13 +51,31 @@ fn put_fields(out: &mut Vec<u8>, fields: &impl for<'a> BinWrite<Args<'a> = ()>) 
 pub(super) fn put_begin(out: &mut Vec<u8>) -> Result<()> {
     out.extend(mcap::MAGIC);
     let library = concat!("spandrel ", env!("CARGO_PKG_VERSION")).to_owned();
-    put(out, op::HEADER, |out| put_fields(out, &Header { profile: String::new(), library }))
+    put(out, op::HEADER, |out| {
+        put_fields(
+            out,
+            &Header {
+                profile: String::new(),
+                library,
+            },
+        )
+    })
 }
 
 fn put_schema(out: &mut Vec<u8>) -> Result<()> {
-    let (name, encoding) = (payload::SCHEMA_NAME.to_owned(), payload::SCHEMA_ENCODING.to_owned());
+    let (name, encoding) = (
+        payload::SCHEMA_NAME.to_owned(),
+        payload::SCHEMA_ENCODING.to_owned(),
+    );
     put(out, op::SCHEMA, |out| {
-        put_fields(out, &SchemaHeader { id: SCHEMA, name, encoding })?;
+        put_fields(
+            out,
+            &SchemaHeader {
+                id: SCHEMA,
+                name,
+                encoding,
+            },
+        )?;
         out.extend((payload::SCHEMA.len() as u32).to_le_bytes());
         out.extend(payload::SCHEMA.as_bytes());
         Ok(())
@@ -83,7 +101,8 @@ pub(super) fn put_chunk(
     blocks: &[Cow<'_, LoggedFrames>],
     sequence: u32,
 ) -> Result<()> {
-    let (mut records, mut message, mut entries) = (Vec::new(), Vec::new(), Vec::with_capacity(blocks.len()));
+    let (mut records, mut message, mut entries) =
+        (Vec::new(), Vec::new(), Vec::with_capacity(blocks.len()));
     if let Some(stated) = stated {
         put_schema(&mut records)?;
         put_channel(&mut records, stated)?;
@@ -92,11 +111,19 @@ pub(super) fn put_chunk(
     for block in blocks {
         payload::encode_to(block, &mut message);
         let log_time = u64::try_from(block.time_ns()).unwrap_or(0);
-        entries.push(MessageIndexEntry { log_time, offset: records.len() as u64 });
+        entries.push(MessageIndexEntry {
+            log_time,
+            offset: records.len() as u64,
+        });
         put(&mut records, op::MESSAGE, |out| {
             put_fields(
                 out,
-                &MessageHeader { channel_id: CHANNEL, sequence: number, log_time, publish_time: log_time },
+                &MessageHeader {
+                    channel_id: CHANNEL,
+                    sequence: number,
+                    log_time,
+                    publish_time: log_time,
+                },
             )?;
             out.extend_from_slice(&message);
             Ok(())
@@ -117,16 +144,42 @@ pub(super) fn put_chunk(
         out.extend_from_slice(&records);
         Ok(())
     })?;
-    put(out, op::MESSAGE_INDEX, |out| put_fields(out, &MessageIndex { channel_id: CHANNEL, records: entries }))
+    put(out, op::MESSAGE_INDEX, |out| {
+        put_fields(
+            out,
+            &MessageIndex {
+                channel_id: CHANNEL,
+                records: entries,
+            },
+        )
+    })
 }
 
 /// Writes the end of a segment behind its `bytes` bytes: the index of the chunks, which are read from it, and the footer. Returns the
 /// length of the file.
-pub(super) fn write_end(path: &Path, file: &File, bytes: u64, stated: &StatedLayout) -> Result<u64> {
+pub(super) fn write_end(
+    path: &Path,
+    file: &File,
+    bytes: u64,
+    stated: &StatedLayout,
+) -> Result<u64> {
     let mut out = Vec::with_capacity(2 * BUFFER_BYTES);
     // no checksum of the data: each chunk has its own
-    put(&mut out, op::DATA_END, |out| put_fields(out, &DataEnd { data_section_crc: 0 }))?;
-    let mut end = End { file, crc: crc32fast::Hasher::new(), place: bytes, out, offsets: Vec::new() };
+    put(&mut out, op::DATA_END, |out| {
+        put_fields(
+            out,
+            &DataEnd {
+                data_section_crc: 0,
+            },
+        )
+    })?;
+    let mut end = End {
+        file,
+        crc: crc32fast::Hasher::new(),
+        place: bytes,
+        out,
+        offsets: Vec::new(),
+    };
     end.write(false)?;
     let summary_start = end.place;
     end.group(op::SCHEMA, |end| put_schema(&mut end.out))?;
@@ -146,21 +199,41 @@ pub(super) fn write_end(path: &Path, file: &File, bytes: u64, stated: &StatedLay
         each_chunk(path, bytes, |index, messages| {
             statistics.message_count += messages;
             statistics.chunk_count += 1;
-            statistics.message_start_time = statistics.message_start_time.min(index.message_start_time);
+            statistics.message_start_time =
+                statistics.message_start_time.min(index.message_start_time);
             statistics.message_end_time = statistics.message_end_time.max(index.message_end_time);
             put(&mut end.out, op::CHUNK_INDEX, |out| put_fields(out, &index))?;
-            if end.out.len() < BUFFER_BYTES { Ok(()) } else { end.write(true) }
+            if end.out.len() < BUFFER_BYTES {
+                Ok(())
+            } else {
+                end.write(true)
+            }
         })
     })?;
-    statistics.channel_message_counts.insert(CHANNEL, statistics.message_count);
-    end.group(op::STATISTICS, |end| put(&mut end.out, op::STATISTICS, |out| put_fields(out, &statistics)))?;
+    statistics
+        .channel_message_counts
+        .insert(CHANNEL, statistics.message_count);
+    end.group(op::STATISTICS, |end| {
+        put(&mut end.out, op::STATISTICS, |out| {
+            put_fields(out, &statistics)
+        })
+    })?;
     let summary_offset_start = end.place;
     for offset in std::mem::take(&mut end.offsets) {
-        put(&mut end.out, op::SUMMARY_OFFSET, |out| put_fields(out, &offset))?;
+        put(&mut end.out, op::SUMMARY_OFFSET, |out| {
+            put_fields(out, &offset)
+        })?;
     }
     // the checksum of the summary is also of what stands before it in the footer
     put(&mut end.out, op::FOOTER, |out| {
-        put_fields(out, &Footer { summary_start, summary_offset_start, summary_crc: 0 })
+        put_fields(
+            out,
+            &Footer {
+                summary_start,
+                summary_offset_start,
+                summary_crc: 0,
+            },
+        )
     })?;
     end.out.truncate(end.out.len() - 4);
     end.write(true)?;
@@ -194,17 +267,29 @@ impl End<'_> {
     }
 
     /// Writes records of one kind.
-    fn group(&mut self, group_opcode: u8, records: impl FnOnce(&mut Self) -> Result<()>) -> Result<()> {
+    fn group(
+        &mut self,
+        group_opcode: u8,
+        records: impl FnOnce(&mut Self) -> Result<()>,
+    ) -> Result<()> {
         let group_start = self.place;
         records(self)?;
         self.write(true)?;
-        self.offsets.push(SummaryOffset { group_opcode, group_start, group_length: self.place - group_start });
+        self.offsets.push(SummaryOffset {
+            group_opcode,
+            group_start,
+            group_length: self.place - group_start,
+        });
         Ok(())
     }
 }
 
 /// Goes over the chunks of a file of `bytes` bytes that was written here: the entry of each in the index, and its messages.
-fn each_chunk(path: &Path, bytes: u64, mut take: impl FnMut(ChunkIndex, u64) -> Result<()>) -> Result<()> {
+fn each_chunk(
+    path: &Path,
+    bytes: u64,
+    mut take: impl FnMut(ChunkIndex, u64) -> Result<()>,
+) -> Result<()> {
     let mut reader = BufReader::with_capacity(BUFFER_BYTES, File::open(path)?);
     let mut place = mcap::MAGIC.len() as u64;
     reader.seek_relative(place as i64)?;
@@ -220,7 +305,11 @@ fn each_chunk(path: &Path, bytes: u64, mut take: impl FnMut(ChunkIndex, u64) -> 
                 let mut head = [0; CHUNK_HEAD_BYTES];
                 reader.read_exact(&mut head)?;
                 passed = head.len() as u64;
-                let number = |at: usize| head[at..].first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+                let number = |at: usize| {
+                    head[at..]
+                        .first_chunk()
+                        .map_or(0, |bytes| u64::from_le_bytes(*bytes))
+                };
                 chunk = Some(ChunkIndex {
                     message_start_time: number(0),
                     message_end_time: number(8),
@@ -236,7 +325,13 @@ fn each_chunk(path: &Path, bytes: u64, mut take: impl FnMut(ChunkIndex, u64) -> 
             op::MESSAGE_INDEX => {
                 if let Some(index) = chunk.take() {
                     let messages = length.saturating_sub(INDEX_HEAD_BYTES) / INDEX_ENTRY_BYTES;
-                    take(ChunkIndex { message_index_length: after - place, ..index }, messages)?;
+                    take(
+                        ChunkIndex {
+                            message_index_length: after - place,
+                            ..index
+                        },
+                        messages,
+                    )?;
                 }
             }
             _ => {}

@@ -7,7 +7,10 @@ use std::path::Path;
 use mcap::records::{Record, op};
 
 use super::LoggedFrames;
-use super::chunk::{ChunkContent, Entry, RECORD_HEAD_BYTES, append_entries, chunk_content, record_head, whole_chunks};
+use super::chunk::{
+    ChunkContent, Entry, RECORD_HEAD_BYTES, append_entries, chunk_content, record_head,
+    whole_chunks,
+};
 use super::layout::StatedLayout;
 use crate::RecordError;
 use crate::mcap_record::parse_record;
@@ -48,23 +51,44 @@ pub(super) struct Scan {
 
 /// Reads a segment from its beginning. Chunks that are not whole are passed over, those behind them are found again.
 pub(super) fn scan(path: &Path) -> Result<Scan, RecordError> {
-    let file = File::open(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
+    let file = File::open(path).map_err(|source| RecordError::Open {
+        path: path.to_owned(),
+        source,
+    })?;
     let read = || -> std::io::Result<Scan> {
         let bytes = file.metadata()?.len();
-        let mut pass = Pass { reader: BufReader::with_capacity(BUFFER_BYTES, &file), bytes, body: Vec::new() };
+        let mut pass = Pass {
+            reader: BufReader::with_capacity(BUFFER_BYTES, &file),
+            bytes,
+            body: Vec::new(),
+        };
         let end = pass.end()?;
-        let found =
-            Scan { bytes, stated: None, foreign_encoding: None, entries: Vec::new(), last: None, whole: 0, end };
+        let found = Scan {
+            bytes,
+            stated: None,
+            foreign_encoding: None,
+            entries: Vec::new(),
+            last: None,
+            whole: 0,
+            end,
+        };
         pass.chunks(found)
     };
-    read().map_err(|source| RecordError::ReadFile { path: path.to_owned(), source })
+    read().map_err(|source| RecordError::ReadFile {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 /// Time of the first frame of a segment, in ns; `None` if its first chunk is not whole.
 pub(super) fn start_of(path: &Path) -> std::io::Result<Option<i64>> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
-    let mut pass = Pass { reader: BufReader::new(&file), bytes, body: Vec::new() };
+    let mut pass = Pass {
+        reader: BufReader::new(&file),
+        bytes,
+        body: Vec::new(),
+    };
     if bytes < MAGIC_BYTES || pass.at(0, MAGIC_BYTES)? != mcap::MAGIC {
         return Ok(None);
     }
@@ -72,7 +96,9 @@ pub(super) fn start_of(path: &Path) -> std::io::Result<Option<i64>> {
     while let Some((opcode, length)) = pass.head(place)? {
         if opcode == op::CHUNK {
             let content = chunk_content(&pass.at(place + RECORD_HEAD_BYTES, length)?);
-            return Ok(content.and_then(|content| content.blocks.first().map(LoggedFrames::time_ns)));
+            return Ok(
+                content.and_then(|content| content.blocks.first().map(LoggedFrames::time_ns))
+            );
         }
         pass.reader.seek_relative(length as i64)?;
         place += RECORD_HEAD_BYTES + length;
@@ -159,27 +185,38 @@ impl Pass<'_> {
     /// How the file ends, told by its last bytes.
     fn end(&mut self) -> std::io::Result<SegmentEnd> {
         let tail_bytes = FOOTER_BYTES + MAGIC_BYTES;
-        let Some(footer_at) = self.bytes.checked_sub(tail_bytes) else { return Ok(SegmentEnd::Torn) };
+        let Some(footer_at) = self.bytes.checked_sub(tail_bytes) else {
+            return Ok(SegmentEnd::Torn);
+        };
         let tail = self.at(footer_at, tail_bytes)?;
         let (footer, magic) = tail.split_at(FOOTER_BYTES as usize);
-        if magic != mcap::MAGIC || record_head(footer) != Some((op::FOOTER, FOOTER_BYTES - RECORD_HEAD_BYTES)) {
+        if magic != mcap::MAGIC
+            || record_head(footer) != Some((op::FOOTER, FOOTER_BYTES - RECORD_HEAD_BYTES))
+        {
             return Ok(SegmentEnd::Torn);
         }
         let parsed = parse_record(op::FOOTER, &footer[RECORD_HEAD_BYTES as usize..]);
-        let Ok(Record::Footer(footer)) = parsed else { return Ok(SegmentEnd::Torn) };
+        let Ok(Record::Footer(footer)) = parsed else {
+            return Ok(SegmentEnd::Torn);
+        };
         let (data_ends, end) = match footer.summary_start {
             0 => (footer_at, SegmentEnd::Mended),
             start => (start.min(footer_at), SegmentEnd::InOrder),
         };
-        let Some(data_end_at) = data_ends.checked_sub(DATA_END_BYTES) else { return Ok(SegmentEnd::Torn) };
+        let Some(data_end_at) = data_ends.checked_sub(DATA_END_BYTES) else {
+            return Ok(SegmentEnd::Torn);
+        };
         let head = self.at(data_end_at, RECORD_HEAD_BYTES)?;
-        let is_there = record_head(&head) == Some((op::DATA_END, DATA_END_BYTES - RECORD_HEAD_BYTES));
+        let is_there =
+            record_head(&head) == Some((op::DATA_END, DATA_END_BYTES - RECORD_HEAD_BYTES));
         Ok(if is_there { end } else { SegmentEnd::Torn })
     }
 
     /// Opcode and length of the record at this byte, if it is whole; the reader is left at its body.
     fn head(&mut self, place: u64) -> std::io::Result<Option<(u8, u64)>> {
-        let Some(most) = self.bytes.checked_sub(place + RECORD_HEAD_BYTES) else { return Ok(None) };
+        let Some(most) = self.bytes.checked_sub(place + RECORD_HEAD_BYTES) else {
+            return Ok(None);
+        };
         let mut head = [0; RECORD_HEAD_BYTES as usize];
         self.reader.read_exact(&mut head)?;
         Ok(record_head(&head).filter(|(_, length)| *length <= most))
@@ -212,7 +249,11 @@ fn record_body(record: &[u8], length: u64) -> Option<&[u8]> {
 
 impl Scan {
     fn take(&mut self, content: ChunkContent, offset: u64, after: u64) {
-        let ChunkContent { stated, foreign_encoding, mut blocks } = content;
+        let ChunkContent {
+            stated,
+            foreign_encoding,
+            mut blocks,
+        } = content;
         append_entries(&mut self.entries, &blocks, offset, after - offset);
         self.stated = self.stated.take().or(stated);
         self.foreign_encoding = self.foreign_encoding.take().or(foreign_encoding);

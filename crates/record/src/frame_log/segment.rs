@@ -27,14 +27,25 @@ const SET_ASIDE: &str = "unreadable";
 
 impl SegmentName {
     pub(super) fn of(frames: &LoggedFrames) -> Self {
-        Self { epoch: frames.epoch, sequence: frames.sequence }
+        Self {
+            epoch: frames.epoch,
+            sequence: frames.sequence,
+        }
     }
 
     pub(super) fn parse(file_name: &str) -> Option<Self> {
         let numbers = file_name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?;
         let (epoch, sequence) = numbers.split_once('-')?;
-        let number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit()).then(|| text.parse().ok()).flatten();
-        let name = Self { epoch: number(epoch)?, sequence: number(sequence)? };
+        let number = |text: &str| {
+            text.bytes()
+                .all(|byte| byte.is_ascii_digit())
+                .then(|| text.parse().ok())
+                .flatten()
+        };
+        let name = Self {
+            epoch: number(epoch)?,
+            sequence: number(sequence)?,
+        };
         (name.file_name() == file_name).then_some(name)
     }
 
@@ -55,13 +66,19 @@ pub(super) fn set_aside(path: &Path) -> Result<PathBuf, RecordError> {
         again += 1;
         aside = PathBuf::from(format!("{}.{again}.{SET_ASIDE}", path.display()));
     }
-    std::fs::rename(path, &aside).map_err(|source| RecordError::WriteLog { path: path.to_owned(), source })?;
+    std::fs::rename(path, &aside).map_err(|source| RecordError::WriteLog {
+        path: path.to_owned(),
+        source,
+    })?;
     Ok(aside)
 }
 
 /// Cuts a segment behind its last whole chunk, and ends it so that any reader of MCAP opens it.
 pub(super) fn mend(path: &Path, whole: u64) -> Result<u64, RecordError> {
-    let failed = |source| RecordError::WriteLog { path: path.to_owned(), source };
+    let failed = |source| RecordError::WriteLog {
+        path: path.to_owned(),
+        source,
+    };
     let mut file = OpenOptions::new().write(true).open(path).map_err(failed)?;
     let mended = end_at(&mut file, whole).and_then(|bytes| file.sync_all().map(|()| bytes));
     mended.map_err(failed)
@@ -102,8 +119,18 @@ impl OpenSegment {
             }
             created => created,
         };
-        let file = created.map_err(|source| RecordError::WriteLog { path: path.clone(), source })?;
-        Ok(Self { name, path, file: Arc::new(file), messages: 0, chunks: 0, bytes: 0 })
+        let file = created.map_err(|source| RecordError::WriteLog {
+            path: path.clone(),
+            source,
+        })?;
+        Ok(Self {
+            name,
+            path,
+            file: Arc::new(file),
+            messages: 0,
+            chunks: 0,
+            bytes: 0,
+        })
     }
 
     pub(super) fn name(&self) -> SegmentName {
@@ -132,7 +159,10 @@ impl OpenSegment {
         blocks: &[Cow<'_, LoggedFrames>],
         stated: &StatedLayout,
     ) -> Result<(u64, u64), RecordError> {
-        let refused = |source| RecordError::WriteLog { path: self.path.clone(), source };
+        let refused = |source| RecordError::WriteLog {
+            path: self.path.clone(),
+            source,
+        };
         let is_first = self.chunks == 0;
         let mut out = Vec::new(); // a chunk goes to the file in one piece
         if is_first {
@@ -141,7 +171,8 @@ impl OpenSegment {
         let before = out.len();
         put_chunk(&mut out, is_first.then_some(stated), blocks, self.messages).map_err(refused)?;
         (&*self.file).write_all(&out).map_err(refused)?;
-        let length = record_head(&out[before..]).map_or(0, |(_, length)| RECORD_HEAD_BYTES + length);
+        let length =
+            record_head(&out[before..]).map_or(0, |(_, length)| RECORD_HEAD_BYTES + length);
         let offset = self.bytes + before as u64;
         self.messages = self.messages.wrapping_add(blocks.len() as u32);
         self.bytes += out.len() as u64;
@@ -163,10 +194,18 @@ impl OpenSegment {
 
     /// Cuts the file behind its last whole chunk and ends it there; one without a chunk is removed. Returns its length.
     pub(super) fn cut_back(self) -> Result<u64, RecordError> {
-        let Self { path, file, bytes, chunks, .. } = self;
+        let Self {
+            path,
+            file,
+            bytes,
+            chunks,
+            ..
+        } = self;
         let done = match chunks {
             0 => std::fs::remove_file(&path).map(|()| 0),
-            _ => file.try_clone().and_then(|mut file| end_at(&mut file, bytes)),
+            _ => file
+                .try_clone()
+                .and_then(|mut file| end_at(&mut file, bytes)),
         };
         done.map_err(|source| RecordError::WriteLog { path, source })
     }

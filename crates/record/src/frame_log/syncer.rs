@@ -28,8 +28,14 @@ struct Unsynced {
 
 impl LogSyncer {
     pub(super) fn new(folder: &Path) -> Self {
-        let shared = Shared { folder: folder.to_owned(), unsynced: Mutex::default(), turn: Mutex::default() };
-        Self { shared: Arc::new(shared) }
+        let shared = Shared {
+            folder: folder.to_owned(),
+            unsynced: Mutex::default(),
+            turn: Mutex::default(),
+        };
+        Self {
+            shared: Arc::new(shared),
+        }
     }
 
     /// Waits until everything that was appended before this call is on the disk; returns at once if it is there already.
@@ -38,7 +44,11 @@ impl LogSyncer {
     /// The disk refuses; the files are tried again at the next call. What it refused may be lost all the same: some operating
     /// systems report such an error once.
     pub fn sync(&self) -> Result<(), RecordError> {
-        let _turn = self.shared.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = self
+            .shared
+            .turn
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let unsynced = std::mem::take(&mut *self.unsynced());
         let synced = self.sync_all(&unsynced);
         if synced.is_err() {
@@ -53,7 +63,10 @@ impl LogSyncer {
 
     fn sync_all(&self, unsynced: &Unsynced) -> Result<(), RecordError> {
         for (path, file) in &unsynced.files {
-            file.sync_data().map_err(|source| RecordError::WriteLog { path: path.clone(), source })?;
+            file.sync_data().map_err(|source| RecordError::WriteLog {
+                path: path.clone(),
+                source,
+            })?;
         }
         match unsynced.has_new_file {
             true => sync_folder(&self.shared.folder),
@@ -62,7 +75,10 @@ impl LogSyncer {
     }
 
     fn unsynced(&self) -> MutexGuard<'_, Unsynced> {
-        self.shared.unsynced.lock().unwrap_or_else(PoisonError::into_inner)
+        self.shared
+            .unsynced
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Something was written to this file.
@@ -87,5 +103,8 @@ impl Unsynced {
 /// Brings the names of new files to the disk.
 pub(super) fn sync_folder(folder: &Path) -> Result<(), RecordError> {
     let synced = File::open(folder).and_then(|folder| folder.sync_all());
-    synced.map_err(|source| RecordError::WriteLog { path: folder.to_owned(), source })
+    synced.map_err(|source| RecordError::WriteLog {
+        path: folder.to_owned(),
+        source,
+    })
 }

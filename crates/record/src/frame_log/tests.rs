@@ -27,7 +27,8 @@ fn layout() -> LogLayout {
 
 /// Frames whose every value tells epoch, frame and channel.
 fn frames(epoch: u64, from: u64, count: u64) -> LoggedFrames {
-    let value = |frame: u64, channel: u16| epoch as f64 * 1e9 + frame as f64 + f64::from(channel) / 8.0;
+    let value =
+        |frame: u64, channel: u16| epoch as f64 * 1e9 + frame as f64 + f64::from(channel) / 8.0;
     LoggedFrames {
         source: "ingest".to_owned(),
         epoch,
@@ -40,19 +41,32 @@ fn frames(epoch: u64, from: u64, count: u64) -> LoggedFrames {
             .collect(),
         ended: false,
         nodes: vec![
-            NodePosition { epoch: 7, sequence: from + count, ended: false },
-            NodePosition { epoch: 8, sequence: 2 * (from + count), ended: false },
+            NodePosition {
+                epoch: 7,
+                sequence: from + count,
+                ended: false,
+            },
+            NodePosition {
+                epoch: 8,
+                sequence: 2 * (from + count),
+                ended: false,
+            },
         ],
     }
 }
 
 /// A folder in memory where there is one: thousands of logs are opened and mended here.
 fn quick_folder() -> tempfile::TempDir {
-    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+    tempfile::tempdir_in("/dev/shm")
+        .or_else(|_| tempfile::tempdir())
+        .unwrap()
 }
 
 fn ended(frames: LoggedFrames) -> LoggedFrames {
-    LoggedFrames { ended: true, ..frames }
+    LoggedFrames {
+        ended: true,
+        ..frames
+    }
 }
 
 fn open(folder: &Path) -> (FrameLog, OpenedLog) {
@@ -65,12 +79,19 @@ fn open_with(folder: &Path, settings: LogSettings) -> FrameLog {
 
 /// Segments of one append each.
 fn short_segments() -> LogSettings {
-    LogSettings { segment_bytes: 1, ..LogSettings::default() }
+    LogSettings {
+        segment_bytes: 1,
+        ..LogSettings::default()
+    }
 }
 
 fn segments(folder: &Path) -> Vec<PathBuf> {
-    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let mut files: Vec<PathBuf> = files.filter(|path| path.extension().is_some_and(|end| end == "mcap")).collect();
+    let files = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let mut files: Vec<PathBuf> = files
+        .filter(|path| path.extension().is_some_and(|end| end == "mcap"))
+        .collect();
     files.sort_unstable();
     files
 }
@@ -98,7 +119,11 @@ fn bits(values: &[f64]) -> Vec<u64> {
 /// Number and values of all frames of blocks.
 fn rows_of(blocks: &[LoggedFrames]) -> Vec<(u64, Vec<u64>)> {
     let rows = |block: &LoggedFrames| {
-        let rows: Vec<Vec<u64>> = block.values.chunks_exact(usize::from(block.channels)).map(bits).collect();
+        let rows: Vec<Vec<u64>> = block
+            .values
+            .chunks_exact(usize::from(block.channels))
+            .map(bits)
+            .collect();
         (block.sequence..).zip(rows).collect::<Vec<_>>()
     };
     blocks.iter().flat_map(rows).collect()
@@ -116,22 +141,59 @@ fn what_is_read_is_what_was_written_to_the_bit() {
         t0_ns: i64::MIN,
         sampling_rate_hz: 119.88,
         channels: CHANNELS,
-        values: vec![payload_of_nan, -0.0, f64::MIN_POSITIVE / 3.0, f64::INFINITY, f64::NAN, 1.0 / 3.0],
+        values: vec![
+            payload_of_nan,
+            -0.0,
+            f64::MIN_POSITIVE / 3.0,
+            f64::INFINITY,
+            f64::NAN,
+            1.0 / 3.0,
+        ],
         ended: true,
         nodes: vec![
-            NodePosition { epoch: u64::MAX, sequence: 0, ended: false },
-            NodePosition { epoch: 0, sequence: u64::MAX, ended: false },
+            NodePosition {
+                epoch: u64::MAX,
+                sequence: 0,
+                ended: false,
+            },
+            NodePosition {
+                epoch: 0,
+                sequence: u64::MAX,
+                ended: false,
+            },
         ],
     };
     log.append(std::slice::from_ref(&written)).unwrap();
-    let expected = (bits(&written.values), LoggedFrames { values: Vec::new(), ..written });
-    let taken = |found: LoggedFrames| (bits(&found.values), LoggedFrames { values: Vec::new(), ..found });
-    let found = log.reader().read(u64::MAX, 0, u64::MAX, usize::MAX).unwrap().unwrap();
+    let expected = (
+        bits(&written.values),
+        LoggedFrames {
+            values: Vec::new(),
+            ..written
+        },
+    );
+    let taken = |found: LoggedFrames| {
+        (
+            bits(&found.values),
+            LoggedFrames {
+                values: Vec::new(),
+                ..found
+            },
+        )
+    };
+    let found = log
+        .reader()
+        .read(u64::MAX, 0, u64::MAX, usize::MAX)
+        .unwrap()
+        .unwrap();
     assert_eq!(taken(found), expected);
     log.close().unwrap();
     let (log, opened) = open(folder.path());
     assert_eq!(taken(opened.last.unwrap()), expected);
-    let found = log.reader().read(u64::MAX, 0, u64::MAX, usize::MAX).unwrap().unwrap();
+    let found = log
+        .reader()
+        .read(u64::MAX, 0, u64::MAX, usize::MAX)
+        .unwrap()
+        .unwrap();
     assert_eq!(taken(found), expected);
 }
 
@@ -149,10 +211,19 @@ fn a_log_without_frames_is_empty() {
         set_aside: Vec::new(),
     };
     assert_eq!(opened, empty);
-    assert_eq!((log.reader().spans(), log.reader().next_epoch(None)), (Vec::new(), None));
+    assert_eq!(
+        (log.reader().spans(), log.reader().next_epoch(None)),
+        (Vec::new(), None)
+    );
     assert_eq!(log.reader().read(0, 0, 10, 1000).unwrap(), None);
     log.close().unwrap();
-    assert_eq!(open(&deep).1, OpenedLog { is_complete: Some(true), ..empty });
+    assert_eq!(
+        open(&deep).1,
+        OpenedLog {
+            is_complete: Some(true),
+            ..empty
+        }
+    );
 }
 
 #[test]
@@ -163,16 +234,39 @@ fn answers_are_joined_up_to_limit_and_bytes() {
         log.append(&[frames(1, from, 5)]).unwrap();
     }
     let reader = log.reader();
-    let count = |after, limit, bytes| reader.read(1, after, limit, bytes).unwrap().map(|found| found.count());
+    let count = |after, limit, bytes| {
+        reader
+            .read(1, after, limit, bytes)
+            .unwrap()
+            .map(|found| found.count())
+    };
     assert_eq!(count(0, 100, usize::MAX), Some(50));
     assert_eq!(count(3, 12, usize::MAX), Some(12));
     assert_eq!(count(0, 100, 24 * 7 + 23), Some(7));
-    assert_eq!((count(0, 0, usize::MAX), count(0, 100, 0)), (Some(1), Some(1)), "at least one frame");
-    assert_eq!((count(49, 100, 1000), count(50, 100, 1000)), (Some(1), None));
+    assert_eq!(
+        (count(0, 0, usize::MAX), count(0, 100, 0)),
+        (Some(1), Some(1)),
+        "at least one frame"
+    );
+    assert_eq!(
+        (count(49, 100, 1000), count(50, 100, 1000)),
+        (Some(1), None)
+    );
     let answer = reader.read(1, 3, 12, usize::MAX).unwrap().unwrap();
-    assert_eq!(answer, frames(1, 3, 12), "twelve frames end with a block: node positions are known");
+    assert_eq!(
+        answer,
+        frames(1, 3, 12),
+        "twelve frames end with a block: node positions are known"
+    );
     let answer = reader.read(1, 3, 11, usize::MAX).unwrap().unwrap();
-    assert_eq!(answer, LoggedFrames { nodes: Vec::new(), ..frames(1, 3, 11) }, "within a block they are not");
+    assert_eq!(
+        answer,
+        LoggedFrames {
+            nodes: Vec::new(),
+            ..frames(1, 3, 11)
+        },
+        "within a block they are not"
+    );
 }
 
 #[test]
@@ -182,11 +276,24 @@ fn an_answer_stops_at_a_gap_and_the_next_one_shows_it() {
     log.append(&[frames(1, 10, 5), frames(1, 20, 5)]).unwrap();
     log.append(&[frames(1, 40, 5)]).unwrap();
     let reader = log.reader();
-    let span = |after| reader.read(1, after, 100, 10_000).unwrap().map(|found| (found.sequence, found.end()));
+    let span = |after| {
+        reader
+            .read(1, after, 100, 10_000)
+            .unwrap()
+            .map(|found| (found.sequence, found.end()))
+    };
     assert_eq!(span(0), Some((10, 15)));
     assert_eq!((span(15), span(22)), (Some((20, 25)), Some((22, 25))));
     assert_eq!((span(25), span(45)), (Some((40, 45)), None));
-    assert_eq!(reader.spans(), [LogSpan { epoch: 1, from: 10, to: 45, missing: 20 }]);
+    assert_eq!(
+        reader.spans(),
+        [LogSpan {
+            epoch: 1,
+            from: 10,
+            to: 45,
+            missing: 20
+        }]
+    );
 }
 
 #[test]
@@ -194,7 +301,8 @@ fn the_end_of_an_epoch_is_told_to_who_has_all_its_frames() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();
-    log.append(&[ended(frames(1, 5, 0)), frames(2, 0, 5)]).unwrap();
+    log.append(&[ended(frames(1, 5, 0)), frames(2, 0, 5)])
+        .unwrap();
     log.append(&[ended(frames(2, 5, 5))]).unwrap();
     let reader = log.reader();
     let read = |epoch, after, limit| {
@@ -203,9 +311,18 @@ fn the_end_of_an_epoch_is_told_to_who_has_all_its_frames() {
     };
     assert_eq!(read(1, 0, 100), Some((0, 5, true)));
     assert_eq!(read(1, 0, 5), Some((0, 5, false)));
-    assert_eq!((read(1, 5, 100), read(1, 6, 100)), (Some((5, 0, true)), None));
-    assert_eq!((read(2, 0, 10), read(2, 0, 9)), (Some((0, 10, true)), Some((0, 9, false))));
-    assert_eq!((read(2, 10, 1), read(2, 11, 1)), (Some((10, 0, true)), None));
+    assert_eq!(
+        (read(1, 5, 100), read(1, 6, 100)),
+        (Some((5, 0, true)), None)
+    );
+    assert_eq!(
+        (read(2, 0, 10), read(2, 0, 9)),
+        (Some((0, 10, true)), Some((0, 9, false)))
+    );
+    assert_eq!(
+        (read(2, 10, 1), read(2, 11, 1)),
+        (Some((10, 0, true)), None)
+    );
     assert_eq!((read(0, 0, 1), read(3, 0, 1)), (None, None));
     assert_eq!(
         [None, Some(0), Some(1), Some(2)].map(|epoch| reader.next_epoch(epoch)),
@@ -217,43 +334,117 @@ fn the_end_of_an_epoch_is_told_to_who_has_all_its_frames() {
 fn frames_that_are_there_already_are_not_there_twice() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
-    let other = |from, count: usize| LoggedFrames { values: vec![-1.0; 3 * count], ..frames(1, from, count as u64) };
+    let other = |from, count: usize| LoggedFrames {
+        values: vec![-1.0; 3 * count],
+        ..frames(1, from, count as u64)
+    };
     log.append(&[frames(1, 0, 5), other(3, 4)]).unwrap();
     log.append(&[other(0, 7)]).unwrap();
     log.append(&[ended(frames(1, 5, 2))]).unwrap();
-    log.append(&[ended(frames(1, 0, 7)), ended(frames(1, 7, 0))]).unwrap();
+    log.append(&[ended(frames(1, 0, 7)), ended(frames(1, 7, 0))])
+        .unwrap();
     drop(log);
     let (mut log, opened) = open(folder.path());
-    assert_eq!(opened.last.as_ref().map(|last| (last.end(), last.ended)), Some((7, true)));
+    assert_eq!(
+        opened.last.as_ref().map(|last| (last.end(), last.ended)),
+        Some((7, true))
+    );
     log.append(&[ended(frames(1, 0, 7))]).unwrap();
-    assert_eq!(all_frames(&log.reader(), 1, 4), rows_of(&[frames(1, 0, 5), other(5, 2)]));
-    assert_eq!(segments(folder.path()).len(), 1, "what is there already makes no segment");
+    assert_eq!(
+        all_frames(&log.reader(), 1, 4),
+        rows_of(&[frames(1, 0, 5), other(5, 2)])
+    );
+    assert_eq!(
+        segments(folder.path()).len(),
+        1,
+        "what is there already makes no segment"
+    );
 }
 
 #[test]
 fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
-    log.append(&[frames(5, 0, 5), ended(frames(5, 5, 5))]).unwrap();
+    log.append(&[frames(5, 0, 5), ended(frames(5, 5, 5))])
+        .unwrap();
     let refused = [
-        (LoggedFrames { channels: 2, ..frames(6, 0, 2) }, "number of channels is 2, must be 3"),
-        (LoggedFrames { values: vec![0.0; 4], ..frames(6, 0, 2) }, "number of values is 4, must be a multiple of 3"),
         (
-            LoggedFrames { nodes: vec![NodePosition { epoch: 0, sequence: 0, ended: false }], ..frames(6, 0, 2) },
+            LoggedFrames {
+                channels: 2,
+                ..frames(6, 0, 2)
+            },
+            "number of channels is 2, must be 3",
+        ),
+        (
+            LoggedFrames {
+                values: vec![0.0; 4],
+                ..frames(6, 0, 2)
+            },
+            "number of values is 4, must be a multiple of 3",
+        ),
+        (
+            LoggedFrames {
+                nodes: vec![NodePosition {
+                    epoch: 0,
+                    sequence: 0,
+                    ended: false,
+                }],
+                ..frames(6, 0, 2)
+            },
             "number of nodes is 1, must be 0 or 2",
         ),
-        (LoggedFrames { sampling_rate_hz: 0.0, ..frames(6, 0, 2) }, "sampling rate is 0 Hz, must be positive"),
-        (LoggedFrames { sequence: u64::MAX - 1, ..frames(6, 0, 2) }, "number of the first frame is"),
-        (LoggedFrames { source: "s".repeat(65_536), ..frames(6, 0, 2) }, "length of the source is 65536"),
-        (frames(4, 0, 2), "epoch is 4, must be 5 as that of the last frames, or higher"),
-        (frames(5, 9, 2), "number of the last frame is 10, must be below 10 where epoch 5 has ended"),
+        (
+            LoggedFrames {
+                sampling_rate_hz: 0.0,
+                ..frames(6, 0, 2)
+            },
+            "sampling rate is 0 Hz, must be positive",
+        ),
+        (
+            LoggedFrames {
+                sequence: u64::MAX - 1,
+                ..frames(6, 0, 2)
+            },
+            "number of the first frame is",
+        ),
+        (
+            LoggedFrames {
+                source: "s".repeat(65_536),
+                ..frames(6, 0, 2)
+            },
+            "length of the source is 65536",
+        ),
+        (
+            frames(4, 0, 2),
+            "epoch is 4, must be 5 as that of the last frames, or higher",
+        ),
+        (
+            frames(5, 9, 2),
+            "number of the last frame is 10, must be below 10 where epoch 5 has ended",
+        ),
     ];
     for (block, expected) in refused {
         // behind one that could be logged, where the order allows it
-        let blocks = if block.epoch == 6 { vec![frames(6, 0, 5), block] } else { vec![block] };
+        let blocks = if block.epoch == 6 {
+            vec![frames(6, 0, 5), block]
+        } else {
+            vec![block]
+        };
         let told = log.append(&blocks).unwrap_err().to_string();
-        assert!(told.starts_with(&format!("frames of `tower` cannot be logged: {expected}")), "{told}");
-        assert_eq!(log.reader().spans(), [LogSpan { epoch: 5, from: 0, to: 10, missing: 0 }], "{expected}");
+        assert!(
+            told.starts_with(&format!("frames of `tower` cannot be logged: {expected}")),
+            "{told}"
+        );
+        assert_eq!(
+            log.reader().spans(),
+            [LogSpan {
+                epoch: 5,
+                from: 0,
+                to: 10,
+                missing: 0
+            }],
+            "{expected}"
+        );
     }
     log.append(&[frames(6, 0, 5)]).unwrap();
     assert_eq!(log.reader().next_epoch(Some(5)), Some(6));
@@ -262,20 +453,35 @@ fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
 #[test]
 fn segments_follow_each_other_by_bytes_and_by_time() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = LogSettings { segment_s: 10, ..LogSettings::default() };
+    let settings = LogSettings {
+        segment_s: 10,
+        ..LogSettings::default()
+    };
     let mut log = open_with(folder.path(), settings);
     for from in (0..5000).step_by(100) {
         log.append(&[frames(1, from, 100)]).unwrap(); // a second each
     }
     assert_eq!(segments(folder.path()).len(), 5);
-    assert_eq!(all_frames(&log.reader(), 1, 170), rows_of(&[frames(1, 0, 5000)]));
+    assert_eq!(
+        all_frames(&log.reader(), 1, 170),
+        rows_of(&[frames(1, 0, 5000)])
+    );
     drop(log);
-    let mut log = open_with(folder.path(), LogSettings { segment_bytes: 20_000, ..LogSettings::default() });
+    let mut log = open_with(
+        folder.path(),
+        LogSettings {
+            segment_bytes: 20_000,
+            ..LogSettings::default()
+        },
+    );
     for from in (5000..9000).step_by(100) {
         log.append(&[frames(1, from, 100)]).unwrap(); // 2400 bytes of values each
     }
     assert_eq!(segments(folder.path()).len(), 5 + 5);
-    assert_eq!(all_frames(&log.reader(), 1, 1_000_000), rows_of(&[frames(1, 0, 9000)]));
+    assert_eq!(
+        all_frames(&log.reader(), 1, 1_000_000),
+        rows_of(&[frames(1, 0, 9000)])
+    );
 }
 
 #[test]
@@ -283,29 +489,54 @@ fn many_segments_are_read_from_any_number_on() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = open_with(folder.path(), short_segments());
     for from in 0..300 {
-        log.append(&[frames(1 + from / 100, from % 100, 1)]).unwrap();
+        log.append(&[frames(1 + from / 100, from % 100, 1)])
+            .unwrap();
     }
     assert_eq!(segments(folder.path()).len(), 300);
     drop(log);
     let (log, _) = open(folder.path());
     let reader = log.reader();
     for epoch in 1..4 {
-        assert_eq!(all_frames(&reader, epoch, 17), rows_of(&[frames(epoch, 0, 100)]));
+        assert_eq!(
+            all_frames(&reader, epoch, 17),
+            rows_of(&[frames(epoch, 0, 100)])
+        );
         for after in [0, 1, 50, 99] {
-            let found = reader.read(epoch, after, 1000, usize::MAX).unwrap().unwrap();
+            let found = reader
+                .read(epoch, after, 1000, usize::MAX)
+                .unwrap()
+                .unwrap();
             assert_eq!(found, frames(epoch, after, 100 - after));
         }
         assert_eq!(reader.read(epoch, 100, 1000, usize::MAX).unwrap(), None);
     }
-    let whole = |epoch| LogSpan { epoch, from: 0, to: 100, missing: 0 };
+    let whole = |epoch| LogSpan {
+        epoch,
+        from: 0,
+        to: 100,
+        missing: 0,
+    };
     assert_eq!(reader.spans(), [whole(1), whole(2), whole(3)]);
 }
 
 #[test]
 fn frames_are_where_the_rate_puts_them() {
     let of = |rate_hz, number| frame_time_ns(-5, rate_hz, number);
-    assert_eq!((of(120.0, 1), of(120.0, 2)), (-5 + 8_333_333, -5 + 16_666_667));
-    assert_eq!(of(120.0, 120_000_000_000 * 3), -5 + 3_000_000_000_000_000_000);
-    assert_eq!(of(1e9 / 7e6, 1_000), -5 + 7_000_000_000, "a rate without whole microhertz");
-    assert_eq!((of(1e-3, u64::MAX), of(f64::MIN_POSITIVE, 1)), (i64::MAX - 5, i64::MAX - 5));
+    assert_eq!(
+        (of(120.0, 1), of(120.0, 2)),
+        (-5 + 8_333_333, -5 + 16_666_667)
+    );
+    assert_eq!(
+        of(120.0, 120_000_000_000 * 3),
+        -5 + 3_000_000_000_000_000_000
+    );
+    assert_eq!(
+        of(1e9 / 7e6, 1_000),
+        -5 + 7_000_000_000,
+        "a rate without whole microhertz"
+    );
+    assert_eq!(
+        (of(1e-3, u64::MAX), of(f64::MIN_POSITIVE, 1)),
+        (i64::MAX - 5, i64::MAX - 5)
+    );
 }

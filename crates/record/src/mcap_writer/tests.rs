@@ -25,7 +25,9 @@ fn written(steps: i64, is_killed: bool) -> Vec<u8> {
     let mut writer = McapWriter::create(&path, &channels()).unwrap();
     for step in 0..steps {
         for place in 0..2 {
-            writer.write(place, step * 5_000_000, sample(place, step)).unwrap();
+            writer
+                .write(place, step * 5_000_000, sample(place, step))
+                .unwrap();
         }
     }
     match is_killed {
@@ -49,9 +51,17 @@ fn killed_writer_loses_its_last_chunk_alone() {
     for (place, channel) in file.channels().iter().enumerate() {
         let samples: Vec<f64> = channel.samples().collect();
         assert_eq!(samples.len(), 4096);
-        assert!(samples.iter().enumerate().all(|(step, value)| *value == sample(place, step as i64)));
+        assert!(
+            samples
+                .iter()
+                .enumerate()
+                .all(|(step, value)| *value == sample(place, step as i64))
+        );
     }
-    assert_eq!(file.remarks(), ["the file was cut off: it is read up to its last whole chunk"]);
+    assert_eq!(
+        file.remarks(),
+        ["the file was cut off: it is read up to its last whole chunk"]
+    );
 }
 
 #[test]
@@ -59,13 +69,20 @@ fn file_cut_anywhere_is_read_up_to_its_last_whole_chunk() {
     let whole = written(10_000, false);
     let mut lengths = Vec::new();
     // at every byte of the beginning and the end, and at many between
-    let places = (0..600).chain((600..whole.len() - 600).step_by(499)).chain(whole.len() - 600..whole.len());
+    let places = (0..600)
+        .chain((600..whole.len() - 600).step_by(499))
+        .chain(whole.len() - 600..whole.len());
     for end in places {
         match crate::formats::mcap::read(&whole[..end]) {
             Ok((channels, _)) => {
                 for (place, channel) in channels.iter().enumerate() {
                     let samples: Vec<f64> = channel.samples().collect();
-                    assert!(samples.iter().enumerate().all(|(step, value)| *value == sample(place, step as i64)));
+                    assert!(
+                        samples
+                            .iter()
+                            .enumerate()
+                            .all(|(step, value)| *value == sample(place, step as i64))
+                    );
                     lengths.push(samples.len());
                 }
             }
@@ -73,7 +90,11 @@ fn file_cut_anywhere_is_read_up_to_its_last_whole_chunk() {
         }
     }
     lengths.dedup();
-    assert_eq!(lengths, [2048, 4096, 6144, 8192, 10_000], "samples of a channel by chunk");
+    assert_eq!(
+        lengths,
+        [2048, 4096, 6144, 8192, 10_000],
+        "samples of a channel by chunk"
+    );
 }
 
 #[test]
@@ -83,7 +104,10 @@ fn damage_within_a_chunk_is_told_with_its_place() {
     let middle = chunk.chunk_start_offset + chunk.chunk_length / 2;
     bytes[middle as usize] ^= 0x40;
     let told = read(&bytes).unwrap_err().to_string();
-    assert!(told.contains("MCAP: byte ") && told.contains("must be whole and undamaged"), "{told}");
+    assert!(
+        told.contains("MCAP: byte ") && told.contains("must be whole and undamaged"),
+        "{told}"
+    );
 }
 
 #[test]
@@ -101,25 +125,46 @@ fn damaged_byte_anywhere_is_an_error_or_no_change_but_no_panic() {
 #[test]
 fn messages_are_json_with_a_schema_that_names_the_value_a_number() {
     let bytes = written(3, false);
-    let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+    let messages: Vec<_> = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
     assert_eq!(messages.len(), 6);
     let first = &messages[0];
-    assert_eq!((first.channel.topic.as_str(), first.channel.message_encoding.as_str()), ("roof", "json"));
+    assert_eq!(
+        (
+            first.channel.topic.as_str(),
+            first.channel.message_encoding.as_str()
+        ),
+        ("roof", "json")
+    );
     let message: serde_json::Value = serde_json::from_slice(&first.data).unwrap();
     assert_eq!(message, serde_json::json!({ "value": sample(0, 0) }));
     let schema = first.channel.schema.as_ref().unwrap();
     assert_eq!(schema.encoding, "jsonschema");
     let schema: serde_json::Value = serde_json::from_slice(&schema.data).unwrap();
-    assert_eq!((&schema["type"], &schema["properties"]["value"]["type"]), (&"object".into(), &"number".into()));
+    assert_eq!(
+        (&schema["type"], &schema["properties"]["value"]["type"]),
+        (&"object".into(), &"number".into())
+    );
 }
 
 #[test]
 fn infinite_values_and_times_before_1970_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = McapWriter::create(&folder.path().join("out.mcap"), &channels()).unwrap();
-    assert!(matches!(writer.write(0, -1, 1.0), Err(RecordError::NotWritable { .. })));
-    assert!(matches!(writer.write(0, 0, f64::INFINITY), Err(RecordError::NotWritable { .. })));
-    assert!(matches!(writer.write(2, 0, 1.0), Err(RecordError::NotWritable { .. })));
+    assert!(matches!(
+        writer.write(0, -1, 1.0),
+        Err(RecordError::NotWritable { .. })
+    ));
+    assert!(matches!(
+        writer.write(0, 0, f64::INFINITY),
+        Err(RecordError::NotWritable { .. })
+    ));
+    assert!(matches!(
+        writer.write(2, 0, 1.0),
+        Err(RecordError::NotWritable { .. })
+    ));
     writer.write(0, 0, f64::NAN).unwrap(); // missing: no message
     writer.finish().unwrap();
 }

@@ -8,15 +8,16 @@ use crate::{OffsetRemoval, RecordReader, Recording, Resampling, TimeSource};
 const TABLE: &str = "time,roof,base\n0.00,1,5\n0.01,2,6\n0.02,3,7\n";
 
 fn at2(first: f64) -> String {
-    let head =
-        "PEER STRONG MOTION DATABASE RECORD\nHILL\nACCELERATION TIME HISTORY IN UNITS OF G\nNPTS= 2, DT= .01000 SEC\n";
+    let head = "PEER STRONG MOTION DATABASE RECORD\nHILL\nACCELERATION TIME HISTORY IN UNITS OF G\nNPTS= 2, DT= .01000 SEC\n";
     format!("{head}{first:>15.7E}{:>15.7E}\n", -0.5)
 }
 
 fn zip_of(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for (name, content) in members {
-        archive.start_file(*name, zip::write::SimpleFileOptions::default()).unwrap();
+        archive
+            .start_file(*name, zip::write::SimpleFileOptions::default())
+            .unwrap();
         archive.write_all(content).unwrap();
     }
     archive.finish().unwrap().into_inner()
@@ -42,37 +43,66 @@ fn names(file: &RecordedFile) -> Vec<&str> {
 #[test]
 fn archive_gives_its_recordings_and_tells_what_is_none() {
     let (east, west) = (at2(0.25), at2(0.75));
-    let members =
-        [("east.at2", east.as_bytes()), ("west.at2", west.as_bytes()), ("ReadMe.txt", b"Channels east and west")];
+    let members = [
+        ("east.at2", east.as_bytes()),
+        ("west.at2", west.as_bytes()),
+        ("ReadMe.txt", b"Channels east and west"),
+    ];
     let file = read_as("event.zip", &zip_of(&members)).unwrap();
     assert_eq!(names(&file), ["east/acceleration", "west/acceleration"]);
-    assert_eq!(file.channels()[1].samples().collect::<Vec<_>>(), [0.75, -0.5]);
+    assert_eq!(
+        file.channels()[1].samples().collect::<Vec<_>>(),
+        [0.75, -0.5]
+    );
     assert_eq!(file.remarks(), ["left out, of no known format: ReadMe.txt"]);
 }
 
 #[test]
 fn names_that_are_there_once_stay_as_they_are() {
-    let file = read_as("event.zip", &zip_of(&[("a.at2", at2(0.25).as_bytes()), ("b.csv", TABLE.as_bytes())])).unwrap();
+    let file = read_as(
+        "event.zip",
+        &zip_of(&[("a.at2", at2(0.25).as_bytes()), ("b.csv", TABLE.as_bytes())]),
+    )
+    .unwrap();
     assert_eq!(names(&file), ["acceleration", "roof", "base"]);
 }
 
 #[test]
 fn damaged_member_is_refused_with_its_own_name() {
-    let told = read_as("event.zip", &zip_of(&[("east.at2", &at2(0.25).as_bytes()[..125])])).unwrap_err().to_string();
-    assert!(told.contains("event.zip/east.at2: PEER AT2: line "), "{told}");
+    let told = read_as(
+        "event.zip",
+        &zip_of(&[("east.at2", &at2(0.25).as_bytes()[..125])]),
+    )
+    .unwrap_err()
+    .to_string();
+    assert!(
+        told.contains("event.zip/east.at2: PEER AT2: line "),
+        "{told}"
+    );
 }
 
 #[test]
 fn archive_without_recordings_is_refused() {
-    let told = read_as("event.zip", &zip_of(&[("ReadMe.txt", b"nothing here")])).unwrap_err().to_string();
-    assert!(told.ends_with("content is ReadMe.txt, must be at least one recording of a known format"), "{told}");
+    let told = read_as("event.zip", &zip_of(&[("ReadMe.txt", b"nothing here")]))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        told.ends_with("content is ReadMe.txt, must be at least one recording of a known format"),
+        "{told}"
+    );
 }
 
 #[test]
 fn archive_cut_anywhere_is_refused() {
-    let archive = zip_of(&[("east.at2", at2(0.25).as_bytes()), ("b.csv", TABLE.as_bytes())]);
+    let archive = zip_of(&[
+        ("east.at2", at2(0.25).as_bytes()),
+        ("b.csv", TABLE.as_bytes()),
+    ]);
     for end in 0..archive.len() {
-        assert!(read_as("event.zip", &archive[..end]).is_err(), "cut at {end}");
+        assert!(
+            read_as("event.zip", &archive[..end]).is_err(),
+            "cut at {end}"
+        );
     }
 }
 
@@ -82,9 +112,17 @@ fn archives_in_archives_have_an_end() {
     for _ in 0..2 {
         archive = zip_of(&[("inner.zip", &archive)]);
     }
-    assert_eq!(names(&read_as("event.zip", &archive).unwrap()), ["roof", "base"]);
-    let told = read_as("event.zip", &zip_of(&[("inner.zip", &archive)])).unwrap_err().to_string();
-    assert!(told.contains("depth of archives in archives is 4, must be at most 3"), "{told}");
+    assert_eq!(
+        names(&read_as("event.zip", &archive).unwrap()),
+        ["roof", "base"]
+    );
+    let told = read_as("event.zip", &zip_of(&[("inner.zip", &archive)]))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        told.contains("depth of archives in archives is 4, must be at most 3"),
+        "{told}"
+    );
 }
 
 #[test]
@@ -92,10 +130,18 @@ fn compressed_table_is_read_by_rows_and_whole() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("hall.csv.gz");
     std::fs::write(&path, gzip_of(TABLE.as_bytes())).unwrap();
-    let mut recording = Recording::open(&path, &ColumnMapping::by_name(["base"]), OffsetRemoval::Keep).unwrap();
+    let mut recording = Recording::open(
+        &path,
+        &ColumnMapping::by_name(["base"]),
+        OffsetRemoval::Keep,
+    )
+    .unwrap();
     assert_eq!(recording.next_row().unwrap().unwrap().values, [5.0]);
     let file = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
-    assert_eq!((names(&file), file.channels()[0].sampling_rate_hz()), (vec!["roof", "base"], Some(100.0)));
+    assert_eq!(
+        (names(&file), file.channels()[0].sampling_rate_hz()),
+        (vec!["roof", "base"], Some(100.0))
+    );
 }
 
 #[test]
@@ -103,14 +149,19 @@ fn zipped_and_resampled_tables_are_read_as_the_table_itself() {
     let folder = tempfile::tempdir().unwrap();
     // a mapping names the column as it is called
     let table = TABLE.replace("roof", "roof [g]");
-    let (plain, zipped) = (folder.path().join("hall.csv"), folder.path().join("hall.zip"));
+    let (plain, zipped) = (
+        folder.path().join("hall.csv"),
+        folder.path().join("hall.zip"),
+    );
     std::fs::write(&plain, &table).unwrap();
     std::fs::write(&zipped, zip_of(&[("hall.csv", table.as_bytes())])).unwrap();
-    let column =
-        crate::ChannelColumn::new("roof").with_column("roof [g]").in_unit_of_file(crate::Quantity::Acceleration);
+    let column = crate::ChannelColumn::new("roof")
+        .with_column("roof [g]")
+        .in_unit_of_file(crate::Quantity::Acceleration);
     let mapping = ColumnMapping::new(vec![column]);
     let rows = |path: &Path, resampling| {
-        let mut recording = Recording::open_resampled(path, &mapping, OffsetRemoval::Keep, resampling).unwrap();
+        let mut recording =
+            Recording::open_resampled(path, &mapping, OffsetRemoval::Keep, resampling).unwrap();
         let mut rows = Vec::new();
         while let Some(row) = recording.next_row().unwrap() {
             rows.push((row.time_ns, row.values.to_vec()));
@@ -120,7 +171,11 @@ fn zipped_and_resampled_tables_are_read_as_the_table_itself() {
     let expected = rows(&plain, Resampling::None);
     assert_eq!(expected[2], (20_000_000, vec![3.0 * 9.80665]));
     assert_eq!(rows(&zipped, Resampling::None), expected);
-    assert_eq!(rows(&plain, Resampling::To { rate_hz: 100.0 }), expected, "at its own rate nothing is done");
+    assert_eq!(
+        rows(&plain, Resampling::To { rate_hz: 100.0 }),
+        expected,
+        "at its own rate nothing is done"
+    );
     assert_eq!(rows(&plain, Resampling::To { rate_hz: 50.0 }).len(), 2);
 }
 
@@ -131,23 +186,43 @@ fn folder_is_read_in_the_order_of_names() {
         std::fs::write(folder.path().join(name), at2(first)).unwrap();
     }
     let file = RecordedFile::read(folder.path(), &ReadOptions::default()).unwrap();
-    assert_eq!((names(&file), file.format()), (vec!["a/acceleration", "b/acceleration"], Format::Folder));
-    let mapping = ColumnMapping::by_name(["b/acceleration"]).with_time(TimeSource::Counted { rate_hz: 1.0 });
+    assert_eq!(
+        (names(&file), file.format()),
+        (vec!["a/acceleration", "b/acceleration"], Format::Folder)
+    );
+    let mapping =
+        ColumnMapping::by_name(["b/acceleration"]).with_time(TimeSource::Counted { rate_hz: 1.0 });
     let mut recording = Recording::open(folder.path(), &mapping, OffsetRemoval::Keep).unwrap();
-    assert_eq!(recording.check_sampling_rate(100.0).unwrap(), 100.0, "a rate that is stated counts");
+    assert_eq!(
+        recording.check_sampling_rate(100.0).unwrap(),
+        100.0,
+        "a rate that is stated counts"
+    );
     assert_eq!(recording.next_row().unwrap().unwrap().values, [0.25]);
 }
 
 #[test]
 fn declared_rate_is_for_channels_without_one() {
-    let options = ReadOptions { sampling_rate_hz: Some(50.0), ..ReadOptions::default() };
+    let options = ReadOptions {
+        sampling_rate_hz: Some(50.0),
+        ..ReadOptions::default()
+    };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("hall.dat");
     std::fs::write(&path, "1\t2\n3\t4\n").unwrap();
     let file = RecordedFile::read(&path, &options).unwrap();
-    assert_eq!(file.channels()[1].timed_samples().collect::<Vec<_>>(), [(0, 2.0), (20_000_000, 4.0)]);
-    let none = ReadOptions { sampling_rate_hz: Some(0.0), ..ReadOptions::default() };
-    assert!(matches!(RecordedFile::read(&path, &none), Err(RecordError::DeclaredRate { .. })));
+    assert_eq!(
+        file.channels()[1].timed_samples().collect::<Vec<_>>(),
+        [(0, 2.0), (20_000_000, 4.0)]
+    );
+    let none = ReadOptions {
+        sampling_rate_hz: Some(0.0),
+        ..ReadOptions::default()
+    };
+    assert!(matches!(
+        RecordedFile::read(&path, &none),
+        Err(RecordError::DeclaredRate { .. })
+    ));
 }
 
 /// Beginnings that tell a format, so that arbitrary bytes reach its reader.

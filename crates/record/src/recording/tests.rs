@@ -20,7 +20,9 @@ fn all_rows(recording: &mut Recording) -> Vec<(i64, Vec<f64>)> {
 /// `count` rows at `rate_hz` with times of `digits` digits; channel `a` is the row number, `b` is 1.
 fn regular_text(rate_hz: f64, count: usize, digits: usize) -> String {
     let rows = (0..count).map(|row| format!("{:.digits$},{row},1\n", row as f64 / rate_hz));
-    std::iter::once("time,a,b\n".to_owned()).chain(rows).collect()
+    std::iter::once("time,a,b\n".to_owned())
+        .chain(rows)
+        .collect()
 }
 
 #[test]
@@ -28,7 +30,11 @@ fn rounded_times_give_the_declared_rate() {
     // 120 Hz to µs as in the shake table records, to ms as loggers print it; two rows are enough for µs.
     for (count, digits) in [(5000, 6), (5000, 3), (2, 6)] {
         let recording = recording(&regular_text(120.0, count, digits), OffsetRemoval::Keep);
-        assert_eq!(recording.check_sampling_rate(120.0).unwrap(), 120.0, "{count} rows, {digits} digits");
+        assert_eq!(
+            recording.check_sampling_rate(120.0).unwrap(),
+            120.0,
+            "{count} rows, {digits} digits"
+        );
     }
 }
 
@@ -36,24 +42,39 @@ fn rounded_times_give_the_declared_rate() {
 fn another_rate_than_declared_is_refused() {
     let recording = recording(&regular_text(120.0, 2000, 6), OffsetRemoval::Keep);
     let error = recording.check_sampling_rate(100.0).unwrap_err();
-    assert_eq!(error.to_string(), "hall.csv: is sampled at 120.0000 Hz, must be 100 Hz as declared");
+    assert_eq!(
+        error.to_string(),
+        "hall.csv: is sampled at 120.0000 Hz, must be 100 Hz as declared"
+    );
 }
 
 #[test]
 fn gaps_do_not_change_the_rate() {
     let text = "time,a,b\n0,1,1\n0.01,1,1\n0.02,1,1\n5,1,1\n5.01,1,1\n9,1,1\n9.01,1,1\n";
-    assert!((recording(text, OffsetRemoval::Keep).sampling_rate_hz().unwrap() - 100.0).abs() < 1e-9);
+    assert!(
+        (recording(text, OffsetRemoval::Keep)
+            .sampling_rate_hz()
+            .unwrap()
+            - 100.0)
+            .abs()
+            < 1e-9
+    );
 }
 
 #[test]
 fn one_row_has_no_rate() {
-    let error = recording("time,a,b\n0,1,1\n", OffsetRemoval::Keep).sampling_rate_hz().unwrap_err();
+    let error = recording("time,a,b\n0,1,1\n", OffsetRemoval::Keep)
+        .sampling_rate_hz()
+        .unwrap_err();
     assert!(matches!(error, RecordError::TooShort { rows: 1, .. }));
 }
 
 #[test]
 fn rows_after_the_look_ahead_follow_without_loss() {
-    let rows = all_rows(&mut recording(&regular_text(100.0, 3456, 2), OffsetRemoval::Keep));
+    let rows = all_rows(&mut recording(
+        &regular_text(100.0, 3456, 2),
+        OffsetRemoval::Keep,
+    ));
     let numbers: Vec<f64> = rows.iter().map(|(_, values)| values[0]).collect();
     let expected: Vec<f64> = (0..3456).map(f64::from).collect();
     assert_eq!(numbers, expected);
@@ -73,7 +94,10 @@ fn mean_of_the_first_seconds_is_removed_from_the_whole_channel() {
 #[test]
 fn span_of_the_offset_may_be_longer_than_the_look_ahead_and_than_the_record() {
     for seconds in [15.0, 1e9, 1e300] {
-        let mut recording = recording(&regular_text(100.0, 3000, 2), OffsetRemoval::MeanOfFirst { seconds });
+        let mut recording = recording(
+            &regular_text(100.0, 3000, 2),
+            OffsetRemoval::MeanOfFirst { seconds },
+        );
         let averaged = if seconds < 30.0 { 1500.0 } else { 3000.0 };
         assert_eq!(recording.offsets()[0], Some((averaged - 1.0) / 2.0));
         assert_eq!(all_rows(&mut recording).len(), 3000);
@@ -83,9 +107,19 @@ fn span_of_the_offset_may_be_longer_than_the_look_ahead_and_than_the_record() {
 #[test]
 fn span_of_the_offset_must_be_positive() {
     for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let reader = CsvReader::new(Box::new(&b"time\n"[..]), &PathBuf::from("x.csv"), &ColumnMapping::new(Vec::new()));
-        let error = Recording::new(Box::new(reader.unwrap()), OffsetRemoval::MeanOfFirst { seconds });
-        assert!(matches!(error, Err(RecordError::OffsetSpan { .. })), "{seconds}");
+        let reader = CsvReader::new(
+            Box::new(&b"time\n"[..]),
+            &PathBuf::from("x.csv"),
+            &ColumnMapping::new(Vec::new()),
+        );
+        let error = Recording::new(
+            Box::new(reader.unwrap()),
+            OffsetRemoval::MeanOfFirst { seconds },
+        );
+        assert!(
+            matches!(error, Err(RecordError::OffsetSpan { .. })),
+            "{seconds}"
+        );
     }
 }
 
@@ -94,7 +128,10 @@ fn unknown_format_names_the_known_ones() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.xlsx");
     std::fs::write(&path, [0, 1, 2, 3]).unwrap();
-    let error = Recording::open(&path, &ColumnMapping::by_name(["a"]), OffsetRemoval::Keep).err().unwrap().to_string();
+    let error = Recording::open(&path, &ColumnMapping::by_name(["a"]), OffsetRemoval::Keep)
+        .err()
+        .unwrap()
+        .to_string();
     assert!(
         error.ends_with(
             "is of no known format, must be one of text table (CSV), miniSEED, COSMOS, CSMIP volume 2, \

@@ -20,7 +20,9 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
     let structure = Structure::read(&arguments.structure)?;
     if structure.parameters().is_empty() {
-        return Err(AppError::NoParameters { path: arguments.structure.clone() });
+        return Err(AppError::NoParameters {
+            path: arguments.structure.clone(),
+        });
     }
     let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
     let mut records = Vec::new();
@@ -28,20 +30,42 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
         let recording = open_record(&structure, path)?;
         let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
         let identification = Identification::new(&structure, "identify")?;
-        offline::identify(&structure, identification, recorded_rows(recording, 0), None, |block, _| {
-            for (number, estimate) in block.iter() {
-                if number >= skipped && estimate.flags.phase == Phase::Working {
-                    let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
-                    frames.push(estimate.mean.iter().enumerate().map(|(index, mean)| (*mean, std(index))).collect());
+        offline::identify(
+            &structure,
+            identification,
+            recorded_rows(recording, 0),
+            None,
+            |block, _| {
+                for (number, estimate) in block.iter() {
+                    if number >= skipped && estimate.flags.phase == Phase::Working {
+                        let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
+                        frames.push(
+                            estimate
+                                .mean
+                                .iter()
+                                .enumerate()
+                                .map(|(index, mean)| (*mean, std(index)))
+                                .collect(),
+                        );
+                    }
                 }
-            }
-            Ok(())
-        })?;
-        let nothing = || AppError::NothingLearnt { path: path.clone(), skip_s: arguments.skip };
+                Ok(())
+            },
+        )?;
+        let nothing = || AppError::NothingLearnt {
+            path: path.clone(),
+            skip_s: arguments.skip,
+        };
         records.push(RecordSummary::from_estimates(frames).ok_or_else(nothing)?);
     }
-    let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
-    let between = arguments.between_std.map_or(BetweenRecords::Estimated, BetweenRecords::Stated);
+    let names: Vec<&str> = structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name())
+        .collect();
+    let between = arguments
+        .between_std
+        .map_or(BetweenRecords::Estimated, BetweenRecords::Stated);
     let baseline = Baseline::from_records(structure.name(), &names, &records, between)?;
     baseline.write(&arguments.output)?;
     print(&report(&structure, &baseline))
@@ -56,10 +80,22 @@ fn report(structure: &Structure, baseline: &Baseline) -> String {
         // writing to a String does not fail
         let _ = match (baseline.claim(name), baseline.parameter(name)) {
             (Some(Ok(reference)), _) => {
-                let support = reference.scatter().map_or("scatter between records as stated".to_owned(), |scatter| {
-                    counted(scatter.degrees_of_freedom.round() as usize, "degree of freedom", "degrees of freedom")
-                });
-                writeln!(text, "  {name:<24} {:.4} ± {:.4} ({support})", reference.mean(), reference.std())
+                let support = reference.scatter().map_or(
+                    "scatter between records as stated".to_owned(),
+                    |scatter| {
+                        counted(
+                            scatter.degrees_of_freedom.round() as usize,
+                            "degree of freedom",
+                            "degrees of freedom",
+                        )
+                    },
+                );
+                writeln!(
+                    text,
+                    "  {name:<24} {:.4} ± {:.4} ({support})",
+                    reference.mean(),
+                    reference.std()
+                )
             }
             (Some(Err(error)), Some(found)) => writeln!(
                 text,
@@ -77,12 +113,20 @@ fn report(structure: &Structure, baseline: &Baseline) -> String {
 
 /// From which loss on each rule that learns its reference can raise a parameter, in words.
 fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<String> {
-    let Some(parameter) = structure.parameters().get(index) else { return Vec::new() };
-    let Some(reference) = baseline.reference(parameter.name()) else { return Vec::new() };
+    let Some(parameter) = structure.parameters().get(index) else {
+        return Vec::new();
+    };
+    let Some(reference) = baseline.reference(parameter.name()) else {
+        return Vec::new();
+    };
     let rules = structure.alert_rules().iter();
     let learning = rules.filter(|rule| matches!(rule.reference, Reference::Baseline { .. }));
     let of_rule = |rule: &spandrel_structure::AlertRule| {
-        let asked = format!("more than {:.0} % with probability {}", 100.0 * rule.loss, rule.credibility);
+        let asked = format!(
+            "more than {:.0} % with probability {}",
+            100.0 * rule.loss,
+            rule.credibility
+        );
         match reference.largest_credible(rule.loss, rule.credibility) {
             Some(estimate) => {
                 let loss = 100.0 * (1.0 - estimate / reference.mean());
@@ -91,5 +135,8 @@ fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<Strin
             None => format!("{asked}: never raised, because these records are too few"),
         }
     };
-    learning.filter(|rule| rule.parameters.contains(&index)).map(of_rule).collect()
+    learning
+        .filter(|rule| rule.parameters.contains(&index))
+        .map(of_rule)
+        .collect()
 }

@@ -61,14 +61,23 @@ pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
     let text = match &arguments.structure {
         Some(path) => {
             let read = std::fs::read_to_string(path);
-            read.map_err(|source| AppError::Io { what: format!("{}: cannot be read", path.display()), source })?
+            read.map_err(|source| AppError::Io {
+                what: format!("{}: cannot be read", path.display()),
+                source,
+            })?
         }
         None => BUILT_IN.to_owned(),
     };
-    let path = arguments.structure.clone().unwrap_or_else(|| PathBuf::from(BUILT_IN_NAME));
+    let path = arguments
+        .structure
+        .clone()
+        .unwrap_or_else(|| PathBuf::from(BUILT_IN_NAME));
     let mut loads = Vec::new();
     if !arguments.largest {
-        loads.push(tell(measure(&text, &path, arguments, arguments.structures)?, arguments)?);
+        loads.push(tell(
+            measure(&text, &path, arguments, arguments.structures)?,
+            arguments,
+        )?);
     } else {
         let (mut good, mut bad) = (0, None);
         let mut next = arguments.structures;
@@ -92,7 +101,10 @@ pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
 
 fn tell(load: Load, arguments: &BenchArguments) -> Result<Load, AppError> {
     if arguments.json {
-        print(&format!("{}\n", serde_json::to_string(&load).unwrap_or_default()))?;
+        print(&format!(
+            "{}\n",
+            serde_json::to_string(&load).unwrap_or_default()
+        ))?;
         return Ok(load);
     }
     let ms = |seconds: [f64; 3]| {
@@ -100,22 +112,41 @@ fn tell(load: Load, arguments: &BenchArguments) -> Result<Load, AppError> {
         format!("{p50:.1} ms (p50), {p99:.1} ms (p99), {p999:.1} ms (p99.9)")
     };
     let mut text = format!("{} structures, {:.0} s: ", load.structures, load.seconds);
-    let verdict = if load.sustained { "sustained" } else { "overrun" };
+    let verdict = if load.sustained {
+        "sustained"
+    } else {
+        "overrun"
+    };
     // writing to a String does not fail
     let _ = writeln!(text, "{verdict}");
-    let _ = writeln!(text, "  block to estimates   {}", ms(load.estimate_latency_s));
+    let _ = writeln!(
+        text,
+        "  block to estimates   {}",
+        ms(load.estimate_latency_s)
+    );
     let _ = writeln!(text, "  block to alert       {}", ms(load.alert_latency_s));
-    let _ = writeln!(text, "  estimates heard      {:.2} %", 100.0 * load.complete);
+    let _ = writeln!(
+        text,
+        "  estimates heard      {:.2} %",
+        100.0 * load.complete
+    );
     let per_structure = load.cpu_ms_per_structure;
     let _ = writeln!(
         text,
         "  processor            {:.2} cores, {per_structure:.2} ms per structure and second",
         load.cores
     );
-    let share: Vec<String> = load.share.iter().map(|(what, share)| format!("{what} {:.0} %", 100.0 * share)).collect();
+    let share: Vec<String> = load
+        .share
+        .iter()
+        .map(|(what, share)| format!("{what} {:.0} %", 100.0 * share))
+        .collect();
     let _ = writeln!(text, "  of that              {}", share.join(", "));
     let (all, each) = (load.resident_mb, load.resident_mb_per_structure);
-    let _ = writeln!(text, "  memory               {all:.0} MB, {each:.2} MB per structure");
+    let _ = writeln!(
+        text,
+        "  memory               {all:.0} MB, {each:.2} MB per structure"
+    );
     print(&text)?;
     Ok(load)
 }
@@ -132,7 +163,10 @@ fn named(text: &str, path: &Path, count: usize) -> Result<Vec<(Structure, String
     let one = |number: usize| {
         let mut file = file.clone();
         if let Some(toml::Value::Table(structure)) = file.get_mut("structure") {
-            structure.insert("name".to_owned(), toml::Value::String(format!("bench-{number}")));
+            structure.insert(
+                "name".to_owned(),
+                toml::Value::String(format!("bench-{number}")),
+            );
         }
         let text = toml::to_string(&file).map_err(|error| wrong(&error))?;
         Ok((Structure::parse(&text, path)?, text))
@@ -140,20 +174,34 @@ fn named(text: &str, path: &Path, count: usize) -> Result<Vec<(Structure, String
     (1..=count).map(one).collect()
 }
 
-fn measure(text: &str, path: &Path, arguments: &BenchArguments, count: usize) -> Result<Load, AppError> {
+fn measure(
+    text: &str,
+    path: &Path,
+    arguments: &BenchArguments,
+    count: usize,
+) -> Result<Load, AppError> {
     let structures = named(text, path, count)?;
     let settings = Settings::load(&arguments.bus)?;
     let duration = Duration::from_secs_f64(arguments.duration.max(1.0));
     if !arguments.apart {
         return block_on(async {
             // nobody else is to be disturbed, and nobody to disturb
-            let bus = BusConfig { listen: vec!["tcp/127.0.0.1:0".to_owned()], ..BusConfig::default() };
-            let bus = Bus::open(&BusConfig { root: settings.bus.root.clone(), ..bus }).await?;
+            let bus = BusConfig {
+                listen: vec!["tcp/127.0.0.1:0".to_owned()],
+                ..BusConfig::default()
+            };
+            let bus = Bus::open(&BusConfig {
+                root: settings.bus.root.clone(),
+                ..bus
+            })
+            .await?;
             let watched = watched(&settings, structures)?;
             let before = Usage::now(std::process::id());
             let mut running = Running::new();
             running.start_alert(&bus, &watched, None).await?;
-            running.start_identify(&bus, &watched, settings.threads, Share::ALL, None).await?;
+            running
+                .start_identify(&bus, &watched, settings.threads, Share::ALL, None)
+                .await?;
             running.start_ingest(&bus, &watched, None).await?;
             let processes = [std::process::id()];
             let load = tokio::select! {
@@ -166,8 +214,12 @@ fn measure(text: &str, path: &Path, arguments: &BenchArguments, count: usize) ->
         });
     }
     let folder = std::env::temp_dir().join(format!("spandrel-bench-{}", std::process::id()));
-    let in_folder = |what: &str, source| AppError::Io { what: format!("{}: {what}", folder.display()), source };
-    std::fs::create_dir_all(&folder).map_err(|source| in_folder("cannot make the folder", source))?;
+    let in_folder = |what: &str, source| AppError::Io {
+        what: format!("{}: {what}", folder.display()),
+        source,
+    };
+    std::fs::create_dir_all(&folder)
+        .map_err(|source| in_folder("cannot make the folder", source))?;
     let result = measure_apart(&settings, structures, duration, &folder);
     // files of a second are no loss
     let _ = std::fs::remove_dir_all(&folder);
@@ -181,28 +233,66 @@ fn measure_apart(
     duration: Duration,
     folder: &Path,
 ) -> Result<Load, AppError> {
-    let io = |what: &str, source| AppError::Io { what: what.to_owned(), source };
+    let io = |what: &str, source| AppError::Io {
+        what: what.to_owned(),
+        source,
+    };
     let endpoint = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
-    let endpoint = format!("tcp/{}", endpoint.map_err(|source| io("no free port", source))?);
-    let program = std::env::current_exe().map_err(|source| io("cannot find the program", source))?;
+    let endpoint = format!(
+        "tcp/{}",
+        endpoint.map_err(|source| io("no free port", source))?
+    );
+    let program =
+        std::env::current_exe().map_err(|source| io("cannot find the program", source))?;
     let mut command = Command::new(program);
-    command.args(["run", "--http", "none", "--listen", &endpoint, "-v", "--root", &settings.bus.root]);
-    command.env("SPANDREL_HISTORY__DATABASE", "none").env("SPANDREL_STATE__FOLDER", folder.join("state"));
+    command.args([
+        "run",
+        "--http",
+        "none",
+        "--listen",
+        &endpoint,
+        "-v",
+        "--root",
+        &settings.bus.root,
+    ]);
+    command
+        .env("SPANDREL_HISTORY__DATABASE", "none")
+        .env("SPANDREL_STATE__FOLDER", folder.join("state"));
     for (structure, text) in &structures {
         let path = folder.join(format!("{}.toml", structure.name()));
-        std::fs::write(&path, text).map_err(|source| io("cannot write a structure file", source))?;
+        std::fs::write(&path, text)
+            .map_err(|source| io("cannot write a structure file", source))?;
         command.arg(path);
     }
-    let started = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
+    let started = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn();
     let mut services = Started(started.map_err(|source| io("cannot start the services", source))?);
     let id = services.0.id();
     services.wait_until_ready()?;
     let before = Usage::now(id);
     block_on(async {
-        let bus = BusConfig { connect: vec![endpoint], mode: Mode::Client, ..BusConfig::default() };
-        let bus = Bus::open(&BusConfig { root: settings.bus.root.clone(), ..bus }).await?;
+        let bus = BusConfig {
+            connect: vec![endpoint],
+            mode: Mode::Client,
+            ..BusConfig::default()
+        };
+        let bus = Bus::open(&BusConfig {
+            root: settings.bus.root.clone(),
+            ..bus
+        })
+        .await?;
         let watched = watched(settings, structures)?;
-        let load = time(&bus, &watched, duration, &[id, std::process::id()], before.resident_mb).await;
+        let load = time(
+            &bus,
+            &watched,
+            duration,
+            &[id, std::process::id()],
+            before.resident_mb,
+        )
+        .await;
         bus.close().await?;
         load
     })
@@ -214,7 +304,9 @@ struct Started(Child);
 impl Started {
     fn wait_until_ready(&mut self) -> Result<(), AppError> {
         let mut said = String::new();
-        let Some(mut errors) = self.0.stderr.take() else { return Err(AppError::NothingMeasured) };
+        let Some(mut errors) = self.0.stderr.take() else {
+            return Err(AppError::NothingMeasured);
+        };
         let mut buffer = [0; 4096];
         while !said.contains("ready structures=") {
             match errors.read(&mut buffer) {
@@ -236,10 +328,17 @@ impl Drop for Started {
     }
 }
 
-fn watched(settings: &Settings, structures: Vec<(Structure, String)>) -> Result<Vec<Watched>, AppError> {
+fn watched(
+    settings: &Settings,
+    structures: Vec<(Structure, String)>,
+) -> Result<Vec<Watched>, AppError> {
     let one = |(structure, _): (Structure, String)| {
         let keys = settings.bus.keys(structure.name())?;
-        Ok(Watched { structure, keys, baseline: None })
+        Ok(Watched {
+            structure,
+            keys,
+            baseline: None,
+        })
     };
     structures.into_iter().map(one).collect()
 }
@@ -252,14 +351,28 @@ async fn time(
     processes: &[u32],
     resident_before_mb: f64,
 ) -> Result<Load, AppError> {
-    let Some(first) = watched.first() else { return Err(AppError::NothingMeasured) };
+    let Some(first) = watched.first() else {
+        return Err(AppError::NothingMeasured);
+    };
     let root = first.keys.root();
-    let estimates = bus.subscribe::<EstimateBlock>(format!("{root}/*/estimates"), BLOCKS_WAITING).await?;
-    let decided =
-        bus.subscribe::<Progress>(format!("{root}/*/progress/{}", Service::Alert.as_str()), BLOCKS_WAITING).await?;
+    let estimates = bus
+        .subscribe::<EstimateBlock>(format!("{root}/*/estimates"), BLOCKS_WAITING)
+        .await?;
+    let decided = bus
+        .subscribe::<Progress>(
+            format!("{root}/*/progress/{}", Service::Alert.as_str()),
+            BLOCKS_WAITING,
+        )
+        .await?;
     let start_ns = epoch_now() as i64 + HEAD_START.as_nanos() as i64;
     let mut sensors = JoinSet::new();
-    for (number, Watched { structure, keys, .. }) in watched.iter().enumerate() {
+    for (
+        number,
+        Watched {
+            structure, keys, ..
+        },
+    ) in watched.iter().enumerate()
+    {
         let frames = (duration.as_secs_f64() * structure.sampling_rate_hz()).round() as u64;
         let simulation = Simulation {
             speed: spandrel_sensor::Speed::Live,
@@ -270,17 +383,28 @@ async fn time(
         };
         let (bus, structure, keys) = (bus.clone(), structure.clone(), keys.clone());
         sensors.spawn(async move {
-            simulate(&bus, &structure, &keys, &simulation, &indicatif::ProgressBar::hidden()).await
+            simulate(
+                &bus,
+                &structure,
+                &keys,
+                &simulation,
+                &indicatif::ProgressBar::hidden(),
+            )
+            .await
         });
     }
-    let (from_ns, to_ns) = (start_ns + WARM_UP.as_nanos() as i64, start_ns + duration.as_nanos() as i64);
+    let (from_ns, to_ns) = (
+        start_ns + WARM_UP.as_nanos() as i64,
+        start_ns + duration.as_nanos() as i64,
+    );
     let late = |time_ns: i64| epoch_now().cast_signed().saturating_sub(time_ns) as f64 / 1e9;
     let is_counted = |time_ns: i64| (from_ns..to_ns).contains(&time_ns);
     let (mut estimated, mut alerted, mut frames) = (Vec::new(), Vec::new(), 0);
     let mut done: BTreeMap<String, u64> = BTreeMap::new();
     let mut first_usage = None;
     let end = tokio::time::sleep(
-        Duration::from_nanos((to_ns - epoch_now().cast_signed()).max(0).unsigned_abs()) + Duration::from_secs(1),
+        Duration::from_nanos((to_ns - epoch_now().cast_signed()).max(0).unsigned_abs())
+            + Duration::from_secs(1),
     );
     tokio::pin!(end);
     loop {
@@ -306,14 +430,17 @@ async fn time(
     }
     let last_usage: Vec<Usage> = processes.iter().map(|id| Usage::now(*id)).collect();
     sensors.shutdown().await;
-    let Some(first_usage) = first_usage else { return Err(AppError::NothingMeasured) };
+    let Some(first_usage) = first_usage else {
+        return Err(AppError::NothingMeasured);
+    };
     let rate_hz = first.structure.sampling_rate_hz();
     let seconds = (to_ns - from_ns) as f64 / 1e9;
     let expected = watched.len() as f64 * seconds * rate_hz;
     let mut groups: BTreeMap<&'static str, f64> = BTreeMap::new();
     for (before, after) in first_usage.iter().zip(&last_usage) {
         for (group, cpu_s) in &after.cpu_s {
-            *groups.entry(group).or_default() += cpu_s - before.cpu_s.get(group).copied().unwrap_or(0.0);
+            *groups.entry(group).or_default() +=
+                cpu_s - before.cpu_s.get(group).copied().unwrap_or(0.0);
         }
     }
     let cpu_s: f64 = groups.values().sum();
@@ -329,9 +456,13 @@ async fn time(
         complete,
         cores: cpu_s / seconds,
         cpu_ms_per_structure: 1e3 * cpu_s / seconds / watched.len() as f64,
-        share: groups.into_iter().map(|(group, group_s)| (group, group_s / cpu_s.max(1e-9))).collect(),
+        share: groups
+            .into_iter()
+            .map(|(group, group_s)| (group, group_s / cpu_s.max(1e-9)))
+            .collect(),
         resident_mb,
-        resident_mb_per_structure: (resident_mb - resident_before_mb).max(0.0) / watched.len() as f64,
+        resident_mb_per_structure: (resident_mb - resident_before_mb).max(0.0)
+            / watched.len() as f64,
     })
 }
 
@@ -361,20 +492,33 @@ impl Usage {
     /// From `/proc`; elsewhere than on Linux nothing is known.
     fn now(process: u32) -> Self {
         let mut cpu_s: BTreeMap<&'static str, f64> = BTreeMap::new();
-        for task in std::fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten() {
-            let read = |file: &str| std::fs::read_to_string(task.path().join(file)).unwrap_or_default();
-            *cpu_s.entry(group(read("comm").trim())).or_default() += cpu_seconds(&read("schedstat"));
+        for task in std::fs::read_dir(format!("/proc/{process}/task"))
+            .into_iter()
+            .flatten()
+            .flatten()
+        {
+            let read =
+                |file: &str| std::fs::read_to_string(task.path().join(file)).unwrap_or_default();
+            *cpu_s.entry(group(read("comm").trim())).or_default() +=
+                cpu_seconds(&read("schedstat"));
         }
         let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
         let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-        let kilobytes = resident.and_then(|text| text.trim().trim_end_matches(" kB").parse::<f64>().ok());
-        Self { cpu_s, resident_mb: kilobytes.unwrap_or(0.0) / 1024.0 }
+        let kilobytes =
+            resident.and_then(|text| text.trim().trim_end_matches(" kB").parse::<f64>().ok());
+        Self {
+            cpu_s,
+            resident_mb: kilobytes.unwrap_or(0.0) / 1024.0,
+        }
     }
 }
 
 /// Time on a processor (s) as `schedstat` has it: the first number, in ns.
 fn cpu_seconds(schedstat: &str) -> f64 {
-    let first = schedstat.split_whitespace().next().and_then(|text| text.parse::<f64>().ok());
+    let first = schedstat
+        .split_whitespace()
+        .next()
+        .and_then(|text| text.parse::<f64>().ok());
     first.unwrap_or(0.0) / 1e9
 }
 
@@ -383,7 +527,12 @@ fn group(name: &str) -> &'static str {
     match name.split('-').next() {
         Some("filter") => "filters",
         Some("tokio" | "recording") => "services",
-        _ if ["rx-", "tx-", "net-", "acc-", "app-"].iter().any(|zenoh| name.starts_with(zenoh)) => "zenoh",
+        _ if ["rx-", "tx-", "net-", "acc-", "app-"]
+            .iter()
+            .any(|zenoh| name.starts_with(zenoh)) =>
+        {
+            "zenoh"
+        }
         _ => "other",
     }
 }
@@ -402,7 +551,10 @@ mod tests {
     #[test]
     fn each_copy_has_a_name_of_its_own_and_is_the_same_otherwise() {
         let copies = named(BUILT_IN, Path::new(BUILT_IN_NAME), 3).unwrap();
-        let names: Vec<&str> = copies.iter().map(|(structure, _)| structure.name()).collect();
+        let names: Vec<&str> = copies
+            .iter()
+            .map(|(structure, _)| structure.name())
+            .collect();
         assert_eq!(names, ["bench-1", "bench-2", "bench-3"]);
         assert_eq!(copies[0].0.channel_count(), 6);
     }
@@ -410,7 +562,10 @@ mod tests {
     #[test]
     fn threads_are_told_apart_by_their_names() {
         assert_eq!(group("filter-1"), "filters");
-        assert_eq!((group("tokio-runtime-w"), group("recording")), ("services", "services"));
+        assert_eq!(
+            (group("tokio-runtime-w"), group("recording")),
+            ("services", "services")
+        );
         assert_eq!(group("rx-0"), "zenoh");
         assert_eq!(cpu_seconds("1500000000 200 3"), 1.5);
     }

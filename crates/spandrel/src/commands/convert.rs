@@ -20,7 +20,13 @@ pub fn run(arguments: &ConvertArguments) -> Result<(), AppError> {
     let replacing = in_place_of(&arguments.output);
     file.write(&arguments.output)?;
     let channels = counted(file.channels().len(), "channel", "channels");
-    let mut text = format!("{}: {channels} of {}{replacing}\n", arguments.output.display(), arguments.record.display());
-    file.remarks().iter().for_each(|remark| text += &format!("  {remark}\n"));
+    let mut text = format!(
+        "{}: {channels} of {}{replacing}\n",
+        arguments.output.display(),
+        arguments.record.display()
+    );
+    file.remarks()
+        .iter()
+        .for_each(|remark| text += &format!("  {remark}\n"));
     print(&text)
 }

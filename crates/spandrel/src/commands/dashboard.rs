@@ -20,15 +20,29 @@ use tracing::info;
 pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.service.bus)?;
     let watched = read_structures(&settings, &arguments.service.structures)?;
-    let page = settings.dashboard.page(&arguments.page)?.ok_or(AppError::NoPage)?;
+    let page = settings
+        .dashboard
+        .page(&arguments.page)?
+        .ok_or(AppError::NoPage)?;
     let config = joining_by_default(settings.bus);
     block_on(async {
         let bus = Bus::open(&config).await?;
         let interrupted = interrupted();
-        let structures = watched.iter().map(|watched| watched.structure.name()).collect();
-        let work = Work { subcommand: "dashboard", needs: &[Need::SHOW_A_PAGE], structures, nodes: Vec::new() };
+        let structures = watched
+            .iter()
+            .map(|watched| watched.structure.name())
+            .collect();
+        let work = Work {
+            subcommand: "dashboard",
+            needs: &[Need::SHOW_A_PAGE],
+            structures,
+            nodes: Vec::new(),
+        };
         check(&bus, &config, &work).await?;
-        let page = PageSettings { cannot_acknowledge: cannot_acknowledge(&bus, &config).await?, ..page };
+        let page = PageSettings {
+            cannot_acknowledge: cannot_acknowledge(&bus, &config).await?,
+            ..page
+        };
         let mut running = Running::new();
         serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?;
         info!(structures = watched.len(), "ready");

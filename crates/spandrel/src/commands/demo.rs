@@ -10,8 +10,8 @@ use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
 use spandrel_alert::Watch;
 use spandrel_bus::{
-    AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Event, EventKind, Keys, NodeDisplay, OutlierDisplay,
-    Service, Start, StreamState, Subscription,
+    AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Event, EventKind, Keys, NodeDisplay,
+    OutlierDisplay, Service, Start, StreamState, Subscription,
 };
 use spandrel_structure::Structure;
 use std::io::IsTerminal;
@@ -41,23 +41,39 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.bus)?;
     let structure = match &arguments.structure {
         Some(path) => Structure::read(path)?,
-        None if arguments.distributed => Structure::parse(DISTRIBUTED, Path::new(DISTRIBUTED_NAME))?,
+        None if arguments.distributed => {
+            Structure::parse(DISTRIBUTED, Path::new(DISTRIBUTED_NAME))?
+        }
         None => Structure::parse(BUILT_IN, Path::new(BUILT_IN_NAME))?,
     };
     let keys = settings.bus.keys(structure.name())?;
-    let watched = [Watched { structure, keys, baseline: None }];
+    let watched = [Watched {
+        structure,
+        keys,
+        baseline: None,
+    }];
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let mut running = Running::new();
-        let page = settings.dashboard.page(&arguments.page)?.filter(|_| !arguments.headless);
+        let page = settings
+            .dashboard
+            .page(&arguments.page)?
+            .filter(|_| !arguments.headless);
         let page = match page {
-            Some(page) => Some(serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?),
+            Some(page) => {
+                Some(serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?)
+            }
             None => None,
         };
         running.start_alert(&bus, &watched, None).await?;
         running.start_fuse(&bus, &watched, None).await?;
-        running.start_identify(&bus, &watched, settings.threads, Share::ALL, None).await?;
-        if watched.iter().any(|watched| watched.structure.fusion().is_none()) {
+        running
+            .start_identify(&bus, &watched, settings.threads, Share::ALL, None)
+            .await?;
+        if watched
+            .iter()
+            .any(|watched| watched.structure.fusion().is_none())
+        {
             running.start_ingest(&bus, &watched, None).await?;
         }
         let shown = !arguments.headless && std::io::stdout().is_terminal();
@@ -71,7 +87,8 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         if let (Ok(Some(_)), Some(address)) = (&finished, address)
             && (arguments.stay || (shown && !arguments.json))
         {
-            told = told.and_then(|()| print(&format!("the page stays at {address} until Ctrl-C\n")));
+            told =
+                told.and_then(|()| print(&format!("the page stays at {address} until Ctrl-C\n")));
             let failed = tokio::select! {
                 failed = running.failed() => failed,
                 () = interrupted() => Ok(()),
@@ -85,7 +102,10 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
 }
 
 /// Prints what came of it; nothing when it was stopped on the way.
-fn tell(finished: &Result<Option<Summary>, AppError>, arguments: &DemoArguments) -> Result<(), AppError> {
+fn tell(
+    finished: &Result<Option<Summary>, AppError>,
+    arguments: &DemoArguments,
+) -> Result<(), AppError> {
     match finished {
         Ok(Some(summary)) if arguments.json => print(&summary.json()),
         Ok(Some(summary)) => print(&summary.text()),
@@ -106,7 +126,9 @@ async fn show_and_collect(
     arguments: &DemoArguments,
     shown: Option<Shown<'_>>,
 ) -> Result<Option<Summary>, AppError> {
-    let Watched { structure, keys, .. } = watched;
+    let Watched {
+        structure, keys, ..
+    } = watched;
     let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
     let no_bar = indicatif::ProgressBar::hidden(); // the view shows what there is to see
     let simulation = Simulation {
@@ -118,7 +140,8 @@ async fn show_and_collect(
     };
     let simulation = simulate(bus, structure, keys, &simulation, &no_bar);
     let collected = collect(bus, watched, arguments);
-    let both = async { tokio::try_join!(collected, simulation).map(|(summary, _frames)| Some(summary)) };
+    let both =
+        async { tokio::try_join!(collected, simulation).map(|(summary, _frames)| Some(summary)) };
     let Some(Shown { page }) = shown else {
         return both.await;
     };
@@ -137,11 +160,21 @@ async fn show_and_collect(
     }
 }
 
-async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Result<Summary, AppError> {
-    let Watched { structure, keys, .. } = watched;
+async fn collect(
+    bus: &Bus,
+    watched: &Watched,
+    arguments: &DemoArguments,
+) -> Result<Summary, AppError> {
+    let Watched {
+        structure, keys, ..
+    } = watched;
     let settings = bus.reading(Start::Beginning);
-    let estimates = bus.follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings).await?;
-    let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), ALERTS_WAITING).await?;
+    let estimates = bus
+        .follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings)
+        .await?;
+    let alerts = bus
+        .subscribe::<AlertMessage>(keys.all_alerts(), ALERTS_WAITING)
+        .await?;
     let nodes = match structure.fusion() {
         Some(_) => Some(NodeNews::listen(bus, keys).await?),
         None => None,
@@ -201,12 +234,24 @@ impl NodeNews {
 
     /// Collects what has come, and tells events of nodes at once where nothing else shows them.
     fn gather(&self, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
-        self.nodes.messages().try_iter().for_each(|(_, display)| collector.take_node(&display));
-        self.outliers.messages().try_iter().for_each(|(_, display)| collector.take_outliers(&display));
+        self.nodes
+            .messages()
+            .try_iter()
+            .for_each(|(_, display)| collector.take_node(&display));
+        self.outliers
+            .messages()
+            .try_iter()
+            .for_each(|(_, display)| collector.take_outliers(&display));
         for (_, event) in self.events.messages().try_iter() {
-            let of_node = matches!(event.kind, EventKind::NodeSilent | EventKind::NodeExcluded | EventKind::NodeBack);
+            let of_node = matches!(
+                event.kind,
+                EventKind::NodeSilent | EventKind::NodeExcluded | EventKind::NodeBack
+            );
             if of_node && arguments.headless {
-                print(&format!("{}: {} ({})\n", event.subject, event.what, event.why))?;
+                print(&format!(
+                    "{}: {} ({})\n",
+                    event.subject, event.what, event.why
+                ))?;
             }
         }
         Ok(())
@@ -214,10 +259,19 @@ impl NodeNews {
 }
 
 /// Collects an alert, and tells it at once where nothing else shows it.
-fn tell_alert(message: &AlertMessage, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
+fn tell_alert(
+    message: &AlertMessage,
+    collector: &mut Collector,
+    arguments: &DemoArguments,
+) -> Result<(), AppError> {
     collector.take_message(message);
-    let told = arguments.headless && matches!(message.state, AlertState::Raised | AlertState::Cleared);
-    if told { print(&format!("{:?}: {}\n", message.state, message.why)) } else { Ok(()) }
+    let told =
+        arguments.headless && matches!(message.state, AlertState::Raised | AlertState::Cleared);
+    if told {
+        print(&format!("{:?}: {}\n", message.state, message.why))
+    } else {
+        Ok(())
+    }
 }
 
 impl From<Speed> for spandrel_sensor::Speed {

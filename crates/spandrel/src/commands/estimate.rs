@@ -22,26 +22,54 @@ const MOST_STATES: usize = 10;
 /// When a file is wrong or cannot be written.
 pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     if let Some(output) = &arguments.output {
-        let inputs = [Some(&arguments.structure), Some(&arguments.record), arguments.baseline.as_ref()];
-        refuse_overwriting(output, inputs.into_iter().flatten().map(|path| path.as_path()))?;
+        let inputs = [
+            Some(&arguments.structure),
+            Some(&arguments.record),
+            arguments.baseline.as_ref(),
+        ];
+        refuse_overwriting(
+            output,
+            inputs.into_iter().flatten().map(|path| path.as_path()),
+        )?;
     }
-    if let (FilterChoice::File | FilterChoice::Kalman, Some(option)) = (arguments.filter, arguments.particle.given()) {
+    if let (FilterChoice::File | FilterChoice::Kalman, Some(option)) =
+        (arguments.filter, arguments.particle.given())
+    {
         return Err(AppError::ParticlesOnly { option });
     }
     let structure = Structure::read(&arguments.structure)?;
     let recording = open_record(&structure, &arguments.record)?;
-    let baseline = arguments.baseline.as_deref().map(Baseline::read).transpose()?;
+    let baseline = arguments
+        .baseline
+        .as_deref()
+        .map(Baseline::read)
+        .transpose()?;
     if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
         tell_unused_baseline(&structure, baseline, path);
     }
     let by_nodes = structure.fusion().is_some() && arguments.filter != FilterChoice::Particle;
-    let one_filter = if by_nodes { None } else { Some(identification(&structure, arguments)?) };
+    let one_filter = if by_nodes {
+        None
+    } else {
+        Some(identification(&structure, arguments)?)
+    };
     let names = match &one_filter {
         Some(identification) => columns(&structure, identification),
-        None => structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect(),
+        None => structure
+            .parameters()
+            .iter()
+            .map(|parameter| parameter.name().to_owned())
+            .collect(),
     };
-    let mut writer = arguments.output.as_deref().map(|path| EstimateWriter::create(path, &names)).transpose()?;
-    let bar = progress::bar("identifying", record_source::expected_rows(&arguments.record));
+    let mut writer = arguments
+        .output
+        .as_deref()
+        .map(|path| EstimateWriter::create(path, &names))
+        .transpose()?;
+    let bar = progress::bar(
+        "identifying",
+        record_source::expected_rows(&arguments.record),
+    );
     let rows = recorded_rows(recording, 0);
     let take = |block: &EstimateBlock, responses: &[Vec<(f64, f64)>]| {
         bar.inc(block.estimates.len() as u64);
@@ -51,7 +79,9 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
         }
     };
     let collector = match one_filter {
-        Some(identification) => offline::identify(&structure, identification, rows, baseline.as_ref(), take)?,
+        Some(identification) => {
+            offline::identify(&structure, identification, rows, baseline.as_ref(), take)?
+        }
         None => distributed::fuse(&structure, rows, baseline.as_ref(), take)?,
     };
     bar.finish_and_clear();
@@ -60,17 +90,32 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     }
     let summary = collector.finish();
     if arguments.filter == FilterChoice::Particle && summary.effective_share.is_none() {
-        let (warm_up_s, record_s) =
-            (arguments.particle.plan().warm_up_s, summary.frames as f64 / structure.sampling_rate_hz());
-        return Err(AppError::WarmUpTooLong { warm_up_s, record_s });
+        let (warm_up_s, record_s) = (
+            arguments.particle.plan().warm_up_s,
+            summary.frames as f64 / structure.sampling_rate_hz(),
+        );
+        return Err(AppError::WarmUpTooLong {
+            warm_up_s,
+            record_s,
+        });
     }
-    print(&if arguments.json { summary.json() } else { summary.text() })
+    print(&if arguments.json {
+        summary.json()
+    } else {
+        summary.text()
+    })
 }
 
 /// Makes the filter that is asked for.
-fn identification(structure: &Structure, arguments: &EstimateArguments) -> Result<Identification, AppError> {
+fn identification(
+    structure: &Structure,
+    arguments: &EstimateArguments,
+) -> Result<Identification, AppError> {
     const ID: &str = "identify";
-    let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
+    let refused = |source| IdentifyError::Filter {
+        structure: structure.name().to_owned(),
+        source,
+    };
     match arguments.filter {
         FilterChoice::File => Ok(Identification::new(structure, ID)?),
         FilterChoice::Kalman => {
@@ -79,7 +124,9 @@ fn identification(structure: &Structure, arguments: &EstimateArguments) -> Resul
         }
         FilterChoice::Particle => {
             if structure.has_classes() || structure.screens_outliers() {
-                warn!("particles take all parameters singly and every sample: [classes] and [outliers] are not used");
+                warn!(
+                    "particles take all parameters singly and every sample: [classes] and [outliers] are not used"
+                );
             }
             let states = 2 * structure.degrees_of_freedom().len() + structure.parameters().len();
             if states > MOST_STATES {
@@ -97,25 +144,42 @@ fn identification(structure: &Structure, arguments: &EstimateArguments) -> Resul
 
 /// Returns what is written of each frame: parameters, responses, and then the identified noise levels.
 fn columns(structure: &Structure, identification: &Identification) -> Vec<String> {
-    let parameters = structure.parameters().iter().map(|parameter| parameter.name().to_owned());
-    let responses = structure.estimated_responses().iter().map(|response| response.name().to_owned());
+    let parameters = structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name().to_owned());
+    let responses = structure
+        .estimated_responses()
+        .iter()
+        .map(|response| response.name().to_owned());
     // a level may have the name of a parameter
-    let levels = identification.noise_names().iter().map(|name| format!("noise/{name}"));
+    let levels = identification
+        .noise_names()
+        .iter()
+        .map(|name| format!("noise/{name}"));
     parameters.chain(responses).chain(levels).collect()
 }
 
-fn write(writer: &mut EstimateWriter, block: &EstimateBlock, responses: &[Vec<(f64, f64)>]) -> Result<(), AppError> {
+fn write(
+    writer: &mut EstimateWriter,
+    block: &EstimateBlock,
+    responses: &[Vec<(f64, f64)>],
+) -> Result<(), AppError> {
     let Some(grid) = block.grid() else {
         return Ok(()); // our own blocks have one
     };
     for (index, (number, estimate)) in block.iter().enumerate() {
         let std = |variance: f64| variance.max(0.0).sqrt();
         let parameters = estimate.mean.iter().enumerate();
-        let parameters = parameters.map(|(index, mean)| (*mean, std(estimate.variance(index).unwrap_or(0.0))));
+        let parameters =
+            parameters.map(|(index, mean)| (*mean, std(estimate.variance(index).unwrap_or(0.0))));
         let responses = responses.get(index).into_iter().flatten().copied();
         let levels = estimate.noise_mean.iter().zip(&estimate.noise_covariance);
         let levels = levels.map(|(mean, variance)| (*mean, std(*variance)));
-        writer.write(grid.time_ns(number), parameters.chain(responses).chain(levels))?;
+        writer.write(
+            grid.time_ns(number),
+            parameters.chain(responses).chain(levels),
+        )?;
     }
     Ok(())
 }

@@ -12,5 +12,9 @@ use spandrel_record::{RecordedFile, RecordingSummary};
 pub fn run(arguments: &InfoArguments) -> Result<(), AppError> {
     let file = RecordedFile::read(&arguments.record, &arguments.reading.options())?;
     let summary = RecordingSummary::of(&file);
-    print(&if arguments.json { summary.json() } else { summary.to_string() })
+    print(&if arguments.json {
+        summary.json()
+    } else {
+        summary.to_string()
+    })
 }

@@ -19,10 +19,14 @@ pub fn bar(what: &'static str, length: Option<u64>) -> ProgressBar {
         false => ProgressDrawTarget::hidden(),
     };
     let (bar, template) = match length {
-        Some(length) => {
-            (ProgressBar::with_draw_target(Some(length), target), "{msg} {bar:40} {percent:>3} % {per_sec} {eta}")
-        }
-        None => (ProgressBar::with_draw_target(None, target), "{msg} {spinner} {human_pos} frames {per_sec}"),
+        Some(length) => (
+            ProgressBar::with_draw_target(Some(length), target),
+            "{msg} {bar:40} {percent:>3} % {per_sec} {eta}",
+        ),
+        None => (
+            ProgressBar::with_draw_target(None, target),
+            "{msg} {spinner} {human_pos} frames {per_sec}",
+        ),
     };
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);

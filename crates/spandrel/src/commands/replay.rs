@@ -8,7 +8,9 @@ use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
-use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, open_record, recorded_rows};
+use spandrel_sensor::{
+    Clocks, NodePlan, SensorError, SensorService, SensorSettings, open_record, recorded_rows,
+};
 use spandrel_structure::Structure;
 
 /// Replays until the end of the recording, or Ctrl-C.
@@ -24,8 +26,12 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let nodes = structure.nodes().iter().map(|node| node.name()).collect();
-        let work =
-            Work { subcommand: "replay", needs: &[Need::PUT_SAMPLES], structures: vec![structure.name()], nodes };
+        let work = Work {
+            subcommand: "replay",
+            needs: &[Need::PUT_SAMPLES],
+            structures: vec![structure.name()],
+            nodes,
+        };
         check(&bus, &settings.bus, &work).await?;
         let sensor = SensorSettings {
             speed: arguments.speed.into(),
@@ -34,13 +40,18 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
             resume: arguments.resume,
         };
         let nodes = NodePlan::of(&structure, Clocks::Right).map_err(SensorError::from)?;
-        let service = SensorService::start(nodes, structure.sampling_rate_hz(), &bus, keys, sensor).await?;
+        let service =
+            SensorService::start(nodes, structure.sampling_rate_hz(), &bus, keys, sensor).await?;
         let shown = bar.clone();
         let rows = recorded_rows(recording, 0).inspect(move |_| shown.inc(1));
         let replayed = service.run(rows, interrupted()).await;
         bar.finish_and_clear();
         bus.close().await?;
         let frames = counted(replayed? as usize, "frame", "frames");
-        print(&format!("{}: {frames} of {} sent\n", arguments.record.display(), structure.name()))
+        print(&format!(
+            "{}: {frames} of {} sent\n",
+            arguments.record.display(),
+            structure.name()
+        ))
     })
 }

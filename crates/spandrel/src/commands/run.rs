@@ -43,20 +43,45 @@ impl Services {
         dashboard: false,
     };
     /// All services of one machine.
-    pub const ALL: Self =
-        Self { ingest: true, identify: true, fuse: true, alert: true, history: true, notify: true, dashboard: true };
+    pub const ALL: Self = Self {
+        ingest: true,
+        identify: true,
+        fuse: true,
+        alert: true,
+        history: true,
+        notify: true,
+        dashboard: true,
+    };
     /// The alignment only.
-    pub const INGEST: Self = Self { ingest: true, ..Self::NONE };
+    pub const INGEST: Self = Self {
+        ingest: true,
+        ..Self::NONE
+    };
     /// The identification only.
-    pub const IDENTIFY: Self = Self { identify: true, ..Self::NONE };
+    pub const IDENTIFY: Self = Self {
+        identify: true,
+        ..Self::NONE
+    };
     /// The central station only.
-    pub const FUSE: Self = Self { fuse: true, ..Self::NONE };
+    pub const FUSE: Self = Self {
+        fuse: true,
+        ..Self::NONE
+    };
     /// The alerts only.
-    pub const ALERT: Self = Self { alert: true, ..Self::NONE };
+    pub const ALERT: Self = Self {
+        alert: true,
+        ..Self::NONE
+    };
     /// The history only.
-    pub const HISTORY: Self = Self { history: true, ..Self::NONE };
+    pub const HISTORY: Self = Self {
+        history: true,
+        ..Self::NONE
+    };
     /// The notices only.
-    pub const NOTIFY: Self = Self { notify: true, ..Self::NONE };
+    pub const NOTIFY: Self = Self {
+        notify: true,
+        ..Self::NONE
+    };
 
     /// The subcommand that runs them.
     fn name(self) -> &'static str {
@@ -68,7 +93,10 @@ impl Services {
             (Self::HISTORY, "history"),
             (Self::NOTIFY, "notify"),
         ];
-        alone.into_iter().find(|(services, _)| *services == self).map_or("run", |(_, name)| name)
+        alone
+            .into_iter()
+            .find(|(services, _)| *services == self)
+            .map_or("run", |(_, name)| name)
     }
 }
 
@@ -76,7 +104,11 @@ impl Services {
 ///
 /// # Errors
 /// As [`run`].
-pub fn one(arguments: &ServiceArguments, services: Services, share: Share<'_>) -> Result<(), AppError> {
+pub fn one(
+    arguments: &ServiceArguments,
+    services: Services,
+    share: Share<'_>,
+) -> Result<(), AppError> {
     run(arguments, services, share, &PageArguments::default())
 }
 
@@ -100,14 +132,27 @@ impl Plan {
         let watched = read_structures(&settings, &arguments.structures)?;
         if share.precedence == Precedence::StandsBy {
             settings.bus.lease_s.get_or_insert(STANDBY_LEASE_S);
-            if let Some(fused) = watched.iter().find(|watched| watched.structure.fusion().is_some()) {
-                return Err(AppError::NoStandbyOfNodes { structure: fused.structure.name().to_owned() });
+            if let Some(fused) = watched
+                .iter()
+                .find(|watched| watched.structure.fusion().is_some())
+            {
+                return Err(AppError::NoStandbyOfNodes {
+                    structure: fused.structure.name().to_owned(),
+                });
             }
         }
-        if services == Services::FUSE && watched.iter().all(|watched| watched.structure.fusion().is_none()) {
+        if services == Services::FUSE
+            && watched
+                .iter()
+                .all(|watched| watched.structure.fusion().is_none())
+        {
             return Err(AppError::NothingToFuse);
         }
-        let database = if services.history { settings.history.address()? } else { None };
+        let database = if services.history {
+            settings.history.address()?
+        } else {
+            None
+        };
         if services == Services::HISTORY && database.is_none() {
             return Err(AppError::NoHistory);
         }
@@ -115,17 +160,42 @@ impl Plan {
             return Err(AppError::NobodyToTell);
         }
         settings.notify.check()?;
-        let served = if services.dashboard { settings.dashboard.page(page)? } else { None };
-        let remembers = services.ingest || services.identify || services.fuse || services.alert || services.notify;
-        let state = if remembers { settings.state.state()? } else { None };
-        Ok(Self { settings, watched, served, database, state })
+        let served = if services.dashboard {
+            settings.dashboard.page(page)?
+        } else {
+            None
+        };
+        let remembers = services.ingest
+            || services.identify
+            || services.fuse
+            || services.alert
+            || services.notify;
+        let state = if remembers {
+            settings.state.state()?
+        } else {
+            None
+        };
+        Ok(Self {
+            settings,
+            watched,
+            served,
+            database,
+            state,
+        })
     }
 
     /// Refuses a certificate that does not allow what the services have to do.
-    async fn check_role(&self, bus: &Bus, services: Services, share: Share<'_>) -> Result<(), AppError> {
+    async fn check_role(
+        &self,
+        bus: &Bus,
+        services: Services,
+        share: Share<'_>,
+    ) -> Result<(), AppError> {
         let is_fused = |watched: &Watched| watched.structure.fusion().is_some();
-        let (any_fused, any_whole) =
-            (self.watched.iter().any(is_fused), self.watched.iter().any(|watched| !is_fused(watched)));
+        let (any_fused, any_whole) = (
+            self.watched.iter().any(is_fused),
+            self.watched.iter().any(|watched| !is_fused(watched)),
+        );
         let wanted = [
             (services.ingest && any_whole, Need::PUT_FRAMES),
             (services.identify && any_whole, Need::PUT_ESTIMATES),
@@ -133,13 +203,29 @@ impl Plan {
             (services.fuse && any_fused, Need::PUT_FEEDBACK),
             (services.alert, Need::PUT_ALERTS),
             (self.database.is_some(), Need::ANSWER_HISTORY),
-            (services.notify && !self.settings.notify.is_empty(), Need::NOTIFY),
+            (
+                services.notify && !self.settings.notify.is_empty(),
+                Need::NOTIFY,
+            ),
             (self.served.is_some(), Need::SHOW_A_PAGE),
         ];
-        let needs: Vec<Need> = wanted.into_iter().filter(|(is_wanted, _)| *is_wanted).map(|(_, need)| need).collect();
-        let structures = self.watched.iter().map(|watched| watched.structure.name()).collect();
+        let needs: Vec<Need> = wanted
+            .into_iter()
+            .filter(|(is_wanted, _)| *is_wanted)
+            .map(|(_, need)| need)
+            .collect();
+        let structures = self
+            .watched
+            .iter()
+            .map(|watched| watched.structure.name())
+            .collect();
         let nodes = share.nodes.iter().map(String::as_str).collect();
-        let work = Work { subcommand: services.name(), needs: &needs, structures, nodes };
+        let work = Work {
+            subcommand: services.name(),
+            needs: &needs,
+            structures,
+            nodes,
+        };
         check(bus, &self.settings.bus, &work).await
     }
 
@@ -151,18 +237,31 @@ impl Plan {
         share: Share<'_>,
         page: &PageArguments,
     ) -> Result<Running, AppError> {
-        let Self { settings, watched, served, database, state } = self;
+        let Self {
+            settings,
+            watched,
+            served,
+            database,
+            state,
+        } = self;
         let mut running = Running::new();
         if let Some(served) = served {
             let cannot_acknowledge = cannot_acknowledge(bus, &settings.bus).await?;
-            let served = PageSettings { cannot_acknowledge, ..served.clone() };
+            let served = PageSettings {
+                cannot_acknowledge,
+                ..served.clone()
+            };
             serve_page(&mut running, bus, watched, &served, page).await?;
         }
         if let Some(address) = database {
-            running.start_history(bus, watched, address, &settings.history.keep).await?;
+            running
+                .start_history(bus, watched, address, &settings.history.keep)
+                .await?;
         }
         if services.notify && !settings.notify.is_empty() {
-            running.start_notify(bus, watched, &settings.notify, state.as_ref()).await?;
+            running
+                .start_notify(bus, watched, &settings.notify, state.as_ref())
+                .await?;
         }
         if services.alert {
             running.start_alert(bus, watched, state.as_ref()).await?;
@@ -171,7 +270,9 @@ impl Plan {
             running.start_fuse(bus, watched, state.as_ref()).await?;
         }
         if services.identify {
-            running.start_identify(bus, watched, settings.threads, share, state.as_ref()).await?;
+            running
+                .start_identify(bus, watched, settings.threads, share, state.as_ref())
+                .await?;
         }
         if services.ingest {
             running.start_ingest(bus, watched, state.as_ref()).await?;
@@ -217,7 +318,9 @@ pub fn run(
                 Ended::Anew(next) => {
                     stopped?;
                     if next.settings.bus != plan.settings.bus {
-                        warn!("settings of the bus have changed: they count from the next start of the process on");
+                        warn!(
+                            "settings of the bus have changed: they count from the next start of the process on"
+                        );
                     }
                     plan = *next;
                 }
@@ -245,8 +348,15 @@ pub async fn serve_page(
     settings: &PageSettings,
     arguments: &PageArguments,
 ) -> Result<String, AppError> {
-    let scheme = if settings.certificate.is_some() { "https" } else { "http" };
-    let page = format!("{scheme}://{}/", running.start_dashboard(bus, watched, settings).await?);
+    let scheme = if settings.certificate.is_some() {
+        "https"
+    } else {
+        "http"
+    };
+    let page = format!(
+        "{scheme}://{}/",
+        running.start_dashboard(bus, watched, settings).await?
+    );
     print(&format!("page: {page}\n"))?;
     if arguments.open {
         open_in_browser(&page);
@@ -256,9 +366,18 @@ pub async fn serve_page(
 
 /// Asks the desktop to show a page; where there is none, the printed address has to do.
 fn open_in_browser(page: &str) {
-    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let opener = if cfg!(target_os = "macos") {
+        "open"
+    } else {
+        "xdg-open"
+    };
     let quiet = || Stdio::null();
-    let opened = Command::new(opener).arg(page).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
+    let opened = Command::new(opener)
+        .arg(page)
+        .stdin(quiet())
+        .stdout(quiet())
+        .stderr(quiet())
+        .spawn();
     if let Err(error) = opened {
         warn!(opener, page, %error, "no browser can be opened");
     }

@@ -10,7 +10,8 @@ use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
 use spandrel_record::RecordWriter;
 use spandrel_sensor::{
-    Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, column_mapping, simulated_rows,
+    Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, column_mapping,
+    simulated_rows,
 };
 use spandrel_structure::Structure;
 use std::convert::Infallible;
@@ -29,22 +30,43 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     let frames = |seconds: f64| (seconds * structure.sampling_rate_hz()).round() as u64;
     if let Some(path) = &arguments.record {
         refuse_overwriting(path, [arguments.structure.as_path()])?;
-        return write_record(&structure, path, seed, frames(arguments.duration.unwrap_or(DEFAULT_RECORD_S)));
+        return write_record(
+            &structure,
+            path,
+            seed,
+            frames(arguments.duration.unwrap_or(DEFAULT_RECORD_S)),
+        );
     }
     let simulation = Simulation {
-        speed: if arguments.live { Speed::Live } else { arguments.speed.into() },
+        speed: if arguments.live {
+            Speed::Live
+        } else {
+            arguments.speed.into()
+        },
         seed,
         frames: arguments.duration.map(frames),
-        start_ns: arguments.start.map_or_else(|| epoch_now() as i64, |seconds| (seconds * 1e9) as i64),
-        nodes: (0..structure.nodes().len()).filter(wanted(&structure, &arguments.node)?).collect(),
+        start_ns: arguments
+            .start
+            .map_or_else(|| epoch_now() as i64, |seconds| (seconds * 1e9) as i64),
+        nodes: (0..structure.nodes().len())
+            .filter(wanted(&structure, &arguments.node)?)
+            .collect(),
     };
     let settings = Settings::load(&arguments.bus)?;
     let keys = settings.bus.keys(structure.name())?;
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
-        let nodes = simulation.nodes.iter().map(|index| structure.nodes()[*index].name()).collect();
-        let work =
-            Work { subcommand: "simulate", needs: &[Need::PUT_SAMPLES], structures: vec![structure.name()], nodes };
+        let nodes = simulation
+            .nodes
+            .iter()
+            .map(|index| structure.nodes()[*index].name())
+            .collect();
+        let work = Work {
+            subcommand: "simulate",
+            needs: &[Need::PUT_SAMPLES],
+            structures: vec![structure.name()],
+            nodes,
+        };
         check(&bus, &settings.bus, &work).await?;
         let bar = progress::bar("simulating", simulation.frames);
         let simulated = tokio::select! {
@@ -53,9 +75,17 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
         };
         bar.finish_and_clear();
         bus.close().await?;
-        let Some(frames) = simulated? else { return Ok(()) };
-        let (name, seconds) = (structure.name(), frames as f64 / structure.sampling_rate_hz());
-        print(&format!("{} of {name} sent, {seconds} s, seed {seed}\n", counted(frames as usize, "frame", "frames")))
+        let Some(frames) = simulated? else {
+            return Ok(());
+        };
+        let (name, seconds) = (
+            structure.name(),
+            frames as f64 / structure.sampling_rate_hz(),
+        );
+        print(&format!(
+            "{} of {name} sent, {seconds} s, seed {seed}\n",
+            counted(frames as usize, "frame", "frames")
+        ))
     })
 }
 
@@ -86,39 +116,87 @@ pub async fn simulate(
     simulation: &Simulation,
     bar: &ProgressBar,
 ) -> Result<u64, AppError> {
-    let &Simulation { speed, seed, frames, start_ns, ref nodes } = simulation;
+    let &Simulation {
+        speed,
+        seed,
+        frames,
+        start_ns,
+        ref nodes,
+    } = simulation;
     let (epoch, live) = (epoch_now(), speed == Speed::Live);
     let wait_for = if live { Vec::new() } else { readers(structure) };
-    let settings = SensorSettings { speed, epoch, wait_for, resume: false };
+    let settings = SensorSettings {
+        speed,
+        epoch,
+        wait_for,
+        resume: false,
+    };
     let plans = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
-    let plans =
-        plans.into_iter().enumerate().filter(|(index, _)| nodes.contains(index)).map(|(_, plan)| plan).collect();
-    let service = SensorService::start(plans, structure.sampling_rate_hz(), bus, keys.clone(), settings).await?;
+    let plans = plans
+        .into_iter()
+        .enumerate()
+        .filter(|(index, _)| nodes.contains(index))
+        .map(|(_, plan)| plan)
+        .collect();
+    let service = SensorService::start(
+        plans,
+        structure.sampling_rate_hz(),
+        bus,
+        keys.clone(),
+        settings,
+    )
+    .await?;
     let (counted, channels) = (bar.clone(), channels_of(structure, nodes));
     let rows = simulated_rows(structure, seed, start_ns, frames).inspect(move |_| counted.inc(1));
-    let rows = rows.skip_while(move |row| live && row.time_ns < epoch as i64).map(move |mut row| {
-        row.values = channels.iter().map(|channel| row.values[*channel]).collect();
-        Ok::<_, Infallible>(row)
-    });
+    let rows = rows
+        .skip_while(move |row| live && row.time_ns < epoch as i64)
+        .map(move |mut row| {
+            row.values = channels
+                .iter()
+                .map(|channel| row.values[*channel])
+                .collect();
+            Ok::<_, Infallible>(row)
+        });
     Ok(service.run(rows, std::future::pending()).await?)
 }
 
 /// Returns the channels of some nodes, as a row of all has them.
 fn channels_of(structure: &Structure, nodes: &[usize]) -> Vec<usize> {
-    let of_node =
-        structure.nodes().iter().enumerate().flat_map(|(index, node)| node.channels().iter().map(move |_| index));
-    of_node.enumerate().filter(|(_, node)| nodes.contains(node)).map(|(channel, _)| channel).collect()
+    let of_node = structure
+        .nodes()
+        .iter()
+        .enumerate()
+        .flat_map(|(index, node)| node.channels().iter().map(move |_| index));
+    of_node
+        .enumerate()
+        .filter(|(_, node)| nodes.contains(node))
+        .map(|(channel, _)| channel)
+        .collect()
 }
 
 /// Returns whether a node, by its place in the file, is one of these; without any, all are.
-fn wanted<'a>(structure: &'a Structure, names: &'a [String]) -> Result<impl Fn(&usize) -> bool + 'a, AppError> {
+fn wanted<'a>(
+    structure: &'a Structure,
+    names: &'a [String],
+) -> Result<impl Fn(&usize) -> bool + 'a, AppError> {
     let known = || structure.nodes().iter().map(|node| node.name());
-    if let Some(name) = names.iter().find(|name| !known().any(|known| known == **name)) {
+    if let Some(name) = names
+        .iter()
+        .find(|name| !known().any(|known| known == **name))
+    {
         let (name, known) = (name.clone(), known().collect::<Vec<_>>().join(", "));
-        return Err(AppError::UnknownNode { structure: structure.name().to_owned(), name, known });
+        return Err(AppError::UnknownNode {
+            structure: structure.name().to_owned(),
+            name,
+            known,
+        });
     }
-    let is_wanted =
-        |index: &usize| names.is_empty() || names.iter().any(|name| name == structure.nodes()[*index].name());
+    let is_wanted = |index: &usize| {
+        names.is_empty()
+            || names
+                .iter()
+                .any(|name| name == structure.nodes()[*index].name())
+    };
     Ok(is_wanted)
 }
 
@@ -130,9 +208,18 @@ pub fn readers(structure: &Structure) -> Vec<Service> {
     }
 }
 
-fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {
+fn write_record(
+    structure: &Structure,
+    path: &Path,
+    seed: u64,
+    frames: u64,
+) -> Result<(), AppError> {
     let replacing = in_place_of(path);
-    let mut writer = RecordWriter::create(path, &column_mapping(structure)?, structure.sampling_rate_hz())?;
+    let mut writer = RecordWriter::create(
+        path,
+        &column_mapping(structure)?,
+        structure.sampling_rate_hz(),
+    )?;
     let bar = progress::bar("simulating", Some(frames));
     for row in simulated_rows(structure, seed, 0, Some(frames)) {
         writer.write_row(row.time_ns, &row.values)?;
@@ -140,7 +227,13 @@ fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> R
     }
     writer.finish()?;
     bar.finish_and_clear();
-    let (name, seconds) = (structure.name(), frames as f64 / structure.sampling_rate_hz());
+    let (name, seconds) = (
+        structure.name(),
+        frames as f64 / structure.sampling_rate_hz(),
+    );
     let frames = counted(frames as usize, "frame", "frames");
-    print(&format!("{}: {frames} of {name}, {seconds} s, seed {seed}{replacing}\n", path.display()))
+    print(&format!(
+        "{}: {frames} of {name}, {seconds} s, seed {seed}{replacing}\n",
+        path.display()
+    ))
 }

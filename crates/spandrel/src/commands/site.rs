@@ -3,7 +3,9 @@
 use super::{counted, print};
 use crate::cli::{SiteCommand, SiteRouterArguments};
 use crate::error::AppError;
-use spandrel_access::{AccessError, Existing, Issued, Party, Role, RouterPlan, SiteFolder, router_file};
+use spandrel_access::{
+    AccessError, Existing, Issued, Party, Role, RouterPlan, SiteFolder, router_file,
+};
 use spandrel_bus::{AUTHORITY_FILE, DEFAULT_ROOT, Name};
 use spandrel_structure::Structure;
 use std::fmt::Write as _;
@@ -18,34 +20,70 @@ const ROUTER_FILE: &str = "router.json5";
 /// When something is there already, a name or file is wrong, or a file cannot be written.
 pub fn run(command: SiteCommand) -> Result<(), AppError> {
     match command {
-        SiteCommand::Create { folder, name, days, replace } => {
+        SiteCommand::Create {
+            folder,
+            name,
+            days,
+            replace,
+        } => {
             let name = Name::new(name)?;
-            let (_, authority) = SiteFolder::create(&folder, name.as_str(), days, existing(replace))?;
+            let (_, authority) =
+                SiteFolder::create(&folder, name.as_str(), days, existing(replace))?;
             print(&told(&authority))?;
-            print("keep the key of the authority off the machines that are connected to each other\n")
+            print(
+                "keep the key of the authority off the machines that are connected to each other\n",
+            )
         }
-        SiteCommand::Issue { folder, role, name, host, days, replace } => {
+        SiteCommand::Issue {
+            folder,
+            role,
+            name,
+            host,
+            days,
+            replace,
+        } => {
             let party = Party::new(role, &name).map_err(AccessError::from)?;
-            let issued = SiteFolder::open(&folder)?.issue(&party, &host, days, existing(replace))?;
+            let issued =
+                SiteFolder::open(&folder)?.issue(&party, &host, days, existing(replace))?;
             print(&told(&issued))
         }
-        SiteCommand::Nodes { folder, structures, days } => issue_to_nodes(&folder, &structures, days),
+        SiteCommand::Nodes {
+            folder,
+            structures,
+            days,
+        } => issue_to_nodes(&folder, &structures, days),
         SiteCommand::Router(arguments) => write_router_file(&arguments),
     }
 }
 
 fn existing(replace: bool) -> Existing {
-    if replace { Existing::Replace } else { Existing::Keep }
+    if replace {
+        Existing::Replace
+    } else {
+        Existing::Keep
+    }
 }
 
 fn told(issued: &Issued) -> String {
-    let Issued { certificate, key, expires } = issued;
-    format!("{}, {}: until {expires}\n", certificate.display(), key.display())
+    let Issued {
+        certificate,
+        key,
+        expires,
+    } = issued;
+    format!(
+        "{}, {}: until {expires}\n",
+        certificate.display(),
+        key.display()
+    )
 }
 
 /// The nodes of a structure: as sensors, and as workers where they identify for themselves.
 fn nodes_of(structure: &Structure) -> Result<Vec<Party>, AppError> {
-    let roles: &[Role] = if structure.fusion().is_some() { &[Role::Sensor, Role::NodeWorker] } else { &[Role::Sensor] };
+    let roles: &[Role] = if structure.fusion().is_some() {
+        &[Role::Sensor, Role::NodeWorker]
+    } else {
+        &[Role::Sensor]
+    };
     let mut parties = Vec::new();
     for node in structure.nodes() {
         for role in roles {
@@ -60,7 +98,10 @@ fn issue_to_nodes(folder: &Path, structures: &[PathBuf], days: u32) -> Result<()
     let site = SiteFolder::open(folder)?;
     let known = site.parties()?;
     for path in structures {
-        for party in nodes_of(&Structure::read(path)?)?.into_iter().filter(|party| !known.contains(party)) {
+        for party in nodes_of(&Structure::read(path)?)?
+            .into_iter()
+            .filter(|party| !known.contains(party))
+        {
             print(&told(&site.issue(&party, &[], days, Existing::Keep)?))?;
         }
     }
@@ -69,7 +110,11 @@ fn issue_to_nodes(folder: &Path, structures: &[PathBuf], days: u32) -> Result<()
 
 fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
     let site = SiteFolder::open(&arguments.folder)?;
-    let structures = arguments.structures.iter().map(|path| Structure::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let structures = arguments
+        .structures
+        .iter()
+        .map(|path| Structure::read(path))
+        .collect::<Result<Vec<_>, _>>()?;
     let parties = site.parties()?;
     check_names(&parties, &structures)?;
     let router = site.router(arguments.router.as_deref())?;
@@ -93,28 +138,52 @@ fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
         authority: &at(AUTHORITY_FILE),
         parties: &parties,
     })?;
-    let output = arguments.output.clone().unwrap_or_else(|| arguments.folder.join(ROUTER_FILE));
+    let output = arguments
+        .output
+        .clone()
+        .unwrap_or_else(|| arguments.folder.join(ROUTER_FILE));
     if output.exists() && !arguments.replace {
         return Err(AccessError::Exists { path: output }.into());
     }
     let written = std::fs::write(&output, text);
-    written.map_err(|source| AccessError::File { what: "written", path: output.clone(), source })?;
+    written.map_err(|source| AccessError::File {
+        what: "written",
+        path: output.clone(),
+        source,
+    })?;
     print(&summary(&output, &parties, &structures)?)
 }
 
 /// Refuses certificates of structures and nodes that there are not: a slip of the pen would be found out by silence only.
 fn check_names(parties: &[Party], structures: &[Structure]) -> Result<(), AppError> {
     for party in parties {
-        let Some(name) = party.structure() else { continue };
-        let Some(structure) = structures.iter().find(|structure| structure.name() == name.as_str()) else {
-            let known: Vec<&str> = structures.iter().map(Structure::name).collect();
-            return Err(AppError::CertificateOfNone { party: party.common_name(), known: known.join(", ") });
+        let Some(name) = party.structure() else {
+            continue;
         };
-        let is_node = |node: &Name| structure.nodes().iter().any(|known| known.name() == node.as_str());
+        let Some(structure) = structures
+            .iter()
+            .find(|structure| structure.name() == name.as_str())
+        else {
+            let known: Vec<&str> = structures.iter().map(Structure::name).collect();
+            return Err(AppError::CertificateOfNone {
+                party: party.common_name(),
+                known: known.join(", "),
+            });
+        };
+        let is_node = |node: &Name| {
+            structure
+                .nodes()
+                .iter()
+                .any(|known| known.name() == node.as_str())
+        };
         if let Some(node) = party.node().filter(|node| !is_node(node)) {
             let known: Vec<&str> = structure.nodes().iter().map(|node| node.name()).collect();
             let (structure, name) = (structure.name().to_owned(), node.to_string());
-            return Err(AppError::UnknownNode { structure, name, known: known.join(", ") });
+            return Err(AppError::UnknownNode {
+                structure,
+                name,
+                known: known.join(", "),
+            });
         }
     }
     Ok(())
@@ -123,10 +192,17 @@ fn check_names(parties: &[Party], structures: &[Structure]) -> Result<(), AppErr
 fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result<String, AppError> {
     let is_on_the_bus = |party: &&Party| !matches!(party.role(), Role::Router | Role::Database);
     let admitted = parties.iter().filter(is_on_the_bus).count();
-    let mut text = format!("{}: {} may connect\n", output.display(), counted(admitted, "party", "parties"));
+    let mut text = format!(
+        "{}: {} may connect\n",
+        output.display(),
+        counted(admitted, "party", "parties")
+    );
     for structure in structures {
         let is_a_gateway = |party: &&Party| {
-            party.role() == Role::Gateway && party.structure().is_some_and(|name| name.as_str() == structure.name())
+            party.role() == Role::Gateway
+                && party
+                    .structure()
+                    .is_some_and(|name| name.as_str() == structure.name())
         };
         let missing: Vec<String> = nodes_of(structure)?
             .into_iter()
@@ -135,7 +211,11 @@ fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result
             .collect();
         if !missing.is_empty() && parties.iter().find(is_a_gateway).is_none() {
             // writing to a String does not fail
-            let _ = writeln!(text, "without a certificate: {} (spandrel site nodes issues them)", missing.join(", "));
+            let _ = writeln!(
+                text,
+                "without a certificate: {} (spandrel site nodes issues them)",
+                missing.join(", ")
+            );
         }
     }
     Ok(text + "a router that runs takes it when it is started again\n")

@@ -25,8 +25,14 @@ pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
     if let Some(folder) = &arguments.records {
         return records(folder, arguments.json);
     }
-    let length = if arguments.quick { Length::Quick } else { Length::Full };
-    let threads = arguments.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    let length = if arguments.quick {
+        Length::Quick
+    } else {
+        Length::Full
+    };
+    let threads = arguments
+        .jobs
+        .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let mut plan = Plan::new(select(&arguments.cases)?, seeds(arguments), length).threads(threads);
     if let Some(directory) = &arguments.report {
         plan = plan.keep(&directory.join("outcomes"), program_mark());
@@ -35,17 +41,32 @@ pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
     if let Some(directory) = &arguments.report {
         report.write(directory)?;
     }
-    print(&if arguments.json { lines(&report) } else { report.text() })?;
-    let missed = report.figures().filter(|figure| figure.is_surprise()).count();
+    print(&if arguments.json {
+        lines(&report)
+    } else {
+        report.text()
+    })?;
+    let missed = report
+        .figures()
+        .filter(|figure| figure.is_surprise())
+        .count();
     let failed = report.cases.iter().map(|case| case.failures.len()).sum();
-    if report.passed() { Ok(()) } else { Err(AppError::FiguresMissed { missed, failed }) }
+    if report.passed() {
+        Ok(())
+    } else {
+        Err(AppError::FiguresMissed { missed, failed })
+    }
 }
 
 /// Identifies the records of real structures and prints a row for each condition, as soon as it is known.
 fn records(folder: &Path, json: bool) -> Result<(), AppError> {
     let mut printed = Ok(());
     let rows = real_records(folder, |row| {
-        let text = if json { format!("{}\n", serde_json::json!(row)) } else { format!("{row}\n") };
+        let text = if json {
+            format!("{}\n", serde_json::json!(row))
+        } else {
+            format!("{row}\n")
+        };
         if printed.is_ok() {
             printed = print(&text);
         }
@@ -74,8 +95,18 @@ fn seeds(arguments: &ValidateArguments) -> Vec<u64> {
 
 fn list() -> Result<(), AppError> {
     let mut text = String::new();
-    let widest = cases().iter().map(|case| case.name.len()).max().unwrap_or(0);
-    for Case { name, title, source, .. } in cases() {
+    let widest = cases()
+        .iter()
+        .map(|case| case.name.len())
+        .max()
+        .unwrap_or(0);
+    for Case {
+        name,
+        title,
+        source,
+        ..
+    } in cases()
+    {
         // writing to a String does not fail
         let _ = writeln!(text, "{name:<widest$}  {title} ({source})");
     }
@@ -90,8 +121,11 @@ fn lines(report: &Report) -> String {
             let _ = writeln!(text, "{}", serde_json::json!(figure));
         }
         for (seed, why) in &case.failures {
-            let _ =
-                writeln!(text, "{}", serde_json::json!({"case": case.name, "seed": seed, "error": why, "pass": false}));
+            let _ = writeln!(
+                text,
+                "{}",
+                serde_json::json!({"case": case.name, "seed": seed, "error": why, "pass": false})
+            );
         }
     }
     text
@@ -101,8 +135,14 @@ fn lines(report: &Report) -> String {
 fn program_mark() -> String {
     let file = std::env::current_exe().and_then(|path| path.metadata());
     let changed = file.as_ref().ok().and_then(|file| file.modified().ok());
-    let age = changed.and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok()).map_or(0, |age| age.as_nanos());
-    format!("{} {} {age}", env!("CARGO_PKG_VERSION"), file.map_or(0, |file| file.len()))
+    let age = changed
+        .and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok())
+        .map_or(0, |age| age.as_nanos());
+    format!(
+        "{} {} {age}",
+        env!("CARGO_PKG_VERSION"),
+        file.map_or(0, |file| file.len())
+    )
 }
 
 /// One bar for each run that is under way.
@@ -129,12 +169,20 @@ impl Watch for Bars {
         bar.set_position((share * STEPS as f64) as u64);
     }
 
-    fn finished(&self, case: &Case, seed: u64, result: Result<&Outcome, &ValidateError>, kept: bool) {
+    fn finished(
+        &self,
+        case: &Case,
+        seed: u64,
+        result: Result<&Outcome, &ValidateError>,
+        kept: bool,
+    ) {
         if let Some(bar) = self.running().remove(&(case.name, seed)) {
             bar.finish_and_clear();
         }
         match result {
-            Ok(_) if kept => tracing::info!(case = case.name, seed, "taken from the report's directory"),
+            Ok(_) if kept => {
+                tracing::info!(case = case.name, seed, "taken from the report's directory")
+            }
             Ok(_) => tracing::info!(case = case.name, seed, "done"),
             Err(error) => tracing::warn!(case = case.name, seed, %error, "has no outcome"),
         }

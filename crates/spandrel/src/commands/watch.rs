@@ -18,10 +18,17 @@ pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
     let structure = arguments.structure.map(Name::new).transpose()?;
     block_on(async {
         let (config, bus) = (&bus, Bus::open(&bus).await?);
-        let work =
-            Work { subcommand: "watch", needs: &[Need::SEE_PARAMETERS], structures: Vec::new(), nodes: Vec::new() };
+        let work = Work {
+            subcommand: "watch",
+            needs: &[Need::SEE_PARAMETERS],
+            structures: Vec::new(),
+            nodes: Vec::new(),
+        };
         check(&bus, config, &work).await?;
-        let around = Around { page: None, cannot_acknowledge: cannot_acknowledge(&bus, config).await? };
+        let around = Around {
+            page: None,
+            cannot_acknowledge: cannot_acknowledge(&bus, config).await?,
+        };
         let shown = watch::show(&bus, &root, structure.as_ref(), around, interrupted()).await;
         let closed = bus.close().await;
         shown.and(closed.map_err(AppError::from))
@@ -40,7 +47,10 @@ pub async fn show(
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let structure = structure.map(Name::new).transpose()?;
-    let around = Around { page: page.map(str::to_owned), cannot_acknowledge: None };
+    let around = Around {
+        page: page.map(str::to_owned),
+        cannot_acknowledge: None,
+    };
     watch::show(bus, root, structure.as_ref(), around, stop).await
 }
 
@@ -50,7 +60,11 @@ pub fn joining_by_default(bus: BusConfig) -> BusConfig {
     if !nothing_said {
         return bus;
     }
-    BusConfig { mode: Mode::Client, connect: vec![DEFAULT_ENDPOINT.to_owned()], ..bus }
+    BusConfig {
+        mode: Mode::Client,
+        connect: vec![DEFAULT_ENDPOINT.to_owned()],
+        ..bus
+    }
 }
 
 #[cfg(test)]
@@ -59,8 +73,14 @@ mod tests {
 
     #[test]
     fn without_a_word_on_the_bus_it_joins_the_one_on_this_machine_as_a_client() {
-        let joined = joining_by_default(BusConfig { root: "here".to_owned(), ..BusConfig::default() });
-        assert_eq!((joined.mode, joined.connect.as_slice()), (Mode::Client, [DEFAULT_ENDPOINT.to_owned()].as_slice()));
+        let joined = joining_by_default(BusConfig {
+            root: "here".to_owned(),
+            ..BusConfig::default()
+        });
+        assert_eq!(
+            (joined.mode, joined.connect.as_slice()),
+            (Mode::Client, [DEFAULT_ENDPOINT.to_owned()].as_slice())
+        );
         assert_eq!((joined.root.as_str(), joined.listen.len()), ("here", 0));
     }
 
@@ -68,9 +88,18 @@ mod tests {
     fn whoever_says_how_to_join_is_believed() {
         let endpoint = || vec!["tcp/127.0.0.1:7000".to_owned()];
         for said in [
-            BusConfig { listen: endpoint(), ..BusConfig::default() },
-            BusConfig { connect: endpoint(), ..BusConfig::default() },
-            BusConfig { config_file: Some("zenoh.json5".into()), ..BusConfig::default() },
+            BusConfig {
+                listen: endpoint(),
+                ..BusConfig::default()
+            },
+            BusConfig {
+                connect: endpoint(),
+                ..BusConfig::default()
+            },
+            BusConfig {
+                config_file: Some("zenoh.json5".into()),
+                ..BusConfig::default()
+            },
         ] {
             assert_eq!(joining_by_default(said.clone()), said);
         }

@@ -46,7 +46,11 @@ pub(super) struct ClassCollector {
 impl ClassCollector {
     /// Takes what is said at one frame; every calibration and every lead is said at its frame.
     pub(super) fn take(&mut self, display: &ModelClassDisplay) {
-        if self.leads.last().is_none_or(|(_, class)| *class != display.believed) {
+        if self
+            .leads
+            .last()
+            .is_none_or(|(_, class)| *class != display.believed)
+        {
             self.leads.push((display.time_ns, display.believed.clone()));
         }
         if let Some(calibration) = &display.calibration
@@ -60,14 +64,28 @@ impl ClassCollector {
     /// Returns the summary of a record that begins at `t0_ns`; `None` where nothing was said.
     pub(super) fn finish(self, t0_ns: i64) -> Option<ClassSummary> {
         let time_s = |time_ns: i64| time_ns.saturating_sub(t0_ns) as f64 / 1e9;
-        let calibrations = self
-            .calibrations
-            .into_iter()
-            .map(|ClassCalibration { time_ns, class, change }| Calibration { time_s: time_s(time_ns), class, change });
+        let calibrations = self.calibrations.into_iter().map(
+            |ClassCalibration {
+                 time_ns,
+                 class,
+                 change,
+             }| Calibration {
+                time_s: time_s(time_ns),
+                class,
+                change,
+            },
+        );
         self.last.map(|last| ClassSummary {
             leading: last.leading,
             classes: last.classes,
-            leads: self.leads.into_iter().map(|(time_ns, class)| Lead { time_s: time_s(time_ns), class }).collect(),
+            leads: self
+                .leads
+                .into_iter()
+                .map(|(time_ns, class)| Lead {
+                    time_s: time_s(time_ns),
+                    class,
+                })
+                .collect(),
             calibrations: calibrations.collect(),
         })
     }

@@ -20,7 +20,10 @@ impl DecidedSummary {
     pub(super) fn of(frames: &DecidedFrames) -> Option<Self> {
         let share = frames.share()?;
         let of_all = |count: u64| count as f64 / frames.frames() as f64;
-        let undecided = frames.undecided().map(|(because, count)| (because, of_all(count))).collect();
+        let undecided = frames
+            .undecided()
+            .map(|(because, count)| (because, of_all(count)))
+            .collect();
         Some(Self { share, undecided })
     }
 
@@ -33,13 +36,23 @@ impl DecidedSummary {
     /// reasons differ.
     pub(super) fn words_of(all: &[Self]) -> Option<String> {
         let first = all.first()?;
-        if !all.iter().all(|summary| summary.undecided.keys().eq(first.undecided.keys())) {
+        if !all
+            .iter()
+            .all(|summary| summary.undecided.keys().eq(first.undecided.keys()))
+        {
             return None;
         }
-        let mut text = format!("decided {} of the time", range(all.iter().map(|summary| summary.share)));
+        let mut text = format!(
+            "decided {} of the time",
+            range(all.iter().map(|summary| summary.share))
+        );
         for (index, because) in first.undecided.keys().enumerate() {
             let separator = if index == 0 { "; undecided " } else { ", " };
-            let shares = range(all.iter().filter_map(|summary| summary.undecided.get(because)).copied());
+            let shares = range(
+                all.iter()
+                    .filter_map(|summary| summary.undecided.get(because))
+                    .copied(),
+            );
             text.push_str(&format!("{separator}{shares}: {}", because.words()));
         }
         Some(text)
@@ -48,7 +61,9 @@ impl DecidedSummary {
 
 /// The lowest and the highest share: `93.7 to 97.3 %`.
 fn range(shares: impl Iterator<Item = f64>) -> String {
-    let (low, high) = shares.fold((1.0, 0.0), |(low, high): (f64, f64), share| (low.min(share), high.max(share)));
+    let (low, high) = shares.fold((1.0, 0.0), |(low, high): (f64, f64), share| {
+        (low.min(share), high.max(share))
+    });
     let (low, high) = (percent(low), percent(high));
     if low == high {
         return low;
@@ -62,8 +77,15 @@ mod tests {
 
     #[test]
     fn shares_are_told_with_their_reasons() {
-        let undecided = [(UndecidedBecause::NothingLearnt, 0.1), (UndecidedBecause::FitContradicted, 0.018)].into();
-        let summary = DecidedSummary { share: 0.882, undecided };
+        let undecided = [
+            (UndecidedBecause::NothingLearnt, 0.1),
+            (UndecidedBecause::FitContradicted, 0.018),
+        ]
+        .into();
+        let summary = DecidedSummary {
+            share: 0.882,
+            undecided,
+        };
         assert_eq!(
             summary.words(),
             "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: the estimate or its \
@@ -74,14 +96,22 @@ mod tests {
 
     #[test]
     fn parameters_with_the_same_reasons_share_a_sentence() {
-        let summary = |share, because| DecidedSummary { share, undecided: [(because, 1.0 - share)].into() };
+        let summary = |share, because| DecidedSummary {
+            share,
+            undecided: [(because, 1.0 - share)].into(),
+        };
         let training = UndecidedBecause::NoiseTraining;
         let alike = [summary(0.95, training), summary(0.935, training)];
         assert_eq!(
             DecidedSummary::words_of(&alike).as_deref(),
-            Some("decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter still learns its noise levels")
+            Some(
+                "decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter still learns its noise levels"
+            )
         );
-        let differing = [summary(0.95, training), summary(0.95, UndecidedBecause::FitContradicted)];
+        let differing = [
+            summary(0.95, training),
+            summary(0.95, UndecidedBecause::FitContradicted),
+        ];
         assert_eq!(DecidedSummary::words_of(&differing), None);
     }
 }

@@ -33,8 +33,15 @@ impl FitCollector {
     pub(super) fn finish(&self) -> Option<FitSummary> {
         let (verdict, reasons) = self.last?;
         let all: u64 = self.frames.values().sum();
-        let shares = self.frames.iter().map(|(verdict, frames)| (*verdict, *frames as f64 / all as f64));
-        Some(FitSummary { verdict, reasons, shares: shares.collect() })
+        let shares = self
+            .frames
+            .iter()
+            .map(|(verdict, frames)| (*verdict, *frames as f64 / all as f64));
+        Some(FitSummary {
+            verdict,
+            reasons,
+            shares: shares.collect(),
+        })
     }
 }
 
@@ -48,10 +55,17 @@ impl FitSummary {
 
     /// The verdict with its reasons, and the share of each: `doubtful at the end (…); supported 90 % of the time`.
     pub(super) fn words(&self) -> String {
-        let shares = self.shares.iter().map(|(verdict, share)| format!("{} {}", verdict.as_str(), percent(*share)));
+        let shares = self
+            .shares
+            .iter()
+            .map(|(verdict, share)| format!("{} {}", verdict.as_str(), percent(*share)));
         let shares: Vec<String> = shares.collect();
         let words = fit_in_words(self.verdict, self.reasons);
-        format!("{} at the end ({words}); {} of the time", self.verdict.as_str(), shares.join(", "))
+        format!(
+            "{} at the end ({words}); {} of the time",
+            self.verdict.as_str(),
+            shares.join(", ")
+        )
     }
 }
 
@@ -75,7 +89,14 @@ mod tests {
     fn small_and_large_shares_are_told_from_none_and_all() {
         assert_eq!(
             [0.0, 0.0004, 0.0006, 0.5, 0.9996, 1.0].map(percent),
-            ["0 %", "below 0.1 %", "0.1 %", "50 %", "above 99.9 %", "100 %"]
+            [
+                "0 %",
+                "below 0.1 %",
+                "0.1 %",
+                "50 %",
+                "above 99.9 %",
+                "100 %"
+            ]
         );
     }
 

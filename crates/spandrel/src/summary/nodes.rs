@@ -41,7 +41,10 @@ impl NodeSummary {
         let mut words = Vec::new();
         match (self.excluded, self.excluded_since_s) {
             (0, _) => {}
-            (excluded, None) => words.push(format!("left out of {excluded} of {} fusions", self.fusions)),
+            (excluded, None) => words.push(format!(
+                "left out of {excluded} of {} fusions",
+                self.fusions
+            )),
             (excluded, Some(since_s)) => {
                 words.push(format!(
                     "left out of {excluded} of {} fusions, at the end since {since_s:.0} s",
@@ -49,15 +52,29 @@ impl NodeSummary {
                 ));
             }
         }
-        words.extend(self.silent.iter().map(|Silence { from_s, until_s }| match until_s {
-            Some(until_s) => format!("silent from {from_s:.0} to {until_s:.0} s"),
-            None => format!("silent since {from_s:.0} s"),
-        }));
+        words.extend(
+            self.silent
+                .iter()
+                .map(|Silence { from_s, until_s }| match until_s {
+                    Some(until_s) => format!("silent from {from_s:.0} to {until_s:.0} s"),
+                    None => format!("silent since {from_s:.0} s"),
+                }),
+        );
         if self.rejected > 0 {
-            let counts = self.rejected_by_channel.iter().map(|(channel, count)| format!("{channel} {count}"));
-            words.push(format!("samples rejected: {}", counts.collect::<Vec<_>>().join(", ")));
+            let counts = self
+                .rejected_by_channel
+                .iter()
+                .map(|(channel, count)| format!("{channel} {count}"));
+            words.push(format!(
+                "samples rejected: {}",
+                counts.collect::<Vec<_>>().join(", ")
+            ));
         }
-        if words.is_empty() { "heard in all fusions".to_owned() } else { words.join("; ") }
+        if words.is_empty() {
+            "heard in all fusions".to_owned()
+        } else {
+            words.join("; ")
+        }
     }
 }
 
@@ -87,17 +104,26 @@ impl NodeCollector {
     pub(super) fn new(structure: &Structure) -> Self {
         let nodes = structure.nodes().iter().map(|node| NodeSeen {
             name: node.name().to_owned(),
-            channels: node.channels().iter().map(|channel| channel.name().to_owned()).collect(),
+            channels: node
+                .channels()
+                .iter()
+                .map(|channel| channel.name().to_owned())
+                .collect(),
             ..NodeSeen::default()
         });
-        Self { nodes: nodes.collect(), t0_ns: None }
+        Self {
+            nodes: nodes.collect(),
+            t0_ns: None,
+        }
     }
 
     /// Takes how a node stands after a fusion.
     pub(super) fn take_node(&mut self, display: &NodeDisplay) {
         self.t0_ns.get_or_insert(display.time_ns);
         let name = display.node.as_str();
-        let Some(seen) = self.nodes.iter_mut().find(|seen| seen.name == name) else { return };
+        let Some(seen) = self.nodes.iter_mut().find(|seen| seen.name == name) else {
+            return;
+        };
         if display.state == NodeHealth::Ended {
             return; // that comes to all nodes
         }
@@ -117,7 +143,12 @@ impl NodeCollector {
     pub(super) fn take_outliers(&mut self, display: &OutlierDisplay) {
         let channel = display.channel.as_str();
         let has_it = |seen: &&mut NodeSeen| seen.channels.iter().any(|own| own == channel);
-        if let Some(seen) = self.nodes.iter_mut().find(has_it).filter(|_| display.flagged > 0) {
+        if let Some(seen) = self
+            .nodes
+            .iter_mut()
+            .find(has_it)
+            .filter(|_| display.flagged > 0)
+        {
             *seen.rejected.entry(channel.to_owned()).or_default() += display.flagged;
         }
     }
@@ -134,7 +165,10 @@ impl NodeCollector {
                 excluded: seen.excluded,
                 excluded_since_s: seen.excluded_since_ns.map(time_s),
                 silent: silent
-                    .map(|(from_ns, until_ns)| Silence { from_s: time_s(*from_ns), until_s: until_ns.map(time_s) })
+                    .map(|(from_ns, until_ns)| Silence {
+                        from_s: time_s(*from_ns),
+                        until_s: until_ns.map(time_s),
+                    })
                     .collect(),
                 rejected: seen.rejected.values().sum(),
                 rejected_by_channel: seen.rejected,

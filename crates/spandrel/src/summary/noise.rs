@@ -36,7 +36,10 @@ pub struct NoiseLevelSummary {
 impl StatedLevel {
     /// Returns the adapted levels of a structure, in the order of the estimates.
     pub fn adapted_of(structure: &Structure) -> Vec<Self> {
-        let adapted = structure.noise_levels().iter().filter(|level| level.is_adapted());
+        let adapted = structure
+            .noise_levels()
+            .iter()
+            .filter(|level| level.is_adapted());
         let stated = adapted.map(|level| Self {
             name: level.name().to_owned(),
             std: level.std(),
@@ -49,17 +52,30 @@ impl StatedLevel {
     /// Compares with what was found; `variance` as it was estimated (`unit`²).
     pub fn found(&self, variance: Level) -> NoiseLevelSummary {
         let found_std = variance.mean.max(0.0).sqrt();
-        NoiseLevelSummary { variance, found_std, stated_std: self.std, ratio: found_std / self.std, unit: self.unit }
+        NoiseLevelSummary {
+            variance,
+            found_std,
+            stated_std: self.std,
+            ratio: found_std / self.std,
+            unit: self.unit,
+        }
     }
 
     /// Says what a level that was found far above the stated one may mean.
     pub fn warning(&self, found: &NoiseLevelSummary) -> Option<String> {
         let causes = match self.is_excitation {
-            true => "an excitation stronger than stated, a channel of wrong sign or unit, or a model that does not fit",
+            true => {
+                "an excitation stronger than stated, a channel of wrong sign or unit, or a model that does not fit"
+            }
             false => "a channel swapped, of wrong sign or unit, or a model that does not fit",
         };
         let Self { name, .. } = self;
-        let told = || format!("noise of {name} is {:.0} times what the file states: {causes}", found.ratio);
+        let told = || {
+            format!(
+                "noise of {name} is {:.0} times what the file states: {causes}",
+                found.ratio
+            )
+        };
         (found.ratio > SUSPECT).then(told)
     }
 }
@@ -69,8 +85,16 @@ mod tests {
     use super::*;
 
     fn floors(found_std: f64) -> Option<String> {
-        let stated = StatedLevel { name: "floors".to_owned(), std: 0.005, unit: "m/s2", is_excitation: false };
-        stated.warning(&stated.found(Level { mean: found_std * found_std, std: 0.0 }))
+        let stated = StatedLevel {
+            name: "floors".to_owned(),
+            std: 0.005,
+            unit: "m/s2",
+            is_excitation: false,
+        };
+        stated.warning(&stated.found(Level {
+            mean: found_std * found_std,
+            std: 0.0,
+        }))
     }
 
     #[test]

@@ -44,6 +44,9 @@ mod tests {
         let mut ordered = Ordered::default();
         ordered.push("third".to_owned(), 3);
         ordered.push("first".to_owned(), 1);
-        assert_eq!(serde_json::to_string(&ordered).unwrap(), r#"{"third":3,"first":1}"#);
+        assert_eq!(
+            serde_json::to_string(&ordered).unwrap(),
+            r#"{"third":3,"first":1}"#
+        );
     }
 }

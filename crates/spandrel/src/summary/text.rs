@@ -19,22 +19,37 @@ impl Summary {
     }
 
     fn write(&self, text: &mut String) -> fmt::Result {
-        writeln!(text, "{} identified", counted(self.frames as usize, "frame", "frames"))?;
+        writeln!(
+            text,
+            "{} identified",
+            counted(self.frames as usize, "frame", "frames")
+        )?;
         if let Some(Samples { missing, discarded }) = &self.samples {
             for (what, counts) in [("missing samples", missing), ("discarded", discarded)] {
                 if !counts.is_empty() {
-                    let counts: Vec<String> = counts.iter().map(|(name, count)| format!("{name} {count}")).collect();
+                    let counts: Vec<String> = counts
+                        .iter()
+                        .map(|(name, count)| format!("{name} {count}"))
+                        .collect();
                     writeln!(text, "  {what}: {}", counts.join(", "))?;
                 }
             }
         }
         if let Some(share) = self.effective_share {
-            writeln!(text, "  {:.0} % of the particles counted on average", 100.0 * share)?;
+            writeln!(
+                text,
+                "  {:.0} % of the particles counted on average",
+                100.0 * share
+            )?;
         }
         for (name, level) in self.parameters.iter() {
             write!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std)?;
             match level.for_this_structure {
-                Some(interval) => writeln!(text, ", for this structure {:.2} to {:.2}", interval.low, interval.high)?,
+                Some(interval) => writeln!(
+                    text,
+                    ", for this structure {:.2} to {:.2}",
+                    interval.low, interval.high
+                )?,
                 None => writeln!(text)?,
             }
         }
@@ -56,11 +71,19 @@ impl Summary {
             });
         }
         for alert in &self.alerts {
-            write!(text, "{:>9.2} s  {}: {}", alert.time_s, alert.state.as_str(), alert.why)?;
+            write!(
+                text,
+                "{:>9.2} s  {}: {}",
+                alert.time_s,
+                alert.state.as_str(),
+                alert.why
+            )?;
             match loss_at_first(alert) {
-                Some(loss) => {
-                    writeln!(text, " (the sentence was revised since; the loss at that time was {})", percent(loss))?
-                }
+                Some(loss) => writeln!(
+                    text,
+                    " (the sentence was revised since; the loss at that time was {})",
+                    percent(loss)
+                )?,
                 None => writeln!(text)?,
             }
         }
@@ -69,8 +92,18 @@ impl Summary {
 
     fn write_noise(&self, text: &mut String) -> fmt::Result {
         for (name, level) in self.noise.iter() {
-            let NoiseLevelSummary { found_std, stated_std, ratio, unit, .. } = level;
-            let unit = if *unit == "1" { String::new() } else { format!(" {unit}") };
+            let NoiseLevelSummary {
+                found_std,
+                stated_std,
+                ratio,
+                unit,
+                ..
+            } = level;
+            let unit = if *unit == "1" {
+                String::new()
+            } else {
+                format!(" {unit}")
+            };
             writeln!(
                 text,
                 "  noise of {name:<15} {found_std:.3e}{unit}, {ratio:.2} times the {stated_std:.3e}{unit} of the file (standard \
@@ -78,7 +111,10 @@ impl Summary {
             )?;
         }
         if let Some(misfit) = self.misfit {
-            writeln!(text, "  normalised innovation squared {misfit:.2} per channel")?;
+            writeln!(
+                text,
+                "  normalised innovation squared {misfit:.2} per channel"
+            )?;
         }
         Ok(())
     }
@@ -102,27 +138,54 @@ impl Summary {
 fn loss_at_first(alert: &AlertSummary) -> Option<f64> {
     /// A smaller difference is within what both intervals leave open.
     const LEAST_DIFFERENCE: f64 = 0.01;
-    let is_other = alert.revisions > 0 && (alert.loss - alert.loss_at_first).abs() >= LEAST_DIFFERENCE;
+    let is_other =
+        alert.revisions > 0 && (alert.loss - alert.loss_at_first).abs() >= LEAST_DIFFERENCE;
     is_other.then_some(alert.loss_at_first)
 }
 
 fn write_classes(summary: &ClassSummary, text: &mut String) -> fmt::Result {
-    let ClassSummary { leading, classes, leads, calibrations } = summary;
+    let ClassSummary {
+        leading,
+        classes,
+        leads,
+        calibrations,
+    } = summary;
     let mut ranked: Vec<_> = classes.iter().collect();
     ranked.sort_by(|a, b| b.plausibility.total_cmp(&a.plausibility));
-    let plausibilities = ranked.iter().map(|class| format!("{} {}", class.class, plausibility(class.plausibility)));
-    writeln!(text, "  class {leading} leads; plausibilities: {}", listed(plausibilities, "less plausible"))?;
+    let plausibilities = ranked
+        .iter()
+        .map(|class| format!("{} {}", class.class, plausibility(class.plausibility)));
+    writeln!(
+        text,
+        "  class {leading} leads; plausibilities: {}",
+        listed(plausibilities, "less plausible")
+    )?;
     // the latest are what people look for
-    let leads = leads.iter().rev().map(|lead| format!("{} from {:.2} s", lead.class, lead.time_s));
-    writeln!(text, "  leads that lasted, the latest first: {}", listed(leads, "before"))?;
+    let leads = leads
+        .iter()
+        .rev()
+        .map(|lead| format!("{} from {:.2} s", lead.class, lead.time_s));
+    writeln!(
+        text,
+        "  leads that lasted, the latest first: {}",
+        listed(leads, "before")
+    )?;
     if calibrations.is_empty() {
         return Ok(());
     }
-    let calibrations = calibrations
-        .iter()
-        .rev()
-        .map(|by| format!("{} by {:+.1} % at {:.2} s", by.class, 100.0 * by.change, by.time_s));
-    writeln!(text, "  calibrations, the latest first: {}", listed(calibrations, "before"))
+    let calibrations = calibrations.iter().rev().map(|by| {
+        format!(
+            "{} by {:+.1} % at {:.2} s",
+            by.class,
+            100.0 * by.change,
+            by.time_s
+        )
+    });
+    writeln!(
+        text,
+        "  calibrations, the latest first: {}",
+        listed(calibrations, "before")
+    )
 }
 
 /// Writes the first of several things, and how many more there are.

@@ -55,7 +55,10 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
     let area = frame.area();
     if area.width < SMALLEST.0 || area.height < SMALLEST.1 {
         let (width, height) = SMALLEST;
-        frame.render_widget(Paragraph::new(format!("window too small, needs {width} x {height}")), area);
+        frame.render_widget(
+            Paragraph::new(format!("window too small, needs {width} x {height}")),
+            area,
+        );
         return;
     }
     let [main, last] = Layout::vertical([Constraint::Fill(1), Constraint::Length(1)]).areas(area);
@@ -64,9 +67,16 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
         Mode::Watching => draw_keys(view, frame, last),
         Mode::Help => {
             draw_help(frame, main);
-            frame.render_widget(Line::from("any key goes on, q quits").style(Modifier::DIM), last);
+            frame.render_widget(
+                Line::from("any key goes on, q quits").style(Modifier::DIM),
+                last,
+            );
         }
-        Mode::Acknowledging { structure, parameter, form } => draw_form(frame, last, structure, parameter, form),
+        Mode::Acknowledging {
+            structure,
+            parameter,
+            form,
+        } => draw_form(frame, last, structure, parameter, form),
     }
 }
 
@@ -77,17 +87,31 @@ fn draw_main(view: &View, frame: &mut Frame<'_>, area: Rect) {
     }
     let structures: Vec<(&Name, &StructureHeard)> = view.heard.structures().collect();
     let selected = view.selected_structure().map(|(name, _)| name);
-    let selected = structures.iter().position(|(name, _)| Some(*name) == selected).unwrap_or(0);
+    let selected = structures
+        .iter()
+        .position(|(name, _)| Some(*name) == selected)
+        .unwrap_or(0);
     let width = usize::from(area.width.saturating_sub(MARGINS));
-    let panels: Vec<StructurePanel> =
-        structures.iter().map(|(name, structure)| StructurePanel::new(&view.heard, name, structure, width)).collect();
-    let wanted: Vec<u16> =
-        panels.iter().map(|panel| u16::try_from(panel.len()).unwrap_or(u16::MAX).saturating_add(BORDERS)).collect();
-    let room = area.height.saturating_sub(ALERTS_AT_LEAST + EVENTS_AT_LEAST);
+    let panels: Vec<StructurePanel> = structures
+        .iter()
+        .map(|(name, structure)| StructurePanel::new(&view.heard, name, structure, width))
+        .collect();
+    let wanted: Vec<u16> = panels
+        .iter()
+        .map(|panel| {
+            u16::try_from(panel.len())
+                .unwrap_or(u16::MAX)
+                .saturating_add(BORDERS)
+        })
+        .collect();
+    let room = area
+        .height
+        .saturating_sub(ALERTS_AT_LEAST + EVENTS_AT_LEAST);
     let heights = share_out(room, &wanted, selected);
     let mut rest = area;
     for (index, (panel, height)) in panels.into_iter().zip(heights).enumerate() {
-        let [here, below] = Layout::vertical([Constraint::Length(height), Constraint::Fill(1)]).areas(rest);
+        let [here, below] =
+            Layout::vertical([Constraint::Length(height), Constraint::Fill(1)]).areas(rest);
         rest = below;
         let choice = match (structures.len(), index == selected) {
             (1, _) => Choice::Only,
@@ -109,11 +133,15 @@ fn share_out(room: u16, wanted: &[u16], selected: usize) -> Vec<u16> {
     let mut heights = vec![0; wanted.len()];
     let own = wanted.get(selected).copied().unwrap_or(0);
     let lines_for_others = u16::try_from(wanted.len() - 1).unwrap_or(u16::MAX);
-    let kept = room.saturating_sub(own.min(PANEL_AT_LEAST)).min(lines_for_others);
+    let kept = room
+        .saturating_sub(own.min(PANEL_AT_LEAST))
+        .min(lines_for_others);
     heights[selected] = own.min(room - kept);
     let mut left = room - heights[selected];
     // those next to the chosen one first, so that Tab leads to what is seen
-    let mut others: Vec<usize> = (0..wanted.len()).filter(|index| *index != selected).collect();
+    let mut others: Vec<usize> = (0..wanted.len())
+        .filter(|index| *index != selected)
+        .collect();
     others.sort_by_key(|index| index.abs_diff(selected));
     for index in others {
         heights[index] = left.min(1);
@@ -130,7 +158,13 @@ enum Choice {
     Other,
 }
 
-fn draw_panel(frame: &mut Frame<'_>, area: Rect, panel: StructurePanel, choice: Choice, first: usize) {
+fn draw_panel(
+    frame: &mut Frame<'_>,
+    area: Rect,
+    panel: StructurePanel,
+    choice: Choice,
+    first: usize,
+) {
     if area.height == 0 {
         return;
     }
@@ -145,7 +179,11 @@ fn draw_panel(frame: &mut Frame<'_>, area: Rect, panel: StructurePanel, choice: 
     let mut time = panel.time.clone();
     time.spans.insert(0, Span::raw(" "));
     time.push_span(" ");
-    let borders = if area.height > BORDERS { Borders::ALL } else { Borders::TOP };
+    let borders = if area.height > BORDERS {
+        Borders::ALL
+    } else {
+        Borders::TOP
+    };
     let block = Block::new()
         .borders(borders)
         .border_style(style)
@@ -154,15 +192,21 @@ fn draw_panel(frame: &mut Frame<'_>, area: Rect, panel: StructurePanel, choice: 
         .title(time.right_aligned());
     let inner = block.inner(area);
     frame.render_widget(block, area);
-    frame.render_widget(Paragraph::new(panel.into_lines(usize::from(inner.height), first)), inner);
+    frame.render_widget(
+        Paragraph::new(panel.into_lines(usize::from(inner.height), first)),
+        inner,
+    );
 }
 
 fn draw_lists(view: &View, frame: &mut Frame<'_>, area: Rect) {
     let width = usize::from(area.width);
     let events = event_lines(&view.heard, width);
     let with_title = |lines: usize| u16::try_from(lines + 1).unwrap_or(u16::MAX);
-    let left_by_alerts = area.height.saturating_sub(with_title(alert_lines(view, width, usize::MAX).len()));
-    let events_height = with_title(events.len()).min(left_by_alerts.max(area.height * 2 / 5).max(EVENTS_AT_LEAST));
+    let left_by_alerts = area
+        .height
+        .saturating_sub(with_title(alert_lines(view, width, usize::MAX).len()));
+    let events_height =
+        with_title(events.len()).min(left_by_alerts.max(area.height * 2 / 5).max(EVENTS_AT_LEAST));
     let [alerts_area, events_area] =
         Layout::vertical([Constraint::Fill(1), Constraint::Length(events_height)]).areas(area);
     let list = |title: Line<'static>| {
@@ -171,8 +215,15 @@ fn draw_lists(view: &View, frame: &mut Frame<'_>, area: Rect) {
         title.push_span(" ");
         Block::new().borders(Borders::TOP).title(title)
     };
-    let alerts = alert_lines(view, width, usize::from(alerts_area.height.saturating_sub(1)));
-    frame.render_widget(Paragraph::new(alerts).block(list(alerts_title(&view.heard))), alerts_area);
+    let alerts = alert_lines(
+        view,
+        width,
+        usize::from(alerts_area.height.saturating_sub(1)),
+    );
+    frame.render_widget(
+        Paragraph::new(alerts).block(list(alerts_title(&view.heard))),
+        alerts_area,
+    );
     let title = Line::from(Span::styled("events", Modifier::BOLD));
     frame.render_widget(Paragraph::new(events).block(list(title)), events_area);
 }
@@ -187,8 +238,11 @@ fn draw_keys(view: &View, frame: &mut Frame<'_>, area: Rect) {
     let unseen = view.overwritten() + view.heard.left_out();
     if unseen > 0 {
         let line = Line::from(format!(" {unseen} messages not shown")).right_aligned();
-        let width = u16::try_from(line.width()).unwrap_or(u16::MAX).min(area.width);
-        let [_, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(width)]).areas(area);
+        let width = u16::try_from(line.width())
+            .unwrap_or(u16::MAX)
+            .min(area.width);
+        let [_, right] =
+            Layout::horizontal([Constraint::Fill(1), Constraint::Length(width)]).areas(area);
         frame.render_widget(line, right);
     }
 }
@@ -196,32 +250,57 @@ fn draw_keys(view: &View, frame: &mut Frame<'_>, area: Rect) {
 fn draw_form(frame: &mut Frame<'_>, area: Rect, structure: &Name, parameter: &Name, form: &Form) {
     let mark = |field: Field| if form.field == field { "▏" } else { "" };
     let style = |field: Field| {
-        if form.field == field { Style::new().add_modifier(Modifier::REVERSED) } else { Style::new() }
+        if form.field == field {
+            Style::new().add_modifier(Modifier::REVERSED)
+        } else {
+            Style::new()
+        }
     };
     let mut line = Line::from_iter([
         Span::raw(format!("acknowledge {structure}/{parameter}  ")),
-        Span::styled(format!(" who: {}{} ", form.who, mark(Field::Who)), style(Field::Who)),
+        Span::styled(
+            format!(" who: {}{} ", form.who, mark(Field::Who)),
+            style(Field::Who),
+        ),
         Span::raw(" "),
-        Span::styled(format!(" note: {}{} ", form.note, mark(Field::Note)), style(Field::Note)),
+        Span::styled(
+            format!(" note: {}{} ", form.note, mark(Field::Note)),
+            style(Field::Note),
+        ),
     ]);
     let hint = "  Tab field, Enter send, Esc back";
     if line.width() + hint.len() <= usize::from(area.width) {
         line.push_span(Span::styled(hint, Modifier::DIM));
     }
     // a long note is seen where it is being typed: at its end
-    let line = if line.width() > usize::from(area.width) { line.right_aligned() } else { line };
+    let line = if line.width() > usize::from(area.width) {
+        line.right_aligned()
+    } else {
+        line
+    };
     frame.render_widget(line, area);
 }
 
 fn draw_help(frame: &mut Frame<'_>, area: Rect) {
-    let width = HELP.lines().map(|line| Line::from(line).width()).max().unwrap_or(0) + usize::from(MARGINS);
+    let width = HELP
+        .lines()
+        .map(|line| Line::from(line).width())
+        .max()
+        .unwrap_or(0)
+        + usize::from(MARGINS);
     let height = HELP.lines().count() + usize::from(BORDERS);
     let fit = |wanted: usize, most: u16| u16::try_from(wanted).unwrap_or(most).min(most);
     let (width, height) = (fit(width, area.width), fit(height, area.height));
-    let [column] = Layout::horizontal([Constraint::Length(width)]).flex(ratatui::layout::Flex::Center).areas(area);
-    let [help] = Layout::vertical([Constraint::Length(height)]).flex(ratatui::layout::Flex::Center).areas(column);
+    let [column] = Layout::horizontal([Constraint::Length(width)])
+        .flex(ratatui::layout::Flex::Center)
+        .areas(area);
+    let [help] = Layout::vertical([Constraint::Length(height)])
+        .flex(ratatui::layout::Flex::Center)
+        .areas(column);
     frame.render_widget(Clear, help);
-    let block = Block::bordered().padding(Padding::horizontal(1)).title(" spandrel watch ");
+    let block = Block::bordered()
+        .padding(Padding::horizontal(1))
+        .title(" spandrel watch ");
     frame.render_widget(Paragraph::new(HELP).block(block), help);
 }
 

@@ -57,9 +57,13 @@ impl Axis {
     pub fn around(values: impl Iterator<Item = f64>) -> Self {
         let (least, most) = FURTHEST;
         let within = |value: f64| value.clamp(least, most);
-        let (low, high) =
-            values.fold((1.0_f64, 1.0_f64), |(low, high), value| (low.min(within(value)), high.max(within(value))));
-        Self { low: ((low - MARGIN) / GRID).floor() * GRID, high: ((high + MARGIN) / GRID).ceil() * GRID }
+        let (low, high) = values.fold((1.0_f64, 1.0_f64), |(low, high), value| {
+            (low.min(within(value)), high.max(within(value)))
+        });
+        Self {
+            low: ((low - MARGIN) / GRID).floor() * GRID,
+            high: ((high + MARGIN) / GRID).ceil() * GRID,
+        }
     }
 
     /// The ends as text.
@@ -86,9 +90,16 @@ impl Axis {
         let limit = self.cell(marks.limit, width);
         cells[self.cell(marks.reference, width)] = REFERENCE;
         cells[limit] = LIMIT;
-        let (low, high) = (self.cell(marks.interval.0, width), self.cell(marks.interval.1, width));
+        let (low, high) = (
+            self.cell(marks.interval.0, width),
+            self.cell(marks.interval.1, width),
+        );
         for (at, cell) in cells.iter_mut().enumerate().take(high + 1).skip(low) {
-            *cell = if at == limit { LIMIT_IN_INTERVAL } else { INTERVAL };
+            *cell = if at == limit {
+                LIMIT_IN_INTERVAL
+            } else {
+                INTERVAL
+            };
         }
         cells[self.cell(marks.mean, width)] = MEAN;
         cells.into_iter().collect()
@@ -96,7 +107,9 @@ impl Axis {
 
     /// Draws values, newest at the right, into `width` characters.
     pub fn trend(self, width: usize, values: impl Iterator<Item = Option<f64>>) -> String {
-        let block = |value: f64| LEVELS[((self.fraction(value) * LEVELS.len() as f64) as usize).min(LEVELS.len() - 1)];
+        let block = |value: f64| {
+            LEVELS[((self.fraction(value) * LEVELS.len() as f64) as usize).min(LEVELS.len() - 1)]
+        };
         let blocks: String = values.map(|value| value.map_or(' ', block)).collect();
         format!("{blocks:>width$}")
     }
@@ -109,10 +122,18 @@ mod tests {
     use spandrel_bus::AlertState;
 
     fn marks(mean: f64, half_width: f64) -> Marks {
-        Marks { mean, interval: (mean - half_width, mean + half_width), limit: 0.945, reference: 1.005 }
+        Marks {
+            mean,
+            interval: (mean - half_width, mean + half_width),
+            limit: 0.945,
+            reference: 1.005,
+        }
     }
 
-    const AXIS: Axis = Axis { low: 0.8, high: 1.2 };
+    const AXIS: Axis = Axis {
+        low: 0.8,
+        high: 1.2,
+    };
 
     #[test]
     fn bar_shows_mean_interval_limit_and_reference_in_their_places() {
@@ -134,9 +155,18 @@ mod tests {
 
     #[test]
     fn axis_holds_all_values_on_its_grid_and_stays_in_bounds() {
-        assert_eq!(Axis::around([0.86, 1.03].into_iter()).labels(), ("0.85".to_owned(), "1.05".to_owned()));
-        assert_eq!(Axis::around(std::iter::empty()).labels(), ("0.95".to_owned(), "1.05".to_owned()));
-        assert_eq!(Axis::around([-1e300, 1e300].into_iter()).labels(), ("-0.05".to_owned(), "2.05".to_owned()));
+        assert_eq!(
+            Axis::around([0.86, 1.03].into_iter()).labels(),
+            ("0.85".to_owned(), "1.05".to_owned())
+        );
+        assert_eq!(
+            Axis::around(std::iter::empty()).labels(),
+            ("0.95".to_owned(), "1.05".to_owned())
+        );
+        assert_eq!(
+            Axis::around([-1e300, 1e300].into_iter()).labels(),
+            ("-0.05".to_owned(), "2.05".to_owned())
+        );
     }
 
     #[test]

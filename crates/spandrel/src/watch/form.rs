@@ -36,8 +36,16 @@ pub enum Typed {
 impl Form {
     /// Starts with a name, and then with the note.
     pub fn new(who: String) -> Self {
-        let field = if who.is_empty() { Field::Who } else { Field::Note };
-        Self { who, note: String::new(), field }
+        let field = if who.is_empty() {
+            Field::Who
+        } else {
+            Field::Note
+        };
+        Self {
+            who,
+            note: String::new(),
+            field,
+        }
     }
 
     /// Takes a key.
@@ -84,7 +92,10 @@ mod tests {
     use super::*;
 
     fn typed(form: &mut Form, keys: &[KeyCode]) -> Typed {
-        keys.iter().map(|code| form.key(KeyEvent::from(*code))).last().unwrap_or(Typed::On)
+        keys.iter()
+            .map(|code| form.key(KeyEvent::from(*code)))
+            .last()
+            .unwrap_or(Typed::On)
     }
 
     fn letters(text: &str) -> Vec<KeyCode> {
@@ -97,14 +108,26 @@ mod tests {
         typed(&mut form, &letters("anna"));
         typed(&mut form, &[KeyCode::Tab]);
         typed(&mut form, &letters("seen on sitee"));
-        assert_eq!(typed(&mut form, &[KeyCode::Backspace, KeyCode::Enter]), Typed::Done);
-        assert_eq!((form.who.as_str(), form.note.as_str()), ("anna", "seen on site"));
+        assert_eq!(
+            typed(&mut form, &[KeyCode::Backspace, KeyCode::Enter]),
+            Typed::Done
+        );
+        assert_eq!(
+            (form.who.as_str(), form.note.as_str()),
+            ("anna", "seen on site")
+        );
     }
 
     #[test]
     fn nobody_cannot_acknowledge() {
         let mut form = Form::new(String::new());
-        assert_eq!(typed(&mut form, &[KeyCode::Char(' '), KeyCode::Tab, KeyCode::Enter]), Typed::On);
+        assert_eq!(
+            typed(
+                &mut form,
+                &[KeyCode::Char(' '), KeyCode::Tab, KeyCode::Enter]
+            ),
+            Typed::On
+        );
         assert_eq!(form.field, Field::Who);
     }
 

@@ -3,8 +3,9 @@
 use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Arrivals, Event, EventKind, FitDisplay, MAX_CHANNELS, ModelClassDisplay, Name,
-    NodeDisplay, NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status, is_without_date, pace_told,
+    AlertMessage, AlertState, Arrivals, Event, EventKind, FitDisplay, MAX_CHANNELS,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, Pace, ParameterDisplay, Progress, Service,
+    Status, is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -125,7 +126,9 @@ impl Heard {
             Input::Alert(alert) => self.take_alert(alert, changes),
             Input::StandingAlert(alert) => {
                 // what came by itself meanwhile is at least as new, unless it is that of an earlier life
-                let known = self.structure(&alert.structure).and_then(|structure| structure.alert(&alert.parameter));
+                let known = self
+                    .structure(&alert.structure)
+                    .and_then(|structure| structure.alert(&alert.parameter));
                 if known.is_none_or(|known| known.time_ns < alert.time_ns || self.is_stale(known)) {
                     self.take_alert(alert, changes);
                 }
@@ -145,7 +148,9 @@ impl Heard {
             Input::Status(status) => self.take_status(status),
             Input::Ingested(structure, progress) => {
                 if let Some(structure) = self.structure_mut(&structure) {
-                    structure.arrivals.ingested(progress.header.epoch, progress.header.time_ns);
+                    structure
+                        .arrivals
+                        .ingested(progress.header.epoch, progress.header.time_ns);
                 }
             }
             Input::Present(instances) => self.take_present(&instances),
@@ -155,7 +160,9 @@ impl Heard {
 
     fn take_parameter(&mut self, display: ParameterDisplay) {
         let (now, time_ns) = (self.now, display.time_ns);
-        let Some(structure) = self.structure_mut(&display.structure) else { return };
+        let Some(structure) = self.structure_mut(&display.structure) else {
+            return;
+        };
         let name = NaturalName(display.parameter.clone());
         if !has_room(&structure.parameters, &name, MAX_CHANNELS) {
             self.left_out += 1;
@@ -165,9 +172,10 @@ impl Heard {
         structure.time_ns = Some(time_ns);
         let mean = display.mean;
         let heard = match structure.parameters.entry(name) {
-            std::collections::btree_map::Entry::Vacant(entry) => {
-                entry.insert(ParameterHeard { display, trail: Trail::default() })
-            }
+            std::collections::btree_map::Entry::Vacant(entry) => entry.insert(ParameterHeard {
+                display,
+                trail: Trail::default(),
+            }),
             std::collections::btree_map::Entry::Occupied(entry) => {
                 let heard = entry.into_mut();
                 heard.display = display;
@@ -178,18 +186,28 @@ impl Heard {
     }
 
     fn take_node(&mut self, display: NodeDisplay) {
-        let Some(structure) = self.structure_mut(&display.structure) else { return };
+        let Some(structure) = self.structure_mut(&display.structure) else {
+            return;
+        };
         let name = NaturalName(display.node.clone());
         if !has_room(&structure.nodes, &name, MOST_INSTANCES) {
             self.left_out += 1;
             return;
         }
-        structure.nodes.entry(name).or_insert_with(|| NodeHeard { lately: VecDeque::new() }).take(display);
+        structure
+            .nodes
+            .entry(name)
+            .or_insert_with(|| NodeHeard {
+                lately: VecDeque::new(),
+            })
+            .take(display);
     }
 
     fn take_noise(&mut self, display: NoiseDisplay) {
         let now = self.now;
-        let Some(structure) = self.structure_mut(&display.structure) else { return };
+        let Some(structure) = self.structure_mut(&display.structure) else {
+            return;
+        };
         let name = NaturalName(display.name.clone());
         if !has_room(&structure.noise, &name, MAX_CHANNELS) {
             self.left_out += 1;
@@ -204,7 +222,8 @@ impl Heard {
     fn take_event(&mut self, event: Event) {
         if matches!(event.kind, EventKind::LeadingClass | EventKind::Calibration) {
             let is_outdone = |kept: &Event| {
-                (&kept.structure, kept.kind, &kept.subject) == (&event.structure, event.kind, &event.subject)
+                (&kept.structure, kept.kind, &kept.subject)
+                    == (&event.structure, event.kind, &event.subject)
             };
             self.events.retain(|kept| !is_outdone(kept));
         }
@@ -213,7 +232,9 @@ impl Heard {
     }
 
     fn take_alert(&mut self, alert: AlertMessage, changes: &mut Vec<AlertMessage>) {
-        let Some(structure) = self.structure_mut(&alert.structure) else { return };
+        let Some(structure) = self.structure_mut(&alert.structure) else {
+            return;
+        };
         let name = NaturalName(alert.parameter.clone());
         if !has_room(&structure.alerts, &name, MAX_CHANNELS) {
             self.left_out += 1;
@@ -232,12 +253,16 @@ impl Heard {
 
     fn take_status(&mut self, status: Status) {
         let now = self.now;
-        let service = Service::ALL.into_iter().find(|service| service.as_str() == status.service.as_str());
+        let service = Service::ALL
+            .into_iter()
+            .find(|service| service.as_str() == status.service.as_str());
         let Some(service) = service else {
             self.left_out += 1;
             return;
         };
-        let Some(structure) = self.structure_mut(&status.structure) else { return };
+        let Some(structure) = self.structure_mut(&status.structure) else {
+            return;
+        };
         let key = (service, status.id.clone());
         if !has_room(&structure.instances, &key, MOST_INSTANCES) {
             self.left_out += 1;
@@ -250,11 +275,18 @@ impl Heard {
 
     fn take_present(&mut self, present: &BTreeSet<Instance>) {
         let [had_alert_service, had_ingest] = [Service::Alert, Service::Ingest].map(|service| {
-            let had = self.structures.iter().filter(|(_, structure)| structure.has(service));
-            had.map(|(name, _)| name.clone()).collect::<Vec<NaturalName>>()
+            let had = self
+                .structures
+                .iter()
+                .filter(|(_, structure)| structure.has(service));
+            had.map(|(name, _)| name.clone())
+                .collect::<Vec<NaturalName>>()
         });
         for structure in self.structures.values_mut() {
-            structure.instances.values_mut().for_each(|instance| instance.is_present = false);
+            structure
+                .instances
+                .values_mut()
+                .for_each(|instance| instance.is_present = false);
         }
         for instance in present {
             let key = (instance.service, instance.id.clone());
@@ -267,21 +299,31 @@ impl Heard {
             }
         }
         for name in had_alert_service {
-            if let Some(structure) = self.structures.get_mut(&name).filter(|structure| !structure.has(Service::Alert)) {
+            if let Some(structure) = self
+                .structures
+                .get_mut(&name)
+                .filter(|structure| !structure.has(Service::Alert))
+            {
                 structure.stale_alerts = structure.alerts.keys().cloned().collect();
             }
         }
         for name in had_ingest {
-            if let Some(structure) = self.structures.get_mut(&name).filter(|structure| !structure.has(Service::Ingest))
+            if let Some(structure) = self
+                .structures
+                .get_mut(&name)
+                .filter(|structure| !structure.has(Service::Ingest))
             {
                 structure.arrivals.ingest_left();
             }
         }
         for structure in self.structures.values_mut() {
             // a node or service that went and never said how it does leaves no trace
-            structure.instances.retain(|_, instance| instance.is_present || instance.status.is_some());
+            structure
+                .instances
+                .retain(|_, instance| instance.is_present || instance.status.is_some());
         }
-        self.structures.retain(|_, structure| !structure.is_silent());
+        self.structures
+            .retain(|_, structure| !structure.is_silent());
     }
 
     /// Returns the structure, made known if there is room; counts what is left out.
@@ -296,7 +338,9 @@ impl Heard {
 
     /// The structures heard of, in the order of their names.
     pub fn structures(&self) -> impl ExactSizeIterator<Item = (&Name, &StructureHeard)> {
-        self.structures.iter().map(|(name, structure)| (&name.0, structure))
+        self.structures
+            .iter()
+            .map(|(name, structure)| (&name.0, structure))
     }
 
     /// One structure.
@@ -311,7 +355,10 @@ impl Heard {
 
     /// The alerts that people should know of, newest first: all but the normal ones and those being learnt.
     pub fn open_alerts(&self) -> Vec<&AlertMessage> {
-        let all = self.structures.values().flat_map(|structure| structure.alerts.values());
+        let all = self
+            .structures
+            .values()
+            .flat_map(|structure| structure.alerts.values());
         let mut open: Vec<&AlertMessage> = all.filter(|alert| is_open(alert.state)).collect();
         open.sort_by_key(|alert| std::cmp::Reverse(alert.time_ns));
         open
@@ -319,7 +366,8 @@ impl Heard {
 
     /// Whether the service that told an alert has gone, and no other has said how it stands.
     pub fn is_stale(&self, alert: &AlertMessage) -> bool {
-        self.structure(&alert.structure).is_some_and(|structure| structure.is_stale(&alert.parameter))
+        self.structure(&alert.structure)
+            .is_some_and(|structure| structure.is_stale(&alert.parameter))
     }
 
     /// How long nothing was measured, once that is too long; `None` also before the first value that was not read again from the
@@ -353,12 +401,25 @@ impl Heard {
 impl StructureHeard {
     /// Whether nobody is there, and nothing was ever heard.
     fn is_silent(&self) -> bool {
-        let Self { parameters, noise, alerts, nodes, instances, .. } = self;
-        parameters.is_empty() && noise.is_empty() && alerts.is_empty() && nodes.is_empty() && instances.is_empty()
+        let Self {
+            parameters,
+            noise,
+            alerts,
+            nodes,
+            instances,
+            ..
+        } = self;
+        parameters.is_empty()
+            && noise.is_empty()
+            && alerts.is_empty()
+            && nodes.is_empty()
+            && instances.is_empty()
     }
 
     fn has(&self, service: Service) -> bool {
-        self.instances.iter().any(|((one, _), instance)| *one == service && instance.is_present)
+        self.instances
+            .iter()
+            .any(|((one, _), instance)| *one == service && instance.is_present)
     }
 
     /// Where the last value comes from.
@@ -379,7 +440,9 @@ impl StructureHeard {
 
     /// Whether what is measured is of a record or a simulation, whose times are their own.
     pub fn is_replayed(&self) -> bool {
-        let Some(time_ns) = self.time_ns else { return false };
+        let Some(time_ns) = self.time_ns else {
+            return false;
+        };
         is_without_date(time_ns) || self.pace() == Some(Pace::Replayed)
     }
 
@@ -389,12 +452,21 @@ impl StructureHeard {
     }
 
     fn pace(&self) -> Option<Pace> {
-        pace_told(self.instances.values().filter_map(|instance| instance.status.as_ref()))
+        pace_told(
+            self.instances
+                .values()
+                .filter_map(|instance| instance.status.as_ref()),
+        )
     }
 
     /// What the newest value of a parameter says of the loss that its alert is about.
     pub fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
-        alert.loss_by(&self.parameters.get(&NaturalName(alert.parameter.clone()))?.display)
+        alert.loss_by(
+            &self
+                .parameters
+                .get(&NaturalName(alert.parameter.clone()))?
+                .display,
+        )
     }
 
     /// The alert of a parameter.
@@ -430,8 +502,12 @@ impl NodeHeard {
         let (first, last) = (self.lately.front()?, self.lately.back()?);
         let seconds = last.time_ns.saturating_sub(first.time_ns) as f64 * 1e-9;
         let rate = |first: u64, last: u64| last.saturating_sub(first) as f64 / seconds;
-        (seconds > 0.0)
-            .then(|| (rate(first.bytes_received, last.bytes_received), rate(first.bytes_sent, last.bytes_sent)))
+        (seconds > 0.0).then(|| {
+            (
+                rate(first.bytes_received, last.bytes_received),
+                rate(first.bytes_sent, last.bytes_sent),
+            )
+        })
     }
 }
 

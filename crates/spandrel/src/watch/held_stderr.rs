@@ -100,7 +100,14 @@ mod tests {
         for _ in 0..1000 {
             held.push(&line);
         }
-        assert!(held.bytes.len() <= MOST_HELD && held.bytes.len() > MOST_HELD - 2 * line.len(), "{}", held.bytes.len());
-        assert_eq!((held.bytes.len() + held.lost, held.bytes.len() % 100), (100_000, 0));
+        assert!(
+            held.bytes.len() <= MOST_HELD && held.bytes.len() > MOST_HELD - 2 * line.len(),
+            "{}",
+            held.bytes.len()
+        );
+        assert_eq!(
+            (held.bytes.len() + held.lost, held.bytes.len() % 100),
+            (100_000, 0)
+        );
     }
 }

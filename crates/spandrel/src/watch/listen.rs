@@ -4,8 +4,8 @@ use super::heard::{Input, Instance};
 use super::topics::{KeyExpressions, OnTopic, ingested, input, instance};
 use crate::error::AppError;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, Event, FitDisplay, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
-    ParameterDisplay, Progress, Service, Status, Subscription,
+    AlertMessage, Bus, BusError, Event, FitDisplay, LiveWatch, ModelClassDisplay, Name,
+    NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Subscription,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -56,15 +56,33 @@ impl Listening {
         let mut listening = Self {
             bus: bus.clone(),
             root: root.clone(),
-            parameters: bus.subscribe(expressions.parameters.clone(), VALUES_WAITING).await?,
-            noise: bus.subscribe(expressions.noise.clone(), VALUES_WAITING).await?,
-            classes: bus.subscribe(expressions.classes.clone(), STATUSES_WAITING).await?,
-            fits: bus.subscribe(expressions.fits.clone(), STATUSES_WAITING).await?,
-            nodes: bus.subscribe(expressions.nodes.clone(), VALUES_WAITING).await?,
-            alerts: bus.subscribe(expressions.alerts.clone(), ALERTS_WAITING).await?,
-            events: bus.subscribe(expressions.events.clone(), ALERTS_WAITING).await?,
-            statuses: bus.subscribe(expressions.statuses.clone(), STATUSES_WAITING).await?,
-            ingested: bus.subscribe(expressions.ingested.clone(), STATUSES_WAITING).await?,
+            parameters: bus
+                .subscribe(expressions.parameters.clone(), VALUES_WAITING)
+                .await?,
+            noise: bus
+                .subscribe(expressions.noise.clone(), VALUES_WAITING)
+                .await?,
+            classes: bus
+                .subscribe(expressions.classes.clone(), STATUSES_WAITING)
+                .await?,
+            fits: bus
+                .subscribe(expressions.fits.clone(), STATUSES_WAITING)
+                .await?,
+            nodes: bus
+                .subscribe(expressions.nodes.clone(), VALUES_WAITING)
+                .await?,
+            alerts: bus
+                .subscribe(expressions.alerts.clone(), ALERTS_WAITING)
+                .await?,
+            events: bus
+                .subscribe(expressions.events.clone(), ALERTS_WAITING)
+                .await?,
+            statuses: bus
+                .subscribe(expressions.statuses.clone(), STATUSES_WAITING)
+                .await?,
+            ingested: bus
+                .subscribe(expressions.ingested.clone(), STATUSES_WAITING)
+                .await?,
             live,
             present: BTreeSet::new(),
             asked: JoinSet::new(),
@@ -77,7 +95,8 @@ impl Listening {
     /// Asks how the alerts stand; the answer comes with what is gathered later.
     fn ask(&mut self) {
         let (bus, alerts) = (self.bus.clone(), self.expressions.alerts.clone());
-        self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+        self.asked
+            .spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
     }
 
     /// Returns what has come since the last time.
@@ -98,9 +117,11 @@ impl Listening {
         drain(&self.root, &self.events, &mut inputs);
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
-                Ok(Ok(alerts)) => {
-                    inputs.extend(alerts.into_iter().map(|(key, alert)| standing(&self.root, &key, alert)))
-                }
+                Ok(Ok(alerts)) => inputs.extend(
+                    alerts
+                        .into_iter()
+                        .map(|(key, alert)| standing(&self.root, &key, alert)),
+                ),
                 Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
                 Err(error) => warn!(%error, "question for the last alerts is lost"),
             }
@@ -110,13 +131,15 @@ impl Listening {
 
     fn gather_present(&mut self, inputs: &mut Vec<Input>) {
         let keys = self.live.iter().flat_map(LiveWatch::present);
-        let present: BTreeSet<Instance> = keys.filter_map(|key| instance(&self.root, &key)).collect();
+        let present: BTreeSet<Instance> =
+            keys.filter_map(|key| instance(&self.root, &key)).collect();
         if present == self.present {
             return;
         }
         // one that has come back, or that was reached again, may stand otherwise than we know
-        let has_new_alert_service =
-            present.difference(&self.present).any(|instance| instance.service == Service::Alert);
+        let has_new_alert_service = present
+            .difference(&self.present)
+            .any(|instance| instance.service == Service::Alert);
         if has_new_alert_service {
             self.ask();
         }
@@ -141,10 +164,19 @@ impl Listening {
     }
 }
 
-fn drain<M: OnTopic + Send + 'static>(root: &Name, subscription: &Subscription<M>, inputs: &mut Vec<Input>) {
+fn drain<M: OnTopic + Send + 'static>(
+    root: &Name,
+    subscription: &Subscription<M>,
+    inputs: &mut Vec<Input>,
+) {
     let messages = subscription.messages();
     // what comes meanwhile waits: a source at full speed must not keep us here
-    inputs.extend(messages.try_iter().take(messages.len()).map(|(key, message)| input(root, &key, message)));
+    inputs.extend(
+        messages
+            .try_iter()
+            .take(messages.len())
+            .map(|(key, message)| input(root, &key, message)),
+    );
 }
 
 fn standing(root: &Name, key: &str, alert: AlertMessage) -> Input {

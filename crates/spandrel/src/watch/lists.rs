@@ -22,7 +22,11 @@ enum Structures {
 
 impl Structures {
     fn of(heard: &Heard) -> Self {
-        if heard.structures().len() > 1 { Self::Several } else { Self::One }
+        if heard.structures().len() > 1 {
+            Self::Several
+        } else {
+            Self::One
+        }
     }
 
     fn prefix(self, structure: &Name) -> String {
@@ -47,31 +51,66 @@ pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static
         return vec![Line::from("  none").style(Modifier::DIM)];
     };
     let structures = Structures::of(&view.heard);
-    let mut entries: Vec<Vec<Line<'static>>> =
-        alerts.iter().map(|alert| alert_entry(&view.heard, alert, structures, width)).collect();
+    let mut entries: Vec<Vec<Line<'static>>> = alerts
+        .iter()
+        .map(|alert| alert_entry(&view.heard, alert, structures, width))
+        .collect();
     mark(&mut entries[selected]);
     let mut first = 0;
-    while first < selected && entries[first..=selected].iter().map(Vec::len).sum::<usize>() > height {
+    while first < selected
+        && entries[first..=selected]
+            .iter()
+            .map(Vec::len)
+            .sum::<usize>()
+            > height
+    {
         first += 1;
     }
     entries.into_iter().skip(first).flatten().collect()
 }
 
-fn alert_entry(heard: &Heard, alert: &AlertMessage, structures: Structures, width: usize) -> Vec<Line<'static>> {
-    let stale = if heard.is_stale(alert) { "stale, the alert service that said so is gone: " } else { "" };
-    let sentence = printable(&format!("{stale}{}{}", structures.prefix(&alert.structure), alert.why));
-    let state = Span::styled(format!("{:<14}", alert.state.as_str()), state_style(alert.state));
+fn alert_entry(
+    heard: &Heard,
+    alert: &AlertMessage,
+    structures: Structures,
+    width: usize,
+) -> Vec<Line<'static>> {
+    let stale = if heard.is_stale(alert) {
+        "stale, the alert service that said so is gone: "
+    } else {
+        ""
+    };
+    let sentence = printable(&format!(
+        "{stale}{}{}",
+        structures.prefix(&alert.structure),
+        alert.why
+    ));
+    let state = Span::styled(
+        format!("{:<14}", alert.state.as_str()),
+        state_style(alert.state),
+    );
     let mut lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
     // the sentence stays that of the change
-    if let Some(now) = heard.structure(&alert.structure).and_then(|structure| structure.present_loss(alert)) {
-        let is_stale = heard.structure(&alert.structure).is_some_and(|of| heard.silence_of_data(of).is_some());
+    if let Some(now) = heard
+        .structure(&alert.structure)
+        .and_then(|structure| structure.present_loss(alert))
+    {
+        let is_stale = heard
+            .structure(&alert.structure)
+            .is_some_and(|of| heard.silence_of_data(of).is_some());
         let when = if is_stale { "by the last value" } else { "now" };
-        lines.extend(wrap(&format!("{when}: {now}"), width.saturating_sub(BEFORE_SENTENCE)));
+        lines.extend(wrap(
+            &format!("{when}: {now}"),
+            width.saturating_sub(BEFORE_SENTENCE),
+        ));
     }
-    let with_head = lines.into_iter().enumerate().map(|(index, text)| match index {
-        0 => Line::from_iter([Span::raw("  "), state.clone(), Span::raw(text)]),
-        _ => Line::from(format!("{}{text}", " ".repeat(BEFORE_SENTENCE))),
-    });
+    let with_head = lines
+        .into_iter()
+        .enumerate()
+        .map(|(index, text)| match index {
+            0 => Line::from_iter([Span::raw("  "), state.clone(), Span::raw(text)]),
+            _ => Line::from(format!("{}{text}", " ".repeat(BEFORE_SENTENCE))),
+        });
     with_head.collect()
 }
 
@@ -88,7 +127,10 @@ fn mark(entry: &mut [Line<'static>]) {
 /// The last events, newest first.
 pub fn event_lines(heard: &Heard, width: usize) -> Vec<Line<'static>> {
     let structures = Structures::of(heard);
-    let lines: Vec<Line<'static>> = heard.events().flat_map(|event| event_entry(event, structures, width)).collect();
+    let lines: Vec<Line<'static>> = heard
+        .events()
+        .flat_map(|event| event_entry(event, structures, width))
+        .collect();
     if lines.is_empty() {
         return vec![Line::from("  none").style(Modifier::DIM)];
     }
@@ -96,11 +138,29 @@ pub fn event_lines(heard: &Heard, width: usize) -> Vec<Line<'static>> {
 }
 
 fn event_entry(event: &Event, structures: Structures, width: usize) -> Vec<Line<'static>> {
-    let Event { structure, time_ns, subject, what, why, .. } = event;
+    let Event {
+        structure,
+        time_ns,
+        subject,
+        what,
+        why,
+        ..
+    } = event;
     let whose = structures.prefix(structure);
-    let subject = if what.contains(subject.as_str()) { String::new() } else { format!("{subject}: ") };
-    let why = if why.is_empty() { String::new() } else { format!(" ({why})") };
+    let subject = if what.contains(subject.as_str()) {
+        String::new()
+    } else {
+        format!("{subject}: ")
+    };
+    let why = if why.is_empty() {
+        String::new()
+    } else {
+        format!(" ({why})")
+    };
     let text = printable(&format!("{}  {whose}{subject}{what}{why}", time(*time_ns)));
     let lines = wrap(&text, width.saturating_sub(EVENT_INDENT));
-    lines.into_iter().map(|text| Line::from(format!("{}{text}", " ".repeat(EVENT_INDENT)))).collect()
+    lines
+        .into_iter()
+        .map(|text| Line::from(format!("{}{text}", " ".repeat(EVENT_INDENT))))
+        .collect()
 }

@@ -43,7 +43,9 @@ fn pieces(text: &str) -> impl Iterator<Item = &str> {
     let mut rest = text;
     std::iter::from_fn(move || {
         let is_digit = rest.chars().next()?.is_ascii_digit();
-        let end = rest.find(|c: char| c.is_ascii_digit() != is_digit).unwrap_or(rest.len());
+        let end = rest
+            .find(|c: char| c.is_ascii_digit() != is_digit)
+            .unwrap_or(rest.len());
         let (piece, after) = rest.split_at(end);
         rest = after;
         Some(piece)
@@ -56,10 +58,20 @@ mod tests {
 
     #[test]
     fn numbers_in_names_are_ordered_by_value() {
-        let sorted =
-            ["alpha", "storey-1", "storey-02", "storey-2", "storey-2-a", "storey-10", "storey-99999999999999999999"];
-        let mut names: Vec<NaturalName> =
-            sorted.iter().rev().map(|text| NaturalName(Name::new(*text).unwrap())).collect();
+        let sorted = [
+            "alpha",
+            "storey-1",
+            "storey-02",
+            "storey-2",
+            "storey-2-a",
+            "storey-10",
+            "storey-99999999999999999999",
+        ];
+        let mut names: Vec<NaturalName> = sorted
+            .iter()
+            .rev()
+            .map(|text| NaturalName(Name::new(*text).unwrap()))
+            .collect();
         names.sort();
         let found: Vec<&str> = names.iter().map(|name| name.0.as_str()).collect();
         assert_eq!(found, sorted);

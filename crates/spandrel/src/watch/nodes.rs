@@ -7,7 +7,12 @@ use ratatui::text::{Line, Span};
 use spandrel_bus::{Name, NodeDisplay, NodeHealth};
 
 /// States, those that people should look into first.
-const ORDER: [NodeHealth; 4] = [NodeHealth::Excluded, NodeHealth::Silent, NodeHealth::Used, NodeHealth::Ended];
+const ORDER: [NodeHealth; 4] = [
+    NodeHealth::Excluded,
+    NodeHealth::Silent,
+    NodeHealth::Used,
+    NodeHealth::Ended,
+];
 
 fn word(state: NodeHealth) -> &'static str {
     match state {
@@ -45,7 +50,10 @@ fn state(display: &NodeDisplay) -> String {
         NodeHealth::Used | NodeHealth::Ended => None,
     };
     let word = word(display.state);
-    since_ns.map_or_else(|| word.to_owned(), |since_ns| format!("{word} since {}", time(since_ns)))
+    since_ns.map_or_else(
+        || word.to_owned(),
+        |since_ns| format!("{word} since {}", time(since_ns)),
+    )
 }
 
 /// `distance 2.1 of 5.4`: of what is regular, and what a node counts that is discounted; without a detector there is no distance.
@@ -55,7 +63,10 @@ fn distance(display: &NodeDisplay) -> String {
         (Some(distance), None) => format!("distance {distance:.1}"),
         (None, _) => "distance –".to_owned(),
     };
-    match display.weight.filter(|weight| *weight > 0.0 && *weight < 1.0) {
+    match display
+        .weight
+        .filter(|weight| *weight > 0.0 && *weight < 1.0)
+    {
         Some(weight) => format!("{distance}, counts {weight:.2}"),
         None => distance,
     }
@@ -73,7 +84,13 @@ fn rates(heard: &NodeHeard) -> String {
 pub fn plain_line(structure: &Name, heard: &NodeHeard) -> String {
     let display = heard.display();
     let NodeDisplay { node, time_ns, .. } = display;
-    format!("{} node {structure}/{node} {}, {}, {}", time(*time_ns), state(display), distance(display), rates(heard))
+    format!(
+        "{} node {structure}/{node} {}, {}, {}",
+        time(*time_ns),
+        state(display),
+        distance(display),
+        rates(heard)
+    )
 }
 
 /// The nodes of a panel: how many are in which state, then one on each line, those in trouble first; nothing without nodes.
@@ -82,23 +99,48 @@ pub fn panel_lines<'h>(nodes: impl Iterator<Item = &'h NodeHeard>) -> Vec<Line<'
     if nodes.is_empty() {
         return Vec::new();
     }
-    nodes.sort_by_key(|heard| ORDER.iter().position(|state| *state == heard.display().state));
-    let count = |state: NodeHealth| nodes.iter().filter(|heard| heard.display().state == state).count();
+    nodes.sort_by_key(|heard| {
+        ORDER
+            .iter()
+            .position(|state| *state == heard.display().state)
+    });
+    let count = |state: NodeHealth| {
+        nodes
+            .iter()
+            .filter(|heard| heard.display().state == state)
+            .count()
+    };
     let counts = ORDER.into_iter().filter(|state| count(*state) > 0);
-    let counts: Vec<String> = counts.map(|state| format!("{} {}", count(state), word(state))).collect();
+    let counts: Vec<String> = counts
+        .map(|state| format!("{} {}", count(state), word(state)))
+        .collect();
     let nodes = nodes.iter().copied();
-    let widest = |of: fn(&NodeDisplay) -> String| nodes.clone().map(|heard| of(heard.display()).chars().count()).max();
+    let widest = |of: fn(&NodeDisplay) -> String| {
+        nodes
+            .clone()
+            .map(|heard| of(heard.display()).chars().count())
+            .max()
+    };
     let name = widest(|display| display.node.to_string()).unwrap_or(0);
     let (of_state, of_distance) = (widest(state).unwrap_or(0), widest(distance).unwrap_or(0));
     let line = |heard: &NodeHeard| {
         let display = heard.display();
         Line::from_iter([
             Span::raw(format!("node {:<name$}  ", display.node.as_str())),
-            Span::styled(format!("{} {:<of_state$}", sign(display.state), state(display)), style(display.state)),
-            Span::raw(format!("  {:<of_distance$}  {}", distance(display), rates(heard))),
+            Span::styled(
+                format!("{} {:<of_state$}", sign(display.state), state(display)),
+                style(display.state),
+            ),
+            Span::raw(format!(
+                "  {:<of_distance$}  {}",
+                distance(display),
+                rates(heard)
+            )),
         ])
     };
-    std::iter::once(Line::from(format!("nodes        {}", counts.join(" · ")))).chain(nodes.clone().map(line)).collect()
+    std::iter::once(Line::from(format!("nodes        {}", counts.join(" · "))))
+        .chain(nodes.clone().map(line))
+        .collect()
 }
 
 #[cfg(test)]
@@ -110,7 +152,11 @@ mod tests {
     fn lines(inputs: impl IntoIterator<Item = Input>) -> Vec<String> {
         let heard = heard(inputs);
         let tower = heard.structure(&name("tower")).unwrap();
-        tower.nodes.values().map(|node| plain_line(&name("tower"), node)).collect()
+        tower
+            .nodes
+            .values()
+            .map(|node| plain_line(&name("tower"), node))
+            .collect()
     }
 
     #[test]
@@ -118,7 +164,8 @@ mod tests {
         let mut silent = node("floor-8", 60, NodeHealth::Silent);
         (silent.silent_since_ns, silent.distance) = (Some(silent.time_ns - 12_000_000_000), None);
         let mut excluded = node("floor-20", 60, NodeHealth::Excluded);
-        (excluded.excluded_since_ns, excluded.distance) = (Some(excluded.time_ns - 60_000_000_000), Some(21.13));
+        (excluded.excluded_since_ns, excluded.distance) =
+            (Some(excluded.time_ns - 60_000_000_000), Some(21.13));
         let before = node("floor-20", 50, NodeHealth::Used);
         assert_eq!(
             lines([silent, before, excluded].map(Input::Node)),
@@ -136,7 +183,9 @@ mod tests {
         (discounted.distance, discounted.weight) = (Some(7.2), Some(0.5625));
         assert_eq!(
             lines([Input::Node(discounted)]),
-            ["2024-02-29 12:01:00 UTC node tower/floor-20 alive, distance 7.2 of 5.4, counts 0.56, – B/s"]
+            [
+                "2024-02-29 12:01:00 UTC node tower/floor-20 alive, distance 7.2 of 5.4, counts 0.56, – B/s"
+            ]
         );
     }
 
@@ -144,9 +193,16 @@ mod tests {
     fn traffic_is_that_of_the_last_seconds_and_begins_anew_with_the_station() {
         let mut late = node("floor-1", 200, NodeHealth::Used);
         late.bytes_received += 1000;
-        let told = lines((0..200).map(|second| Input::Node(node("floor-1", second, NodeHealth::Used))));
-        assert!(told[0].ends_with("500 B/s from it, 100 B/s to it"), "{told:?}");
-        let told = lines([Input::Node(late), Input::Node(node("floor-1", 1, NodeHealth::Used))]);
+        let told =
+            lines((0..200).map(|second| Input::Node(node("floor-1", second, NodeHealth::Used))));
+        assert!(
+            told[0].ends_with("500 B/s from it, 100 B/s to it"),
+            "{told:?}"
+        );
+        let told = lines([
+            Input::Node(late),
+            Input::Node(node("floor-1", 1, NodeHealth::Used)),
+        ]);
         assert!(told[0].ends_with("– B/s"), "{told:?}");
     }
 }

@@ -9,25 +9,63 @@ use std::fmt::Write as _;
 
 /// One change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
 pub fn alert_line(alert: &AlertMessage) -> String {
-    let AlertMessage { structure, parameter, time_ns, state, why, .. } = alert;
-    format!("{} alert {structure}/{parameter} {}: {}", time(*time_ns), state.as_str(), printable(why))
+    let AlertMessage {
+        structure,
+        parameter,
+        time_ns,
+        state,
+        why,
+        ..
+    } = alert;
+    format!(
+        "{} alert {structure}/{parameter} {}: {}",
+        time(*time_ns),
+        state.as_str(),
+        printable(why)
+    )
 }
 
 /// How one structure is: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG, …`.
 pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) -> String {
     let Some(time_ns) = structure.time_ns else {
-        return format!("{name} {}{}{}", nothing_measured(structure), alerts(structure), services(heard, structure));
+        return format!(
+            "{name} {}{}{}",
+            nothing_measured(structure),
+            alerts(structure),
+            services(heard, structure)
+        );
     };
     let parameters = structure.parameters.iter().map(|(parameter, value)| {
         let display = &value.display;
-        let state = structure.alerts.get(parameter).map_or("", |alert| alert.state.as_str());
-        let stale = if structure.is_stale(&parameter.0) { " (stale)" } else { "" };
-        format!("{} {} {state}{stale}", parameter.0, estimate(display.mean, display.std)).trim_end().to_owned()
+        let state = structure
+            .alerts
+            .get(parameter)
+            .map_or("", |alert| alert.state.as_str());
+        let stale = if structure.is_stale(&parameter.0) {
+            " (stale)"
+        } else {
+            ""
+        };
+        format!(
+            "{} {} {state}{stale}",
+            parameter.0,
+            estimate(display.mean, display.std)
+        )
+        .trim_end()
+        .to_owned()
     });
     let parameters: Vec<String> = parameters.collect();
-    let stale = heard.silence_of_data(structure).map(|silence| format!("stale {}: ", duration(silence)));
-    let fit = structure.fit.as_ref().map(|fit| format!("; fit {}", fit_words(fit)));
-    let class = structure.classes.as_ref().map(|classes| format!("; class {}", leading_class(classes)));
+    let stale = heard
+        .silence_of_data(structure)
+        .map(|silence| format!("stale {}: ", duration(silence)));
+    let fit = structure
+        .fit
+        .as_ref()
+        .map(|fit| format!("; fit {}", fit_words(fit)));
+    let class = structure
+        .classes
+        .as_ref()
+        .map(|classes| format!("; class {}", leading_class(classes)));
     format!(
         "{}{} {name} {}{}{}{}{}",
         time(time_ns),
@@ -47,7 +85,11 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
 /// How the alerts stand of which somebody has told without any value having come: `: PARAMETER STATE, …`.
 fn alerts(structure: &StructureHeard) -> String {
     let states = structure.alerts.iter().map(|(parameter, alert)| {
-        let stale = if structure.is_stale(&parameter.0) { " (stale)" } else { "" };
+        let stale = if structure.is_stale(&parameter.0) {
+            " (stale)"
+        } else {
+            ""
+        };
         format!("{} {}{stale}", parameter.0, alert.state.as_str())
     });
     match &states.collect::<Vec<_>>()[..] {
@@ -65,7 +107,9 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
         let separator = if text.is_empty() { "; " } else { ", " };
         // writing to a String does not fail
         let _ = write!(text, "{separator}{}/{id}", service.as_str());
-        let Some(status) = &instance.status else { continue };
+        let Some(status) = &instance.status else {
+            continue;
+        };
         if let Some(lag_s) = status.lag_s.filter(|_| structure.has_lag()) {
             let _ = write!(text, " {}", lag(lag_s));
         }
@@ -88,19 +132,28 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
 #[cfg(test)]
 mod tests {
     use super::super::heard::Input;
-    use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present, progress, status};
+    use super::super::testing::{
+        alert, at, classes, damaged_tower, heard, name, parameter, present, progress, status,
+    };
     use super::*;
     use spandrel_bus::{AlertState, Pace, Status};
 
     fn line(heard: &Heard) -> String {
-        structure_line(heard, &name("tower"), heard.structure(&name("tower")).unwrap())
+        structure_line(
+            heard,
+            &name("tower"),
+            heard.structure(&name("tower")).unwrap(),
+        )
     }
 
     #[test]
     fn a_change_of_an_alert_is_one_line() {
         let mut raised = alert("storey-2", 45, AlertState::Raised);
         raised.why = "storey-2 has lost\n14 %".to_owned();
-        assert_eq!(alert_line(&raised), "2024-02-29 12:00:45 UTC alert tower/storey-2 raised: storey-2 has lost 14 %");
+        assert_eq!(
+            alert_line(&raised),
+            "2024-02-29 12:00:45 UTC alert tower/storey-2 raised: storey-2 has lost 14 %"
+        );
     }
 
     #[test]
@@ -115,27 +168,44 @@ mod tests {
 
     #[test]
     fn stale_data_and_services_that_are_gone_are_marked() {
-        let mut heard =
-            heard([Input::Parameter(parameter("storey-1", 0, 1.0, 0.1)), present(&[(Service::Ingest, "a")])]);
+        let mut heard = heard([
+            Input::Parameter(parameter("storey-1", 0, 1.0, 0.1)),
+            present(&[(Service::Ingest, "a")]),
+        ]);
         heard.handle(at(12), &mut Vec::new());
-        assert_eq!(line(&heard), "2024-02-29 12:00:00 UTC tower stale 12 s: storey-1 1.000 ± 0.100; ingest/a");
+        assert_eq!(
+            line(&heard),
+            "2024-02-29 12:00:00 UTC tower stale 12 s: storey-1 1.000 ± 0.100; ingest/a"
+        );
         let mut tower = damaged_tower();
         tower.handle(present(&[]), &mut Vec::new());
-        assert!(line(&tower).contains("storey-2 0.858 ± 0.011 raised (stale), storey-3 "), "{}", line(&tower));
         assert!(
+            line(&tower).contains("storey-2 0.858 ± 0.011 raised (stale), storey-3 "),
+            "{}",
             line(&tower)
-                .ends_with("ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone")
         );
+        assert!(line(&tower).ends_with(
+            "ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone"
+        ));
     }
 
     #[test]
     fn a_record_or_simulation_has_its_time_and_no_lag() {
         let mut tower = damaged_tower();
-        let ingest = Status { pace: Some(Pace::Replayed), ..status(Service::Ingest, -27.0, &[]) };
+        let ingest = Status {
+            pace: Some(Pace::Replayed),
+            ..status(Service::Ingest, -27.0, &[])
+        };
         tower.handle(Input::Status(ingest), &mut Vec::new());
         let told = line(&tower);
-        assert!(told.starts_with("2024-02-29 12:00:59 UTC of a record or simulation tower storey-1"), "{told}");
-        assert!(told.ends_with("; ingest/a, identify/a drops 3, alert/a"), "{told}");
+        assert!(
+            told.starts_with("2024-02-29 12:00:59 UTC of a record or simulation tower storey-1"),
+            "{told}"
+        );
+        assert!(
+            told.ends_with("; ingest/a, identify/a drops 3, alert/a"),
+            "{told}"
+        );
     }
 
     /// Broke: for some seconds after a restart these passed for measured now.
@@ -143,31 +213,49 @@ mod tests {
     fn values_that_are_read_again_from_the_recording_say_so() {
         let known = Input::Ingested(name("tower"), progress(7, 60));
         let mut heard = heard([known, Input::Parameter(parameter("storey-1", 58, 1.0, 0.1))]);
-        let told = "2024-02-29 12:00:58 UTC read again from the recording tower storey-1 1.000 ± 0.100";
+        let told =
+            "2024-02-29 12:00:58 UTC read again from the recording tower storey-1 1.000 ± 0.100";
         assert_eq!(line(&heard), told);
-        heard.handle(Input::Parameter(parameter("storey-1", 61, 1.0, 0.1)), &mut Vec::new());
-        assert_eq!(line(&heard), "2024-02-29 12:01:01 UTC tower storey-1 1.000 ± 0.100");
+        heard.handle(
+            Input::Parameter(parameter("storey-1", 61, 1.0, 0.1)),
+            &mut Vec::new(),
+        );
+        assert_eq!(
+            line(&heard),
+            "2024-02-29 12:01:01 UTC tower storey-1 1.000 ± 0.100"
+        );
     }
 
     #[test]
     fn before_the_first_value_there_are_no_data() {
-        assert_eq!(line(&heard([present(&[(Service::Ingest, "a")])])), "tower no data yet; ingest/a");
+        assert_eq!(
+            line(&heard([present(&[(Service::Ingest, "a")])])),
+            "tower no data yet; ingest/a"
+        );
     }
 
     #[test]
     fn alerts_that_stand_after_the_last_value_are_told() {
         let raised = Input::StandingAlert(alert("storey-2", 45, AlertState::Raised));
         let told = line(&heard([present(&[(Service::Alert, "a")]), raised]));
-        assert_eq!(told, "tower no data since this began to watch: storey-2 raised; alert/a");
+        assert_eq!(
+            told,
+            "tower no data since this began to watch: storey-2 raised; alert/a"
+        );
     }
 
     #[test]
     fn leading_class_is_told_with_its_plausibility() {
         let mut tower = damaged_tower();
-        tower.handle(Input::Classes(classes("storey-2", 0.982, 3)), &mut Vec::new());
+        tower.handle(
+            Input::Classes(classes("storey-2", 0.982, 3)),
+            &mut Vec::new(),
+        );
         let told = line(&tower);
         assert!(
-            told.contains("; class storey-2 leads with 98.2 %, baseline before it, 3 calibrations; ingest/a"),
+            told.contains(
+                "; class storey-2 leads with 98.2 %, baseline before it, 3 calibrations; ingest/a"
+            ),
             "{told}"
         );
     }

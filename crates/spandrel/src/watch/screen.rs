@@ -49,9 +49,17 @@ impl Screen {
         let taken = TakenTerminal;
         let terminal = ratatui::try_init().map_err(cannot("cannot draw on the terminal"))?;
         let (sender, keys) = flume::bounded(KEYS_WAITING);
-        let reader = std::thread::Builder::new().name("keys".to_owned()).spawn(move || read_keys(&sender));
+        let reader = std::thread::Builder::new()
+            .name("keys".to_owned())
+            .spawn(move || read_keys(&sender));
         let reader = reader.map_err(cannot("cannot start a thread for the keys"))?;
-        Ok(Self { keys: Some(keys), reader: Some(reader), terminal, _taken: taken, _held: held })
+        Ok(Self {
+            keys: Some(keys),
+            reader: Some(reader),
+            terminal,
+            _taken: taken,
+            _held: held,
+        })
     }
 
     /// Waits for a key, or a change of the size.
@@ -64,7 +72,10 @@ impl Screen {
             Some(keys) => keys.recv_async().await.unwrap_or_else(|_| Err(gone())),
             None => Err(gone()),
         };
-        read.map_err(|source| AppError::Io { what: "cannot read keys from the terminal".to_owned(), source })
+        read.map_err(|source| AppError::Io {
+            what: "cannot read keys from the terminal".to_owned(),
+            source,
+        })
     }
 
     /// Draws.
@@ -73,8 +84,12 @@ impl Screen {
     /// The terminal is gone.
     pub fn draw(&mut self, view: &View) -> Result<(), AppError> {
         // a terminal that is slow, or stopped with Ctrl-S, holds up this thread
-        let drawn = tokio::task::block_in_place(|| self.terminal.draw(|frame| draw(view, frame)).map(drop));
-        drawn.map_err(|source| AppError::Io { what: "cannot draw on the terminal".to_owned(), source })
+        let drawn =
+            tokio::task::block_in_place(|| self.terminal.draw(|frame| draw(view, frame)).map(drop));
+        drawn.map_err(|source| AppError::Io {
+            what: "cannot draw on the terminal".to_owned(),
+            source,
+        })
     }
 }
 

@@ -63,7 +63,8 @@ async fn show_screen(
             event = screen.event() => Some(event?),
             _ = redraw.tick() => None,
         };
-        view.heard.handle(Input::Now(clock.elapsed()), &mut Vec::new());
+        view.heard
+            .handle(Input::Now(clock.elapsed()), &mut Vec::new());
         for input in listening.gather() {
             view.heard.handle(input, &mut Vec::new());
         }
@@ -75,8 +76,19 @@ async fn show_screen(
         };
         match action {
             Some(Action::Quit) => return Ok(()),
-            Some(Action::Acknowledge { structure, parameter, who, note }) => {
-                let acknowledgement = Acknowledgement { structure, parameter, time_ns: wall_clock_ns(), who, note };
+            Some(Action::Acknowledge {
+                structure,
+                parameter,
+                who,
+                note,
+            }) => {
+                let acknowledgement = Acknowledgement {
+                    structure,
+                    parameter,
+                    time_ns: wall_clock_ns(),
+                    who,
+                    note,
+                };
                 acknowledge(bus, root, &acknowledgement).await?;
                 view.sent(acknowledgement.structure, acknowledgement.parameter);
             }
@@ -91,13 +103,23 @@ fn user() -> String {
     std::env::var("USER").unwrap_or_default()
 }
 
-async fn acknowledge(bus: &Bus, root: &Name, acknowledgement: &Acknowledgement) -> Result<(), AppError> {
+async fn acknowledge(
+    bus: &Bus,
+    root: &Name,
+    acknowledgement: &Acknowledgement,
+) -> Result<(), AppError> {
     let keys = Keys::new(root.clone(), acknowledgement.structure.clone());
-    let publisher = bus.publish_display(keys.acknowledge(&acknowledgement.parameter)).await?;
+    let publisher = bus
+        .publish_display(keys.acknowledge(&acknowledgement.parameter))
+        .await?;
     Ok(publisher.put(acknowledgement).await?)
 }
 
-async fn print_lines(mut listening: Listening, place: &str, stop: impl Future<Output = ()>) -> Result<(), AppError> {
+async fn print_lines(
+    mut listening: Listening,
+    place: &str,
+    stop: impl Future<Output = ()>,
+) -> Result<(), AppError> {
     tokio::pin!(stop);
     let mut heard = Heard::default();
     let clock = Clock::start();
@@ -145,11 +167,17 @@ enum Reader {
 
 fn print(lines: &[String]) -> Result<Reader, AppError> {
     let mut stdout = io::stdout().lock();
-    let written = lines.iter().try_for_each(|line| writeln!(stdout, "{line}")).and_then(|()| stdout.flush());
+    let written = lines
+        .iter()
+        .try_for_each(|line| writeln!(stdout, "{line}"))
+        .and_then(|()| stdout.flush());
     match written {
         Ok(()) => Ok(Reader::There),
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Reader::Gone),
-        Err(source) => Err(AppError::Io { what: "cannot write to standard output".to_owned(), source }),
+        Err(source) => Err(AppError::Io {
+            what: "cannot write to standard output".to_owned(),
+            source,
+        }),
     }
 }
 
@@ -158,7 +186,10 @@ struct Clock(Instant);
 
 impl Clock {
     fn start() -> Self {
-        #[expect(clippy::disallowed_methods, reason = "a view tells how long it has heard nothing")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "a view tells how long it has heard nothing"
+        )]
         let now = Instant::now();
         Self(now)
     }
@@ -169,9 +200,13 @@ impl Clock {
 }
 
 fn wall_clock_ns() -> i64 {
-    #[expect(clippy::disallowed_methods, reason = "an acknowledgement says when it was given")]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "an acknowledgement says when it was given"
+    )]
     let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+    now.duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 #[cfg(test)]
@@ -185,10 +220,16 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn an_acknowledgement_reaches_whoever_listens_for_it() {
-        let config = BusConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+        let config = BusConfig {
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..BusConfig::default()
+        };
         let bus = Bus::open(&config).await.unwrap();
         let keys = config.keys("tower").unwrap();
-        let acknowledgements = bus.subscribe::<Acknowledgement>(keys.all_acknowledgements(), 8).await.unwrap();
+        let acknowledgements = bus
+            .subscribe::<Acknowledgement>(keys.all_acknowledgements(), 8)
+            .await
+            .unwrap();
         let sent = Acknowledgement {
             structure: name("tower"),
             parameter: name("storey-2"),
@@ -197,7 +238,13 @@ mod tests {
             note: "seen".to_owned(),
         };
         acknowledge(&bus, keys.root(), &sent).await.unwrap();
-        let received = tokio::time::timeout(DEADLINE, acknowledgements.messages().recv_async()).await.unwrap().unwrap();
-        assert_eq!(received, ("spandrel/tower/alert/storey-2/acknowledge".to_owned(), sent));
+        let received = tokio::time::timeout(DEADLINE, acknowledgements.messages().recv_async())
+            .await
+            .unwrap()
+            .unwrap();
+        assert_eq!(
+            received,
+            ("spandrel/tower/alert/storey-2/acknowledge".to_owned(), sent)
+        );
     }
 }

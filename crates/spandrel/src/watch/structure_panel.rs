@@ -5,14 +5,15 @@ use super::heard::{Heard, InstanceHeard, Origin, ParameterHeard, StructureHeard}
 use super::nodes::panel_lines;
 use super::trail::Trail;
 use super::wording::{
-    duration, estimate, lag, nothing_measured, printable, probability, share, significant, state_counts, state_style,
-    time,
+    duration, estimate, lag, nothing_measured, printable, probability, share, significant,
+    state_counts, state_style, time,
 };
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, FitDisplay, FitVerdict, Load, ModelClassDisplay, Name, NoiseDisplay, Service, Standing,
+    AlertMessage, FitDisplay, FitVerdict, Load, ModelClassDisplay, Name, NoiseDisplay, Service,
+    Standing,
 };
 
 /// Between columns.
@@ -72,7 +73,11 @@ impl StructurePanel {
                 None => AlertCell::Unheard,
             };
             let row = row(axis, columns, &losses, parameter, alert);
-            if is_stale { row.patch_style(Modifier::DIM) } else { row }
+            if is_stale {
+                row.patch_style(Modifier::DIM)
+            } else {
+                row
+            }
         });
         Self {
             title: title(name, structure),
@@ -95,7 +100,13 @@ impl StructurePanel {
 
     /// The lines that fit into `height`, starting with row `first` where not all do.
     pub fn into_lines(self, height: usize, first: usize) -> Vec<Line<'static>> {
-        let Self { header, rows, mut footer, nothing_measured, .. } = self;
+        let Self {
+            header,
+            rows,
+            mut footer,
+            nothing_measured,
+            ..
+        } = self;
         // in a small window parameters come before services
         footer.truncate(height.saturating_sub(1 + rows.len().min(ROWS_AT_LEAST)));
         let room = height.saturating_sub(1 + footer.len());
@@ -133,20 +144,27 @@ struct Losses {
 
 impl Losses {
     fn new(structure: &StructureHeard) -> Self {
-        let mut losses = structure.parameters.values().map(|parameter| parameter.display.loss);
+        let mut losses = structure
+            .parameters
+            .values()
+            .map(|parameter| parameter.display.loss);
         let first = losses.next();
         let common = first.filter(|first| losses.all(|loss| loss == *first));
         let mut all = Self { common, width: 0 };
-        let cells = structure
-            .parameters
-            .iter()
-            .map(|(name, parameter)| all.cell(parameter, structure.alerts.get(name)).chars().count());
+        let cells = structure.parameters.iter().map(|(name, parameter)| {
+            all.cell(parameter, structure.alerts.get(name))
+                .chars()
+                .count()
+        });
         all.width = cells.max().unwrap_or(0).max(all.header().chars().count());
         all
     }
 
     fn header(&self) -> String {
-        self.common.map_or_else(|| "P(loss)".to_owned(), |loss| format!("P(loss > {})", share(loss)))
+        self.common.map_or_else(
+            || "P(loss)".to_owned(),
+            |loss| format!("P(loss > {})", share(loss)),
+        )
     }
 
     fn cell(&self, parameter: &ParameterHeard, alert: Option<&AlertMessage>) -> String {
@@ -161,11 +179,22 @@ impl Losses {
 
 impl Columns {
     fn new(structure: &StructureHeard, losses: &Losses, width: usize) -> Self {
-        let longest = structure.parameters.keys().map(|name| name.0.as_str().len()).max().unwrap_or(0);
+        let longest = structure
+            .parameters
+            .keys()
+            .map(|name| name.0.as_str().len())
+            .max()
+            .unwrap_or(0);
         let name = longest.clamp("parameter".len(), LONGEST_NAME);
         let column = |width: usize| GAP.len() + width;
         let taken = name + column(ESTIMATE) + column(STATE);
-        let mut columns = Self { name, trend: 0, bar: 0, interval: 0, loss: losses.width };
+        let mut columns = Self {
+            name,
+            trend: 0,
+            bar: 0,
+            interval: 0,
+            loss: losses.width,
+        };
         let mut rest = width.saturating_sub(taken + column(losses.width));
         if width >= WIDE {
             columns.interval = INTERVAL;
@@ -195,8 +224,15 @@ fn header(axis: Axis, columns: Columns, losses: &Losses) -> Line<'static> {
     let (low, high) = axis.labels();
     let high_width = columns.bar.saturating_sub(low.len());
     let spans = [
-        Some(Span::raw(format!("{:<width$}", "parameter", width = columns.name))),
-        right_cell(&format!("last {:.0} s", Trail::span_s(columns.trend)), columns.trend),
+        Some(Span::raw(format!(
+            "{:<width$}",
+            "parameter",
+            width = columns.name
+        ))),
+        right_cell(
+            &format!("last {:.0} s", Trail::span_s(columns.trend)),
+            columns.trend,
+        ),
         cell(&format!("{low}{high:>high_width$}"), columns.bar),
         right_cell("mean ± std", ESTIMATE),
         right_cell("95 % interval", columns.interval),
@@ -220,10 +256,20 @@ fn row(
         AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state), Some(alert)),
     };
     let bar = axis.bar(columns.bar, &Marks::new(display, known));
-    let interval = format!("{:.3} to {:.3}", display.interval.low, display.interval.high);
+    let interval = format!(
+        "{:.3} to {:.3}",
+        display.interval.low, display.interval.high
+    );
     let spans = [
-        Some(Span::raw(format!("{:<width$}", shortened(display.parameter.as_str()), width = columns.name))),
-        cell(&axis.trend(columns.trend, trail.last(columns.trend)), columns.trend),
+        Some(Span::raw(format!(
+            "{:<width$}",
+            shortened(display.parameter.as_str()),
+            width = columns.name
+        ))),
+        cell(
+            &axis.trend(columns.trend, trail.last(columns.trend)),
+            columns.trend,
+        ),
         cell(&bar, columns.bar).map(|span| span.style(style)),
         right_cell(&estimate(display.mean, display.std), ESTIMATE),
         right_cell(&interval, columns.interval),
@@ -254,7 +300,9 @@ fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
         Origin::Replayed => " · replayed or simulated",
         Origin::ReadAgain => " · read again from the recording",
     };
-    let measured = structure.time_ns.map(|time_ns| format!("{}{origin}", time(time_ns)));
+    let measured = structure
+        .time_ns
+        .map(|time_ns| format!("{}{origin}", time(time_ns)));
     match (measured, heard.silence_of_data(structure)) {
         (Some(measured), None) => Line::from(measured),
         (Some(measured), Some(silence)) => {
@@ -271,25 +319,56 @@ fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
 fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     if !structure.noise.is_empty() {
-        let levels = structure.noise.values().map(|level| Span::raw(noise_level(level)));
+        let levels = structure
+            .noise
+            .values()
+            .map(|level| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
     }
     if let Some(fit) = &structure.fit {
-        let style = if fit.verdict == FitVerdict::Contradicted { Style::new().fg(Color::Yellow) } else { Style::new() };
-        lines.extend(flow("fit          ", vec![Span::styled(fit_words(fit), style)], width));
+        let style = if fit.verdict == FitVerdict::Contradicted {
+            Style::new().fg(Color::Yellow)
+        } else {
+            Style::new()
+        };
+        lines.extend(flow(
+            "fit          ",
+            vec![Span::styled(fit_words(fit), style)],
+            width,
+        ));
     }
     if let Some(classes) = &structure.classes {
-        lines.extend(flow("model class  ", vec![Span::raw(leading_class(classes))], width));
+        lines.extend(flow(
+            "model class  ",
+            vec![Span::raw(leading_class(classes))],
+            width,
+        ));
     }
     let mut items = Vec::new();
     let is_node = |(service, _): &(Service, Name)| *service == Service::Sensor;
-    let nodes = structure.instances.keys().filter(|key| is_node(key)).count();
+    let nodes = structure
+        .instances
+        .keys()
+        .filter(|key| is_node(key))
+        .count();
     if nodes > 0 {
-        items.push(Span::raw(format!("{nodes} sensor node{}", if nodes == 1 { "" } else { "s" })));
+        items.push(Span::raw(format!(
+            "{nodes} sensor node{}",
+            if nodes == 1 { "" } else { "s" }
+        )));
     }
     for ((service, id), instance) in structure.instances.iter().filter(|(key, _)| !is_node(key)) {
-        let alone = structure.instances.keys().filter(|(other, _)| other == service).count() == 1;
-        let who = if alone { service.as_str().to_owned() } else { format!("{}/{id}", service.as_str()) };
+        let alone = structure
+            .instances
+            .keys()
+            .filter(|(other, _)| other == service)
+            .count()
+            == 1;
+        let who = if alone {
+            service.as_str().to_owned()
+        } else {
+            format!("{}/{id}", service.as_str())
+        };
         items.push(service_item(heard, structure, who, instance));
     }
     if !items.is_empty() {
@@ -306,9 +385,22 @@ pub fn fit_words(display: &FitDisplay) -> String {
 
 /// The class that leads with its plausibility, and which one is believed where that is another one.
 pub fn leading_class(display: &ModelClassDisplay) -> String {
-    let ModelClassDisplay { leading, believed, classes, calibrations, .. } = display;
-    let plausibility = classes.iter().find(|class| class.class == *leading).map_or(0.0, |class| class.plausibility);
-    let mut text = format!("{} leads with {}", printable(leading), probability(plausibility, None));
+    let ModelClassDisplay {
+        leading,
+        believed,
+        classes,
+        calibrations,
+        ..
+    } = display;
+    let plausibility = classes
+        .iter()
+        .find(|class| class.class == *leading)
+        .map_or(0.0, |class| class.plausibility);
+    let mut text = format!(
+        "{} leads with {}",
+        printable(leading),
+        probability(plausibility, None)
+    );
     if believed != leading {
         text.push_str(&format!(", {} before it", printable(believed)));
     }
@@ -322,15 +414,26 @@ pub fn leading_class(display: &ModelClassDisplay) -> String {
 
 /// The standard deviation of a noise source, as the structure file states it; the message carries the variance.
 fn noise_level(level: &NoiseDisplay) -> String {
-    let NoiseDisplay { name, mean, std, .. } = level;
+    let NoiseDisplay {
+        name, mean, std, ..
+    } = level;
     if *mean <= 0.0 {
         return format!("{name} 0");
     }
     let relative_std = std / (2.0 * mean); // d√ψ / √ψ = dψ / 2ψ
-    format!("{name} {} ± {}", significant(mean.sqrt()), share(relative_std))
+    format!(
+        "{name} {} ± {}",
+        significant(mean.sqrt()),
+        share(relative_std)
+    )
 }
 
-fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance: &InstanceHeard) -> Span<'static> {
+fn service_item(
+    heard: &Heard,
+    structure: &StructureHeard,
+    who: String,
+    instance: &InstanceHeard,
+) -> Span<'static> {
     let mut text = who;
     if let Some(status) = &instance.status {
         match status.lag_s {
@@ -339,7 +442,11 @@ fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance
             Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
         }
         if let Some(load) = status.load.filter(|load| *load != Load::Normal) {
-            text.push_str(&format!(", {}, {} frames behind", load.as_str(), status.frames_behind.unwrap_or(0)));
+            text.push_str(&format!(
+                ", {}, {} frames behind",
+                load.as_str(),
+                status.frames_behind.unwrap_or(0)
+            ));
         }
         match status.state {
             None | Some(Standing::Leading) => {} // as it should be
@@ -356,10 +463,16 @@ fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance
         }
     }
     if !instance.is_present {
-        return Span::styled(format!("{text}, gone"), Style::new().fg(Color::Red).add_modifier(Modifier::BOLD));
+        return Span::styled(
+            format!("{text}, gone"),
+            Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        );
     }
     match heard.silence_of_status(instance) {
-        Some(silence) => Span::styled(format!("{text}, stale {}", duration(silence)), Color::Yellow),
+        Some(silence) => Span::styled(
+            format!("{text}, stale {}", duration(silence)),
+            Color::Yellow,
+        ),
         None => Span::raw(text),
     }
 }

@@ -2,8 +2,9 @@
 
 use super::heard::{Heard, Input, Instance};
 use spandrel_bus::{
-    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header, ModelClassDisplay, Name,
-    NodeDisplay, NodeHealth, NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status,
+    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header,
+    ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace, ParameterDisplay,
+    Progress, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -23,7 +24,11 @@ pub fn parameter(parameter: &str, second: i64, mean: f64, std: f64) -> Parameter
         time_ns: TIME_NS + second * 1_000_000_000,
         mean,
         std,
-        interval: CredibleInterval { level: 0.95, low: mean - 1.96 * std, high: mean + 1.96 * std },
+        interval: CredibleInterval {
+            level: 0.95,
+            low: mean - 1.96 * std,
+            high: mean + 1.96 * std,
+        },
         probability_of_loss: if mean < 0.95 { 0.997 } else { 0.012 },
         loss: 0.05,
         reference: 1.0,
@@ -31,7 +36,13 @@ pub fn parameter(parameter: &str, second: i64, mean: f64, std: f64) -> Parameter
 }
 
 pub fn noise(noise: &str, mean: f64, std: f64) -> NoiseDisplay {
-    NoiseDisplay { structure: name("tower"), name: name(noise), time_ns: TIME_NS, mean, std }
+    NoiseDisplay {
+        structure: name("tower"),
+        name: name(noise),
+        time_ns: TIME_NS,
+        mean,
+        std,
+    }
 }
 
 /// The alert of a parameter of `tower`, changed at `second` after [`TIME_NS`].
@@ -46,7 +57,11 @@ pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
         rule_credibility: 0.95,
         credibility: 0.997,
         loss: Some(0.142),
-        loss_interval: Some(CredibleInterval { level: 0.95, low: 0.121, high: 0.163 }),
+        loss_interval: Some(CredibleInterval {
+            level: 0.95,
+            low: 0.121,
+            high: 0.163,
+        }),
         loss_interval_within_record: None,
         mean: 0.858,
         std: 0.011,
@@ -113,7 +128,10 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         undecided: BTreeMap::new(),
         state: None,
         done: 1200,
-        drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
+        drops: drops
+            .iter()
+            .map(|(reason, count)| ((*reason).to_owned(), *count))
+            .collect::<BTreeMap<_, _>>(),
         restarts: 0,
         version: "0.1.0".to_owned(),
     }
@@ -121,17 +139,32 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
 
 /// That ingest has done the frames of an epoch up to `second` after [`TIME_NS`].
 pub fn progress(epoch: u64, second: i64) -> Progress {
-    let header = Header { source: "a".to_owned(), epoch, sequence: 1200, time_ns: TIME_NS + second * 1_000_000_000 };
-    Progress { header, done: 1200, kept: 1200 }
+    let header = Header {
+        source: "a".to_owned(),
+        epoch,
+        sequence: 1200,
+        time_ns: TIME_NS + second * 1_000_000_000,
+    };
+    Progress {
+        header,
+        done: 1200,
+        kept: 1200,
+    }
 }
 
 /// A class of `tower` that leads and is not yet believed.
 pub fn classes(leading: &str, plausibility: f64, calibrations: u64) -> ModelClassDisplay {
-    let class = |class: &str, plausibility| ClassPlausibility { class: class.to_owned(), plausibility };
+    let class = |class: &str, plausibility| ClassPlausibility {
+        class: class.to_owned(),
+        plausibility,
+    };
     ModelClassDisplay {
         structure: name("tower"),
         time_ns: TIME_NS,
-        classes: vec![class("baseline", 1.0 - plausibility), class(leading, plausibility)],
+        classes: vec![
+            class("baseline", 1.0 - plausibility),
+            class(leading, plausibility),
+        ],
         leading: leading.to_owned(),
         believed: "baseline".to_owned(),
         calibrations,
@@ -140,8 +173,11 @@ pub fn classes(leading: &str, plausibility: f64, calibrations: u64) -> ModelClas
 }
 
 pub fn present(instances: &[(Service, &str)]) -> Input {
-    let instance =
-        |(service, id): &(Service, &str)| Instance { structure: name("tower"), service: *service, id: name(id) };
+    let instance = |(service, id): &(Service, &str)| Instance {
+        structure: name("tower"),
+        service: *service,
+        id: name(id),
+    };
     Input::Present(instances.iter().map(instance).collect::<BTreeSet<_>>())
 }
 
@@ -160,24 +196,55 @@ pub fn at(second: u64) -> Input {
 
 /// Five storeys of which the second has lost stiffness, with services and events.
 pub fn damaged_tower() -> Heard {
-    let services = [(Service::Ingest, "a"), (Service::Identify, "a"), (Service::Alert, "a")];
-    let nodes = [(Service::Sensor, "ground"), (Service::Sensor, "floor-1"), (Service::Sensor, "floor-2")];
-    let mut inputs = vec![at(0), present(&[services.as_slice(), nodes.as_slice()].concat())];
+    let services = [
+        (Service::Ingest, "a"),
+        (Service::Identify, "a"),
+        (Service::Alert, "a"),
+    ];
+    let nodes = [
+        (Service::Sensor, "ground"),
+        (Service::Sensor, "floor-1"),
+        (Service::Sensor, "floor-2"),
+    ];
+    let mut inputs = vec![
+        at(0),
+        present(&[services.as_slice(), nodes.as_slice()].concat()),
+    ];
     for second in 0..60 {
         for storey in 1..=5 {
-            let mean = if storey == 2 && second >= 30 { 0.858 } else { 1.002 };
-            inputs.push(Input::Parameter(parameter(&format!("storey-{storey}"), second, mean, 0.011)));
+            let mean = if storey == 2 && second >= 30 {
+                0.858
+            } else {
+                1.002
+            };
+            inputs.push(Input::Parameter(parameter(
+                &format!("storey-{storey}"),
+                second,
+                mean,
+                0.011,
+            )));
         }
     }
     for storey in [1, 3, 4, 5] {
-        inputs.push(Input::Alert(alert(&format!("storey-{storey}"), 0, AlertState::Normal)));
+        inputs.push(Input::Alert(alert(
+            &format!("storey-{storey}"),
+            0,
+            AlertState::Normal,
+        )));
     }
     inputs.push(Input::Alert(alert("storey-2", 45, AlertState::Raised)));
     inputs.push(Input::Noise(noise("ground", 0.01, 0.0004)));
     inputs.push(Input::Noise(noise("floors", 2.5e-5, 1e-6)));
     inputs.push(Input::Status(status(Service::Ingest, 0.12, &[])));
-    inputs.push(Input::Status(status(Service::Identify, 0.21, &[("overwritten", 3)])));
+    inputs.push(Input::Status(status(
+        Service::Identify,
+        0.21,
+        &[("overwritten", 3)],
+    )));
     inputs.push(Input::Status(status(Service::Alert, 0.25, &[])));
-    inputs.push(Input::Event(event("floor-3 is no longer waited for", "its liveliness token is gone")));
+    inputs.push(Input::Event(event(
+        "floor-3 is no longer waited for",
+        "its liveliness token is gone",
+    )));
     heard(inputs)
 }

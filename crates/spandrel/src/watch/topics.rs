@@ -2,8 +2,8 @@
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name, NameError, NodeDisplay, NoiseDisplay,
-    ParameterDisplay, Progress, Service, Status, Topic, parse_key,
+    AlertMessage, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name, NameError,
+    NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Topic, parse_key,
 };
 
 /// The key expressions of what people look at.
@@ -47,7 +47,10 @@ impl KeyExpressions {
             events: expression(keys.event()),
             statuses: expression(keys.all_statuses()),
             ingested: expression(keys.progress(Service::Ingest)),
-            live: Service::ALL.iter().map(|service| expression(keys.all_live(*service))).collect(),
+            live: Service::ALL
+                .iter()
+                .map(|service| expression(keys.all_live(*service)))
+                .collect(),
         })
     }
 }
@@ -130,7 +133,9 @@ impl OnTopic for Event {
 
 impl OnTopic for Status {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        let service = Service::ALL.into_iter().find(|service| service.as_str() == self.service.as_str())?;
+        let service = Service::ALL
+            .into_iter()
+            .find(|service| service.as_str() == self.service.as_str())?;
         Some((&self.structure, Topic::Status(service, self.id.clone())))
     }
 
@@ -143,9 +148,15 @@ impl OnTopic for Status {
 pub fn input<M: OnTopic>(root: &Name, key: &str, message: M) -> Input {
     let of_key = parse_key(root, key);
     let is_in_place = message.topic().is_some_and(|(structure, topic)| {
-        of_key.is_some_and(|(key_structure, key_topic)| (structure, topic) == (&key_structure, key_topic))
+        of_key.is_some_and(|(key_structure, key_topic)| {
+            (structure, topic) == (&key_structure, key_topic)
+        })
     });
-    if is_in_place { message.into_input() } else { Input::Misplaced }
+    if is_in_place {
+        message.into_input()
+    } else {
+        Input::Misplaced
+    }
 }
 
 /// How far the ingest of a structure has come: a progress message does not say whose it is, its key does.
@@ -159,7 +170,11 @@ pub fn ingested(root: &Name, key: &str, progress: Progress) -> Input {
 /// Who a liveliness token stands for.
 pub fn instance(root: &Name, key: &str) -> Option<Instance> {
     match parse_key(root, key)? {
-        (structure, Topic::Live(service, id)) => Some(Instance { structure, service, id }),
+        (structure, Topic::Live(service, id)) => Some(Instance {
+            structure,
+            service,
+            id,
+        }),
         _ => None,
     }
 }
@@ -195,18 +210,37 @@ mod tests {
     fn a_message_on_the_key_of_another_is_misplaced() {
         let root = name("spandrel");
         let raised = alert("storey-2", 0, AlertState::Raised);
-        assert_eq!(input(&root, "spandrel/tower/alert/storey-2", raised.clone()), Input::Alert(raised.clone()));
-        assert_eq!(input(&root, "spandrel/tower/alert/storey-1", raised.clone()), Input::Misplaced);
-        assert_eq!(input(&root, "spandrel/bridge/alert/storey-2", raised), Input::Misplaced);
+        assert_eq!(
+            input(&root, "spandrel/tower/alert/storey-2", raised.clone()),
+            Input::Alert(raised.clone())
+        );
+        assert_eq!(
+            input(&root, "spandrel/tower/alert/storey-1", raised.clone()),
+            Input::Misplaced
+        );
+        assert_eq!(
+            input(&root, "spandrel/bridge/alert/storey-2", raised),
+            Input::Misplaced
+        );
         let mut unknown = status(Service::Ingest, 0.0, &[]);
         unknown.service = name("nobody");
-        assert_eq!(input(&root, "spandrel/tower/status/nobody/a", unknown), Input::Misplaced);
+        assert_eq!(
+            input(&root, "spandrel/tower/status/nobody/a", unknown),
+            Input::Misplaced
+        );
     }
 
     #[test]
     fn a_token_names_its_instance() {
-        let expected = Instance { structure: name("tower"), service: Service::Sensor, id: name("floor-1") };
-        assert_eq!(instance(&name("spandrel"), "spandrel/tower/live/sensor/floor-1"), Some(expected));
+        let expected = Instance {
+            structure: name("tower"),
+            service: Service::Sensor,
+            id: name("floor-1"),
+        };
+        assert_eq!(
+            instance(&name("spandrel"), "spandrel/tower/live/sensor/floor-1"),
+            Some(expected)
+        );
         assert_eq!(instance(&name("spandrel"), "spandrel/tower/frames"), None);
     }
 }

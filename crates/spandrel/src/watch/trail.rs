@@ -32,7 +32,8 @@ impl Trail {
             self.steps.clear();
             self.steps.push_back(Step::default());
         } else {
-            self.steps.extend(std::iter::repeat_n(Step::default(), ahead));
+            self.steps
+                .extend(std::iter::repeat_n(Step::default(), ahead));
             let from_another_run = back.min(self.steps.len() - 1);
             self.steps.truncate(self.steps.len() - from_another_run);
         }
@@ -48,7 +49,10 @@ impl Trail {
     /// Returns the means of the last `count` steps, oldest first; shorter while the trail is.
     pub fn last(&self, count: usize) -> impl Iterator<Item = Option<f64>> {
         let skipped = self.steps.len().saturating_sub(count);
-        self.steps.iter().skip(skipped).map(|step| (step.count > 0).then(|| step.sum / f64::from(step.count)))
+        self.steps
+            .iter()
+            .skip(skipped)
+            .map(|step| (step.count > 0).then(|| step.sum / f64::from(step.count)))
     }
 
     /// Returns the measurement time (s) that `count` steps stand for, the whole trail at most.
@@ -73,7 +77,10 @@ mod tests {
 
     #[test]
     fn values_within_a_step_become_their_mean_and_silence_is_a_gap() {
-        assert_eq!(trail(&[(0, 1.0), (1, 2.0), (6, 4.0)]), [Some(1.5), None, None, Some(4.0)]);
+        assert_eq!(
+            trail(&[(0, 1.0), (1, 2.0), (6, 4.0)]),
+            [Some(1.5), None, None, Some(4.0)]
+        );
     }
 
     #[test]
@@ -86,13 +93,28 @@ mod tests {
 
     #[test]
     fn another_run_starts_a_new_trail() {
-        assert_eq!(trail(&[(100, 1.0), (102, 1.0), (0, 0.9)]), [Some(0.9)], "time went back");
-        assert_eq!(trail(&[(100, 1.0), (9_000_000_000, 0.9)]), [Some(0.9)], "time jumped ahead");
-        assert_eq!(trail(&[(i64::MIN / SECOND, 1.0), (i64::MAX / SECOND, 0.9)]), [Some(0.9)], "as far as it goes");
+        assert_eq!(
+            trail(&[(100, 1.0), (102, 1.0), (0, 0.9)]),
+            [Some(0.9)],
+            "time went back"
+        );
+        assert_eq!(
+            trail(&[(100, 1.0), (9_000_000_000, 0.9)]),
+            [Some(0.9)],
+            "time jumped ahead"
+        );
+        assert_eq!(
+            trail(&[(i64::MIN / SECOND, 1.0), (i64::MAX / SECOND, 0.9)]),
+            [Some(0.9)],
+            "as far as it goes"
+        );
     }
 
     #[test]
     fn a_late_value_ends_the_trail_where_it_belongs() {
-        assert_eq!(trail(&[(0, 1.0), (2, 2.0), (4, 3.0), (2, 4.0)]), [Some(1.0), Some(3.0)]);
+        assert_eq!(
+            trail(&[(0, 1.0), (2, 2.0), (4, 3.0), (2, 4.0)]),
+            [Some(1.0), Some(3.0)]
+        );
     }
 }

@@ -68,7 +68,12 @@ pub enum Mode {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
     Quit,
-    Acknowledge { structure: Name, parameter: Name, who: String, note: String },
+    Acknowledge {
+        structure: Name,
+        parameter: Name,
+        who: String,
+        note: String,
+    },
 }
 
 #[derive(Debug, Clone)]
@@ -87,7 +92,12 @@ enum Step {
 impl View {
     /// Starts with nothing heard at `place`; `who` is offered as the name for acknowledgements.
     pub fn new(place: String, around: Around, who: String) -> Self {
-        Self { place, around, who, ..Self::default() }
+        Self {
+            place,
+            around,
+            who,
+            ..Self::default()
+        }
     }
 
     /// Where it is listened, in words.
@@ -104,7 +114,11 @@ impl View {
             Mode::Watching => return self.watching_key(key.code),
             Mode::Help if key.code == KeyCode::Char('q') => return Some(Action::Quit),
             Mode::Help => self.mode = Mode::Watching,
-            Mode::Acknowledging { structure, parameter, form } => match form.key(key) {
+            Mode::Acknowledging {
+                structure,
+                parameter,
+                form,
+            } => match form.key(key) {
                 Typed::On => {}
                 Typed::Cancelled => self.mode = Mode::Watching,
                 Typed::Done => {
@@ -112,7 +126,12 @@ impl View {
                     let (who, note) = (form.who.trim().to_owned(), form.note.trim().to_owned());
                     self.who.clone_from(&who);
                     self.mode = Mode::Watching;
-                    return Some(Action::Acknowledge { structure, parameter, who, note });
+                    return Some(Action::Acknowledge {
+                        structure,
+                        parameter,
+                        who,
+                        note,
+                    });
                 }
             },
         }
@@ -129,7 +148,9 @@ impl View {
             KeyCode::Down => self.choose_alert(Step::Next),
             KeyCode::Up => self.choose_alert(Step::Previous),
             KeyCode::PageDown => {
-                let last = self.selected_structure().map_or(0, |(_, heard)| heard.parameters.len().saturating_sub(1));
+                let last = self
+                    .selected_structure()
+                    .map_or(0, |(_, heard)| heard.parameters.len().saturating_sub(1));
                 self.first_parameter = (self.first_parameter + PAGE).min(last);
             }
             KeyCode::PageUp => self.first_parameter = self.first_parameter.saturating_sub(PAGE),
@@ -140,8 +161,12 @@ impl View {
 
     fn choose_structure(&mut self, step: Step) {
         let names: Vec<&Name> = self.heard.structures().map(|(name, _)| name).collect();
-        let at = self.selected_structure().and_then(|(selected, _)| names.iter().position(|name| *name == selected));
-        self.structure = step.around(at, names.len()).map(|index| names[index].clone());
+        let at = self
+            .selected_structure()
+            .and_then(|(selected, _)| names.iter().position(|name| *name == selected));
+        self.structure = step
+            .around(at, names.len())
+            .map(|index| names[index].clone());
         self.first_parameter = 0;
     }
 
@@ -159,7 +184,9 @@ impl View {
         };
         let (structure, parameter) = (alert.structure.clone(), alert.parameter.clone());
         if self.heard.is_stale(alert) {
-            self.notify(format!("the alert service of {structure}/{parameter} is gone, nobody would hear it"));
+            self.notify(format!(
+                "the alert service of {structure}/{parameter} is gone, nobody would hear it"
+            ));
             return;
         }
         if let Some(why) = &self.around.cannot_acknowledge {
@@ -168,41 +195,87 @@ impl View {
         }
         match alert.state {
             AlertState::Unconfirmed if !alert.is_unseen() => {
-                self.notify(format!("{structure}/{parameter} is acknowledged, there is nothing to acknowledge"));
+                self.notify(format!(
+                    "{structure}/{parameter} is acknowledged, there is nothing to acknowledge"
+                ));
             }
-            AlertState::Raised | AlertState::Unconfirmed | AlertState::Cleared | AlertState::Pending => {
-                self.mode = Mode::Acknowledging { structure, parameter, form: Form::new(self.who.clone()) };
+            AlertState::Raised
+            | AlertState::Unconfirmed
+            | AlertState::Cleared
+            | AlertState::Pending => {
+                self.mode = Mode::Acknowledging {
+                    structure,
+                    parameter,
+                    form: Form::new(self.who.clone()),
+                };
             }
-            AlertState::Acknowledged | AlertState::Learning | AlertState::Normal | AlertState::Undecided => {
+            AlertState::Acknowledged
+            | AlertState::Learning
+            | AlertState::Normal
+            | AlertState::Undecided => {
                 let state = alert.state.as_str();
-                self.notify(format!("{structure}/{parameter} is {state}, there is nothing to acknowledge"));
+                self.notify(format!(
+                    "{structure}/{parameter} is {state}, there is nothing to acknowledge"
+                ));
             }
         }
     }
 
     /// Shows a text in the last line for a while.
     pub fn notify(&mut self, text: String) {
-        self.notice = Some(Notice { text, until: self.heard.now() + NOTICE_FOR });
+        self.notice = Some(Notice {
+            text,
+            until: self.heard.now() + NOTICE_FOR,
+        });
     }
 
     /// Takes that an acknowledgement was sent, and says so until it is taken.
     pub fn sent(&mut self, structure: Name, parameter: Name) {
-        let alert = self.heard.structure(&structure).and_then(|heard| heard.alert(&parameter));
-        let Some((state, is_unseen)) = alert.map(|alert| (alert.state, alert.is_unseen())) else { return };
+        let alert = self
+            .heard
+            .structure(&structure)
+            .and_then(|heard| heard.alert(&parameter));
+        let Some((state, is_unseen)) = alert.map(|alert| (alert.state, alert.is_unseen())) else {
+            return;
+        };
         self.notify(format!("acknowledgement of {structure}/{parameter} sent"));
-        self.sent = Some(Sent { structure, parameter, state, is_unseen, until: self.heard.now() + ANSWER_WITHIN });
+        self.sent = Some(Sent {
+            structure,
+            parameter,
+            state,
+            is_unseen,
+            until: self.heard.now() + ANSWER_WITHIN,
+        });
     }
 
     /// Says whether an acknowledgement was taken, once that is known or nobody has answered for too long.
     pub fn look_for_answer(&mut self) {
-        let Some(Sent { structure, parameter, state, is_unseen, until }) = &self.sent else { return };
-        let alert = self.heard.structure(structure).and_then(|heard| heard.alert(parameter));
+        let Some(Sent {
+            structure,
+            parameter,
+            state,
+            is_unseen,
+            until,
+        }) = &self.sent
+        else {
+            return;
+        };
+        let alert = self
+            .heard
+            .structure(structure)
+            .and_then(|heard| heard.alert(parameter));
         let told = match alert {
-            Some(now) if now.state != *state => format!("{structure}/{parameter} is {}", now.state.as_str()),
-            Some(now) if now.is_unseen() != *is_unseen => format!("{structure}/{parameter} is acknowledged"),
+            Some(now) if now.state != *state => {
+                format!("{structure}/{parameter} is {}", now.state.as_str())
+            }
+            Some(now) if now.is_unseen() != *is_unseen => {
+                format!("{structure}/{parameter} is acknowledged")
+            }
             Some(_) | None if self.heard.now() < *until => return,
             Some(_) | None => {
-                format!("nobody took the acknowledgement of {structure}/{parameter}; is the alert service there?")
+                format!(
+                    "nobody took the acknowledgement of {structure}/{parameter}; is the alert service there?"
+                )
             }
         };
         self.sent = None;
@@ -231,14 +304,20 @@ impl View {
 
     /// The notice that stands now.
     pub fn notice(&self) -> Option<&str> {
-        let notice = self.notice.as_ref().filter(|notice| self.heard.now() <= notice.until);
+        let notice = self
+            .notice
+            .as_ref()
+            .filter(|notice| self.heard.now() <= notice.until);
         notice.map(|notice| notice.text.as_str())
     }
 
     /// The structure that is looked at: the first one until another is chosen.
     pub fn selected_structure(&self) -> Option<(&Name, &StructureHeard)> {
         let chosen = self.structure.as_ref();
-        let named = self.heard.structures().find(|(name, _)| Some(*name) == chosen);
+        let named = self
+            .heard
+            .structures()
+            .find(|(name, _)| Some(*name) == chosen);
         named.or_else(|| self.heard.structures().next())
     }
 
@@ -250,15 +329,20 @@ impl View {
     /// The alert that is chosen: the newest one until another is chosen.
     pub fn selected_alert(&self) -> Option<&AlertMessage> {
         let alerts = self.heard.open_alerts();
-        self.selected_alert_index(&alerts).map(|index| alerts[index])
+        self.selected_alert_index(&alerts)
+            .map(|index| alerts[index])
     }
 
     /// Where the chosen alert stands among `alerts`, which are the open ones.
     pub fn selected_alert_index(&self, alerts: &[&AlertMessage]) -> Option<usize> {
         let chosen = self.alert.as_ref();
-        let is_chosen =
-            |alert: &&AlertMessage| chosen.is_some_and(|(s, p)| (s, p) == (&alert.structure, &alert.parameter));
-        alerts.iter().position(is_chosen).or((!alerts.is_empty()).then_some(0))
+        let is_chosen = |alert: &&AlertMessage| {
+            chosen.is_some_and(|(s, p)| (s, p) == (&alert.structure, &alert.parameter))
+        };
+        alerts
+            .iter()
+            .position(is_chosen)
+            .or((!alerts.is_empty()).then_some(0))
     }
 }
 
@@ -289,11 +373,17 @@ mod tests {
     use super::*;
 
     fn view(heard: Heard) -> View {
-        View { heard, ..View::default() }
+        View {
+            heard,
+            ..View::default()
+        }
     }
 
     fn press(view: &mut View, codes: impl IntoIterator<Item = KeyCode>) -> Option<Action> {
-        codes.into_iter().filter_map(|code| view.key(KeyEvent::from(code))).last()
+        codes
+            .into_iter()
+            .filter_map(|code| view.key(KeyEvent::from(code)))
+            .last()
     }
 
     fn letters(text: &str) -> impl Iterator<Item = KeyCode> + '_ {
@@ -306,12 +396,19 @@ mod tests {
 
     #[test]
     fn q_escape_and_control_c_quit() {
-        for key in [KeyEvent::from(KeyCode::Char('q')), KeyEvent::from(KeyCode::Esc)] {
+        for key in [
+            KeyEvent::from(KeyCode::Char('q')),
+            KeyEvent::from(KeyCode::Esc),
+        ] {
             assert_eq!(View::default().key(key), Some(Action::Quit));
         }
         let mut acknowledging = view(damaged_tower());
         press(&mut acknowledging, [KeyCode::Char('a')]);
-        assert_eq!(press(&mut acknowledging, [KeyCode::Char('q')]), None, "a letter of the name");
+        assert_eq!(
+            press(&mut acknowledging, [KeyCode::Char('q')]),
+            None,
+            "a letter of the name"
+        );
         let control_c = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
         assert_eq!(acknowledging.key(control_c), Some(Action::Quit));
     }
@@ -332,15 +429,26 @@ mod tests {
         assert_eq!(press(&mut view, [KeyCode::Enter]), Some(expected));
         assert_eq!(*view.mode(), Mode::Watching);
         press(&mut view, [KeyCode::Char('a')]);
-        assert!(matches!(view.mode(), Mode::Acknowledging { form, .. } if form.who == "anna"), "{:?}", view.mode());
+        assert!(
+            matches!(view.mode(), Mode::Acknowledging { form, .. } if form.who == "anna"),
+            "{:?}",
+            view.mode()
+        );
     }
 
     #[test]
     fn what_is_acknowledged_already_is_not_asked_for_again() {
-        let mut view = view(heard([Input::Alert(alert("storey-2", 1, AlertState::Acknowledged))]));
+        let mut view = view(heard([Input::Alert(alert(
+            "storey-2",
+            1,
+            AlertState::Acknowledged,
+        ))]));
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
-        assert_eq!(view.notice(), Some("tower/storey-2 is acknowledged, there is nothing to acknowledge"));
+        assert_eq!(
+            view.notice(),
+            Some("tower/storey-2 is acknowledged, there is nothing to acknowledge")
+        );
     }
 
     #[test]
@@ -349,14 +457,24 @@ mod tests {
         view.heard.handle(present(&[]), &mut Vec::new());
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
-        assert_eq!(view.notice(), Some("the alert service of tower/storey-2 is gone, nobody would hear it"));
+        assert_eq!(
+            view.notice(),
+            Some("the alert service of tower/storey-2 is gone, nobody would hear it")
+        );
     }
 
     #[test]
     fn an_acknowledgement_that_would_be_dropped_is_not_asked_for() {
         let why = "role viewer may not acknowledge; roles that may: server, operator";
-        let around = Around { cannot_acknowledge: Some(why.to_owned()), ..Around::default() };
-        let mut view = View { heard: damaged_tower(), around, ..View::default() };
+        let around = Around {
+            cannot_acknowledge: Some(why.to_owned()),
+            ..Around::default()
+        };
+        let mut view = View {
+            heard: damaged_tower(),
+            around,
+            ..View::default()
+        };
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(view.notice().unwrap(), format!("not possible: {why}"));
@@ -370,11 +488,17 @@ mod tests {
             view.heard.handle(at(100), &mut Vec::new());
             view.sent(name("tower"), name("storey-2"));
             view.look_for_answer();
-            assert_eq!(view.notice(), Some("acknowledgement of tower/storey-2 sent"));
+            assert_eq!(
+                view.notice(),
+                Some("acknowledgement of tower/storey-2 sent")
+            );
             view
         };
         let mut taken = sent();
-        taken.heard.handle(Input::Alert(alert("storey-2", 46, AlertState::Acknowledged)), &mut Vec::new());
+        taken.heard.handle(
+            Input::Alert(alert("storey-2", 46, AlertState::Acknowledged)),
+            &mut Vec::new(),
+        );
         taken.look_for_answer();
         assert_eq!(taken.notice(), Some("tower/storey-2 is acknowledged"));
         let mut lost = sent();
@@ -399,9 +523,16 @@ mod tests {
             Input::Alert(alert("storey-1", 10, AlertState::Raised)),
             Input::Alert(alert("storey-2", 20, AlertState::Raised)),
         ]));
-        assert_eq!(view.selected_alert().unwrap().parameter, name("storey-2"), "the newest until chosen");
+        assert_eq!(
+            view.selected_alert().unwrap().parameter,
+            name("storey-2"),
+            "the newest until chosen"
+        );
         press(&mut view, [KeyCode::Down, KeyCode::Down]);
-        view.heard.handle(Input::Alert(alert("storey-3", 30, AlertState::Raised)), &mut Vec::new());
+        view.heard.handle(
+            Input::Alert(alert("storey-3", 30, AlertState::Raised)),
+            &mut Vec::new(),
+        );
         assert_eq!(view.selected_alert().unwrap().parameter, name("storey-1"));
         press(&mut view, [KeyCode::Up, KeyCode::Up, KeyCode::Up]);
         assert_eq!(view.selected_alert().unwrap().parameter, name("storey-3"));

@@ -13,7 +13,9 @@ pub fn state_style(state: AlertState) -> Style {
         AlertState::Learning => Style::new().fg(Color::Cyan),
         AlertState::Normal => Style::new().fg(Color::Green),
         AlertState::Pending => Style::new().fg(Color::Yellow),
-        AlertState::Raised | AlertState::Unconfirmed => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        AlertState::Raised | AlertState::Unconfirmed => {
+            Style::new().fg(Color::Red).add_modifier(Modifier::BOLD)
+        }
         AlertState::Undecided => Style::new().fg(Color::Cyan),
         AlertState::Acknowledged => Style::new().fg(Color::Magenta),
         AlertState::Cleared => Style::new().fg(Color::Blue),
@@ -21,7 +23,9 @@ pub fn state_style(state: AlertState) -> Style {
 }
 
 /// How many alerts are in which state, as parts of a title; normal ones are not worth a word.
-pub fn state_counts<'a>(alerts: impl Iterator<Item = &'a AlertMessage> + Clone) -> Vec<Span<'static>> {
+pub fn state_counts<'a>(
+    alerts: impl Iterator<Item = &'a AlertMessage> + Clone,
+) -> Vec<Span<'static>> {
     let told = [
         AlertState::Raised,
         AlertState::Unconfirmed,
@@ -84,11 +88,18 @@ pub fn duration(span: Duration) -> String {
 }
 
 fn seconds(span_s: f64) -> String {
-    const UNITS: [(f64, &str); 5] =
-        [(365.25 * 86_400.0, "years"), (86_400.0, "days"), (3600.0, "h"), (60.0, "min"), (1.0, "s")];
+    const UNITS: [(f64, &str); 5] = [
+        (365.25 * 86_400.0, "years"),
+        (86_400.0, "days"),
+        (3600.0, "h"),
+        (60.0, "min"),
+        (1.0, "s"),
+    ];
     /// Two of a unit, so that 90 s are not told as 1 min.
     const FROM: f64 = 2.0;
-    let fitting = UNITS.into_iter().find(|(unit_s, _)| span_s >= FROM * unit_s);
+    let fitting = UNITS
+        .into_iter()
+        .find(|(unit_s, _)| span_s >= FROM * unit_s);
     match fitting {
         Some((unit_s, unit)) => format!("{:.0} {unit}", (span_s / unit_s).floor()),
         None => format!("{span_s:.2} s"),
@@ -97,7 +108,11 @@ fn seconds(span_s: f64) -> String {
 
 /// How far behind the clock something is: `lag 0.12 s`; a simulation that outruns the clock is `12 s ahead`.
 pub fn lag(lag_s: f64) -> String {
-    if lag_s < 0.0 { format!("{} ahead", seconds(-lag_s)) } else { format!("lag {}", seconds(lag_s)) }
+    if lag_s < 0.0 {
+        format!("{} ahead", seconds(-lag_s))
+    } else {
+        format!("lag {}", seconds(lag_s))
+    }
 }
 
 /// A measurement time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
@@ -105,19 +120,27 @@ pub fn time(time_ns: i64) -> String {
     /// Three years: no record from 0 is longer, and no clock is so far behind.
     const RECORD_NS: u64 = 100_000_000_000_000_000;
     match Timestamp::from_nanosecond(i128::from(time_ns)) {
-        Ok(calendar) if time_ns.unsigned_abs() >= RECORD_NS => calendar.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+        Ok(calendar) if time_ns.unsigned_abs() >= RECORD_NS => {
+            calendar.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
+        }
         _ => format!("{:.2} s", time_ns as f64 / 1e9),
     }
 }
 
 /// The text on one line, without what would steer a terminal: messages come from anywhere.
 pub fn printable(text: &str) -> String {
-    text.chars().map(|letter| if letter.is_control() { ' ' } else { letter }).collect()
+    text.chars()
+        .map(|letter| if letter.is_control() { ' ' } else { letter })
+        .collect()
 }
 
 /// Says that no value has come; where alerts stand, values came before this was opened.
 pub fn nothing_measured(structure: &StructureHeard) -> &'static str {
-    if structure.alerts.is_empty() { "no data yet" } else { "no data since this began to watch" }
+    if structure.alerts.is_empty() {
+        "no data yet"
+    } else {
+        "no data since this began to watch"
+    }
 }
 
 #[cfg(test)]
@@ -126,7 +149,12 @@ mod tests {
 
     #[test]
     fn probabilities_never_read_as_certainty() {
-        for (value, expected) in [(0.0, "< 0.1 %"), (0.012, "1.2 %"), (0.5, "50.0 %"), (1.0, "> 99.9 %")] {
+        for (value, expected) in [
+            (0.0, "< 0.1 %"),
+            (0.012, "1.2 %"),
+            (0.5, "50.0 %"),
+            (1.0, "> 99.9 %"),
+        ] {
             assert_eq!(probability(value, Some(0.99)), expected);
         }
         assert_eq!(probability(0.9899, Some(0.99)), "98.99 %");
@@ -134,18 +162,28 @@ mod tests {
 
     #[test]
     fn noise_levels_have_three_digits_whatever_their_size() {
-        for (value, expected) in
-            [(0.1, "0.100"), (0.005, "0.00500"), (205.36, "205"), (1234.5, "1234"), (1e-7, "1.00e-7"), (0.0, "0")]
-        {
+        for (value, expected) in [
+            (0.1, "0.100"),
+            (0.005, "0.00500"),
+            (205.36, "205"),
+            (1234.5, "1234"),
+            (1e-7, "1.00e-7"),
+            (0.0, "0"),
+        ] {
             assert_eq!(significant(value), expected);
         }
     }
 
     #[test]
     fn spans_are_told_in_the_unit_that_suits_them() {
-        for (value, expected) in
-            [(0.12, "0.12 s"), (12.9, "12 s"), (90.0, "90 s"), (150.0, "2 min"), (7300.0, "2 h"), (8.7e8, "27 years")]
-        {
+        for (value, expected) in [
+            (0.12, "0.12 s"),
+            (12.9, "12 s"),
+            (90.0, "90 s"),
+            (150.0, "2 min"),
+            (7300.0, "2 h"),
+            (8.7e8, "27 years"),
+        ] {
             assert_eq!(seconds(value), expected);
         }
         assert_eq!(lag(0.12), "lag 0.12 s");
@@ -154,7 +192,10 @@ mod tests {
 
     #[test]
     fn shares_are_whole_where_they_can_be() {
-        assert_eq!((share(0.05), share(0.125)), ("5 %".to_owned(), "12.5 %".to_owned()));
+        assert_eq!(
+            (share(0.05), share(0.125)),
+            ("5 %".to_owned(), "12.5 %".to_owned())
+        );
     }
 
     #[test]

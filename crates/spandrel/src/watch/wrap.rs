@@ -12,7 +12,9 @@ pub fn wrap(text: &str, width: usize) -> Vec<String> {
     for word in text.split_whitespace() {
         let mut rest = word;
         while !rest.is_empty() {
-            let used = lines.last().map_or(0, |line| Span::raw(line.as_str()).width());
+            let used = lines
+                .last()
+                .map_or(0, |line| Span::raw(line.as_str()).width());
             let space = usize::from(used > 0);
             if used + space + Span::raw(rest).width() <= width {
                 if let Some(line) = lines.last_mut() {
@@ -36,7 +38,9 @@ pub fn wrap(text: &str, width: usize) -> Vec<String> {
 
 /// Bytes of the longest beginning that fits `width`; at least one character, so that it goes on.
 fn fitting(text: &str, width: usize) -> usize {
-    let ends = text.char_indices().map(|(at, letter)| at + letter.len_utf8());
+    let ends = text
+        .char_indices()
+        .map(|(at, letter)| at + letter.len_utf8());
     let fits = |end: &usize| Span::raw(&text[..*end]).width() <= width;
     let first = text.chars().next().map_or(0, char::len_utf8);
     ends.take_while(fits).last().unwrap_or(first)
@@ -67,20 +71,35 @@ mod tests {
 
     #[test]
     fn text_breaks_between_words() {
-        assert_eq!(wrap("storey-2 has lost 14 %", 10), ["storey-2", "has lost", "14 %"]);
+        assert_eq!(
+            wrap("storey-2 has lost 14 %", 10),
+            ["storey-2", "has lost", "14 %"]
+        );
         assert_eq!(wrap("", 10), [""]);
     }
 
     #[test]
     fn a_word_longer_than_a_line_is_cut() {
         assert_eq!(wrap("a bcdefgh i", 3), ["a", "bcd", "efg", "h i"]);
-        assert_eq!(wrap("桁橋", 1), ["桁", "橋"], "a wide character is wider than the line");
+        assert_eq!(
+            wrap("桁橋", 1),
+            ["桁", "橋"],
+            "a wide character is wider than the line"
+        );
     }
 
     #[test]
     fn items_flow_and_are_never_broken() {
-        let items = ["ingest 0.1 s", "identify 0.2 s", "alert 0.3 s"].map(Span::raw).to_vec();
-        let lines: Vec<String> = flow("lag  ", items, 36).iter().map(ToString::to_string).collect();
-        assert_eq!(lines, ["lag  ingest 0.1 s · identify 0.2 s", "     alert 0.3 s"]);
+        let items = ["ingest 0.1 s", "identify 0.2 s", "alert 0.3 s"]
+            .map(Span::raw)
+            .to_vec();
+        let lines: Vec<String> = flow("lag  ", items, 36)
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        assert_eq!(
+            lines,
+            ["lag  ingest 0.1 s · identify 0.2 s", "     alert 0.3 s"]
+        );
     }
 }

@@ -16,7 +16,12 @@ const DEADLINE: Duration = Duration::from_secs(90);
 /// How often a condition in the page is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Names of the program, the distribution's first.
-const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+const NAMES: [&str; 4] = [
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+];
 
 /// One page of a browser that ends with it.
 pub struct Browser {
@@ -40,7 +45,10 @@ impl Drop for Browser {
 /// Where Chromium is, if it is installed.
 pub fn installed() -> Option<PathBuf> {
     let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH")?).collect();
-    NAMES.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|path| path.is_file())
+    NAMES
+        .iter()
+        .flat_map(|name| folders.iter().map(move |folder| folder.join(name)))
+        .find(|path| path.is_file())
 }
 
 impl Browser {
@@ -49,9 +57,21 @@ impl Browser {
         let profile = tempfile::tempdir().unwrap();
         let mut command = Command::new(program);
         // root, as in a container, has no sandbox of its own to give
-        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-port=0"]);
-        command.arg(format!("--user-data-dir={}", profile.path().display())).arg("about:blank");
-        let mut process = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        command.args([
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+            "--remote-debugging-port=0",
+        ]);
+        command
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .arg("about:blank");
+        let mut process = command
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         let (told, address) = std::sync::mpsc::channel();
         let lines = BufReader::new(process.stderr.take().unwrap()).lines();
         // reads on to the end, so that the browser never waits for its log
@@ -62,13 +82,27 @@ impl Browser {
                 }
             }
         });
-        let address = address.recv_timeout(DEADLINE).expect("the address of the DevTools");
+        let address = address
+            .recv_timeout(DEADLINE)
+            .expect("the address of the DevTools");
         let targets: Value = serde_json::from_str(&get(&address, "/json").await).unwrap();
-        let page = targets.as_array().unwrap().iter().find(|target| target["type"] == "page").unwrap();
+        let page = targets
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|target| target["type"] == "page")
+            .unwrap();
         let page = page["webSocketDebuggerUrl"].as_str().unwrap();
         let (socket, _) = tokio_tungstenite::connect_async(page).await.unwrap();
         std::fs::create_dir_all(&screenshots).unwrap();
-        let mut browser = Self { process, socket, calls: 0, complaints: Vec::new(), _profile: profile, screenshots };
+        let mut browser = Self {
+            process,
+            socket,
+            calls: 0,
+            complaints: Vec::new(),
+            _profile: profile,
+            screenshots,
+        };
         for domain in ["Page.enable", "Runtime.enable", "Log.enable"] {
             browser.call(domain, json!({})).await;
         }
@@ -83,9 +117,13 @@ impl Browser {
         self.socket.send(text.into()).await.unwrap();
         loop {
             let message = tokio::time::timeout(DEADLINE, self.socket.next()).await;
-            let message =
-                message.unwrap_or_else(|_| panic!("{method}: no answer")).expect("the browser is there").unwrap();
-            let Ok(text) = message.to_text() else { continue };
+            let message = message
+                .unwrap_or_else(|_| panic!("{method}: no answer"))
+                .expect("the browser is there")
+                .unwrap();
+            let Ok(text) = message.to_text() else {
+                continue;
+            };
             let mut message: Value = serde_json::from_str(text).unwrap();
             if message["id"] == id {
                 assert!(message["error"].is_null(), "{method}: {}", message["error"]);
@@ -119,9 +157,14 @@ impl Browser {
 
     /// Evaluates an expression in the page.
     pub async fn evaluate(&mut self, expression: &str) -> Value {
-        let parameters = json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
+        let parameters =
+            json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
         let mut answer = self.call("Runtime.evaluate", parameters).await;
-        assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
+        assert!(
+            answer["exceptionDetails"].is_null(),
+            "{expression}: {}",
+            answer["exceptionDetails"]
+        );
         answer["result"]["value"].take()
     }
 
@@ -129,12 +172,17 @@ impl Browser {
     pub async fn wait(&mut self, what: &str, expression: &str) {
         let end = tokio::time::Instant::now() + DEADLINE;
         // while a page is being left there is nothing to evaluate in
-        let guarded = format!("(() => {{ try {{ return Boolean({expression}) }} catch {{ return false }} }})()");
+        let guarded = format!(
+            "(() => {{ try {{ return Boolean({expression}) }} catch {{ return false }} }})()"
+        );
         while self.evaluate(&guarded).await != true {
             if tokio::time::Instant::now() >= end {
                 self.screenshot("failed").await;
                 let text = self.evaluate("document.body.innerText").await;
-                panic!("waited in vain: {what}\n  {expression}\n  the page says: {text}\n  {:?}", self.complaints);
+                panic!(
+                    "waited in vain: {what}\n  {expression}\n  the page says: {text}\n  {:?}",
+                    self.complaints
+                );
             }
             tokio::time::sleep(LOOK_EVERY).await;
         }
@@ -170,7 +218,8 @@ impl Browser {
             other => panic!("no such key: {other}"),
         };
         for kind in ["keyDown", "keyUp"] {
-            let mut event = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code});
+            let mut event =
+                json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code});
             if kind == "keyDown" && !text.is_empty() {
                 event["text"] = json!(text);
             }
@@ -180,8 +229,12 @@ impl Browser {
 
     /// Keeps what is seen as a file.
     pub async fn screenshot(&mut self, name: &str) {
-        let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
-        let bytes = base64::prelude::BASE64_STANDARD.decode(shot["data"].as_str().unwrap()).unwrap();
+        let shot = self
+            .call("Page.captureScreenshot", json!({"format": "png"}))
+            .await;
+        let bytes = base64::prelude::BASE64_STANDARD
+            .decode(shot["data"].as_str().unwrap())
+            .unwrap();
         std::fs::write(self.screenshots.join(format!("{name}.png")), bytes).unwrap();
     }
 }
@@ -198,7 +251,8 @@ async fn get(address: &str, path: &str) -> String {
         if let Some((head, body)) = text.split_once("\r\n\r\n") {
             let length = head.lines().find_map(|line| {
                 let (name, value) = line.split_once(':')?;
-                name.eq_ignore_ascii_case("content-length").then(|| value.trim().parse::<usize>().unwrap())
+                name.eq_ignore_ascii_case("content-length")
+                    .then(|| value.trim().parse::<usize>().unwrap())
             });
             if body.len() >= length.expect("a length") {
                 return body.to_owned();

@@ -6,20 +6,35 @@ use serde_json::Value;
 use std::path::Path;
 
 fn example(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).to_str().unwrap().to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .to_str()
+        .unwrap()
+        .to_owned()
 }
 
 /// A demo of a structure that stays, without what it prints.
 fn demo(arguments: &[&str]) -> Program {
     let endpoint = format!("tcp/{}", free_address());
-    let settings = ["--stay", "--speed", "10", "--http", "127.0.0.1:0", "--listen", &endpoint];
+    let settings = [
+        "--stay",
+        "--speed",
+        "10",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ];
     Program::start(&[&["demo"], arguments, &settings].concat())
 }
 
 /// Broke: a red "connecting …" stood for a second over data that had just come.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_says_that_it_is_connected_with_the_first_message() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let demo = demo(&[]);
     browser.open(&demo.page).await;
     let told = "(async () => {
@@ -38,7 +53,9 @@ async fn the_page_says_that_it_is_connected_with_the_first_message() {
 /// Broke: words stood at the line of another mark, or on the curve.
 #[tokio::test(flavor = "multi_thread")]
 async fn words_of_marks_stand_at_their_own_lines() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let demo = demo(&[]);
     browser.open(&demo.page).await;
     for moments in [
@@ -63,18 +80,33 @@ async fn words_of_marks_stand_at_their_own_lines() {
 fn check_words(flags: &[Value], moments: &str) {
     const GAP: f64 = 4.0;
     let number = |flag: &Value, key: &str| flag[key].as_f64().unwrap();
-    let words: Vec<&Value> = flags.iter().filter(|flag| number(flag, "row") >= 0.0).collect();
+    let words: Vec<&Value> = flags
+        .iter()
+        .filter(|flag| number(flag, "row") >= 0.0)
+        .collect();
     assert!(words.len() >= 2, "{moments}: {words:?}");
     for word in words {
         let [at, from, to, row] = ["at", "from", "to", "row"].map(|key| number(word, key));
-        assert!(from == at + GAP || to == at - GAP, "not at its line, {moments}: {word}");
+        assert!(
+            from == at + GAP || to == at - GAP,
+            "not at its line, {moments}: {word}"
+        );
         assert!(from >= 0.0 && to <= 400.0, "outside, {moments}: {word}");
         for other in flags.iter().filter(|other| !std::ptr::eq(*other, word)) {
             // a line goes up to its word, and not at all beyond the plot where it has none
-            let is_crossed = number(other, "row") >= row && (from..to).contains(&number(other, "at"));
-            assert!(!is_crossed, "on the line of another, {moments}: {word}, {other}");
-            let is_covered = number(other, "row") == row && from < number(other, "to") && number(other, "from") < to;
-            assert!(!is_covered, "on the word of another, {moments}: {word}, {other}");
+            let is_crossed =
+                number(other, "row") >= row && (from..to).contains(&number(other, "at"));
+            assert!(
+                !is_crossed,
+                "on the line of another, {moments}: {word}, {other}"
+            );
+            let is_covered = number(other, "row") == row
+                && from < number(other, "to")
+                && number(other, "from") < to;
+            assert!(
+                !is_covered,
+                "on the word of another, {moments}: {word}, {other}"
+            );
         }
     }
 }
@@ -82,18 +114,39 @@ fn check_words(flags: &[Value], moments: &str) {
 /// Broke: storey 1 was in alarm, and a strip of five pixels without a name.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_small_part_that_has_probably_lost_has_its_name_beside_the_drawing() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let demo = demo(&["--distributed"]);
     browser.resize(1280, 900).await;
     browser.prefer("light").await;
-    browser.open(&format!("{}#/structure/demo-distributed", demo.page)).await;
-    let callout = |storey: &str| format!("document.querySelector('.drawing [data-callout={storey}]')");
-    let shown = format!("{}?.getAttribute('visibility') !== 'hidden'", callout("storey-1"));
-    browser.wait("the drawing", &format!("{} !== null", callout("storey-1"))).await;
-    browser.wait("the loss of storey 1", "document.querySelector('.attention').dataset.level === 'alarm'").await;
+    browser
+        .open(&format!("{}#/structure/demo-distributed", demo.page))
+        .await;
+    let callout =
+        |storey: &str| format!("document.querySelector('.drawing [data-callout={storey}]')");
+    let shown = format!(
+        "{}?.getAttribute('visibility') !== 'hidden'",
+        callout("storey-1")
+    );
+    browser
+        .wait("the drawing", &format!("{} !== null", callout("storey-1")))
+        .await;
+    browser
+        .wait(
+            "the loss of storey 1",
+            "document.querySelector('.attention').dataset.level === 'alarm'",
+        )
+        .await;
     browser.wait("its name beside the drawing", &shown).await;
-    let text = browser.evaluate(&format!("{}.textContent", callout("storey-1"))).await;
-    assert!(text.as_str().is_some_and(|text| text.starts_with("storey-1") && text.ends_with(" %")), "{text}");
+    let text = browser
+        .evaluate(&format!("{}.textContent", callout("storey-1")))
+        .await;
+    assert!(
+        text.as_str()
+            .is_some_and(|text| text.starts_with("storey-1") && text.ends_with(" %")),
+        "{text}"
+    );
     let inside = format!(
         "(() => {{
             const drawing = document.querySelector('.drawing').getBoundingClientRect();
@@ -108,16 +161,29 @@ async fn a_small_part_that_has_probably_lost_has_its_name_beside_the_drawing() {
     browser.screenshot("small-parts-dark").await;
     browser.resize(390, 844).await;
     browser.screenshot("small-parts-phone").await;
-    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
 }
 
 /// Broke: beside the drawing the table was cut off, and had to be scrolled aside.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_table_of_parts_fits_on_a_small_screen() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     for name in ["three-pier-bridge", "dome-bars"] {
-        let demo = demo(&["--structure", &example(&format!("{name}.toml")), "--duration", "20"]);
-        browser.open(&format!("{}#/structure/{name}", demo.page)).await;
+        let demo = demo(&[
+            "--structure",
+            &example(&format!("{name}.toml")),
+            "--duration",
+            "20",
+        ]);
+        browser
+            .open(&format!("{}#/structure/{name}", demo.page))
+            .await;
         browser
             .wait("estimates", "/^\\d\\.\\d+ ± /.test(document.querySelector('.parameters td.number')?.textContent)")
             .await;

@@ -29,12 +29,23 @@ impl Program {
     /// Starts a subcommand and reads where its page is.
     fn start(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
-        let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut child = command
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let line = lines.next().expect("a line that says where the page is").unwrap();
+        let line = lines
+            .next()
+            .expect("a line that says where the page is")
+            .unwrap();
         // reads on to the end, so that the program never waits for its reader
         std::thread::spawn(move || lines.for_each(drop));
-        let page = line.strip_prefix("page: ").unwrap_or_else(|| panic!("no address of a page: {line}")).to_owned();
+        let page = line
+            .strip_prefix("page: ")
+            .unwrap_or_else(|| panic!("no address of a page: {line}"))
+            .to_owned();
         Self { child, page }
     }
 }
@@ -48,14 +59,21 @@ impl Drop for Program {
 }
 
 fn free_address() -> String {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
+    TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .to_string()
 }
 
 /// The browser, or none with a word on why; a failure where everything is required.
 async fn browser() -> Option<Browser> {
     let Some(program) = chromium::installed() else {
         let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
-        assert!(!required, "Chromium is not installed, and REQUIRE_ALL_TESTS is set: apt-get install chromium");
+        assert!(
+            !required,
+            "Chromium is not installed, and REQUIRE_ALL_TESTS is set: apt-get install chromium"
+        );
         eprintln!("skipped: no Chromium is installed (apt-get install chromium)");
         return None;
     };
@@ -65,9 +83,20 @@ async fn browser() -> Option<Browser> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heals() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let endpoint = format!("tcp/{}", free_address());
-    let demo = Program::start(&["demo", "--stay", "--speed", "10", "--http", "127.0.0.1:0", "--listen", &endpoint]);
+    let demo = Program::start(&[
+        "demo",
+        "--stay",
+        "--speed",
+        "10",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ]);
     browser.resize(1280, 900).await;
     browser.prefer("light").await;
 
@@ -77,19 +106,33 @@ async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heal
     what_is_seen_is_a_picture_to_take_away(&mut browser).await;
     a_phone_shows_it_without_scrolling_aside(&mut browser).await;
     the_alert_is_acknowledged_by_keyboard(&mut browser).await;
-    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
     a_lost_connection_heals(&mut browser, &endpoint).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_with_tokens_asks_for_one() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let tokens = folder.path().join("tokens.json");
     let mut token = Command::new(env!("CARGO_BIN_EXE_spandrel"));
-    let issued = token.args(["token", "grace", "--role", "operator", "--file"]).arg(&tokens).output().unwrap();
+    let issued = token
+        .args(["token", "grace", "--role", "operator", "--file"])
+        .arg(&tokens)
+        .output()
+        .unwrap();
     let token = String::from_utf8(issued.stdout).unwrap().trim().to_owned();
-    assert!(token.starts_with("spandrel-"), "{}", String::from_utf8_lossy(&issued.stderr));
+    assert!(
+        token.starts_with("spandrel-"),
+        "{}",
+        String::from_utf8_lossy(&issued.stderr)
+    );
     let structure = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let configuration = folder.path().join("spandrel.toml");
     let text = format!(
@@ -100,8 +143,18 @@ async fn a_page_with_tokens_asks_for_one() {
     std::fs::write(&configuration, text).unwrap();
     let run = Program::start(&["run", "--config", configuration.to_str().unwrap()]);
     browser.open(&run.page).await;
-    browser.wait("a form for the token", "document.querySelector('#entrance #token') !== null").await;
-    assert_eq!(browser.evaluate("document.querySelectorAll('.structure-card').length").await, 0);
+    browser
+        .wait(
+            "a form for the token",
+            "document.querySelector('#entrance #token') !== null",
+        )
+        .await;
+    assert_eq!(
+        browser
+            .evaluate("document.querySelectorAll('.structure-card').length")
+            .await,
+        0
+    );
     browser.screenshot("entrance").await;
     let show = |token: &str| {
         format!(
@@ -110,16 +163,32 @@ async fn a_page_with_tokens_asks_for_one() {
     };
     browser.evaluate(&show("spandrel-wrong")).await;
     let told = "document.querySelector('#entrance [role=alert]').textContent";
-    browser.wait("a word on the wrong token", &format!("{told}.includes('no valid token')")).await;
+    browser
+        .wait(
+            "a word on the wrong token",
+            &format!("{told}.includes('no valid token')"),
+        )
+        .await;
     browser.evaluate(&show(&token)).await;
-    browser.wait("the card of the demo", "document.querySelector('.structure-card[data-name=demo]') !== null").await;
-    assert_eq!(browser.evaluate("document.cookie").await, "", "scripts cannot read the session");
+    browser
+        .wait(
+            "the card of the demo",
+            "document.querySelector('.structure-card[data-name=demo]') !== null",
+        )
+        .await;
+    assert_eq!(
+        browser.evaluate("document.cookie").await,
+        "",
+        "scripts cannot read the session"
+    );
 }
 
 /// Broke: nothing on the page told which node was silent, left out or well.
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_that_identify_for_themselves_are_in_a_table() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let endpoint = format!("tcp/{}", free_address());
     let demo = Program::start(&[
         "demo",
@@ -134,25 +203,61 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
     ]);
     browser.resize(1280, 900).await;
     browser.prefer("light").await;
-    browser.open(&format!("{}#/structure/demo-distributed", demo.page)).await;
+    browser
+        .open(&format!("{}#/structure/demo-distributed", demo.page))
+        .await;
     let cell = |node: &str, column: u64| {
-        format!("document.querySelector('table.nodes tr[data-node={node}]')?.children[{column}].textContent ?? ''")
+        format!(
+            "document.querySelector('table.nodes tr[data-node={node}]')?.children[{column}].textContent ?? ''"
+        )
     };
     // its samples are lost from 30 to 45 s; those of floor 20 are off all the time
-    browser.wait("a node that is silent", &format!("({}).startsWith('○ silent since ')", cell("floor-8", 1))).await;
-    browser.wait("a node that is left out", &format!("({}).startsWith('◆ excluded')", cell("floor-20", 1))).await;
-    browser.evaluate("document.querySelector('#group-nodes').scrollIntoView()").await;
+    browser
+        .wait(
+            "a node that is silent",
+            &format!("({}).startsWith('○ silent since ')", cell("floor-8", 1)),
+        )
+        .await;
+    browser
+        .wait(
+            "a node that is left out",
+            &format!("({}).startsWith('◆ excluded')", cell("floor-20", 1)),
+        )
+        .await;
+    browser
+        .evaluate("document.querySelector('#group-nodes').scrollIntoView()")
+        .await;
     browser.screenshot("nodes-light").await;
-    assert_eq!(browser.evaluate("document.querySelectorAll('table.nodes tbody tr').length").await, 16);
-    let heads = browser.evaluate("[...document.querySelectorAll('table.nodes th[scope=col]')].length").await;
+    assert_eq!(
+        browser
+            .evaluate("document.querySelectorAll('table.nodes tbody tr').length")
+            .await,
+        16
+    );
+    let heads = browser
+        .evaluate("[...document.querySelectorAll('table.nodes th[scope=col]')].length")
+        .await;
     assert_eq!(heads, 7);
     // names were broken at their hyphens, and lines of different nodes looked the same
     let in_one_line = "(name) => { const text = document.createRange(); text.selectNodeContents(name); return text.getClientRects().length === 1; }";
-    let names = format!("[...document.querySelectorAll('table.nodes th[scope=row]')].every({in_one_line})");
-    assert_eq!(browser.evaluate(&names).await, true, "a name takes more than a line");
+    let names =
+        format!("[...document.querySelectorAll('table.nodes th[scope=row]')].every({in_one_line})");
+    assert_eq!(
+        browser.evaluate(&names).await,
+        true,
+        "a name takes more than a line"
+    );
     let looks = "[...document.querySelectorAll('#plot-nodes .key-line')].map((key) => key.style.getPropertyValue('--key') + key.firstChild.getAttribute('stroke-dasharray'))";
-    assert_eq!(browser.evaluate(&format!("new Set({looks}).size")).await, 16);
-    browser.wait("it is heard again", &format!("({}).startsWith('● alive')", cell("floor-8", 1))).await;
+    assert_eq!(
+        browser.evaluate(&format!("new Set({looks}).size")).await,
+        16
+    );
+    browser
+        .wait(
+            "it is heard again",
+            &format!("({}).startsWith('● alive')", cell("floor-8", 1)),
+        )
+        .await;
     for (column, shape) in [
         (2, r"^[\d.]+ \([\d.]+\)$"),
         (3, r"^\d{4}-\d\d-\d\d .* UTC \(\d+ % of late\)$"),
@@ -161,64 +266,145 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
         (6, r"^[\d.]+ kB$"),
     ] {
         let matches = format!("/{shape}/.test({})", cell("floor-20", column));
-        browser.wait(&format!("column {column} of a node that is left out"), &matches).await;
+        browser
+            .wait(
+                &format!("column {column} of a node that is left out"),
+                &matches,
+            )
+            .await;
     }
     browser.prefer("dark").await;
     browser.screenshot("nodes-dark").await;
     browser.resize(390, 844).await;
-    browser.evaluate("document.querySelector('#group-nodes').scrollIntoView()").await;
+    browser
+        .evaluate("document.querySelector('#group-nodes').scrollIntoView()")
+        .await;
     browser.screenshot("nodes-phone").await;
-    let width = browser.evaluate("document.documentElement.scrollWidth").await;
+    let width = browser
+        .evaluate("document.documentElement.scrollWidth")
+        .await;
     assert_eq!(width, 390, "the page is wider than the phone");
-    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
 }
 
 /// Broke: its plots and files had dates of 1970.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_record_without_dates_is_plotted_by_its_own_time() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
-    let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
-    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"), &structure).unwrap();
+    let (structure, record) = (
+        folder.path().join("demo.toml"),
+        folder.path().join("demo.csv"),
+    );
+    std::fs::copy(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"),
+        &structure,
+    )
+    .unwrap();
     let (structure, record) = (structure.to_str().unwrap(), record.to_str().unwrap());
-    tool(&["simulate", structure, "--record", record, "--duration", "120"]);
+    tool(&[
+        "simulate",
+        structure,
+        "--record",
+        record,
+        "--duration",
+        "120",
+    ]);
     let (run, endpoint) = run_in(folder.path(), structure);
-    tool(&["replay", record, "--structure", structure, "--speed", "max", "--connect", &endpoint]);
+    tool(&[
+        "replay",
+        record,
+        "--structure",
+        structure,
+        "--speed",
+        "max",
+        "--connect",
+        &endpoint,
+    ]);
 
     browser.resize(1280, 900).await;
     browser.open(&run.page).await;
     let age = "document.querySelector('.structure-card[data-name=demo] .fact-age dd').textContent";
-    browser.wait("the time of the record", &format!("/, measured 119\\.\\d\\d s$/.test({age})")).await;
+    browser
+        .wait(
+            "the time of the record",
+            &format!("/, measured 119\\.\\d\\d s$/.test({age})"),
+        )
+        .await;
     browser.evaluate("location.hash = '#/structure/demo'").await;
     let readout = "document.querySelector('#plot-worst .readout').textContent";
-    browser.wait("a reading at the end", &format!("/^119\\.\\d\\d s · 0\\.8/.test({readout})")).await;
+    browser
+        .wait(
+            "a reading at the end",
+            &format!("/^119\\.\\d\\d s · 0\\.8/.test({readout})"),
+        )
+        .await;
     browser.screenshot("without-dates").await;
     let file = "(async () => (await (await fetch('/api/structures/demo/history?series=parameter/storey-2&format=csv')).text()).split('\\n')[1])()";
     let row = browser.evaluate(file).await;
     assert!(row.as_str().unwrap().starts_with("0"), "{row}");
     // the words of the axis are drawn, so that they are asked of what writes them
     let words = "(async () => { const { recordTime } = await import('/words.js'); return [0, 59.9996, 90, 3725.25].map((time) => recordTime(time, time % 1 ? 2 : 0)); })()";
-    assert_eq!(browser.evaluate(words).await, json!(["0:00:00", "0:01:00.00", "0:01:30", "1:02:05.25"]));
-    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    assert_eq!(
+        browser.evaluate(words).await,
+        json!(["0:00:00", "0:01:00.00", "0:01:30", "1:02:05.25"])
+    );
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
 }
 
 /// What is plotted only where the structure file asks for it.
 #[tokio::test(flavor = "multi_thread")]
 async fn model_classes_and_rejected_samples_are_plotted() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
-    let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
+    let (structure, record) = (
+        folder.path().join("demo.toml"),
+        folder.path().join("demo.csv"),
+    );
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
-    let text = std::fs::read_to_string(demo).unwrap().replace("seed = 1\n", "seed = 1\nspike-share = 0.01\n");
+    let text = std::fs::read_to_string(demo)
+        .unwrap()
+        .replace("seed = 1\n", "seed = 1\nspike-share = 0.01\n");
     let tables = "[outliers]\n[classes]\nkind = \"predefined\"\n\
                   [[classes.class]]\nname = \"lower-two\"\ngroups = [[\"storey-1\"], [\"storey-2\"]]\n\
                   [[classes.class]]\nname = \"upper-two\"\ngroups = [[\"storey-4\"], [\"storey-5\"]]\n[[alert]]";
-    assert!(text.contains("spike-share") && text.contains("[[alert]]"), "the example has changed");
+    assert!(
+        text.contains("spike-share") && text.contains("[[alert]]"),
+        "the example has changed"
+    );
     std::fs::write(&structure, text.replacen("[[alert]]", tables, 1)).unwrap();
     let (structure, record) = (structure.to_str().unwrap(), record.to_str().unwrap());
-    tool(&["simulate", structure, "--record", record, "--duration", "120"]);
+    tool(&[
+        "simulate",
+        structure,
+        "--record",
+        record,
+        "--duration",
+        "120",
+    ]);
     let (run, endpoint) = run_in(folder.path(), structure);
-    tool(&["replay", record, "--structure", structure, "--speed", "max", "--connect", &endpoint]);
+    tool(&[
+        "replay",
+        record,
+        "--structure",
+        structure,
+        "--speed",
+        "max",
+        "--connect",
+        &endpoint,
+    ]);
 
     browser.resize(1280, 900).await;
     browser.open(&format!("{}#/structure/demo", run.page)).await;
@@ -231,62 +417,145 @@ async fn model_classes_and_rejected_samples_are_plotted() {
     browser.wait("classes", &shown("classes")).await;
     // storey 2 is damaged alone: what takes the three lower ones as one explains it worse
     let readout = "document.querySelector('#plot-classes .readout').textContent";
-    browser.wait("the plausibilities", &format!("/lower-two (9\\d|100) % · upper-two .*\\d %$/.test({readout})")).await;
+    browser
+        .wait(
+            "the plausibilities",
+            &format!("/lower-two (9\\d|100) % · upper-two .*\\d %$/.test({readout})"),
+        )
+        .await;
     browser.screenshot("classes").await;
     browser.wait("outliers", &shown("outliers")).await;
     let rejected = "document.querySelector('#group-outliers .readout').textContent";
     let shape = r"/^.* · [\d.]+ % of the late samples · \d+ rejected here$/";
-    browser.wait("what was rejected", &format!("{shape}.test({rejected})")).await;
+    browser
+        .wait("what was rejected", &format!("{shape}.test({rejected})"))
+        .await;
     browser.screenshot("outliers").await;
-    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
 }
 
 /// Runs a subcommand to its end.
 fn tool(arguments: &[&str]) {
-    let ended = Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap();
-    assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+    let ended = Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .args(arguments)
+        .output()
+        .unwrap();
+    assert!(
+        ended.status.success(),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&ended.stderr)
+    );
 }
 
 /// Runs the services of a structure and their page, with nothing kept; where to connect to.
 fn run_in(folder: &Path, structure: &str) -> (Program, String) {
     let configuration = folder.join("spandrel.toml");
-    std::fs::write(&configuration, "[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n").unwrap();
-    let (configuration, endpoint) = (configuration.to_str().unwrap(), format!("tcp/{}", free_address()));
-    let run = ["run", structure, "--config", configuration, "--http", "127.0.0.1:0", "--listen", &endpoint];
+    std::fs::write(
+        &configuration,
+        "[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n",
+    )
+    .unwrap();
+    let (configuration, endpoint) = (
+        configuration.to_str().unwrap(),
+        format!("tcp/{}", free_address()),
+    );
+    let run = [
+        "run",
+        structure,
+        "--config",
+        configuration,
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ];
     (Program::start(&run), endpoint)
 }
 
 /// The one in TypeScript, without its types.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_subscriber_of_the_docs_hears_parameters() {
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let endpoint = format!("tcp/{}", free_address());
-    let demo = Program::start(&["demo", "--speed", "1", "--http", "127.0.0.1:0", "--listen", &endpoint]);
+    let demo = Program::start(&[
+        "demo",
+        "--speed",
+        "1",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ]);
     browser.open(&demo.page).await;
-    browser.wait("the page", "document.querySelector('.structure-card')").await;
+    browser
+        .wait("the page", "document.querySelector('.structure-card')")
+        .await;
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/dashboard.md");
     let docs = std::fs::read_to_string(docs).unwrap();
-    let typed = docs.split_once("```ts\n").and_then(|(_, rest)| rest.split_once("```")).expect("a subscriber").0;
-    let lines: Vec<&str> = typed.lines().filter(|line| !line.starts_with("type ")).collect();
-    let plain = lines.join("\n").replace(" as Partial<News>", "").replace(")!", ")");
-    let script = plain.replace("ws://127.0.0.1:8080/", "ws://${location.host}/").replace("\"ws:", "`ws:");
+    let typed = docs
+        .split_once("```ts\n")
+        .and_then(|(_, rest)| rest.split_once("```"))
+        .expect("a subscriber")
+        .0;
+    let lines: Vec<&str> = typed
+        .lines()
+        .filter(|line| !line.starts_with("type "))
+        .collect();
+    let plain = lines
+        .join("\n")
+        .replace(" as Partial<News>", "")
+        .replace(")!", ")");
+    let script = plain
+        .replace("ws://127.0.0.1:8080/", "ws://${location.host}/")
+        .replace("\"ws:", "`ws:");
     let script = script.replace("structure=demo\"", "structure=demo`");
-    assert!(script.contains("`ws://${location.host}/api/live?structure=demo`"), "{script}");
+    assert!(
+        script.contains("`ws://${location.host}/api/live?structure=demo`"),
+        "{script}"
+    );
     browser
         .evaluate(&format!("{{ globalThis.told = []; const console = {{ log: (...words) => told.push(words.join(' ')) }};\n{script}\n}} true"))
         .await;
     let shape = r"/^parameter\/storey-2 20\d\d-\d\d-\d\dT[\d:.]+Z [\d.]+ ± [\d.]+$/";
-    browser.wait("what the docs show", &format!("told.some((line) => {shape}.test(line))")).await;
+    browser
+        .wait(
+            "what the docs show",
+            &format!("told.some((line) => {shape}.test(line))"),
+        )
+        .await;
 }
 
 async fn the_damage_appears(browser: &mut Browser, page: &str) {
     browser.open(page).await;
     let card = "document.querySelector('.structure-card[data-name=demo]')";
-    browser.wait("an alarm of the demo", &format!("{card}.dataset.level === 'alarm'")).await;
-    let sentence = browser.evaluate(&format!("{card}.querySelector('.sentence').textContent")).await;
-    assert!(sentence.as_str().unwrap().starts_with("storey-2 has lost "), "{sentence}");
-    let worst = browser.evaluate(&format!("{card}.querySelector('.fact-worst dd').textContent")).await;
-    assert!(worst.as_str().unwrap().starts_with("storey-2: 0."), "{worst}");
+    browser
+        .wait(
+            "an alarm of the demo",
+            &format!("{card}.dataset.level === 'alarm'"),
+        )
+        .await;
+    let sentence = browser
+        .evaluate(&format!("{card}.querySelector('.sentence').textContent"))
+        .await;
+    assert!(
+        sentence.as_str().unwrap().starts_with("storey-2 has lost "),
+        "{sentence}"
+    );
+    let worst = browser
+        .evaluate(&format!(
+            "{card}.querySelector('.fact-worst dd').textContent"
+        ))
+        .await;
+    assert!(
+        worst.as_str().unwrap().starts_with("storey-2: 0."),
+        "{worst}"
+    );
     assert_eq!(browser.evaluate("document.title").await, "▲ 1 – Spandrel");
     browser.screenshot("overview-light").await;
     browser.prefer("dark").await;
@@ -295,64 +564,149 @@ async fn the_damage_appears(browser: &mut Browser, page: &str) {
 }
 
 async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
-    browser.evaluate("document.querySelector('.structure-card a').click()").await;
+    browser
+        .evaluate("document.querySelector('.structure-card a').click()")
+        .await;
     browser
         .wait(
             "storey 2 in the colour of a certain loss",
             "document.querySelector('.drawing [data-part=storey-2]').dataset.step === '4'",
         )
         .await;
-    let sound = browser.evaluate("document.querySelectorAll('.drawing .part[data-step=\"0\"]').length").await;
+    let sound = browser
+        .evaluate("document.querySelectorAll('.drawing .part[data-step=\"0\"]').length")
+        .await;
     assert_eq!(sound, 4, "the other storeys are sound");
-    assert_eq!(browser.evaluate("document.querySelectorAll('.drawing .sensor').length").await, 6);
-    browser.wait("the plot of storey 2", "document.querySelector('#plot-worst canvas').width > 100").await;
+    assert_eq!(
+        browser
+            .evaluate("document.querySelectorAll('.drawing .sensor').length")
+            .await,
+        6
+    );
+    browser
+        .wait(
+            "the plot of storey 2",
+            "document.querySelector('#plot-worst canvas').width > 100",
+        )
+        .await;
     let readout = "document.querySelector('#plot-worst .readout').textContent";
-    browser.wait("its reading", &format!("/ UTC .*95 %: 0\\.8/.test({readout})")).await;
+    browser
+        .wait(
+            "its reading",
+            &format!("/ UTC .*95 %: 0\\.8/.test({readout})"),
+        )
+        .await;
     browser.screenshot("structure-light").await;
     browser.prefer("dark").await;
-    browser.wait("the plot in other colours", "document.querySelector('#plot-worst canvas')").await;
+    browser
+        .wait(
+            "the plot in other colours",
+            "document.querySelector('#plot-worst canvas')",
+        )
+        .await;
     browser.screenshot("structure-dark").await;
     browser.prefer("light").await;
     // innovations and noise levels have plots, and lie below
-    browser.evaluate("document.querySelector('#group-innovations').scrollIntoView()").await;
-    browser.wait("innovations", "document.querySelectorAll('#group-innovations canvas').length > 0").await;
-    browser.wait("the plots below", "document.querySelector('#plot-noise-floors')").await;
+    browser
+        .evaluate("document.querySelector('#group-innovations').scrollIntoView()")
+        .await;
+    browser
+        .wait(
+            "innovations",
+            "document.querySelectorAll('#group-innovations canvas').length > 0",
+        )
+        .await;
+    browser
+        .wait(
+            "the plots below",
+            "document.querySelector('#plot-noise-floors')",
+        )
+        .await;
     browser.screenshot("structure-plots").await;
     // another span is asked for and kept
     browser
         .evaluate("[...document.querySelectorAll('.ranges button')].find((b) => b.textContent === '1 min').click()")
         .await;
-    browser.wait("one minute", "document.querySelector('.ranges [aria-pressed=true]').textContent === '1 min'").await;
+    browser
+        .wait(
+            "one minute",
+            "document.querySelector('.ranges [aria-pressed=true]').textContent === '1 min'",
+        )
+        .await;
     let csv = "(async () => { const a = document.querySelector('#plot-parameter-storey-2 .files a'); a.addEventListener('click', (e) => e.preventDefault()); a.click(); return (await (await fetch(a.href)).text()).split('\\n'); })()";
     let lines = browser.evaluate(csv).await;
-    assert!(lines[0].as_str().unwrap().starts_with("time,parameter/storey-2.mean,"), "{}", lines[0]);
-    assert!(lines.as_array().unwrap().len() > 100, "the points that are shown: {}", lines.as_array().unwrap().len());
+    assert!(
+        lines[0]
+            .as_str()
+            .unwrap()
+            .starts_with("time,parameter/storey-2.mean,"),
+        "{}",
+        lines[0]
+    );
+    assert!(
+        lines.as_array().unwrap().len() > 100,
+        "the points that are shown: {}",
+        lines.as_array().unwrap().len()
+    );
 }
 
 /// One crosshair for all plots, and the keys that move it and the span.
 async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
-    let readout = |plot: &str| format!("document.querySelector('#plot-{plot} .readout').textContent.slice(0, 8)");
+    let readout = |plot: &str| {
+        format!("document.querySelector('#plot-{plot} .readout').textContent.slice(0, 8)")
+    };
     let (first, second) = (readout("parameter-storey-1"), readout("parameter-storey-2"));
-    browser.evaluate("document.querySelector('#plot-parameter-storey-1').scrollIntoView()").await;
-    browser.wait("both plots", "document.querySelector('#plot-parameter-storey-2 canvas')").await;
-    browser.evaluate("document.querySelector('#plot-parameter-storey-1 .plot-holder').focus()").await;
+    browser
+        .evaluate("document.querySelector('#plot-parameter-storey-1').scrollIntoView()")
+        .await;
+    browser
+        .wait(
+            "both plots",
+            "document.querySelector('#plot-parameter-storey-2 canvas')",
+        )
+        .await;
+    browser
+        .evaluate("document.querySelector('#plot-parameter-storey-1 .plot-holder').focus()")
+        .await;
     browser.press("Home").await;
     browser.press("ArrowLeft").await;
     let newest = browser.evaluate(&first).await;
     for _ in 0..60 {
         browser.press("ArrowLeft").await;
     }
-    browser.wait("an earlier moment", &format!("{first} < '{}'", newest.as_str().unwrap())).await;
-    browser.wait("the same moment in the other plot", &format!("{first} === {second}")).await;
+    browser
+        .wait(
+            "an earlier moment",
+            &format!("{first} < '{}'", newest.as_str().unwrap()),
+        )
+        .await;
+    browser
+        .wait(
+            "the same moment in the other plot",
+            &format!("{first} === {second}"),
+        )
+        .await;
 
     browser.press("+").await;
-    browser.wait("a span that stays", "!document.querySelector('.ranges .back').hidden").await;
+    browser
+        .wait(
+            "a span that stays",
+            "!document.querySelector('.ranges .back').hidden",
+        )
+        .await;
     let text = "document.querySelector('.range-text').textContent";
     let zoomed = browser.evaluate(text).await;
     browser.press("-").await;
-    browser.wait("a longer span", &format!("{text} !== {zoomed}")).await;
+    browser
+        .wait("a longer span", &format!("{text} !== {zoomed}"))
+        .await;
     browser.press("Home").await;
-    browser.wait("the newest data", &format!("{text}.startsWith('newest data')")).await;
+    browser
+        .wait(
+            "the newest data",
+            &format!("{text}.startsWith('newest data')"),
+        )
+        .await;
 }
 
 async fn what_is_seen_is_a_picture_to_take_away(browser: &mut Browser) {
@@ -376,13 +730,24 @@ async fn what_is_seen_is_a_picture_to_take_away(browser: &mut Browser) {
 
 async fn a_phone_shows_it_without_scrolling_aside(browser: &mut Browser) {
     browser.resize(390, 844).await;
-    for (address, name) in
-        [("#/", "phone-overview"), ("#/structure/demo", "phone-structure"), ("#/alerts", "phone-alerts")]
-    {
-        browser.evaluate(&format!("location.hash = '{address}'")).await;
-        browser.wait("its content", "document.querySelector('main .card, main .attention .sentence')").await;
+    for (address, name) in [
+        ("#/", "phone-overview"),
+        ("#/structure/demo", "phone-structure"),
+        ("#/alerts", "phone-alerts"),
+    ] {
+        browser
+            .evaluate(&format!("location.hash = '{address}'"))
+            .await;
+        browser
+            .wait(
+                "its content",
+                "document.querySelector('main .card, main .attention .sentence')",
+            )
+            .await;
         browser.screenshot(name).await;
-        let width = browser.evaluate("document.documentElement.scrollWidth").await;
+        let width = browser
+            .evaluate("document.documentElement.scrollWidth")
+            .await;
         assert_eq!(width, 390, "{address} is wider than the phone");
     }
     browser.resize(1280, 900).await;
@@ -390,11 +755,23 @@ async fn a_phone_shows_it_without_scrolling_aside(browser: &mut Browser) {
 
 async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
     browser.evaluate("location.hash = '#/alerts'").await;
-    browser.wait("the alert", "document.querySelector('.alert[data-state=raised] .acknowledge')").await;
+    browser
+        .wait(
+            "the alert",
+            "document.querySelector('.alert[data-state=raised] .acknowledge')",
+        )
+        .await;
     browser.screenshot("alerts-light").await;
-    browser.evaluate("document.querySelector('.alert[data-state=raised] .acknowledge').focus()").await;
+    browser
+        .evaluate("document.querySelector('.alert[data-state=raised] .acknowledge').focus()")
+        .await;
     browser.press("Enter").await;
-    browser.wait("the dialog", "document.querySelector('dialog').open && document.activeElement.id === 'who'").await;
+    browser
+        .wait(
+            "the dialog",
+            "document.querySelector('dialog').open && document.activeElement.id === 'who'",
+        )
+        .await;
     browser.write("Ada <b>Lovelace</b>").await;
     browser.press("Tab").await;
     browser.write("on my way").await;
@@ -410,12 +787,27 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
     let seen = browser
         .evaluate("document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] .seen').textContent")
         .await;
-    assert_eq!(seen, "Seen by Ada <b>Lovelace</b>: on my way", "names are text, not markup");
-    browser.wait("the closed dialog", "!document.querySelector('dialog').open").await;
-    browser.wait("no alert is counted any more", "document.getElementById('alert-count').hidden").await;
+    assert_eq!(
+        seen, "Seen by Ada <b>Lovelace</b>: on my way",
+        "names are text, not markup"
+    );
+    browser
+        .wait(
+            "the closed dialog",
+            "!document.querySelector('dialog').open",
+        )
+        .await;
+    browser
+        .wait(
+            "no alert is counted any more",
+            "document.getElementById('alert-count').hidden",
+        )
+        .await;
     browser.screenshot("alerts-acknowledged").await;
     // the link leads to the moment
-    browser.evaluate("document.querySelector('.alert[data-state=acknowledged] .actions a').click()").await;
+    browser
+        .evaluate("document.querySelector('.alert[data-state=acknowledged] .actions a').click()")
+        .await;
     browser
         .wait(
             "the moment",
@@ -428,15 +820,42 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
 async fn a_lost_connection_heals(browser: &mut Browser, endpoint: &str) {
     let structure = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let http = free_address();
-    let arguments = ["dashboard", structure.to_str().unwrap(), "--connect", endpoint, "--http", &http];
+    let arguments = [
+        "dashboard",
+        structure.to_str().unwrap(),
+        "--connect",
+        endpoint,
+        "--http",
+        &http,
+    ];
     let first = Program::start(&arguments);
     browser.open(&first.page).await;
-    browser.wait("a page that is connected", "document.getElementById('link').dataset.state === 'open'").await;
-    browser.wait("the alert, asked for from the alert service", "document.querySelector('.structure-card')").await;
+    browser
+        .wait(
+            "a page that is connected",
+            "document.getElementById('link').dataset.state === 'open'",
+        )
+        .await;
+    browser
+        .wait(
+            "the alert, asked for from the alert service",
+            "document.querySelector('.structure-card')",
+        )
+        .await;
     drop(first);
-    browser.wait("the word that it is lost", "!document.getElementById('lost').hidden").await;
-    let told = browser.evaluate("document.getElementById('lost').textContent").await;
-    assert!(told.as_str().unwrap().contains("No connection to Spandrel"), "{told}");
+    browser
+        .wait(
+            "the word that it is lost",
+            "!document.getElementById('lost').hidden",
+        )
+        .await;
+    let told = browser
+        .evaluate("document.getElementById('lost').textContent")
+        .await;
+    assert!(
+        told.as_str().unwrap().contains("No connection to Spandrel"),
+        "{told}"
+    );
     browser.screenshot("lost").await;
     let _second = Program::start(&arguments);
     browser
@@ -445,7 +864,12 @@ async fn a_lost_connection_heals(browser: &mut Browser, endpoint: &str) {
             "document.getElementById('lost').hidden && document.getElementById('link').dataset.state === 'open'",
         )
         .await;
-    browser.wait("its content", "document.querySelector('.structure-card[data-name=demo]')").await;
+    browser
+        .wait(
+            "its content",
+            "document.querySelector('.structure-card[data-name=demo]')",
+        )
+        .await;
     browser.screenshot("healed").await;
 }
 
@@ -461,13 +885,26 @@ struct Cost {
 }
 
 async fn cost(browser: &mut Browser) -> Cost {
-    browser.call("HeapProfiler.collectGarbage", serde_json::json!({})).await;
-    let metrics = browser.call("Performance.getMetrics", serde_json::json!({})).await;
+    browser
+        .call("HeapProfiler.collectGarbage", serde_json::json!({}))
+        .await;
+    let metrics = browser
+        .call("Performance.getMetrics", serde_json::json!({}))
+        .await;
     let metric = |name: &str| {
         let metrics = metrics["metrics"].as_array().unwrap();
-        metrics.iter().find(|metric| metric["name"] == name).unwrap()["value"].as_f64().unwrap()
+        metrics
+            .iter()
+            .find(|metric| metric["name"] == name)
+            .unwrap()["value"]
+            .as_f64()
+            .unwrap()
     };
-    Cost { heap_mb: metric("JSHeapUsedSize") / 1e6, nodes: metric("Nodes"), worked_s: metric("ThreadTime") }
+    Cost {
+        heap_mb: metric("JSHeapUsedSize") / 1e6,
+        nodes: metric("Nodes"),
+        worked_s: metric("ThreadTime"),
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -476,15 +913,38 @@ async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rat
     const MINUTES: usize = 20;
     // until then the span of ten minutes fills, and with it the plots
     const SETTLED: usize = 4;
-    let Some(mut browser) = browser().await else { return };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
     let endpoint = format!("tcp/{}", free_address());
-    let arguments = ["demo", "--speed", "24", "--duration", "32000", "--http", "127.0.0.1:0", "--listen", &endpoint];
+    let arguments = [
+        "demo",
+        "--speed",
+        "24",
+        "--duration",
+        "32000",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ];
     let demo = Program::start(&arguments);
     browser.resize(1280, 900).await;
-    browser.call("Performance.enable", serde_json::json!({})).await;
-    browser.open(&format!("{}#/structure/demo", demo.page)).await;
-    browser.wait("the first plot", "document.querySelector('#plot-parameter-storey-1 canvas')").await;
-    browser.evaluate("document.querySelector('.ranges').scrollIntoView()").await;
+    browser
+        .call("Performance.enable", serde_json::json!({}))
+        .await;
+    browser
+        .open(&format!("{}#/structure/demo", demo.page))
+        .await;
+    browser
+        .wait(
+            "the first plot",
+            "document.querySelector('#plot-parameter-storey-1 canvas')",
+        )
+        .await;
+    browser
+        .evaluate("document.querySelector('.ranges').scrollIntoView()")
+        .await;
     let mut costs = vec![cost(&mut browser).await];
     for minute in 1..=MINUTES {
         // this measures time, and waits for nothing else
@@ -492,22 +952,39 @@ async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rat
         costs.push(cost(&mut browser).await);
         let (before, now) = (costs[minute - 1], costs[minute]);
         let share = 100.0 * (now.worked_s - before.worked_s) / 60.0;
-        eprintln!("{minute:2} min  heap {:6.2} MB  nodes {:5.0}  main thread {share:4.1} %", now.heap_mb, now.nodes);
+        eprintln!(
+            "{minute:2} min  heap {:6.2} MB  nodes {:5.0}  main thread {share:4.1} %",
+            now.heap_mb, now.nodes
+        );
     }
     let mean = |range: std::ops::Range<usize>, of: fn(&Cost) -> f64| {
         costs[range.clone()].iter().map(of).sum::<f64>() / range.len() as f64
     };
     let (early, late) = (SETTLED..SETTLED + 4, MINUTES - 3..MINUTES + 1);
-    let [heap_early, heap_late] = [early.clone(), late.clone()].map(|range| mean(range, |cost| cost.heap_mb));
+    let [heap_early, heap_late] =
+        [early.clone(), late.clone()].map(|range| mean(range, |cost| cost.heap_mb));
     // a leak of one point of each series per message would be some 100 MB
-    assert!(heap_late < heap_early + 3.0, "heap from {heap_early:.1} to {heap_late:.1} MB");
+    assert!(
+        heap_late < heap_early + 3.0,
+        "heap from {heap_early:.1} to {heap_late:.1} MB"
+    );
     let nodes = (costs[SETTLED].nodes, costs[MINUTES].nodes);
-    assert!(nodes.1 < 1.2 * nodes.0, "elements from {} to {}", nodes.0, nodes.1);
-    let worked = |range: std::ops::Range<usize>| costs[range.end - 1].worked_s - costs[range.start].worked_s;
+    assert!(
+        nodes.1 < 1.2 * nodes.0,
+        "elements from {} to {}",
+        nodes.0,
+        nodes.1
+    );
+    let worked =
+        |range: std::ops::Range<usize>| costs[range.end - 1].worked_s - costs[range.start].worked_s;
     let (work_early, work_late) = (worked(early), worked(late));
     assert!(
         work_late < 1.5 * work_early,
         "work of the main thread from {work_early:.1} to {work_late:.1} s in 3 minutes"
     );
-    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
 }

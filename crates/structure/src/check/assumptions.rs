@@ -51,8 +51,16 @@ impl Structure {
         };
         let masses = self.parameters.iter().map(scaled).sum::<usize>() < self.system.len();
         let damping = self.damping_is_assumed();
-        let rest = [Assumption::Connections, Assumption::Soil, Assumption::SensorPositions, Assumption::Temperature];
-        let first = [masses.then_some(Assumption::Masses), damping.then_some(Assumption::Damping)];
+        let rest = [
+            Assumption::Connections,
+            Assumption::Soil,
+            Assumption::SensorPositions,
+            Assumption::Temperature,
+        ];
+        let first = [
+            masses.then_some(Assumption::Masses),
+            damping.then_some(Assumption::Damping),
+        ];
         first.into_iter().flatten().chain(rest).collect()
     }
 
@@ -86,7 +94,10 @@ impl Structure {
         }
         if self.damping_is_assumed() {
             let shifts = self.both(|factor| self.shifts_by_damping(factor));
-            findings.extend(shifts.map(|shifts| Finding::DampingAssumed { factor: WRONG_BY, shifts }));
+            findings.extend(shifts.map(|shifts| Finding::DampingAssumed {
+                factor: WRONG_BY,
+                shifts,
+            }));
         }
         findings
     }
@@ -99,6 +110,13 @@ impl Structure {
             if_less: *under,
             if_more: *over,
         };
-        Some(self.parameters.iter().zip(&under).zip(&over).map(shift).collect())
+        Some(
+            self.parameters
+                .iter()
+                .zip(&under)
+                .zip(&over)
+                .map(shift)
+                .collect(),
+        )
     }
 }

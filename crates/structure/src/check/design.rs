@@ -59,23 +59,42 @@ impl Structure {
             None
         };
         let expected_s = (low * storeys as f64, high * storeys as f64);
-        Some(Finding::ImplausiblePeriod { storeys, period_s, expected_s, cause: cause.map(str::to_owned) })
+        Some(Finding::ImplausiblePeriod {
+            storeys,
+            period_s,
+            expected_s,
+            cause: cause.map(str::to_owned),
+        })
     }
 
     fn unequal_storeys(&self) -> Vec<Finding> {
-        let Mass::Lumped(masses) = &self.system.mass else { return Vec::new() };
+        let Mass::Lumped(masses) = &self.system.mass else {
+            return Vec::new();
+        };
         if self.system.storeys.is_empty() {
             return Vec::new();
         }
         let stiffness = self.system.nominal_stiffness();
-        let above = |storey: usize| if storey < masses.len() { -stiffness[(storey - 1, storey)] } else { 0.0 };
-        let springs: Vec<f64> = (1..=masses.len()).map(|s| stiffness[(s - 1, s - 1)] - above(s)).collect();
+        let above = |storey: usize| {
+            if storey < masses.len() {
+                -stiffness[(storey - 1, storey)]
+            } else {
+                0.0
+            }
+        };
+        let springs: Vec<f64> = (1..=masses.len())
+            .map(|s| stiffness[(s - 1, s - 1)] - above(s))
+            .collect();
         let mut findings = Vec::new();
         for (what, values) in [("mass", masses.as_slice()), ("stiffness", &springs)] {
             for (lower, pair) in values.windows(2).enumerate() {
                 let ratio = (pair[1] / pair[0]).max(pair[0] / pair[1]);
                 if ratio >= UNEQUAL {
-                    findings.push(Finding::UnequalStoreys { what: what.to_owned(), lower: lower + 1, ratio });
+                    findings.push(Finding::UnequalStoreys {
+                        what: what.to_owned(),
+                        lower: lower + 1,
+                        ratio,
+                    });
                 }
             }
         }
@@ -87,43 +106,63 @@ impl Structure {
     }
 
     fn implausible_levels(&self) -> Vec<Finding> {
-        let grounds = self.excitations.iter().filter(|excitation| matches!(excitation.action, Action::Ground { .. }));
+        let grounds = self
+            .excitations
+            .iter()
+            .filter(|excitation| matches!(excitation.action, Action::Ground { .. }));
         let (low, high) = GROUND;
         let finding = |excitation: &crate::Excitation| Finding::ImplausibleLevel {
             excitation: excitation.name.clone(),
             std: excitation.std,
         };
-        grounds.filter(|excitation| !(low..=high).contains(&excitation.std)).map(finding).collect()
+        grounds
+            .filter(|excitation| !(low..=high).contains(&excitation.std))
+            .map(finding)
+            .collect()
     }
 
     /// Compares the noise of each channel with the motion (`signal`, standard deviations) that it is to show.
     fn weak_signals(&self, signal: &[f64]) -> Vec<Finding> {
-        let responses = self.observations().zip(signal).enumerate().filter_map(|(row, (channel, signal))| {
-            let noise = self.expected_noise_std(row);
-            (noise > *signal).then(|| Finding::NoiseAboveSignal {
-                channel: channel.name().to_owned(),
-                noise,
-                signal: *signal,
-                unit: channel.quantity().unit().to_owned(),
-            })
-        });
-        let measured = self.excitations.iter().filter(|excitation| excitation.channel().is_some());
-        let measured = measured.filter(|excitation| excitation.unknown_std() > excitation.std).map(|excitation| {
-            let channel = self.channels().nth(excitation.channel().unwrap_or_default());
-            Finding::NoiseAboveSignal {
-                channel: channel.map_or_else(String::new, |channel| channel.name().to_owned()),
-                noise: excitation.unknown_std(),
-                signal: excitation.std,
-                unit: excitation.unit().to_owned(),
-            }
-        });
+        let responses =
+            self.observations()
+                .zip(signal)
+                .enumerate()
+                .filter_map(|(row, (channel, signal))| {
+                    let noise = self.expected_noise_std(row);
+                    (noise > *signal).then(|| Finding::NoiseAboveSignal {
+                        channel: channel.name().to_owned(),
+                        noise,
+                        signal: *signal,
+                        unit: channel.quantity().unit().to_owned(),
+                    })
+                });
+        let measured = self
+            .excitations
+            .iter()
+            .filter(|excitation| excitation.channel().is_some());
+        let measured = measured
+            .filter(|excitation| excitation.unknown_std() > excitation.std)
+            .map(|excitation| {
+                let channel = self
+                    .channels()
+                    .nth(excitation.channel().unwrap_or_default());
+                Finding::NoiseAboveSignal {
+                    channel: channel.map_or_else(String::new, |channel| channel.name().to_owned()),
+                    noise: excitation.unknown_std(),
+                    signal: excitation.std,
+                    unit: excitation.unit().to_owned(),
+                }
+            });
         responses.chain(measured).collect()
     }
 
     fn expected_noise_std(&self, row: usize) -> f64 {
         use crate::noise_level::NoiseSource;
         let of_row = |source: &NoiseSource| matches!(source, NoiseSource::Sensors(rows) if rows.contains(&row));
-        let level = self.noise_levels.iter().position(|level| of_row(level.source()));
+        let level = self
+            .noise_levels
+            .iter()
+            .position(|level| of_row(level.source()));
         level.map_or(0.0, |level| self.expected_level_std(level))
     }
 
@@ -132,10 +171,18 @@ impl Structure {
     /// Held over a step Δt it is late by half of one and weaker by sinc(*f* Δt); running straight it is not late, and weaker
     /// by sinc²(*f* Δt).
     fn hold_that_matters(&self, band_hz: f64) -> Option<Finding> {
-        self.excitations.iter().find(|excitation| excitation.channel().is_some())?;
-        let frequency_hz = self.band_limit.map_or(band_hz, |limit| band_hz.min(limit.frequency_hz));
+        self.excitations
+            .iter()
+            .find(|excitation| excitation.channel().is_some())?;
+        let frequency_hz = self
+            .band_limit
+            .map_or(band_hz, |limit| band_hz.min(limit.frequency_hz));
         let half_turn = PI * frequency_hz * self.step_s();
-        let sinc = if half_turn > 0.0 { half_turn.sin() / half_turn } else { 1.0 };
+        let sinc = if half_turn > 0.0 {
+            half_turn.sin() / half_turn
+        } else {
+            1.0
+        };
         let (gain, delay_s, error) = match self.plan.input_hold {
             InputHold::Zero => {
                 let error = (1.0 - sinc * half_turn.cos()).hypot(sinc * half_turn.sin());
@@ -143,6 +190,11 @@ impl Structure {
             }
             InputHold::First => (sinc * sinc, 0.0, 1.0 - sinc * sinc),
         };
-        (error > HOLD_ERROR).then_some(Finding::HoldMatters { frequency_hz, loss: 1.0 - gain, delay_s, error })
+        (error > HOLD_ERROR).then_some(Finding::HoldMatters {
+            frequency_hz,
+            loss: 1.0 - gain,
+            delay_s,
+            error,
+        })
     }
 }

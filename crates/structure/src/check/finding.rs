@@ -254,18 +254,31 @@ impl Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotObservable => {
-                f.write_str("some mode is neither damped nor seen by a sensor: no filter settles on it")
-            }
+            Self::NotObservable => f.write_str(
+                "some mode is neither damped nor seen by a sensor: no filter settles on it",
+            ),
             Self::Uninformed { parameter, ratio } => write!(
                 f,
                 "{parameter}: these sensors hardly inform it, its standard deviation stays at {:.0} % of the prior",
                 100.0 * ratio
             ),
-            Self::ParametersConfounded { first, second, correlation } => {
-                write!(f, "{first} and {second} cannot be told apart by these sensors (correlation {correlation:.3})")
+            Self::ParametersConfounded {
+                first,
+                second,
+                correlation,
+            } => {
+                write!(
+                    f,
+                    "{first} and {second} cannot be told apart by these sensors (correlation {correlation:.3})"
+                )
             }
-            Self::LevelConfounded { parameter, level, correlation, shift, adapted } => {
+            Self::LevelConfounded {
+                parameter,
+                level,
+                correlation,
+                shift,
+                adapted,
+            } => {
                 write!(
                     f,
                     "{parameter} and the level of {level} cannot be told apart reliably by these sensors: a level stated 10 % too \
@@ -278,12 +291,20 @@ impl fmt::Display for Finding {
                     "; the result rests on the level that the file states, do not adapt it"
                 })
             }
-            Self::SlowToSettle { parameter, settling_s, memory_s } if settling_s.is_infinite() => write!(
+            Self::SlowToSettle {
+                parameter,
+                settling_s,
+                memory_s,
+            } if settling_s.is_infinite() => write!(
                 f,
                 "{parameter}: the filter hardly forgets an error, although its memory is {memory_s:.0} s, and reports an interval \
                  that is too narrow"
             ),
-            Self::SlowToSettle { parameter, settling_s, memory_s } => write!(
+            Self::SlowToSettle {
+                parameter,
+                settling_s,
+                memory_s,
+            } => write!(
                 f,
                 "{parameter}: the filter takes {settling_s:.0} s to forget an error, not the {memory_s:.0} s of its memory, \
                  and reports an interval that is too narrow meanwhile"
@@ -298,23 +319,38 @@ impl fmt::Display for Finding {
                 "the deviations are those of the whole band: above the declared limit of {frequency_hz} Hz the data are cut off, \
                  and what remains holds less"
             ),
-            Self::AliasedModes { modes, of, nyquist_hz } => write!(
+            Self::AliasedModes {
+                modes,
+                of,
+                nyquist_hz,
+            } => write!(
                 f,
                 "{modes} of {of} modes lie above {nyquist_hz} Hz, half the sampling rate: what shakes them shows at lower \
                  frequencies unless it is filtered off before it is sampled; a higher rate or a coarser model has no such modes"
             ),
-            Self::SubstepsNeeded { substeps, highest_frequency_hz } => write!(
+            Self::SubstepsNeeded {
+                substeps,
+                highest_frequency_hz,
+            } => write!(
                 f,
                 "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
                  a higher sampling rate or a coarser model would be cheaper"
             ),
-            Self::RestsOnExcitation { parameter, excitations, error } => write!(
+            Self::RestsOnExcitation {
+                parameter,
+                excitations,
+                error,
+            } => write!(
                 f,
                 "{parameter} rests on the level and the colour of {excitations}, which nobody measures: they leave it uncertain by \
                  {:.1} %, however long the record",
                 100.0 * error
             ),
-            Self::LevelAssumed { level, factor, shifts } => {
+            Self::LevelAssumed {
+                level,
+                factor,
+                shifts,
+            } => {
                 write!(
                     f,
                     "the level of {level} is stated and not identified; if it is {factor} times as large, or as small: "
@@ -322,10 +358,18 @@ impl fmt::Display for Finding {
                 write_shifts(f, shifts)
             }
             Self::DampingAssumed { factor, shifts } => {
-                write!(f, "damping is fixed; if it is {factor} times as large, or as small: ")?;
+                write!(
+                    f,
+                    "damping is fixed; if it is {factor} times as large, or as small: "
+                )?;
                 write_shifts(f, shifts)
             }
-            Self::HoldMatters { frequency_hz, loss, delay_s, error } => {
+            Self::HoldMatters {
+                frequency_hz,
+                loss,
+                delay_s,
+                error,
+            } => {
                 write!(f, "between frames the measured excitation ")?;
                 match *delay_s > 0.0 {
                     true => write!(f, "is held, and late by {:.1} ms: ", 1e3 * delay_s)?,
@@ -338,13 +382,20 @@ impl fmt::Display for Finding {
                     100.0 * error
                 )
             }
-            Self::ImplausiblePeriod { storeys, period_s, expected_s: (low, high), cause } => {
+            Self::ImplausiblePeriod {
+                storeys,
+                period_s,
+                expected_s: (low, high),
+                cause,
+            } => {
                 write!(
                     f,
                     "a building of {storeys} storeys with a period of {period_s:.3} s is implausible, such buildings have \
                      {low:.2} to {high:.1} s"
                 )?;
-                cause.as_ref().map_or(Ok(()), |cause| write!(f, "; {cause}"))
+                cause
+                    .as_ref()
+                    .map_or(Ok(()), |cause| write!(f, "; {cause}"))
             }
             Self::UnequalStoreys { what, lower, ratio } => write!(
                 f,
@@ -359,7 +410,12 @@ impl fmt::Display for Finding {
                 f,
                 "{excitation} moves by {std:e} m/s2, which no ground does: its unit is m/s2, not g, cm/s2 or mm/s2"
             ),
-            Self::NoiseAboveSignal { channel, noise, signal, unit } => write!(
+            Self::NoiseAboveSignal {
+                channel,
+                noise,
+                signal,
+                unit,
+            } => write!(
                 f,
                 "{channel} has a noise of {noise:.2e} {unit}, and {signal:.2e} {unit} of motion to show: a better sensor, a stronger \
                  excitation, or is one of the two in another unit (g for m/s2)?"
@@ -401,12 +457,32 @@ fn write_shifts(f: &mut fmt::Formatter<'_>, shifts: &[Shift]) -> fmt::Result {
     let mut sizes: Vec<f64> = shifts.iter().map(largest).collect();
     sizes.sort_by(|a, b| b.total_cmp(a));
     let least = sizes.get(NAMED_SHIFTS - 1).copied().unwrap_or(0.0);
-    let named = shifts.iter().filter(|shift| largest(shift) >= least).take(NAMED_SHIFTS);
-    for (number, Shift { parameter, if_less, if_more }) in named.enumerate() {
+    let named = shifts
+        .iter()
+        .filter(|shift| largest(shift) >= least)
+        .take(NAMED_SHIFTS);
+    for (
+        number,
+        Shift {
+            parameter,
+            if_less,
+            if_more,
+        },
+    ) in named.enumerate()
+    {
         let separator = if number == 0 { "" } else { ", " };
-        write!(f, "{separator}{parameter} {:+.1} or {:+.1} %", 100.0 * if_more, 100.0 * if_less)?;
+        write!(
+            f,
+            "{separator}{parameter} {:+.1} or {:+.1} %",
+            100.0 * if_more,
+            100.0 * if_less
+        )?;
     }
-    if shifts.len() > NAMED_SHIFTS { f.write_str(", the others less") } else { Ok(()) }
+    if shifts.len() > NAMED_SHIFTS {
+        f.write_str(", the others less")
+    } else {
+        Ok(())
+    }
 }
 
 /// Collects the findings, warnings first.
@@ -423,18 +499,37 @@ pub(super) fn find(
     findings.extend(structure.design_findings());
     findings.extend(structure.assumption_findings());
     if let Some(limit) = structure.band_limit() {
-        findings.push(Finding::BandLimited { frequency_hz: limit.frequency_hz });
+        findings.push(Finding::BandLimited {
+            frequency_hz: limit.frequency_hz,
+        });
     }
     let nyquist_hz = structure.sampling_rate_hz() / 2.0;
-    let above = modes.iter().filter(|mode| mode.frequency_hz > nyquist_hz).count();
+    let above = modes
+        .iter()
+        .filter(|mode| mode.frequency_hz > nyquist_hz)
+        .count();
     if above > 0 {
-        findings.push(Finding::AliasedModes { modes: above, of: modes.len(), nyquist_hz });
+        findings.push(Finding::AliasedModes {
+            modes: above,
+            of: modes.len(),
+            nyquist_hz,
+        });
     }
     if time_step.substeps > 1 {
-        let TimeStepReport { substeps, highest_frequency_hz, .. } = *time_step;
-        findings.push(Finding::SubstepsNeeded { substeps, highest_frequency_hz });
+        let TimeStepReport {
+            substeps,
+            highest_frequency_hz,
+            ..
+        } = *time_step;
+        findings.push(Finding::SubstepsNeeded {
+            substeps,
+            highest_frequency_hz,
+        });
     }
-    if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
+    if let Some((modes, missed)) = structure
+        .sent_modes()
+        .filter(|(_, missed)| *missed > MISSED_MASS)
+    {
         findings.push(Finding::ModesMissMass { modes, missed });
     }
     findings.sort_by_key(Finding::severity);
@@ -447,18 +542,27 @@ fn of_identification(structure: &Structure, report: &IdentificationReport) -> Ve
     for (index, parameter) in parameters.iter().enumerate() {
         let ratio = parameter.std_after / parameter.prior_std;
         if ratio > INFORMED {
-            findings.push(Finding::Uninformed { parameter: parameter.name.clone(), ratio });
+            findings.push(Finding::Uninformed {
+                parameter: parameter.name.clone(),
+                ratio,
+            });
         }
         for (other, second) in parameters.iter().enumerate().skip(index + 1) {
             let correlation = report.correlations[index][other];
             if correlation.abs() > CONFOUNDED {
                 let (first, second) = (parameter.name.clone(), second.name.clone());
-                findings.push(Finding::ParametersConfounded { first, second, correlation });
+                findings.push(Finding::ParametersConfounded {
+                    first,
+                    second,
+                    correlation,
+                });
             }
         }
         for (level_index, level) in report.noise_levels.iter().enumerate() {
-            let (correlation, shift) =
-                (report.correlations[index][parameters.len() + level_index], parameter.shifts[level_index]);
+            let (correlation, shift) = (
+                report.correlations[index][parameters.len() + level_index],
+                parameter.shifts[level_index],
+            );
             // what an unmeasured excitation spoils is told with its colour
             let told = structure.is_unknown(level_index);
             if !told && (correlation.abs() > CONFOUNDED || shift.abs() > NOTABLE_SHIFT) {
@@ -481,8 +585,15 @@ fn of_identification(structure: &Structure, report: &IdentificationReport) -> Ve
             });
         }
     }
-    for level in report.noise_levels.iter().filter(|level| level.adapted && level.haste > HASTY) {
-        findings.push(Finding::HastyLevel { level: level.name.clone(), haste: level.haste });
+    for level in report
+        .noise_levels
+        .iter()
+        .filter(|level| level.adapted && level.haste > HASTY)
+    {
+        findings.push(Finding::HastyLevel {
+            level: level.name.clone(),
+            haste: level.haste,
+        });
     }
     findings
 }

@@ -18,12 +18,20 @@ const NEVER: f64 = 100.0;
 /// Returns the time in which an error decays (frames), infinite where it does not: the linearised equations may also give a
 /// negative one.
 fn decaying(frames: f64, memory_frames: f64) -> f64 {
-    if (0.0..=NEVER * memory_frames).contains(&frames) { frames } else { f64::INFINITY }
+    if (0.0..=NEVER * memory_frames).contains(&frames) {
+        frames
+    } else {
+        f64::INFINITY
+    }
 }
 
 impl Structure {
     /// Turns information into standard deviations; `None` if it cannot be inverted.
-    pub(super) fn identification(&self, information: &Information, frames: u64) -> Option<IdentificationReport> {
+    pub(super) fn identification(
+        &self,
+        information: &Information,
+        frames: u64,
+    ) -> Option<IdentificationReport> {
         let settings = self.filter_settings().ok()?;
         // Σ λ⁻ᵏ over the frames before this one
         let noise_memory_frames = 1.0 / (settings.noise_settings.fading - 1.0);
@@ -34,8 +42,9 @@ impl Structure {
         };
         let (theta, all) = (self.parameters.len(), information.held.nrows());
         let everything: Vec<usize> = (0..all).collect();
-        let unknown: Vec<usize> =
-            (0..all).filter(|index| *index < theta || self.noise_levels[*index - theta].adapted).collect();
+        let unknown: Vec<usize> = (0..all)
+            .filter(|index| *index < theta || self.noise_levels[*index - theta].adapted)
+            .collect();
         let parameters_alone: Vec<usize> = (0..theta).collect();
         let [held, counted] = [&information.held, &information.counted];
         let after = self.covariance(held, frames as f64, &unknown, 1.0)?;
@@ -43,7 +52,8 @@ impl Structure {
         let reported = self.covariance(counted, memory_frames, &parameters_alone, 1.0)?;
         let joint = self.covariance(held, frames as f64, &everything, WIDE)?;
         let known = self.covariance(held, frames as f64, &parameters_alone, 1.0)?;
-        let settling_frames = self.settling(information, &unknown, memory_frames, noise_memory_frames)?;
+        let settling_frames =
+            self.settling(information, &unknown, memory_frames, noise_memory_frames)?;
         let step_s = self.step_s();
         let shifts = |parameter: usize| {
             // θ̂ moves by −P I_{θ,ln ψ} when ln ψ is stated too high; 10 % in deviation is 2 ln 1.1 in ln ψ
@@ -53,30 +63,42 @@ impl Structure {
             };
             (theta..all).map(shift).collect()
         };
-        let parameters = self.parameters.iter().enumerate().map(|(index, parameter)| ParameterReport {
-            name: parameter.name.clone(),
-            prior_std: parameter.std(),
-            std_after: after[(index, index)].sqrt(),
-            std_steady: steady[(index, index)].sqrt(),
-            std_reported: reported[(index, index)].sqrt(),
-            settling_s: decaying(settling_frames[index], memory_frames) * step_s,
-            dynamic_sensitivity: 0.01 * held[(index, index)].max(0.0).sqrt(),
-            shifts: shifts(index),
-        });
-        let noise_levels = self.noise_levels.iter().zip(theta..).map(|(level, index)| NoiseLevelReport {
-            name: level.name.clone(),
-            adapted: level.adapted,
-            // the deviation is the square root of the variance
-            relative_std_after: 0.5 * joint[(index, index)].sqrt(),
-            haste: information.pull[(index, index)] / counted[(index, index)],
-        });
-        let correlation = |i: usize, j: usize| joint[(i, j)] / (joint[(i, i)] * joint[(j, j)]).sqrt();
+        let parameters = self
+            .parameters
+            .iter()
+            .enumerate()
+            .map(|(index, parameter)| ParameterReport {
+                name: parameter.name.clone(),
+                prior_std: parameter.std(),
+                std_after: after[(index, index)].sqrt(),
+                std_steady: steady[(index, index)].sqrt(),
+                std_reported: reported[(index, index)].sqrt(),
+                settling_s: decaying(settling_frames[index], memory_frames) * step_s,
+                dynamic_sensitivity: 0.01 * held[(index, index)].max(0.0).sqrt(),
+                shifts: shifts(index),
+            });
+        let noise_levels =
+            self.noise_levels
+                .iter()
+                .zip(theta..)
+                .map(|(level, index)| NoiseLevelReport {
+                    name: level.name.clone(),
+                    adapted: level.adapted,
+                    // the deviation is the square root of the variance
+                    relative_std_after: 0.5 * joint[(index, index)].sqrt(),
+                    haste: information.pull[(index, index)] / counted[(index, index)],
+                });
+        let correlation =
+            |i: usize, j: usize| joint[(i, j)] / (joint[(i, i)] * joint[(j, j)]).sqrt();
         Some(IdentificationReport {
             duration_s: frames as f64 * step_s,
             memory_s: memory_frames * step_s,
             parameters: parameters.collect(),
             noise_levels: noise_levels.collect(),
-            correlations: everything.iter().map(|i| everything.iter().map(|j| correlation(*i, *j)).collect()).collect(),
+            correlations: everything
+                .iter()
+                .map(|i| everything.iter().map(|j| correlation(*i, *j)).collect())
+                .collect(),
         })
     }
 
@@ -90,17 +112,27 @@ impl Structure {
         unknown: &[usize],
         widened: f64,
     ) -> Option<DMatrix<f64>> {
-        let mut precision =
-            DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| frames * information[(unknown[i], unknown[j])]);
+        let mut precision = DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| {
+            frames * information[(unknown[i], unknown[j])]
+        });
         for (entry, index) in unknown.iter().enumerate() {
-            let std = self.parameters.get(*index).map_or(VAGUE, |parameter| widened * parameter.std());
+            let std = self
+                .parameters
+                .get(*index)
+                .map_or(VAGUE, |parameter| widened * parameter.std());
             precision[(entry, entry)] += 1.0 / (std * std);
         }
         // scaled to a unit diagonal: parameters and levels differ by orders of magnitude
         let scale = precision.diagonal().map(|entry| 1.0 / entry.sqrt());
-        let scaled = DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| precision[(i, j)] * scale[i] * scale[j]);
-        let inverse = scaled.cholesky()?.solve(&DMatrix::identity(unknown.len(), unknown.len()));
-        Some(DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| inverse[(i, j)] * scale[i] * scale[j]))
+        let scaled = DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| {
+            precision[(i, j)] * scale[i] * scale[j]
+        });
+        let inverse = scaled
+            .cholesky()?
+            .solve(&DMatrix::identity(unknown.len(), unknown.len()));
+        Some(DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| {
+            inverse[(i, j)] * scale[i] * scale[j]
+        }))
     }
 
     /// Returns the diagonal of `G⁻¹` (frames) over the `unknown` quantities: an error of theirs falls as `exp(−k G)`.
@@ -114,8 +146,14 @@ impl Structure {
         memory_frames: f64,
         noise_memory_frames: f64,
     ) -> Option<Vec<f64>> {
-        let pulled: Vec<usize> = unknown.iter().copied().filter(|i| information.pull[(*i, *i)] != 0.0).collect();
-        let of = |x: &DMatrix<f64>| DMatrix::from_fn(pulled.len(), pulled.len(), |i, j| x[(pulled[i], pulled[j])]);
+        let pulled: Vec<usize> = unknown
+            .iter()
+            .copied()
+            .filter(|i| information.pull[(*i, *i)] != 0.0)
+            .collect();
+        let of = |x: &DMatrix<f64>| {
+            DMatrix::from_fn(pulled.len(), pulled.len(), |i, j| x[(pulled[i], pulled[j])])
+        };
         let mut counted = of(&information.counted);
         for (entry, index) in pulled.iter().enumerate() {
             if let Some(parameter) = self.parameters.get(*index) {
@@ -124,13 +162,24 @@ impl Structure {
         }
         let mut rates = counted.cholesky()?.solve(&of(&information.pull));
         for (index, mut row) in pulled.iter().zip(rates.row_iter_mut()) {
-            row /= if *index < self.parameters.len() { memory_frames } else { noise_memory_frames };
+            row /= if *index < self.parameters.len() {
+                memory_frames
+            } else {
+                noise_memory_frames
+            };
         }
-        let times = rates.lu().solve(&DMatrix::identity(pulled.len(), pulled.len()));
+        let times = rates
+            .lu()
+            .solve(&DMatrix::identity(pulled.len(), pulled.len()));
         let time = |index: &usize| {
             let entry = pulled.iter().position(|pulled| pulled == index)?;
             Some(times.as_ref()?[(entry, entry)])
         };
-        Some(unknown.iter().map(|index| time(index).unwrap_or(f64::INFINITY)).collect())
+        Some(
+            unknown
+                .iter()
+                .map(|index| time(index).unwrap_or(f64::INFINITY))
+                .collect(),
+        )
     }
 }

@@ -18,7 +18,9 @@ const PER_NUMBER_S: f64 = 6e-9;
 impl Structure {
     /// Returns whether particles are fast enough, and whether there are enough of them; nothing without particles.
     pub(super) fn particle_findings(&self, time_step: &TimeStepReport) -> Vec<Finding> {
-        let Some(keys) = self.particles() else { return Vec::new() };
+        let Some(keys) = self.particles() else {
+            return Vec::new();
+        };
         let (states, step_s) = (self.model().state_len(), self.step_s());
         let needed_s = self.particle_step_s(&keys, time_step);
         let mut findings = vec![match needed_s > MOST_OF_A_STEP * step_s {
@@ -26,7 +28,10 @@ impl Structure {
             false => Finding::ParticlesInTime { needed_s, step_s },
         }];
         if states > MOST_STATES {
-            findings.push(Finding::ParticlesTooFew { states, particles: keys.particles });
+            findings.push(Finding::ParticlesTooFew {
+                states,
+                particles: keys.particles,
+            });
         }
         findings
     }
@@ -37,9 +42,10 @@ impl Structure {
         let (per_particle_s, columns) = match keys.density {
             ImportanceDensity::Prior => (PER_PARTICLE_PRIOR_S, 1),
             // the motion again, the excitations and the parameters, for the Jacobian of the frame
-            ImportanceDensity::Optimal => {
-                (PER_PARTICLE_OPTIMAL_S, 2 + self.excitation_channels().len() + self.parameters().len())
-            }
+            ImportanceDensity::Optimal => (
+                PER_PARTICLE_OPTIMAL_S,
+                2 + self.excitation_channels().len() + self.parameters().len(),
+            ),
         };
         let terms = time_step.substeps * time_step.series_order;
         let numbers = (terms * self.model().state_len() * columns) as f64;

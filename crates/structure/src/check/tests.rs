@@ -4,7 +4,10 @@ use super::*;
 use std::path::Path;
 
 fn parse(text: &str) -> Structure {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples/tower.toml"));
+    let path = Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../docs/examples/tower.toml"
+    ));
     Structure::parse(text, path).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -51,7 +54,10 @@ fn a_perfect_sensor_holds_the_information_of_the_equation_of_motion() {
     let expected = 200.0 / 400.0 / (2.0 * 0.8 * 2.0);
     let found = information.held[(0, 0)];
     // σ_x² over 1000 s: the energy has a correlation time 1/α, hence a relative deviation √(2/(α T)) = 5 %; three of them
-    assert!((found / expected - 1.0).abs() < 0.15, "{found} instead of {expected}");
+    assert!(
+        (found / expected - 1.0).abs() < 0.15,
+        "{found} instead of {expected}"
+    );
     // with a perfect sensor nothing of the gain depends on the stiffness: the filter uses all that there is
     assert!((information.counted[(0, 0)] / found - 1.0).abs() < 1e-3);
     assert!((information.pull[(0, 0)] / found - 1.0).abs() < 1e-3);
@@ -62,7 +68,11 @@ fn a_perfect_sensor_holds_the_information_of_the_equation_of_motion() {
 fn a_level_seen_directly_is_known_as_a_variance_of_samples() {
     let information = Information::expected(&parse(OSCILLATOR), 4000, 1).unwrap();
     // ½ per frame in the logarithm of the variance
-    assert!((information.held[(1, 1)] - 0.5).abs() < 0.01, "{}", information.held[(1, 1)]);
+    assert!(
+        (information.held[(1, 1)] - 0.5).abs() < 0.01,
+        "{}",
+        information.held[(1, 1)]
+    );
 }
 
 #[test]
@@ -71,10 +81,19 @@ fn the_demo_is_identifiable() {
     assert_eq!(report.findings, []);
     let identification = report.identification.unwrap();
     for parameter in &identification.parameters {
-        assert!(parameter.std_after < 0.005, "{}: {}", parameter.name, parameter.std_after);
+        assert!(
+            parameter.std_after < 0.005,
+            "{}: {}",
+            parameter.name,
+            parameter.std_after
+        );
         // it reports what it knows, and forgets as its memory says: λ = 2^(2/1000) at 100 Hz, 10 ms/(λ − 1) = 7.2 s
         assert!((parameter.std_reported / parameter.std_steady - 1.0).abs() < 0.01);
-        assert!((parameter.settling_s - 7.21).abs() < 0.1, "{}", parameter.settling_s);
+        assert!(
+            (parameter.settling_s - 7.21).abs() < 0.1,
+            "{}",
+            parameter.settling_s
+        );
     }
 }
 
@@ -82,7 +101,8 @@ fn the_demo_is_identifiable() {
 #[test]
 fn deviations_fall_with_the_root_of_the_duration() {
     let demo = parse(DEMO);
-    let after = |duration_s| demo.check(duration_s, 1).identification.unwrap().parameters[1].std_after;
+    let after =
+        |duration_s| demo.check(duration_s, 1).identification.unwrap().parameters[1].std_after;
     let ratio = after(50.0) / after(200.0);
     assert!((ratio - 2.0).abs() < 0.2, "{ratio}");
 }
@@ -90,11 +110,25 @@ fn deviations_fall_with_the_root_of_the_duration() {
 #[test]
 fn without_a_sensor_at_the_ground_storey_1_rests_on_the_level_of_the_motion() {
     let report = parse(OUTPUT_ONLY).check(60.0, 1);
-    let rests: Vec<_> = report.findings.iter().filter(|f| matches!(f, Finding::RestsOnExcitation { .. })).collect();
-    let [finding @ Finding::RestsOnExcitation { parameter, excitations, error }] = rests[..] else {
+    let rests: Vec<_> = report
+        .findings
+        .iter()
+        .filter(|f| matches!(f, Finding::RestsOnExcitation { .. }))
+        .collect();
+    let [
+        finding @ Finding::RestsOnExcitation {
+            parameter,
+            excitations,
+            error,
+        },
+    ] = rests[..]
+    else {
         panic!("{:?}", report.findings)
     };
-    assert_eq!((parameter.as_str(), excitations.as_str()), ("storey-1", "ground"));
+    assert_eq!(
+        (parameter.as_str(), excitations.as_str()),
+        ("storey-1", "ground")
+    );
     assert!(*error > 0.05 && *error < 0.5, "{error}");
     assert_eq!(finding.severity(), Severity::Warning);
 }
@@ -109,22 +143,39 @@ fn a_level_that_is_fixed_is_warned_of_with_what_a_wrong_one_does() {
     });
     let shifts = shifts.unwrap_or_else(|| panic!("{:?}", report.findings));
     // the same motion of the floors by less motion of the ground takes a stiffer storey
-    assert!(shifts[0].if_less < -0.2 && shifts[0].if_more > 0.2, "{:?}", shifts[0]);
-    assert!(shifts[1..5].iter().all(|shift| shift.if_more.abs() < 0.1 && shift.if_less.abs() < 0.1), "{shifts:?}");
+    assert!(
+        shifts[0].if_less < -0.2 && shifts[0].if_more > 0.2,
+        "{:?}",
+        shifts[0]
+    );
+    assert!(
+        shifts[1..5]
+            .iter()
+            .all(|shift| shift.if_more.abs() < 0.1 && shift.if_less.abs() < 0.1),
+        "{shifts:?}"
+    );
 }
 
 #[test]
 fn what_the_file_says_to_be_known_spoils_nothing() {
     let structure = parse(&OUTPUT_ONLY.replace("level-factor = 3 ", "level-factor = 1 #"));
     assert_eq!(structure.errors_by_unmeasured_excitation(), [0.0; 6]);
-    assert_eq!(structure.parameters_spoilt_by_unmeasured_excitation(), [false; 6]);
+    assert_eq!(
+        structure.parameters_spoilt_by_unmeasured_excitation(),
+        [false; 6]
+    );
     let open = parse(OUTPUT_ONLY);
-    assert_eq!(open.parameters_spoilt_by_unmeasured_excitation(), [true, false, false, false, false, false]);
+    assert_eq!(
+        open.parameters_spoilt_by_unmeasured_excitation(),
+        [true, false, false, false, false, false]
+    );
 }
 
 /// The demo as it was before damping was identified.
 fn with_fixed_damping() -> String {
-    let (before, after) = DEMO.split_once("[[parameter]]\nname = \"damping\"").unwrap();
+    let (before, after) = DEMO
+        .split_once("[[parameter]]\nname = \"damping\"")
+        .unwrap();
     let (_, after) = after.split_once("[[excitation]]").unwrap();
     format!("{before}[[excitation]]{after}")
 }
@@ -142,8 +193,14 @@ fn damping_that_is_fixed_is_warned_of_unless_it_is_said_to_be_known() {
     let fixed = with_fixed_damping();
     let (factor, shifts) = assumed(&fixed).unwrap();
     assert_eq!((factor, shifts.len()), (2.0, 5));
-    assert!(shifts.iter().any(|shift| shift.if_more.abs() > 0.005), "{shifts:?}");
-    assert_eq!(assumed(&fixed.replace("[damping]", "[damping]\nknown = true")), None);
+    assert!(
+        shifts.iter().any(|shift| shift.if_more.abs() > 0.005),
+        "{shifts:?}"
+    );
+    assert_eq!(
+        assumed(&fixed.replace("[damping]", "[damping]\nknown = true")),
+        None
+    );
 }
 
 /// A measured record that is held is late by half a step, whatever the file of a simulation says.
@@ -151,18 +208,42 @@ fn damping_that_is_fixed_is_warned_of_unless_it_is_said_to_be_known() {
 fn a_hold_that_reaches_into_the_band_is_warned_of() {
     let found = |text: &str| {
         let findings = parse(text).check(2.0, 1).findings;
-        findings.into_iter().find(|finding| matches!(finding, Finding::HoldMatters { .. }))
+        findings
+            .into_iter()
+            .find(|finding| matches!(finding, Finding::HoldMatters { .. }))
     };
     assert_eq!(found(DEMO), None);
-    let held = DEMO.replace("half-life-s = 10", "half-life-s = 10\ninput-hold = \"zero-order\"");
-    let Some(Finding::HoldMatters { frequency_hz, delay_s, error, .. }) = found(&held) else {
+    let held = DEMO.replace(
+        "half-life-s = 10",
+        "half-life-s = 10\ninput-hold = \"zero-order\"",
+    );
+    let Some(Finding::HoldMatters {
+        frequency_hz,
+        delay_s,
+        error,
+        ..
+    }) = found(&held)
+    else {
         panic!("nothing is said")
     };
-    assert!((1.0..8.0).contains(&frequency_hz) && delay_s == 0.005, "{frequency_hz} Hz, {delay_s} s");
+    assert!(
+        (1.0..8.0).contains(&frequency_hz) && delay_s == 0.005,
+        "{frequency_hz} Hz, {delay_s} s"
+    );
     // to first order the phase by which it is late
-    assert!((error / (PI * frequency_hz / 100.0) - 1.0).abs() < 0.1, "{error} at {frequency_hz} Hz");
+    assert!(
+        (error / (PI * frequency_hz / 100.0) - 1.0).abs() < 0.1,
+        "{error} at {frequency_hz} Hz"
+    );
     let slow = DEMO.replace("sampling-rate-hz = 100", "sampling-rate-hz = 20");
-    assert!(matches!(found(&slow), Some(Finding::HoldMatters { delay_s: 0.0, .. })), "{:?}", found(&slow));
+    assert!(
+        matches!(
+            found(&slow),
+            Some(Finding::HoldMatters { delay_s: 0.0, .. })
+        ),
+        "{:?}",
+        found(&slow)
+    );
 }
 
 #[test]
@@ -170,17 +251,28 @@ fn designs_that_no_building_has_are_warned_of() {
     let kinds = |from: &str, to: &str| {
         assert!(DEMO.contains(from), "{from}");
         let findings = parse(&DEMO.replace(from, to)).check(0.5, 1).findings;
-        findings.iter().map(|finding| serde_json::to_value(finding).unwrap()["kind"].clone()).collect::<Vec<_>>()
+        findings
+            .iter()
+            .map(|finding| serde_json::to_value(finding).unwrap()["kind"].clone())
+            .collect::<Vec<_>>()
     };
     let frequency = "first-frequency-hz = 1.0";
     for implausible in ["first-frequency-hz = 0.05", "first-frequency-hz = 52"] {
-        assert!(kinds(frequency, implausible).contains(&"implausible-period".into()), "{implausible}");
+        assert!(
+            kinds(frequency, implausible).contains(&"implausible-period".into()),
+            "{implausible}"
+        );
     }
     for plausible in ["first-frequency-hz = 0.5", "first-frequency-hz = 4"] {
-        assert!(!kinds(frequency, plausible).contains(&"implausible-period".into()), "{plausible}");
+        assert!(
+            !kinds(frequency, plausible).contains(&"implausible-period".into()),
+            "{plausible}"
+        );
     }
     let storeys = "storeys = 5\nmass-kg = 20_000\nfirst-frequency-hz = 1.0";
-    let chain = |masses: &str, stiffnesses: &str| format!("masses-kg = {masses}\nstiffnesses-n-per-m = {stiffnesses}");
+    let chain = |masses: &str, stiffnesses: &str| {
+        format!("masses-kg = {masses}\nstiffnesses-n-per-m = {stiffnesses}")
+    };
     let sound = chain("[2e4, 2e4, 2e4, 2e4, 2e4]", "[9e6, 9e6, 9e6, 9e6, 9e6]");
     let none: [serde_json::Value; 0] = [];
     assert_eq!(kinds(storeys, &sound), none);
@@ -188,9 +280,15 @@ fn designs_that_no_building_has_are_warned_of() {
     assert!(kinds(storeys, &one_in_tonnes).contains(&"unequal-storeys".into()));
     let one_in_kn = chain("[2e4, 2e4, 2e4, 2e4, 2e4]", "[9e6, 9e6, 9e3, 9e6, 9e6]");
     assert!(kinds(storeys, &one_in_kn).contains(&"unequal-storeys".into()));
-    let all_in_tonnes = kinds(storeys, &chain("[20, 20, 20, 20, 20]", "[9e6, 9e6, 9e6, 9e6, 9e6]"));
+    let all_in_tonnes = kinds(
+        storeys,
+        &chain("[20, 20, 20, 20, 20]", "[9e6, 9e6, 9e6, 9e6, 9e6]"),
+    );
     for kind in ["implausible-period", "light-floors"] {
-        assert!(all_in_tonnes.contains(&kind.into()), "{kind}: {all_in_tonnes:?}");
+        assert!(
+            all_in_tonnes.contains(&kind.into()),
+            "{kind}: {all_in_tonnes:?}"
+        );
     }
     assert!(kinds("std = 0.1 ", "std = 1e-4 ").contains(&"noise-above-signal".into()));
     assert!(kinds("std = 0.1 ", "std = 100.0 ").contains(&"implausible-level".into()));
@@ -228,11 +326,15 @@ fn springs_in_parallel_cannot_be_told_apart() {
             "of = [\"storey-1\"]",
             "of = [\"left\"]\n[[parameter]]\nname = \"other\"\nscales = \"stiffness\"\nof = [\"right\"]",
         );
-    let structure = Structure::parse(&text, &folder.path().join("tower.toml")).unwrap_or_else(|e| panic!("{e}"));
+    let structure = Structure::parse(&text, &folder.path().join("tower.toml"))
+        .unwrap_or_else(|e| panic!("{e}"));
     let report = structure.check(60.0, 1);
-    let confounded =
-        |f: &Finding| matches!(f, Finding::ParametersConfounded { correlation, .. } if *correlation < -0.98);
-    assert!(report.findings.iter().any(confounded), "{:?}", report.findings);
+    let confounded = |f: &Finding| matches!(f, Finding::ParametersConfounded { correlation, .. } if *correlation < -0.98);
+    assert!(
+        report.findings.iter().any(confounded),
+        "{:?}",
+        report.findings
+    );
     // only the sum is known: each keeps 1/√2 of its prior
     let ratio = report.identification.unwrap().parameters[0].std_after / 0.2;
     assert!((ratio - 0.5_f64.sqrt()).abs() < 0.01, "{ratio}");
@@ -240,18 +342,30 @@ fn springs_in_parallel_cannot_be_told_apart() {
 
 #[test]
 fn a_parameter_that_the_data_hardly_inform_is_warned_of() {
-    let text = DEMO.replace("scales = \"damping\"\nof = \"all\" ", "scales = \"damping-alpha\"\n#");
+    let text = DEMO.replace(
+        "scales = \"damping\"\nof = \"all\" ",
+        "scales = \"damping-alpha\"\n#",
+    );
     let report = parse(&text).check(0.2, 1);
-    let uninformed =
-        |f: &Finding| matches!(f, Finding::Uninformed { parameter, ratio } if parameter == "damping" && *ratio > 0.5);
-    assert!(report.findings.iter().any(uninformed), "{:?}", report.findings);
+    let uninformed = |f: &Finding| matches!(f, Finding::Uninformed { parameter, ratio } if parameter == "damping" && *ratio > 0.5);
+    assert!(
+        report.findings.iter().any(uninformed),
+        "{:?}",
+        report.findings
+    );
 }
 
 #[test]
 fn a_model_faster_than_the_sampling_needs_substeps() {
-    let report = parse(&DEMO.replace("first-frequency-hz = 1.0", "first-frequency-hz = 10.0")).check(5.0, 1);
-    let substeps = |f: &Finding| matches!(f, Finding::SubstepsNeeded { substeps, .. } if *substeps > 1);
-    assert!(report.findings.iter().any(substeps), "{:?}", report.findings);
+    let report =
+        parse(&DEMO.replace("first-frequency-hz = 1.0", "first-frequency-hz = 10.0")).check(5.0, 1);
+    let substeps =
+        |f: &Finding| matches!(f, Finding::SubstepsNeeded { substeps, .. } if *substeps > 1);
+    assert!(
+        report.findings.iter().any(substeps),
+        "{:?}",
+        report.findings
+    );
 }
 
 /// `Σ ∂ln ω/∂θ = ½` over all storeys: twice the stiffness everywhere is √2 of every frequency.
@@ -278,8 +392,18 @@ fn dynamic_sensitivity_is_the_information_of_one_frame() {
     for parameter in &report.parameters {
         let alone = 0.01 / (parameter.dynamic_sensitivity * 2000.0_f64.sqrt());
         // other unknowns can only add to it
-        assert!(alone <= parameter.std_after * 1.001, "{}: {alone} > {}", parameter.name, parameter.std_after);
-        assert!(alone > 0.3 * parameter.std_after, "{}: {alone}, {}", parameter.name, parameter.std_after);
+        assert!(
+            alone <= parameter.std_after * 1.001,
+            "{}: {alone} > {}",
+            parameter.name,
+            parameter.std_after
+        );
+        assert!(
+            alone > 0.3 * parameter.std_after,
+            "{}: {alone}, {}",
+            parameter.name,
+            parameter.std_after
+        );
     }
 }
 
@@ -290,9 +414,21 @@ fn hysteresis_is_checked_by_its_small_motions() {
     let report = structure.check(20.0, 1);
     let parameters = report.identification.unwrap().parameters;
     let [storeys, damping, law] = [&parameters[..5], &parameters[5..7], &parameters[7..]];
-    assert!(storeys.iter().all(|p| p.std_after < 0.02 && p.settling_s > 0.0 && p.settling_s < 30.0), "{storeys:?}");
-    assert!(damping.iter().all(|p| p.std_after < p.prior_std), "{damping:?}");
-    assert!(law.iter().all(|p| p.std_after == p.prior_std && p.settling_s.is_infinite()), "{law:?}");
+    assert!(
+        storeys
+            .iter()
+            .all(|p| p.std_after < 0.02 && p.settling_s > 0.0 && p.settling_s < 30.0),
+        "{storeys:?}"
+    );
+    assert!(
+        damping.iter().all(|p| p.std_after < p.prior_std),
+        "{damping:?}"
+    );
+    assert!(
+        law.iter()
+            .all(|p| p.std_after == p.prior_std && p.settling_s.is_infinite()),
+        "{law:?}"
+    );
     let uninformed: Vec<&str> = report
         .findings
         .iter()
@@ -313,13 +449,25 @@ fn hysteresis_is_checked_by_its_small_motions() {
 fn modes_above_half_the_sampling_rate_are_a_note() {
     let found = |text: &str| {
         let findings = parse(text).check(5.0, 1).findings;
-        findings.into_iter().find(|finding| matches!(finding, Finding::AliasedModes { .. }))
+        findings
+            .into_iter()
+            .find(|finding| matches!(finding, Finding::AliasedModes { .. }))
     };
     assert_eq!(found(DEMO), None);
     // the demo reaches 6.7 Hz: at 8 Hz one could not know it from 1.3 Hz
     let slow = DEMO.replace("sampling-rate-hz = 100", "sampling-rate-hz = 8");
-    let Some(Finding::AliasedModes { modes, of, nyquist_hz }) = found(&slow) else { panic!("nothing is said") };
-    assert!((1..5).contains(&modes) && of == 5 && nyquist_hz == 4.0, "{modes} of {of}");
+    let Some(Finding::AliasedModes {
+        modes,
+        of,
+        nyquist_hz,
+    }) = found(&slow)
+    else {
+        panic!("nothing is said")
+    };
+    assert!(
+        (1..5).contains(&modes) && of == 5 && nyquist_hz == 4.0,
+        "{modes} of {of}"
+    );
 }
 
 #[test]
@@ -327,7 +475,12 @@ fn time_in_which_an_error_decays_is_positive_or_infinite() {
     for text in [DEMO, OUTPUT_ONLY, OSCILLATOR] {
         let report = parse(text).check(20.0, 1).identification.unwrap();
         for parameter in report.parameters {
-            assert!(parameter.settling_s > 0.0, "{}: {}", parameter.name, parameter.settling_s);
+            assert!(
+                parameter.settling_s > 0.0,
+                "{}: {}",
+                parameter.name,
+                parameter.settling_s
+            );
         }
     }
 }
@@ -336,17 +489,33 @@ fn time_in_which_an_error_decays_is_positive_or_infinite() {
 fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
     // of the bridge the seventh mode carries two thirds
     let bridge = include_str!("../../../../docs/examples/two-pier-bridge.toml");
-    let (start, end) = (bridge.find("[fusion]").unwrap(), bridge.find("[simulation]").unwrap());
+    let (start, end) = (
+        bridge.find("[fusion]").unwrap(),
+        bridge.find("[simulation]").unwrap(),
+    );
     let missed = |modes: &str| {
-        let text = format!("{}[fusion]\nmotion = \"modes\"\n{modes}\n{}", &bridge[..start], &bridge[end..]);
-        parse(&text).check(1.0, 1).findings.into_iter().find_map(|finding| match finding {
-            Finding::ModesMissMass { modes, missed } => Some((modes, missed, finding.severity())),
-            _ => None,
-        })
+        let text = format!(
+            "{}[fusion]\nmotion = \"modes\"\n{modes}\n{}",
+            &bridge[..start],
+            &bridge[end..]
+        );
+        parse(&text)
+            .check(1.0, 1)
+            .findings
+            .into_iter()
+            .find_map(|finding| match finding {
+                Finding::ModesMissMass { modes, missed } => {
+                    Some((modes, missed, finding.severity()))
+                }
+                _ => None,
+            })
     };
     assert_eq!(missed(""), None);
     let (modes, share, severity) = missed("modes = 1").expect("a warning");
-    assert!(modes == 1 && (0.31..0.34).contains(&share) && severity == Severity::Warning, "{share}");
+    assert!(
+        modes == 1 && (0.31..0.34).contains(&share) && severity == Severity::Warning,
+        "{share}"
+    );
     // of the first eight, modes 7 and 4 carry 0.677 and 0.214; the first six by frequency carry 0.232
     let (modes, share, _) = missed("modes = 2").expect("a warning");
     assert!(modes == 2 && (0.10..0.12).contains(&share), "{share}");
@@ -359,8 +528,14 @@ fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
 fn slower_nodes_are_counted_by_what_they_measure() {
     let settling = |text: &str| {
         let report = parse(text).check(600.0, 1);
-        let identification = report.identification.unwrap_or_else(|| panic!("{:?}", report.findings));
-        identification.parameters.iter().map(|parameter| parameter.std_after).collect::<Vec<_>>()
+        let identification = report
+            .identification
+            .unwrap_or_else(|| panic!("{:?}", report.findings));
+        identification
+            .parameters
+            .iter()
+            .map(|parameter| parameter.std_after)
+            .collect::<Vec<_>>()
     };
     let at_200 = DEMO.replacen("sampling-rate-hz = 100", "sampling-rate-hz = 200", 1);
     let mut slower = at_200.clone();
@@ -385,7 +560,9 @@ fn of_particles(text: &str) -> Vec<Finding> {
     findings.retain(|finding| {
         matches!(
             finding,
-            Finding::ParticlesInTime { .. } | Finding::ParticlesTooSlow { .. } | Finding::ParticlesTooFew { .. }
+            Finding::ParticlesInTime { .. }
+                | Finding::ParticlesTooSlow { .. }
+                | Finding::ParticlesTooFew { .. }
         )
     });
     findings
@@ -394,12 +571,26 @@ fn of_particles(text: &str) -> Vec<Finding> {
 #[test]
 fn a_small_state_is_fast_enough_for_particles_and_a_large_one_is_warned_of() {
     let found = of_particles(PARTICLES);
-    let [Finding::ParticlesInTime { needed_s, step_s: 0.02 }] = found[..] else { panic!("{found:?}") };
+    let [
+        Finding::ParticlesInTime {
+            needed_s,
+            step_s: 0.02,
+        },
+    ] = found[..]
+    else {
+        panic!("{found:?}")
+    };
     // measured: 0.8 to 1.1 ms
     assert!((0.5e-3..2e-3).contains(&needed_s), "{needed_s}");
-    let found = of_particles(&DASHPOTS.replace("half-life-s = 1", "half-life-s = 1\nkind = \"particle\""));
-    let [Finding::ParticlesTooSlow { needed_s, .. }, Finding::ParticlesTooFew { states: 16, particles: 2000 }] =
-        found[..]
+    let found =
+        of_particles(&DASHPOTS.replace("half-life-s = 1", "half-life-s = 1\nkind = \"particle\""));
+    let [
+        Finding::ParticlesTooSlow { needed_s, .. },
+        Finding::ParticlesTooFew {
+            states: 16,
+            particles: 2000,
+        },
+    ] = found[..]
     else {
         panic!("{found:?}")
     };

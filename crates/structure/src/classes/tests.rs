@@ -4,7 +4,9 @@ use spandrel_filter::{ObservationModel, ProcessModel};
 use std::path::Path;
 
 fn example(name: &str) -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name);
     Structure::read(&path).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -14,7 +16,11 @@ fn assert_class_is_full_model(name: &str, grouping: &[&[usize]]) {
     let structure = example(name);
     let system = structure.class_system();
     let components = system.components().len();
-    let grouping = Grouping::new(grouping.iter().map(|group| group.to_vec()).collect(), components).unwrap();
+    let grouping = Grouping::new(
+        grouping.iter().map(|group| group.to_vec()).collect(),
+        components,
+    )
+    .unwrap();
     let factors: Vec<f64> = (0..components).map(|n| 1.0 - 0.01 * n as f64).collect();
     let (mut full, mut class) = (structure.model(), system.grouped(&grouping, &factors));
     let parameters = structure.parameters().len();
@@ -22,7 +28,9 @@ fn assert_class_is_full_model(name: &str, grouping: &[&[usize]]) {
     let groups = grouping.groups().len();
     let others = parameters - components;
     assert_eq!(class.state_len(), motion + groups + others);
-    let moved: Vec<f64> = (0..motion).map(|j| 1e-3 * ((j * 7 + 3) % 11) as f64 - 5e-3).collect();
+    let moved: Vec<f64> = (0..motion)
+        .map(|j| 1e-3 * ((j * 7 + 3) % 11) as f64 - 5e-3)
+        .collect();
     let multipliers: Vec<f64> = (0..groups).map(|group| 0.9 + 0.05 * group as f64).collect();
     let rest: Vec<f64> = (0..others).map(|other| 1.1 - 0.02 * other as f64).collect();
     let of_class = [&moved[..], &multipliers, &rest].concat();
@@ -53,10 +61,18 @@ fn assert_class_is_full_model(name: &str, grouping: &[&[usize]]) {
         model.observe(&mut out);
         out
     };
-    for (one, another) in [(derivative(&full), derivative(&class)), (observed(&full), observed(&class))] {
-        let scale = one.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+    for (one, another) in [
+        (derivative(&full), derivative(&class)),
+        (observed(&full), observed(&class)),
+    ] {
+        let scale = one
+            .iter()
+            .fold(0.0_f64, |most, value| most.max(value.abs()));
         for (one, another) in one.iter().zip(&another) {
-            assert!((one - another).abs() <= 1e-11 * scale, "{name}: {one} {another}");
+            assert!(
+                (one - another).abs() <= 1e-11 * scale,
+                "{name}: {one} {another}"
+            );
         }
     }
     // ∂/∂(multiplier of a group) = Σ factor ∂/∂(component)
@@ -79,7 +95,10 @@ fn assert_class_is_full_model(name: &str, grouping: &[&[usize]]) {
     let scale = one.amax();
     assert!(scale > 0.0);
     for j in 0..motion {
-        assert!((one[(j, 0)] - another[(j, 0)]).abs() <= 1e-11 * scale, "{name}: {j}");
+        assert!(
+            (one[(j, 0)] - another[(j, 0)]).abs() <= 1e-11 * scale,
+            "{name}: {j}"
+        );
     }
 }
 
@@ -94,17 +113,36 @@ fn classes_are_the_full_model_with_multipliers_in_common() {
 #[test]
 fn examples_make_the_published_classes() {
     let high_rise = example("high-rise.toml").class_bank().unwrap().unwrap();
-    assert_eq!((0..5).map(|class| high_rise.grouping(class).groups().len()).collect::<Vec<_>>(), [1, 4, 5, 6, 7]);
+    assert_eq!(
+        (0..5)
+            .map(|class| high_rise.grouping(class).groups().len())
+            .collect::<Vec<_>>(),
+        [1, 4, 5, 6, 7]
+    );
     assert_eq!(high_rise.settings().persistence_steps, 200);
     let chain = example("bouc-wen-five.toml");
     let bank = chain.class_bank().unwrap().unwrap();
-    let names: Vec<&str> = bank.classes().map(|class| chain.class_name(class)).collect();
-    assert_eq!(names, ["baseline", "storey-1", "storey-2", "storey-3", "storey-4", "storey-5"]);
+    let names: Vec<&str> = bank
+        .classes()
+        .map(|class| chain.class_name(class))
+        .collect();
+    assert_eq!(
+        names,
+        [
+            "baseline", "storey-1", "storey-2", "storey-3", "storey-4", "storey-5"
+        ]
+    );
     assert_eq!(bank.settings().persistence_steps, 500);
     let dome = example("dome-bars.toml");
     let bank = dome.class_bank().unwrap().unwrap();
     assert_eq!(bank.classes().len(), 7);
-    let bar_31 = ClassId::Component { component: 30, substructure: 0 };
-    assert_eq!((dome.class_name(bar_31), dome.singled_out(bar_31)), ("bar-31", Some(30)));
+    let bar_31 = ClassId::Component {
+        component: 30,
+        substructure: 0,
+    };
+    assert_eq!(
+        (dome.class_name(bar_31), dome.singled_out(bar_31)),
+        ("bar-31", Some(30))
+    );
     assert!(example("demo.toml").class_bank().unwrap().is_none());
 }

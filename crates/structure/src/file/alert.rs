@@ -29,7 +29,9 @@ pub(super) struct Context<'c> {
 /// Returns how long (s) a reference is learnt where the file does not say so.
 pub(super) fn learning_s(half_life_s: f64, system: &LinearSystem) -> f64 {
     let modes = Modes::of(system, &vec![1.0; system.substructures.len()]);
-    let first = modes.and_then(|modes| modes.angular_frequencies.first().copied()).filter(|omega| *omega > 0.0);
+    let first = modes
+        .and_then(|modes| modes.angular_frequencies.first().copied())
+        .filter(|omega| *omega > 0.0);
     let periods_s = first.map_or(0.0, |omega| LEARN_PERIODS * 2.0 * PI / omega);
     periods_s.max(LEARN_HALF_LIVES * half_life_s)
 }
@@ -40,11 +42,16 @@ pub(super) fn read_alerts(file: &mut Section<'_>, context: &Context<'_>) -> Vec<
     if context.parameters.is_some_and(<[_]>::is_empty) {
         for section in sections {
             let allowed = "must not be given without a [[parameter]]: an alert watches parameters";
-            section.diagnostics().report(section.span(), "alert", "is given", allowed);
+            section
+                .diagnostics()
+                .report(section.span(), "alert", "is given", allowed);
         }
         return Vec::new();
     }
-    sections.into_iter().filter_map(|section| read_alert(section, context)).collect()
+    sections
+        .into_iter()
+        .filter_map(|section| read_alert(section, context))
+        .collect()
 }
 
 fn read_alert(mut section: Section<'_>, context: &Context<'_>) -> Option<AlertRule> {
@@ -58,10 +65,19 @@ fn read_alert(mut section: Section<'_>, context: &Context<'_>) -> Option<AlertRu
     {
         let found = format!("is {}", clear.get_ref());
         let allowed = format!("must be at most the credibility {credibility}");
-        section.diagnostics().report(clear.span(), section.key("clear-credibility"), found, allowed);
+        section.diagnostics().report(
+            clear.span(),
+            section.key("clear-credibility"),
+            found,
+            allowed,
+        );
     }
     let clear_credibility = clear.map_or(CLEAR_CREDIBILITY.min(credibility), Spanned::into_inner);
-    let reference = read_reference(&mut section, watched.as_ref().map(Vec::len), context.learn_s);
+    let reference = read_reference(
+        &mut section,
+        watched.as_ref().map(Vec::len),
+        context.learn_s,
+    );
     section.finish();
     Some(AlertRule {
         parameters: watched?,
@@ -74,21 +90,32 @@ fn read_alert(mut section: Section<'_>, context: &Context<'_>) -> Option<AlertRu
 }
 
 /// Reads which parameters are watched: a list, all, or those that scale a stiffness.
-fn read_watched(section: &mut Section<'_>, parameters: Option<&[(&str, bool)]>) -> Option<Vec<usize>> {
+fn read_watched(
+    section: &mut Section<'_>,
+    parameters: Option<&[(&str, bool)]>,
+) -> Option<Vec<usize>> {
     let rule = "must be \"stiffness\", \"all\" or a list of parameters";
     if section.is_text("parameters") {
         let word = section.text("parameters")?;
         let chosen: Option<Vec<usize>> = match word.get_ref().as_str() {
             "all" => Some((0..parameters?.len()).collect()),
-            "stiffness" => {
-                Some((0..parameters?.len()).filter(|index| parameters.is_some_and(|p| p[*index].1)).collect())
-            }
+            "stiffness" => Some(
+                (0..parameters?.len())
+                    .filter(|index| parameters.is_some_and(|p| p[*index].1))
+                    .collect(),
+            ),
             _ => None,
         };
         if chosen.as_ref().is_none_or(Vec::is_empty) {
             let found = format!("is \"{}\"", word.get_ref());
-            let found = if chosen.is_some() { format!("{found}, and no parameter scales one") } else { found };
-            section.diagnostics().report(word.span(), section.key("parameters"), found, rule);
+            let found = if chosen.is_some() {
+                format!("{found}, and no parameter scales one")
+            } else {
+                found
+            };
+            section
+                .diagnostics()
+                .report(word.span(), section.key("parameters"), found, rule);
             return None;
         }
         return chosen;
@@ -96,11 +123,23 @@ fn read_watched(section: &mut Section<'_>, parameters: Option<&[(&str, bool)]>) 
     let watched = section.names("parameters");
     let watched = section.require("parameters", rule, watched)?;
     if watched.get_ref().is_empty() {
-        section.diagnostics().report(watched.span(), section.key("parameters"), "watches nothing", rule);
+        section.diagnostics().report(
+            watched.span(),
+            section.key("parameters"),
+            "watches nothing",
+            rule,
+        );
         return None;
     }
     let parameters = parameters?;
-    let find = |name| find_name(section, "parameters", name, parameters.iter().map(|(name, _)| *name));
+    let find = |name| {
+        find_name(
+            section,
+            "parameters",
+            name,
+            parameters.iter().map(|(name, _)| *name),
+        )
+    };
     let found: Vec<_> = watched.get_ref().iter().map(find).collect();
     found.into_iter().collect()
 }
@@ -109,7 +148,11 @@ fn read_watched(section: &mut Section<'_>, parameters: Option<&[(&str, bool)]>) 
 const REFERENCE_RULE: &str = "must be { learn-s = … }, { design-std = … } or { mean = …, std = … }";
 
 /// Reads `reference`: a table that says how it is learnt or what it is.
-fn read_reference(section: &mut Section<'_>, watched: Option<usize>, learn_s: f64) -> Option<Reference> {
+fn read_reference(
+    section: &mut Section<'_>,
+    watched: Option<usize>,
+    learn_s: f64,
+) -> Option<Reference> {
     if !section.contains("reference") {
         return Some(Reference::Baseline { learn_s });
     }
@@ -122,7 +165,9 @@ fn read_reference(section: &mut Section<'_>, watched: Option<usize>, learn_s: f6
             REFERENCE_RULE
         };
         let found = format!("is \"{}\"", word.get_ref());
-        section.diagnostics().report(word.span(), section.key("reference"), found, allowed);
+        section
+            .diagnostics()
+            .report(word.span(), section.key("reference"), found, allowed);
         return None;
     }
     let mut table = section.table("reference")?;
@@ -135,13 +180,21 @@ fn read_reference(section: &mut Section<'_>, watched: Option<usize>, learn_s: f6
     let reference = if table.contains("learn-s") {
         if table.contains("mean") || table.contains("std") {
             let allowed = "must give either learn-s, or mean and std";
-            table.diagnostics().report(table.span(), table.key("learn-s"), "is given beside mean or std", allowed);
+            table.diagnostics().report(
+                table.span(),
+                table.key("learn-s"),
+                "is given beside mean or std",
+                allowed,
+            );
         }
-        learn_s.map(|learn_s| Reference::Baseline { learn_s: learn_s.into_inner() })
+        learn_s.map(|learn_s| Reference::Baseline {
+            learn_s: learn_s.into_inner(),
+        })
     } else {
         let mean = table.require("mean", "must be given (or learn-s, or design-std)", mean);
         let std = table.require("std", "must be given beside mean", std);
-        mean.zip(std).map(|(mean, std)| Reference::Given { mean, std })
+        mean.zip(std)
+            .map(|(mean, std)| Reference::Given { mean, std })
     };
     table.finish();
     reference
@@ -163,5 +216,8 @@ fn read_design(mut table: Section<'_>, watched: usize) -> Option<Reference> {
     }
     table.leave_unread(&["learn-s", "mean", "std"]);
     table.finish();
-    std.map(|std| Reference::Given { mean: vec![1.0; std.len()], std })
+    std.map(|std| Reference::Given {
+        mean: vec![1.0; std.len()],
+        std,
+    })
 }

@@ -31,7 +31,9 @@ pub(super) fn read_chain(section: &mut Section<'_>) -> Option<LinearSystem> {
 /// Reads floors and storeys whose force depends on their path.
 pub(super) fn read_hysteretic_chain(section: &mut Section<'_>) -> Option<LinearSystem> {
     let chain = read_chain(section);
-    let drive = section.choice("drive", &DRIVES).map_or(Drive::Drift, Spanned::into_inner);
+    let drive = section
+        .choice("drive", &DRIVES)
+        .map_or(Drive::Drift, Spanned::into_inner);
     let a = section.number_or("a", Allowed::POSITIVE, 1.0);
     let mu = section.required_number("mu", Allowed::NOT_NEGATIVE);
     let kappa = section.required_number("kappa", Allowed::ANY);
@@ -41,25 +43,48 @@ pub(super) fn read_hysteretic_chain(section: &mut Section<'_>) -> Option<LinearS
     {
         let found = format!("is {} beside mu = {}", kappa.get_ref(), mu.get_ref());
         let allowed = "must add up to more than 0 with mu, or the force of a spring has no bound";
-        section.diagnostics().report(kappa.span(), section.key("kappa"), found, allowed);
+        section
+            .diagnostics()
+            .report(kappa.span(), section.key("kappa"), found, allowed);
         return None;
     }
     let [mu, kappa, eta] = [mu?, kappa?, eta?].map(Spanned::into_inner);
-    Some(LinearSystem { hysteresis: Some(Hysteresis { drive, a, mu, kappa, eta }), ..chain? })
+    Some(LinearSystem {
+        hysteresis: Some(Hysteresis {
+            drive,
+            a,
+            mu,
+            kappa,
+            eta,
+        }),
+        ..chain?
+    })
 }
 
 /// Reads the groups of storeys; a storey in none of them is one of its own.
-fn read_groups(section: &Section<'_>, tables: Vec<Section<'_>>, storeys: usize) -> Option<Vec<StoreyGroup>> {
+fn read_groups(
+    section: &Section<'_>,
+    tables: Vec<Section<'_>>,
+    storeys: usize,
+) -> Option<Vec<StoreyGroup>> {
     let declared = tables.len();
     let mut names: Vec<Spanned<String>> = Vec::new();
     let mut groups: Vec<StoreyGroup> = Vec::new();
     for table in tables {
-        let Some((name, group)) = read_group(table, storeys) else { continue };
-        let overlaps =
-            |other: &StoreyGroup| other.storeys.start < group.storeys.end && group.storeys.start < other.storeys.end;
+        let Some((name, group)) = read_group(table, storeys) else {
+            continue;
+        };
+        let overlaps = |other: &StoreyGroup| {
+            other.storeys.start < group.storeys.end && group.storeys.start < other.storeys.end
+        };
         if let Some(other) = groups.iter().find(|other| overlaps(other)) {
             let found = format!("holds storeys of group \"{}\"", other.name);
-            section.diagnostics().report(name.span(), section.key("group"), found, "must hold storeys of its own");
+            section.diagnostics().report(
+                name.span(),
+                section.key("group"),
+                found,
+                "must hold storeys of its own",
+            );
             continue;
         }
         names.push(name);
@@ -69,9 +94,19 @@ fn read_groups(section: &Section<'_>, tables: Vec<Section<'_>>, storeys: usize) 
     let complete = groups.len() == declared;
     let all = with_single_storeys(groups, storeys);
     for name in &names {
-        if all.iter().filter(|group| group.name == *name.get_ref()).count() > 1 {
+        if all
+            .iter()
+            .filter(|group| group.name == *name.get_ref())
+            .count()
+            > 1
+        {
             let found = format!("is \"{}\", a storey outside of the group", name.get_ref());
-            section.diagnostics().report(name.span(), section.key("group.name"), found, "must be another name");
+            section.diagnostics().report(
+                name.span(),
+                section.key("group.name"),
+                found,
+                "must be another name",
+            );
             return None;
         }
     }
@@ -83,23 +118,39 @@ fn read_group(mut section: Section<'_>, storeys: usize) -> Option<(Spanned<Strin
     let range = section.numbers("storeys", Allowed::POSITIVE);
     let allowed = format!("must be [lowest, highest], two whole numbers from 1 to {storeys}");
     let range = section.require("storeys", &allowed, range);
-    let is_storey = |storey: f64| storey.fract() == 0.0 && storey >= 1.0 && storey <= storeys as f64;
+    let is_storey =
+        |storey: f64| storey.fract() == 0.0 && storey >= 1.0 && storey <= storeys as f64;
     let storeys = range.and_then(|range| match range.get_ref()[..] {
-        [low, high] if low <= high && is_storey(low) && is_storey(high) => Some(low as usize - 1..high as usize),
+        [low, high] if low <= high && is_storey(low) && is_storey(high) => {
+            Some(low as usize - 1..high as usize)
+        }
         _ => {
             let found = format!("is {:?}", range.get_ref());
-            section.diagnostics().report(range.span(), section.key("storeys"), found, allowed);
+            section
+                .diagnostics()
+                .report(range.span(), section.key("storeys"), found, allowed);
             None
         }
     });
     section.finish();
     let name = name?;
-    Some((name.clone(), StoreyGroup { name: name.into_inner(), storeys: storeys? }))
+    Some((
+        name.clone(),
+        StoreyGroup {
+            name: name.into_inner(),
+            storeys: storeys?,
+        },
+    ))
 }
 
 /// Keys of a building of which each storey is given by itself, and of one of equal storeys.
 const SINGLE: [&str; 2] = ["masses-kg", "stiffnesses-n-per-m"];
-const EQUAL: [&str; 4] = ["storeys", "mass-kg", "stiffness-n-per-m", "first-frequency-hz"];
+const EQUAL: [&str; 4] = [
+    "storeys",
+    "mass-kg",
+    "stiffness-n-per-m",
+    "first-frequency-hz",
+];
 
 fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     let given = |keys: &[&'static str]| keys.iter().copied().find(|key| section.contains(key));
@@ -107,7 +158,9 @@ fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
         let found = format!("is given beside {single}");
         let allowed = "must give either masses-kg and stiffnesses-n-per-m, one number per storey, or storeys and mass-kg \
                        with stiffness-n-per-m or first-frequency-hz, for equal storeys";
-        section.diagnostics().report(section.span_of(equal), section.key(equal), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span_of(equal), section.key(equal), found, allowed);
         section.leave_unread(&SINGLE);
         section.leave_unread(&EQUAL);
         return None;
@@ -117,24 +170,39 @@ fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     }
     let masses = section.numbers("masses-kg", Allowed::POSITIVE);
     let stiffnesses = section.numbers("stiffnesses-n-per-m", Allowed::POSITIVE);
-    let allowed = "must list one number per storey from the bottom up (or give storeys for equal ones)";
+    let allowed =
+        "must list one number per storey from the bottom up (or give storeys for equal ones)";
     let masses = section.require("masses-kg", allowed, masses);
     let stiffnesses = section.require("stiffnesses-n-per-m", allowed, stiffnesses);
     let (masses, stiffnesses) = (masses?, stiffnesses?);
     let [floors, storeys] = [masses.get_ref().len(), stiffnesses.get_ref().len()];
     if floors == 0 || floors != storeys {
-        let found = format!("has {} for {}", counted(storeys, "entry", "entries"), counted(floors, "mass", "masses"));
+        let found = format!(
+            "has {} for {}",
+            counted(storeys, "entry", "entries"),
+            counted(floors, "mass", "masses")
+        );
         let key = section.key("stiffnesses-n-per-m");
-        section.diagnostics().report(stiffnesses.span(), key, found, "must have one stiffness per mass");
+        section.diagnostics().report(
+            stiffnesses.span(),
+            key,
+            found,
+            "must have one stiffness per mass",
+        );
         return None;
     }
     if floors > LARGEST_MODEL {
         let found = format!("has {}", counted(floors, "entry", "entries"));
         let allowed = format!("must have at most {LARGEST_MODEL}");
-        section.diagnostics().report(masses.span(), section.key("masses-kg"), found, allowed);
+        section
+            .diagnostics()
+            .report(masses.span(), section.key("masses-kg"), found, allowed);
         return None;
     }
-    Some(ShearBuilding { masses_kg: masses.into_inner(), stiffnesses_n_per_m: stiffnesses.into_inner() })
+    Some(ShearBuilding {
+        masses_kg: masses.into_inner(),
+        stiffnesses_n_per_m: stiffnesses.into_inner(),
+    })
 }
 
 fn read_uniform_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
@@ -144,12 +212,17 @@ fn read_uniform_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     let stiffness = section.number("stiffness-n-per-m", Allowed::POSITIVE);
     if section.contains("first-frequency-hz") == section.contains("stiffness-n-per-m") {
         let (found, key) = if section.contains("stiffness-n-per-m") {
-            ("is given beside stiffness-n-per-m", section.key("first-frequency-hz"))
+            (
+                "is given beside stiffness-n-per-m",
+                section.key("first-frequency-hz"),
+            )
         } else {
             ("is missing", section.key("stiffness-n-per-m"))
         };
         let allowed = "must give either stiffness-n-per-m or first-frequency-hz";
-        section.diagnostics().report(section.span(), key, found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), key, found, allowed);
         return None;
     }
     let (storeys, mass) = (storeys?.into_inner(), mass?.into_inner());
@@ -158,7 +231,11 @@ fn read_uniform_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
             masses_kg: vec![mass; storeys],
             stiffnesses_n_per_m: vec![stiffness.into_inner(); storeys],
         }),
-        (None, Some(frequency)) => Some(ShearBuilding::uniform(storeys, mass, frequency.into_inner())),
+        (None, Some(frequency)) => Some(ShearBuilding::uniform(
+            storeys,
+            mass,
+            frequency.into_inner(),
+        )),
         (None, None) => None,
     }
 }

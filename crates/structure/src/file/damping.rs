@@ -16,8 +16,11 @@ enum DampingKind {
     Matrix,
 }
 
-const DAMPING_KINDS: [(&str, DampingKind); 3] =
-    [("rayleigh", DampingKind::Rayleigh), ("dashpots", DampingKind::Dashpots), ("matrix", DampingKind::Matrix)];
+const DAMPING_KINDS: [(&str, DampingKind); 3] = [
+    ("rayleigh", DampingKind::Rayleigh),
+    ("dashpots", DampingKind::Dashpots),
+    ("matrix", DampingKind::Matrix),
+];
 
 /// The damping, and whether the file says that it is known.
 pub(super) struct DampingRead {
@@ -26,7 +29,10 @@ pub(super) struct DampingRead {
 }
 
 /// Reads `[damping]`; a ratio is turned into `α` and `β` with the modes of `system` as designed.
-pub(super) fn read_damping(mut section: Section<'_>, system: Option<&LinearSystem>) -> Option<DampingRead> {
+pub(super) fn read_damping(
+    mut section: Section<'_>,
+    system: Option<&LinearSystem>,
+) -> Option<DampingRead> {
     let kind = section.required_choice("kind", &DAMPING_KINDS)?;
     let is_known = section.flag_or("known", false);
     let damping = match kind.into_inner() {
@@ -35,7 +41,10 @@ pub(super) fn read_damping(mut section: Section<'_>, system: Option<&LinearSyste
         DampingKind::Matrix => read_damping_matrix(&mut section, system),
     };
     section.finish();
-    Some(DampingRead { damping: damping?, is_known })
+    Some(DampingRead {
+        damping: damping?,
+        is_known,
+    })
 }
 
 fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
@@ -44,13 +53,23 @@ fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Op
     let ratio = section.number("ratio", Allowed::INSIDE_UNIT);
     let coefficients = section.contains("alpha-per-s") || section.contains("beta-s");
     if section.contains("ratio") == coefficients {
-        let found = if coefficients { "is given beside alpha-per-s or beta-s" } else { "is missing" };
+        let found = if coefficients {
+            "is given beside alpha-per-s or beta-s"
+        } else {
+            "is missing"
+        };
         let allowed = "must give either ratio, or alpha-per-s and beta-s";
-        section.diagnostics().report(section.span(), section.key("ratio"), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("ratio"), found, allowed);
     }
     if coefficients {
-        let [alpha_per_s, beta_s] = [alpha, beta].map(|value| value.map_or(0.0, Spanned::into_inner));
-        return Some(Damping::Rayleigh { alpha_per_s, beta_s });
+        let [alpha_per_s, beta_s] =
+            [alpha, beta].map(|value| value.map_or(0.0, Spanned::into_inner));
+        return Some(Damping::Rayleigh {
+            alpha_per_s,
+            beta_s,
+        });
     }
     let len = system.map_or(LARGEST_MODEL, LinearSystem::len);
     let modes = read_modes(section, len)?;
@@ -70,7 +89,9 @@ fn read_modes(section: &mut Section<'_>, len: usize) -> Option<[usize; 2]> {
         _ => {
             let found = format!("is {:?}", modes.get_ref());
             let allowed = format!("must be two different whole numbers from 1 to {len}");
-            section.diagnostics().report(modes.span(), section.key("modes"), found, allowed);
+            section
+                .diagnostics()
+                .report(modes.span(), section.key("modes"), found, allowed);
             None
         }
     }
@@ -85,7 +106,10 @@ fn rayleigh_of_ratio(system: &LinearSystem, ratio: f64, modes: [usize; 2]) -> Op
     let (first, second) = (first?, second?);
     let beta_s = 2.0 * ratio / (first + second);
     // β K is that of the springs, ω² that of small motions
-    Some(Damping::Rayleigh { alpha_per_s: beta_s * first * second, beta_s: beta_s * system.initial_slope() })
+    Some(Damping::Rayleigh {
+        alpha_per_s: beta_s * first * second,
+        beta_s: beta_s * system.initial_slope(),
+    })
 }
 
 /// Reads a dashpot beside each storey of a chain, those of a group together.
@@ -97,28 +121,56 @@ fn read_dashpots(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Op
     };
     if system.storeys.is_empty() {
         let allowed = "must be \"rayleigh\" or \"matrix\" for a model without storeys";
-        section.diagnostics().report(section.span(), section.key("kind"), "is \"dashpots\"", allowed);
+        section.diagnostics().report(
+            section.span(),
+            section.key("kind"),
+            "is \"dashpots\"",
+            allowed,
+        );
         section.leave_unread(&[key]);
         return None;
     }
     let coefficients = section.number_for_each(key, Allowed::POSITIVE, system.len());
-    let allowed = "must be the coefficient of the dashpot in every storey, or a list from the bottom up";
+    let allowed =
+        "must be the coefficient of the dashpot in every storey, or a list from the bottom up";
     let coefficients = section.require(key, allowed, coefficients)?;
     Some(Damping::Dashpots(chain(&system.storeys, &coefficients)))
 }
 
-fn read_damping_matrix(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+fn read_damping_matrix(
+    section: &mut Section<'_>,
+    system: Option<&LinearSystem>,
+) -> Option<Damping> {
     let file = section.text("file");
-    let file = section.require("file", "must name the Matrix Market file of the damping matrix", file)?;
+    let file = section.require(
+        "file",
+        "must name the Matrix Market file of the damping matrix",
+        file,
+    )?;
     let named: Named = read_symmetric(section, section.key("file"), &file)?;
     let len = system?.len();
     if named.matrix.nrows() != len {
-        let found = format!("has {}", counted(named.matrix.nrows(), "degree of freedom", "degrees of freedom"));
-        section.diagnostics().report(named.span, named.key, found, format!("must have {len} as the model"));
+        let found = format!(
+            "has {}",
+            counted(
+                named.matrix.nrows(),
+                "degree of freedom",
+                "degrees of freedom"
+            )
+        );
+        section.diagnostics().report(
+            named.span,
+            named.key,
+            found,
+            format!("must have {len} as the model"),
+        );
         return None;
     }
-    if let Err(Unusable { found, allowed }) = matrix_file::check_semidefinite(&dense(&named.matrix)) {
-        section.diagnostics().report(named.span, named.key, found, allowed);
+    if let Err(Unusable { found, allowed }) = matrix_file::check_semidefinite(&dense(&named.matrix))
+    {
+        section
+            .diagnostics()
+            .report(named.span, named.key, found, allowed);
         return None;
     }
     Some(Damping::Matrix(named.matrix))

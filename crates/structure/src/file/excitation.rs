@@ -19,7 +19,11 @@ enum Kind {
     ForceField,
 }
 
-const KINDS: [(&str, Kind); 3] = [("ground", Kind::Ground), ("force", Kind::Force), ("force-field", Kind::ForceField)];
+const KINDS: [(&str, Kind); 3] = [
+    ("ground", Kind::Ground),
+    ("force", Kind::Force),
+    ("force-field", Kind::ForceField),
+];
 
 /// What the excitations refer to.
 pub(super) struct Context<'c> {
@@ -37,13 +41,23 @@ pub(super) struct ExcitationRead {
 }
 
 /// Reads every `[[excitation]]`; returns also how many are declared.
-pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) -> (usize, Vec<ExcitationRead>) {
+pub(super) fn read_excitations(
+    file: &mut Section<'_>,
+    context: &Context<'_>,
+) -> (usize, Vec<ExcitationRead>) {
     let sections = file.tables("excitation");
     if sections.is_empty() {
-        file.require("excitation", "must declare what shakes the structure: [[excitation]]", None::<()>);
+        file.require(
+            "excitation",
+            "must declare what shakes the structure: [[excitation]]",
+            None::<()>,
+        );
     }
     let declared = sections.len();
-    let read: Vec<_> = sections.into_iter().filter_map(|section| read_excitation(section, context)).collect();
+    let read: Vec<_> = sections
+        .into_iter()
+        .filter_map(|section| read_excitation(section, context))
+        .collect();
     let names: Vec<_> = read.iter().map(|read| read.name.clone()).collect();
     check_unique(file, "excitation.name", &names);
     if let Some(channels) = context.channels.filter(|_| read.len() == declared) {
@@ -54,7 +68,9 @@ pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) ->
 
 fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<ExcitationRead> {
     let name = section.required_name("name");
-    let kind = section.required_choice("kind", &KINDS).map(Spanned::into_inner);
+    let kind = section
+        .required_choice("kind", &KINDS)
+        .map(Spanned::into_inner);
     let level = read_level(&mut section);
     if kind == Some(Kind::ForceField) {
         let std = section.number_or("level", Allowed::DEVIATION, 1.0);
@@ -70,7 +86,11 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
         Some(Kind::Ground) => read_ground(&mut section, context.system),
         Some(Kind::Force) => {
             let dof = section.number_or_name("dof");
-            let dof = section.require("dof", "must be the number or the name of a degree of freedom", dof);
+            let dof = section.require(
+                "dof",
+                "must be the number or the name of a degree of freedom",
+                dof,
+            );
             dof.and_then(|dof| degree_of_freedom(&section, "dof", &dof, context.system))
                 .map(|degree_of_freedom| Action::Force { degree_of_freedom })
         }
@@ -80,10 +100,16 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
             None
         }
     };
-    let measured = measured_on.and_then(|channel| read_measured(&section, kind, &channel, context.channels?));
+    let measured =
+        measured_on.and_then(|channel| read_measured(&section, kind, &channel, context.channels?));
     if section.contains("measured-on") && level.factor.is_some() {
         let allowed = "must not stand beside measured-on: what the level of a measured excitation is, its channel says";
-        section.diagnostics().report(section.span(), section.key("level-factor"), "is given", allowed);
+        section.diagnostics().report(
+            section.span(),
+            section.key("level-factor"),
+            "is given",
+            allowed,
+        );
     }
     section.finish();
     let name = name?;
@@ -101,17 +127,31 @@ struct Level {
 impl Level {
     /// Makes an excitation; its level is adapted if nobody measures it, unless the file says otherwise.
     fn of(self, name: &str, action: Action, std: f64, measured: Option<Measured>) -> Excitation {
-        let adapts = self.adapt.unwrap_or(measured.is_none() && self.factor != Some(1.0));
-        Excitation { name: name.to_owned(), action, std, measured, adapts, level_factor: self.factor }
+        let adapts = self
+            .adapt
+            .unwrap_or(measured.is_none() && self.factor != Some(1.0));
+        Excitation {
+            name: name.to_owned(),
+            action,
+            std,
+            measured,
+            adapts,
+            level_factor: self.factor,
+        }
     }
 }
 
 fn read_level(section: &mut Section<'_>) -> Level {
     let adapt = section.flag("adapt");
-    let factor = section.number("level-factor", Allowed::FACTOR).map(Spanned::into_inner);
+    let factor = section
+        .number("level-factor", Allowed::FACTOR)
+        .map(Spanned::into_inner);
     if adapt == Some(true) && factor == Some(1.0) {
-        let allowed = "must be above 1 beside adapt = true: a level that is known needs no adaptation";
-        section.diagnostics().report(section.span(), section.key("level-factor"), "is 1", allowed);
+        let allowed =
+            "must be above 1 beside adapt = true: a level that is known needs no adaptation";
+        section
+            .diagnostics()
+            .report(section.span(), section.key("level-factor"), "is 1", allowed);
     }
     Level { adapt, factor }
 }
@@ -121,15 +161,22 @@ fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
     let std = section.number("std", Allowed::DEVIATION);
     let intensity = section.number("spectral-intensity", Allowed::DEVIATION);
     if section.contains("std") == section.contains("spectral-intensity") {
-        let found = if section.contains("std") { "is given beside spectral-intensity" } else { "is missing" };
-        let allowed =
-            "must give either std (of one sample, m/s2 or N) or spectral-intensity (its square times s per rad)";
-        section.diagnostics().report(section.span(), section.key("std"), found, allowed);
+        let found = if section.contains("std") {
+            "is given beside spectral-intensity"
+        } else {
+            "is missing"
+        };
+        let allowed = "must give either std (of one sample, m/s2 or N) or spectral-intensity (its square times s per rad)";
+        section
+            .diagnostics()
+            .report(section.span(), section.key("std"), found, allowed);
         return None;
     }
-    let of_intensity =
-        |intensity: Spanned<f64>| Some((2.0 * std::f64::consts::PI * intensity.into_inner() * rate_hz?).sqrt());
-    std.map(Spanned::into_inner).or_else(|| intensity.and_then(of_intensity))
+    let of_intensity = |intensity: Spanned<f64>| {
+        Some((2.0 * std::f64::consts::PI * intensity.into_inner() * rate_hz?).sqrt())
+    };
+    std.map(Spanned::into_inner)
+        .or_else(|| intensity.and_then(of_intensity))
 }
 
 /// Reads how a ground motion moves the structure: its direction in a model with geometry, or an influence vector.
@@ -144,7 +191,12 @@ fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Opti
     };
     if section.contains("influence") {
         let allowed = "must not stand beside direction, which says the same";
-        section.diagnostics().report(section.span(), section.key("influence"), "is given", allowed);
+        section.diagnostics().report(
+            section.span(),
+            section.key("influence"),
+            "is given",
+            allowed,
+        );
     }
     section.leave_unread(&["influence"]);
     let known = &system?.ground_directions;
@@ -154,10 +206,17 @@ fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Opti
             [] => "must not be given for a model without directions, see influence".to_owned(),
             _ => one_of(direction.get_ref(), known.iter().map(|known| known.name)),
         };
-        let (key, found) = (section.key("direction"), format!("is \"{}\"", direction.get_ref()));
-        section.diagnostics().report(direction.span(), key, found, allowed);
+        let (key, found) = (
+            section.key("direction"),
+            format!("is \"{}\"", direction.get_ref()),
+        );
+        section
+            .diagnostics()
+            .report(direction.span(), key, found, allowed);
     }
-    Some(Action::Ground { influence: found?.influence.clone() })
+    Some(Action::Ground {
+        influence: found?.influence.clone(),
+    })
 }
 
 /// Reads the influence vector `ι` of a ground motion: a list, a file, or all ones.
@@ -166,22 +225,32 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
     let (span, influence) = if section.is_text(key) {
         let file = section.text(key)?;
         match matrix_file::read(&beside(section, file.get_ref())) {
-            Ok(matrix) if matrix.ncols() == 1 => {
-                (file.span(), crate::linear_system::dense(&matrix).as_slice().to_vec())
-            }
+            Ok(matrix) if matrix.ncols() == 1 => (
+                file.span(),
+                crate::linear_system::dense(&matrix).as_slice().to_vec(),
+            ),
             Ok(matrix) => {
                 let found = format!("is {} × {}", matrix.nrows(), matrix.ncols());
-                section.diagnostics().report(file.span(), section.key(key), found, "must have one column");
+                section.diagnostics().report(
+                    file.span(),
+                    section.key(key),
+                    found,
+                    "must have one column",
+                );
                 return None;
             }
             Err(Unusable { found, allowed }) => {
-                section.diagnostics().report(file.span(), section.key(key), found, allowed);
+                section
+                    .diagnostics()
+                    .report(file.span(), section.key(key), found, allowed);
                 return None;
             }
         }
     } else {
         let Some(numbers) = section.numbers(key, Allowed::ANY) else {
-            return Some(Action::Ground { influence: vec![1.0; system?.len()] });
+            return Some(Action::Ground {
+                influence: vec![1.0; system?.len()],
+            });
         };
         (numbers.span(), numbers.into_inner())
     };
@@ -189,7 +258,9 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
     if influence.len() != len || influence.iter().all(|entry| *entry == 0.0) {
         let found = format!("has {}", counted(influence.len(), "entry", "entries"));
         let allowed = format!("must have {len}, one per degree of freedom, not all zero");
-        section.diagnostics().report(span, section.key(key), found, allowed);
+        section
+            .diagnostics()
+            .report(span, section.key(key), found, allowed);
         return None;
     }
     Some(Action::Ground { influence })
@@ -205,42 +276,74 @@ fn read_measured(
         Kind::Ground => Quantity::GroundAcceleration,
         Kind::Force | Kind::ForceField => Quantity::Force,
     };
-    let named = channels.iter().position(|read| read.channel.name == *channel.get_ref());
+    let named = channels
+        .iter()
+        .position(|read| read.channel.name == *channel.get_ref());
     let measuring = named.map(|index| &channels[index].channel);
     match (named, measuring) {
-        (Some(index), Some(measuring)) if measuring.quantity == expected => {
-            Some(Measured { channel: index, noise_std: measuring.noise_std })
-        }
+        (Some(index), Some(measuring)) if measuring.quantity == expected => Some(Measured {
+            channel: index,
+            noise_std: measuring.noise_std,
+        }),
         _ => {
-            let of = measuring.map_or_else(String::new, |other| format!(", a channel of {}", other.quantity));
-            let right = channels.iter().filter(|read| read.channel.quantity == expected);
-            let allowed = match &right.map(|read| read.channel.name.as_str()).collect::<Vec<_>>()[..] {
+            let of = measuring.map_or_else(String::new, |other| {
+                format!(", a channel of {}", other.quantity)
+            });
+            let right = channels
+                .iter()
+                .filter(|read| read.channel.quantity == expected);
+            let allowed = match &right
+                .map(|read| read.channel.name.as_str())
+                .collect::<Vec<_>>()[..]
+            {
                 [] => format!("must be a channel of {expected}, of which none is declared"),
                 right => format!("must be a channel of {expected}: {}", right.join(", ")),
             };
             let found = format!("is \"{}\"{of}", channel.get_ref());
-            section.diagnostics().report(channel.span(), section.key("measured-on"), found, allowed);
+            section.diagnostics().report(
+                channel.span(),
+                section.key("measured-on"),
+                found,
+                allowed,
+            );
             None
         }
     }
 }
 
 /// A channel that measures an excitation must belong to one, and to one only.
-fn check_each_channel_is_used_once(file: &Section<'_>, channels: &[ChannelRead], read: &[ExcitationRead]) {
-    for (index, channel) in channels.iter().enumerate().filter(|(_, read)| read.channel.quantity.is_excitation()) {
-        let uses: Vec<_> = read.iter().filter(|read| read.excitation.channel() == Some(index)).collect();
+fn check_each_channel_is_used_once(
+    file: &Section<'_>,
+    channels: &[ChannelRead],
+    read: &[ExcitationRead],
+) {
+    for (index, channel) in channels
+        .iter()
+        .enumerate()
+        .filter(|(_, read)| read.channel.quantity.is_excitation())
+    {
+        let uses: Vec<_> = read
+            .iter()
+            .filter(|read| read.excitation.channel() == Some(index))
+            .collect();
         match uses[..] {
             [_] => {}
             [] => file.diagnostics().report(
                 channel.name.span(),
                 "node.channel.name",
-                format!("is \"{}\", which measures {} for nothing", channel.channel.name, channel.channel.quantity),
+                format!(
+                    "is \"{}\", which measures {} for nothing",
+                    channel.channel.name, channel.channel.quantity
+                ),
                 "must be named by measured-on of an [[excitation]]",
             ),
             [first, second, ..] => file.diagnostics().report(
                 second.name.span(),
                 "excitation.measured-on",
-                format!("is \"{}\", which already measures {}", channel.channel.name, first.excitation.name),
+                format!(
+                    "is \"{}\", which already measures {}",
+                    channel.channel.name, first.excitation.name
+                ),
                 "must be a channel of its own",
             ),
         }

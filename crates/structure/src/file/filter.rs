@@ -12,7 +12,10 @@ const NOISE_RULES: [(&str, NoiseRule); 4] = [
     ("fixed", NoiseRule::Fixed),
 ];
 
-const INPUT_HOLDS: [(&str, InputHold); 2] = [("zero-order", InputHold::Zero), ("first-order", InputHold::First)];
+const INPUT_HOLDS: [(&str, InputHold); 2] = [
+    ("zero-order", InputHold::Zero),
+    ("first-order", InputHold::First),
+];
 
 /// What identifies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,8 +26,10 @@ enum Kind {
 
 const KINDS: [(&str, Kind); 2] = [("kalman", Kind::Kalman), ("particle", Kind::Particle)];
 
-const DENSITIES: [(&str, ImportanceDensity); 2] =
-    [("optimal", ImportanceDensity::Optimal), ("prior", ImportanceDensity::Prior)];
+const DENSITIES: [(&str, ImportanceDensity); 2] = [
+    ("optimal", ImportanceDensity::Optimal),
+    ("prior", ImportanceDensity::Prior),
+];
 
 /// Keys of `[filter]` that are of use with particles only.
 const OF_PARTICLES: [&str; 4] = ["particles", "density", "drift", "warm-up-s"];
@@ -66,25 +71,43 @@ pub(super) fn read_filter(
     if follows == Follows::MotionAlone {
         plan.annealing.amount = 0.0; // a linear filter cannot lock in
     }
-    let Some(mut section) = section else { return plan };
-    plan.half_life_s = read_half_life(&mut section, "half-life-s", rate_hz).unwrap_or(plan.half_life_s);
+    let Some(mut section) = section else {
+        return plan;
+    };
+    plan.half_life_s =
+        read_half_life(&mut section, "half-life-s", rate_hz).unwrap_or(plan.half_life_s);
     if let Some(rule) = section.choice("noise-rule", &NOISE_RULES) {
         plan.noise_rule = rule.into_inner();
     }
     // one memory for both unless the file has two, as in the source
-    plan.noise_half_life_s = read_half_life(&mut section, "noise-half-life-s", rate_hz).unwrap_or(plan.half_life_s);
-    plan.noise_prior_std = section.number_or("noise-prior-std", Allowed::POSITIVE, plan.noise_prior_std);
+    plan.noise_half_life_s =
+        read_half_life(&mut section, "noise-half-life-s", rate_hz).unwrap_or(plan.half_life_s);
+    plan.noise_prior_std =
+        section.number_or("noise-prior-std", Allowed::POSITIVE, plan.noise_prior_std);
     plan.noise_floor = section.number_or("noise-floor", Allowed::NOT_NEGATIVE, plan.noise_floor);
     plan.annealing = Annealing {
-        amount: section.number_or("annealing-amount", Allowed::NOT_NEGATIVE, plan.annealing.amount),
+        amount: section.number_or(
+            "annealing-amount",
+            Allowed::NOT_NEGATIVE,
+            plan.annealing.amount,
+        ),
         time_s: section.number_or("annealing-time-s", Allowed::POSITIVE, plan.annealing.time_s),
     };
-    plan.variance_bound = section.number_or("variance-bound", Allowed::POSITIVE, plan.variance_bound);
+    plan.variance_bound =
+        section.number_or("variance-bound", Allowed::POSITIVE, plan.variance_bound);
     if let Some(hold) = section.choice("input-hold", &INPUT_HOLDS) {
         plan.input_hold = hold.into_inner();
     }
-    plan.displacement_std_m = section.number_or("displacement-std-m", Allowed::POSITIVE, plan.displacement_std_m);
-    plan.velocity_std_m_per_s = section.number_or("velocity-std-m-per-s", Allowed::POSITIVE, plan.velocity_std_m_per_s);
+    plan.displacement_std_m = section.number_or(
+        "displacement-std-m",
+        Allowed::POSITIVE,
+        plan.displacement_std_m,
+    );
+    plan.velocity_std_m_per_s = section.number_or(
+        "velocity-std-m-per-s",
+        Allowed::POSITIVE,
+        plan.velocity_std_m_per_s,
+    );
     plan.particles = read_particles(&mut section);
     section.finish();
     plan
@@ -92,11 +115,18 @@ pub(super) fn read_filter(
 
 /// Reads the keys of particles; `None` for the Kalman filter.
 fn read_particles(section: &mut Section<'_>) -> Option<ParticleKeys> {
-    let kind = section.choice("kind", &KINDS).map_or(Kind::Kalman, toml::Spanned::into_inner);
+    let kind = section
+        .choice("kind", &KINDS)
+        .map_or(Kind::Kalman, toml::Spanned::into_inner);
     if kind == Kind::Kalman {
         for key in OF_PARTICLES.into_iter().filter(|key| section.contains(key)) {
             let allowed = "must not be there without kind = \"particle\"";
-            section.diagnostics().report(section.span_of(key), section.key(key), "is of no use", allowed);
+            section.diagnostics().report(
+                section.span_of(key),
+                section.key(key),
+                "is of no use",
+                allowed,
+            );
         }
         section.leave_unread(&OF_PARTICLES);
         return None;
@@ -108,38 +138,61 @@ fn read_particles(section: &mut Section<'_>) -> Option<ParticleKeys> {
     if let Some(density) = section.choice("density", &DENSITIES) {
         keys.density = density.into_inner();
     }
-    keys.drift_per_root_s = section.number_or("drift", Allowed::NOT_NEGATIVE, keys.drift_per_root_s);
+    keys.drift_per_root_s =
+        section.number_or("drift", Allowed::NOT_NEGATIVE, keys.drift_per_root_s);
     keys.warm_up_s = section.number_or("warm-up-s", Allowed::NOT_NEGATIVE, keys.warm_up_s);
     Some(keys)
 }
 
 /// Reports what particles cannot do: they take every sample and all parameters, in one filter.
-pub(super) fn check_particles(file: &Section<'_>, plan: &FilterPlan, distributed: Option<&toml::Spanned<bool>>) {
+pub(super) fn check_particles(
+    file: &Section<'_>,
+    plan: &FilterPlan,
+    distributed: Option<&toml::Spanned<bool>>,
+) {
     if plan.particles.is_none() {
         return;
     }
     for (table, why) in [
-        ("outliers", "must not be there with filter.kind = \"particle\": particles take every sample"),
-        ("classes", "must not be there with filter.kind = \"particle\": particles take all parameters singly"),
+        (
+            "outliers",
+            "must not be there with filter.kind = \"particle\": particles take every sample",
+        ),
+        (
+            "classes",
+            "must not be there with filter.kind = \"particle\": particles take all parameters singly",
+        ),
     ] {
         if file.contains(table) {
-            file.diagnostics().report(file.span_of(table), table, "is there", why);
+            file.diagnostics()
+                .report(file.span_of(table), table, "is there", why);
         }
     }
     if let Some(distributed) = distributed.filter(|is| *is.get_ref()) {
         let allowed = "must not be distributed with filter.kind = \"particle\": nodes exchange Gaussian densities";
-        file.diagnostics().report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+        file.diagnostics().report(
+            distributed.span(),
+            "structure.identification",
+            "is \"distributed\"",
+            allowed,
+        );
     }
 }
 
 /// Reads a half-life (s) of at least some time steps.
-fn read_half_life(section: &mut Section<'_>, key: &'static str, rate_hz: Option<f64>) -> Option<f64> {
+fn read_half_life(
+    section: &mut Section<'_>,
+    key: &'static str,
+    rate_hz: Option<f64>,
+) -> Option<f64> {
     let half_life = section.number(key, Allowed::POSITIVE)?;
     let least_s = LEAST_HALF_LIFE_STEPS / rate_hz?;
     if *half_life.get_ref() < least_s {
         let found = format!("is {}", half_life.get_ref());
         let allowed = format!("must be at least {LEAST_HALF_LIFE_STEPS} time steps, {least_s} s");
-        section.diagnostics().report(half_life.span(), section.key(key), found, allowed);
+        section
+            .diagnostics()
+            .report(half_life.span(), section.key(key), found, allowed);
         return None;
     }
     Some(half_life.into_inner())
@@ -149,7 +202,10 @@ fn read_half_life(section: &mut Section<'_>, key: &'static str, rate_hz: Option<
 const ORDERS: [usize; 4] = [2, 4, 6, 8];
 
 /// Reads `[band-limit]`, if there is one.
-pub(super) fn read_band_limit(section: Option<Section<'_>>, rate_hz: Option<f64>) -> Option<BandLimit> {
+pub(super) fn read_band_limit(
+    section: Option<Section<'_>>,
+    rate_hz: Option<f64>,
+) -> Option<BandLimit> {
     let mut section = section?;
     let frequency = section.required_number("frequency-hz", Allowed::POSITIVE);
     let order = read_order(&mut section);
@@ -158,34 +214,63 @@ pub(super) fn read_band_limit(section: Option<Section<'_>>, rate_hz: Option<f64>
     {
         let found = format!("is {}", frequency.get_ref());
         let allowed = format!("must be below half the sampling rate, {}", rate_hz / 2.0);
-        section.diagnostics().report(frequency.span(), section.key("frequency-hz"), found, allowed);
+        section.diagnostics().report(
+            frequency.span(),
+            section.key("frequency-hz"),
+            found,
+            allowed,
+        );
     }
     section.finish();
-    Some(BandLimit { frequency_hz: frequency?.into_inner(), order })
+    Some(BandLimit {
+        frequency_hz: frequency?.into_inner(),
+        order,
+    })
 }
 
 fn read_order(section: &mut Section<'_>) -> usize {
     let [lowest, .., highest] = ORDERS;
-    let Some(order) = section.whole("order", lowest, highest) else { return BandLimit::ORDER };
+    let Some(order) = section.whole("order", lowest, highest) else {
+        return BandLimit::ORDER;
+    };
     if !ORDERS.contains(order.get_ref()) {
         let found = format!("is {}", order.get_ref());
-        section.diagnostics().report(order.span(), section.key("order"), found, "must be 2, 4, 6 or 8");
+        section.diagnostics().report(
+            order.span(),
+            section.key("order"),
+            found,
+            "must be 2, 4, 6 or 8",
+        );
     }
     order.into_inner()
 }
 
 /// Reads `[ingest]`; `rate_hz` is the structure's.
-pub(super) fn read_ingest(section: Option<Section<'_>>, rate_hz: Option<f64>) -> Option<IngestSettings> {
+pub(super) fn read_ingest(
+    section: Option<Section<'_>>,
+    rate_hz: Option<f64>,
+) -> Option<IngestSettings> {
     let half_step_s = 0.5 / rate_hz?;
-    let mut settings = IngestSettings { lateness_s: IngestSettings::LATENESS_S, tolerance_s: half_step_s };
-    let Some(mut section) = section else { return Some(settings) };
-    settings.lateness_s = section.number_or("lateness-s", Allowed::NOT_NEGATIVE, settings.lateness_s);
+    let mut settings = IngestSettings {
+        lateness_s: IngestSettings::LATENESS_S,
+        tolerance_s: half_step_s,
+    };
+    let Some(mut section) = section else {
+        return Some(settings);
+    };
+    settings.lateness_s =
+        section.number_or("lateness-s", Allowed::NOT_NEGATIVE, settings.lateness_s);
     if let Some(tolerance) = section.number("tolerance-s", Allowed::POSITIVE) {
         settings.tolerance_s = *tolerance.get_ref();
         if settings.tolerance_s > half_step_s {
             let found = format!("is {}", tolerance.get_ref());
             let allowed = format!("must be at most half a time step, {half_step_s}");
-            section.diagnostics().report(tolerance.span(), section.key("tolerance-s"), found, allowed);
+            section.diagnostics().report(
+                tolerance.span(),
+                section.key("tolerance-s"),
+                found,
+                allowed,
+            );
         }
     }
     section.finish();

@@ -3,11 +3,14 @@
 use crate::fusion_plan::{FusionPlan, MotionPlan};
 use crate::node::Node;
 use crate::section::{Allowed, Section};
-use spandrel_filter::fusion::{CovarianceScheme, FeedbackRule, FusionRule, GlobalDetector, Sharing, Weighting};
+use spandrel_filter::fusion::{
+    CovarianceScheme, FeedbackRule, FusionRule, GlobalDetector, Sharing, Weighting,
+};
 use toml::Spanned;
 
 /// Words for whether identification is distributed.
-pub(super) const IDENTIFICATIONS: [(&str, bool); 2] = [("centralized", false), ("distributed", true)];
+pub(super) const IDENTIFICATIONS: [(&str, bool); 2] =
+    [("centralized", false), ("distributed", true)];
 
 #[derive(Clone, Copy, PartialEq)]
 enum Rule {
@@ -15,7 +18,10 @@ enum Rule {
     Published,
 }
 
-const RULES: [(&str, Rule); 2] = [("prior-correct", Rule::PriorCorrect), ("published", Rule::Published)];
+const RULES: [(&str, Rule); 2] = [
+    ("prior-correct", Rule::PriorCorrect),
+    ("published", Rule::Published),
+];
 
 const FEEDBACKS: [(&str, FeedbackRule); 5] = [
     ("marginal", FeedbackRule::Marginal),
@@ -35,8 +41,12 @@ enum Motion {
     Samples,
 }
 
-const MOTIONS: [(&str, Motion); 4] =
-    [("none", Motion::None), ("modes", Motion::Modes), ("responses", Motion::Responses), ("samples", Motion::Samples)];
+const MOTIONS: [(&str, Motion); 4] = [
+    ("none", Motion::None),
+    ("modes", Motion::Modes),
+    ("responses", Motion::Responses),
+    ("samples", Motion::Samples),
+];
 
 /// Instants of a fusion period at which nodes tell one another samples, unless the file says otherwise.
 const SAMPLES: usize = 10;
@@ -48,10 +58,16 @@ enum Detector {
     OneAtATime,
 }
 
-const DETECTORS: [(&str, Detector); 3] =
-    [("none", Detector::None), ("all-at-once", Detector::AllAtOnce), ("one-at-a-time", Detector::OneAtATime)];
+const DETECTORS: [(&str, Detector); 3] = [
+    ("none", Detector::None),
+    ("all-at-once", Detector::AllAtOnce),
+    ("one-at-a-time", Detector::OneAtATime),
+];
 
-const WEIGHTINGS: [(&str, Weighting); 2] = [("all-or-nothing", Weighting::AllOrNothing), ("graded", Weighting::Graded)];
+const WEIGHTINGS: [(&str, Weighting); 2] = [
+    ("all-or-nothing", Weighting::AllOrNothing),
+    ("graded", Weighting::Graded),
+];
 
 /// Fusions per second unless the file says otherwise.
 const RATE_HZ: f64 = 1.0;
@@ -75,10 +91,16 @@ pub(super) fn read_fusion(
     file: &Section<'_>,
     (rate_hz, nodes, has_classes): (Option<f64>, &[Node], bool),
 ) -> Option<FusionPlan> {
-    let Some(span) = distributed.filter(|distributed| *distributed.get_ref()).map(Spanned::span) else {
+    let Some(span) = distributed
+        .filter(|distributed| *distributed.get_ref())
+        .map(Spanned::span)
+    else {
         if let Some(mut section) = section {
-            let allowed = "must not be there unless identification = \"distributed\" in [structure]";
-            section.diagnostics().report(section.span(), "fusion", "is given", allowed);
+            let allowed =
+                "must not be there unless identification = \"distributed\" in [structure]";
+            section
+                .diagnostics()
+                .report(section.span(), "fusion", "is given", allowed);
             section.leave_unread(&[
                 "rate-hz",
                 "rule",
@@ -100,8 +122,14 @@ pub(super) fn read_fusion(
         return None;
     };
     if has_classes {
-        let allowed = "must not be distributed: model classes need the samples of all nodes in one filter";
-        file.diagnostics().report(span, "structure.identification", "is \"distributed\" beside [classes]", allowed);
+        let allowed =
+            "must not be distributed: model classes need the samples of all nodes in one filter";
+        file.diagnostics().report(
+            span,
+            "structure.identification",
+            "is \"distributed\" beside [classes]",
+            allowed,
+        );
     }
     let mut plan = FusionPlan {
         rate_hz: RATE_HZ,
@@ -119,23 +147,39 @@ pub(super) fn read_fusion(
     let fusion_rate = section.number("rate-hz", Allowed::RATE);
     plan.rate_hz = fusion_rate.as_ref().map_or(RATE_HZ, |rate| *rate.get_ref());
     let divides = check_rate(&section, fusion_rate.as_ref(), plan.rate_hz, rate_hz, nodes);
-    let rule = section.choice("rule", &RULES).map_or(Rule::PriorCorrect, Spanned::into_inner);
+    let rule = section
+        .choice("rule", &RULES)
+        .map_or(Rule::PriorCorrect, Spanned::into_inner);
     let sharing = section.number("sharing-factor", Allowed::FROM_ONE);
     plan.rule = match rule {
         Rule::Published => FusionRule::Published,
-        Rule::PriorCorrect => {
-            FusionRule::PriorCorrect(sharing.as_ref().map_or(Sharing::All, |factor| Sharing::Factor(*factor.get_ref())))
-        }
+        Rule::PriorCorrect => FusionRule::PriorCorrect(
+            sharing
+                .as_ref()
+                .map_or(Sharing::All, |factor| Sharing::Factor(*factor.get_ref())),
+        ),
     };
     if let (Rule::Published, Some(sharing)) = (rule, &sharing) {
-        let allowed = "must not stand beside rule = \"published\", which takes nodes as independent";
-        section.diagnostics().report(sharing.span(), section.key("sharing-factor"), "is given", allowed);
+        let allowed =
+            "must not stand beside rule = \"published\", which takes nodes as independent";
+        section.diagnostics().report(
+            sharing.span(),
+            section.key("sharing-factor"),
+            "is given",
+            allowed,
+        );
     }
     let feedback = section.choice("feedback", &FEEDBACKS);
-    plan.feedback = feedback.as_ref().map_or(plan.feedback, |feedback| *feedback.get_ref());
+    plan.feedback = feedback
+        .as_ref()
+        .map_or(plan.feedback, |feedback| *feedback.get_ref());
     let feedback_span = feedback.as_ref().map(Spanned::span);
     if let Some(full) = section.choice("covariance", &COVARIANCES) {
-        plan.covariance = if full.into_inner() { CovarianceScheme::Full } else { CovarianceScheme::Identity };
+        plan.covariance = if full.into_inner() {
+            CovarianceScheme::Full
+        } else {
+            CovarianceScheme::Identity
+        };
     }
     let motion = section.choice("motion", &MOTIONS);
     let motion_span = motion.as_ref().map_or(section.span(), Spanned::span);
@@ -146,47 +190,89 @@ pub(super) fn read_fusion(
         Motion::None => MotionPlan::None,
         Motion::Modes => MotionPlan::Modes(modes.as_ref().map(|modes| *modes.get_ref())),
         Motion::Responses => MotionPlan::Responses,
-        Motion::Samples => MotionPlan::Samples(samples.as_ref().map_or(SAMPLES, |samples| *samples.get_ref())),
+        Motion::Samples => MotionPlan::Samples(
+            samples
+                .as_ref()
+                .map_or(SAMPLES, |samples| *samples.get_ref()),
+        ),
     };
-    if let (MotionPlan::Samples(instants), Some(rate_hz)) = (plan.motion, rate_hz.filter(|_| divides)) {
-        let rates = nodes.iter().map(|node| node.sampling_rate_hz().unwrap_or(rate_hz));
-        let uneven = |rate_hz: &f64| !((rate_hz / plan.rate_hz).round() as u64).is_multiple_of(instants as u64);
+    if let (MotionPlan::Samples(instants), Some(rate_hz)) =
+        (plan.motion, rate_hz.filter(|_| divides))
+    {
+        let rates = nodes
+            .iter()
+            .map(|node| node.sampling_rate_hz().unwrap_or(rate_hz));
+        let uneven = |rate_hz: &f64| {
+            !((rate_hz / plan.rate_hz).round() as u64).is_multiple_of(instants as u64)
+        };
         if let Some(rate_hz) = rates.chain([rate_hz]).find(uneven) {
             let span = samples.as_ref().map_or(section.span(), Spanned::span);
             let allowed = format!(
                 "must divide {}, the samples of a node in a fusion period, without remainder",
                 (rate_hz / plan.rate_hz).round()
             );
-            let found = if samples.is_some() { format!("is {instants}") } else { format!("is left at {instants}") };
-            section.diagnostics().report(span, section.key("samples-per-period"), found, allowed);
+            let found = if samples.is_some() {
+                format!("is {instants}")
+            } else {
+                format!("is left at {instants}")
+            };
+            section
+                .diagnostics()
+                .report(span, section.key("samples-per-period"), found, allowed);
         }
     }
     if let Some(samples) = samples.filter(|_| motion != Motion::Samples) {
         let allowed = "must not be given unless motion = \"samples\"";
-        section.diagnostics().report(samples.span(), section.key("samples-per-period"), "is given", allowed);
+        section.diagnostics().report(
+            samples.span(),
+            section.key("samples-per-period"),
+            "is given",
+            allowed,
+        );
     }
     if let Some(modes) = modes.filter(|_| motion != Motion::Modes) {
         let allowed = "must not be given unless motion = \"modes\"";
-        section.diagnostics().report(modes.span(), section.key("modes"), "is given", allowed);
+        section
+            .diagnostics()
+            .report(modes.span(), section.key("modes"), "is given", allowed);
     }
     if let Some(feedback) = feedback.filter(|feedback| *feedback.get_ref() == FeedbackRule::Reset)
         && motion != Motion::Modes
     {
         let allowed = "must stand beside motion = \"modes\", from which the motion is set anew";
-        section.diagnostics().report(feedback.span(), section.key("feedback"), "is \"reset\"", allowed);
+        section.diagnostics().report(
+            feedback.span(),
+            section.key("feedback"),
+            "is \"reset\"",
+            allowed,
+        );
     }
     if plan.feedback == FeedbackRule::None
         && motion == Motion::Samples
         && let Some(span) = &feedback_span
     {
-        let allowed = "must not be \"none\" beside motion = \"samples\", which come with the answers";
-        section.diagnostics().report(span.clone(), section.key("feedback"), "is \"none\"", allowed);
-    }
-    let tells = |node: &Node| node.channels().iter().any(|channel| channel.quantity().is_told_as_response());
-    if motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
         let allowed =
-            "must not be given where no node measures a displacement, a velocity or a strain, which is what nodes tell";
-        section.diagnostics().report(motion_span, section.key("motion"), "is \"responses\"", allowed);
+            "must not be \"none\" beside motion = \"samples\", which come with the answers";
+        section.diagnostics().report(
+            span.clone(),
+            section.key("feedback"),
+            "is \"none\"",
+            allowed,
+        );
+    }
+    let tells = |node: &Node| {
+        node.channels()
+            .iter()
+            .any(|channel| channel.quantity().is_told_as_response())
+    };
+    if motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
+        let allowed = "must not be given where no node measures a displacement, a velocity or a strain, which is what nodes tell";
+        section.diagnostics().report(
+            motion_span,
+            section.key("motion"),
+            "is \"responses\"",
+            allowed,
+        );
     }
     plan.detector = read_detector(&mut section);
     plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
@@ -196,22 +282,46 @@ pub(super) fn read_fusion(
 
 /// Reads how the station tests the nodes; what the chosen test does not read must not be given.
 fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
-    let detector = section.choice("detector", &DETECTORS).map_or(Detector::OneAtATime, Spanned::into_inner);
+    let detector = section
+        .choice("detector", &DETECTORS)
+        .map_or(Detector::OneAtATime, Spanned::into_inner);
     let screening = section.number("screening", Allowed::INSIDE_UNIT);
     let exclusion = section.number("exclusion", Allowed::INSIDE_UNIT);
     let readmission = section.whole("readmission", 1, 10_000);
     let weighting = section.choice("weighting", &WEIGHTINGS);
     let unread = [
-        ("screening", screening.as_ref().map(Spanned::span), detector == Detector::None),
-        ("exclusion", exclusion.as_ref().map(Spanned::span), detector != Detector::AllAtOnce),
-        ("readmission", readmission.as_ref().map(Spanned::span), detector == Detector::None),
-        ("weighting", weighting.as_ref().map(Spanned::span), detector == Detector::None),
+        (
+            "screening",
+            screening.as_ref().map(Spanned::span),
+            detector == Detector::None,
+        ),
+        (
+            "exclusion",
+            exclusion.as_ref().map(Spanned::span),
+            detector != Detector::AllAtOnce,
+        ),
+        (
+            "readmission",
+            readmission.as_ref().map(Spanned::span),
+            detector == Detector::None,
+        ),
+        (
+            "weighting",
+            weighting.as_ref().map(Spanned::span),
+            detector == Detector::None,
+        ),
     ];
     for (key, span, is_unread) in unread {
         if let Some(span) = span.filter(|_| is_unread) {
-            let (name, _) = DETECTORS.iter().find(|(_, choice)| *choice == detector).unwrap_or(&DETECTORS[0]);
-            let allowed = format!("must not be given beside detector = \"{name}\", which does not read it");
-            section.diagnostics().report(span, section.key(key), "is given", allowed);
+            let (name, _) = DETECTORS
+                .iter()
+                .find(|(_, choice)| *choice == detector)
+                .unwrap_or(&DETECTORS[0]);
+            let allowed =
+                format!("must not be given beside detector = \"{name}\", which does not read it");
+            section
+                .diagnostics()
+                .report(span, section.key(key), "is given", allowed);
         }
     }
     (detector != Detector::None).then_some(GlobalDetector {
@@ -232,16 +342,23 @@ fn check_rate(
     nodes: &[Node],
 ) -> bool {
     let Some(rate_hz) = rate_hz else { return true };
-    for rate_hz in nodes.iter().map(|node| node.sampling_rate_hz().unwrap_or(rate_hz)).chain([rate_hz]) {
+    for rate_hz in nodes
+        .iter()
+        .map(|node| node.sampling_rate_hz().unwrap_or(rate_hz))
+        .chain([rate_hz])
+    {
         let samples = rate_hz / fusion_rate_hz;
         if samples.round() < 1.0 || (samples - samples.round()).abs() > 1e-9 * samples {
             let (span, key) = match given {
                 Some(given) => (given.span(), section.key("rate-hz")),
                 None => (section.span(), "fusion.rate-hz".to_owned()),
             };
-            let allowed =
-                format!("must be the sampling rate of each node, such as {rate_hz}, divided by a whole number");
-            section.diagnostics().report(span, key, format!("is {fusion_rate_hz}"), allowed);
+            let allowed = format!(
+                "must be the sampling rate of each node, such as {rate_hz}, divided by a whole number"
+            );
+            section
+                .diagnostics()
+                .report(span, key, format!("is {fusion_rate_hz}"), allowed);
             return false;
         }
     }

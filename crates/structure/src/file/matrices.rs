@@ -21,12 +21,21 @@ pub(super) struct Named {
 
 /// Returns where a file named in the structure file lies: relative to it.
 pub(super) fn beside(section: &Section<'_>, file: &str) -> PathBuf {
-    section.diagnostics().path().parent().unwrap_or(Path::new("")).join(file)
+    section
+        .diagnostics()
+        .path()
+        .parent()
+        .unwrap_or(Path::new(""))
+        .join(file)
 }
 
 pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
     let mass_file = section.text("mass");
-    let mass_file = section.require("mass", "must name the Matrix Market file of the mass matrix", mass_file);
+    let mass_file = section.require(
+        "mass",
+        "must name the Matrix Market file of the mass matrix",
+        mass_file,
+    );
     let mass = mass_file.and_then(|file| read_symmetric(section, section.key("mass"), &file));
     let mass = mass.and_then(|named| check_mass(section, named));
     let parts = read_substructures(section);
@@ -36,9 +45,18 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
     let mut agree = true;
     for (_, part) in &parts {
         if part.matrix.nrows() != len {
-            let found = format!("has {}", counted(part.matrix.nrows(), "degree of freedom", "degrees of freedom"));
+            let found = format!(
+                "has {}",
+                counted(
+                    part.matrix.nrows(),
+                    "degree of freedom",
+                    "degrees of freedom"
+                )
+            );
             let allowed = format!("must have {len} as the mass matrix");
-            section.diagnostics().report(part.span.clone(), &part.key, found, allowed);
+            section
+                .diagnostics()
+                .report(part.span.clone(), &part.key, found, allowed);
             agree = false;
         }
     }
@@ -49,17 +67,32 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
             if found != len {
                 let found = format!("has {}", counted(found, "entry", "entries"));
                 let allowed = format!("must have {len}, one per degree of freedom");
-                section.diagnostics().report(names.span(), section.key("degrees-of-freedom"), found, allowed);
+                section.diagnostics().report(
+                    names.span(),
+                    section.key("degrees-of-freedom"),
+                    found,
+                    allowed,
+                );
                 agree = false;
             }
             check_unique(section, "degrees-of-freedom", names.get_ref());
-            names.into_inner().into_iter().map(Spanned::into_inner).collect()
+            names
+                .into_inner()
+                .into_iter()
+                .map(Spanned::into_inner)
+                .collect()
         }
     };
     if !agree {
         return None;
     }
-    let substructures = parts.into_iter().map(|(name, part)| Substructure { name, stiffness: part.matrix }).collect();
+    let substructures = parts
+        .into_iter()
+        .map(|(name, part)| Substructure {
+            name,
+            stiffness: part.matrix,
+        })
+        .collect();
     let system = LinearSystem {
         mass,
         substructures,
@@ -71,20 +104,35 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
         skeleton: None,
     };
     if let Some(free) = matrix_file::free_degree_of_freedom(&system.nominal_stiffness()) {
-        let found = format!("leave degree of freedom {} free to move", system.degrees_of_freedom[free]);
+        let found = format!(
+            "leave degree of freedom {} free to move",
+            system.degrees_of_freedom[free]
+        );
         let allowed = "must hold the structure together: their sum must be positive definite";
-        section.diagnostics().report(section.span(), section.key("substructures"), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("substructures"), found, allowed);
         return None;
     }
     Some(system)
 }
 
-pub(super) fn read_symmetric(section: &Section<'_>, key: String, file: &Spanned<String>) -> Option<Named> {
+pub(super) fn read_symmetric(
+    section: &Section<'_>,
+    key: String,
+    file: &Spanned<String>,
+) -> Option<Named> {
     let path = beside(section, file.get_ref());
     match matrix_file::read_symmetric(&path) {
-        Ok(matrix) => Some(Named { key, span: file.span(), matrix }),
+        Ok(matrix) => Some(Named {
+            key,
+            span: file.span(),
+            matrix,
+        }),
         Err(Unusable { found, allowed }) => {
-            section.diagnostics().report(file.span(), key, found, allowed);
+            section
+                .diagnostics()
+                .report(file.span(), key, found, allowed);
             None
         }
     }
@@ -94,14 +142,18 @@ pub(super) fn read_symmetric(section: &Section<'_>, key: String, file: &Spanned<
 fn check_mass(section: &Section<'_>, named: Named) -> Option<Mass> {
     let Named { key, span, matrix } = named;
     let refuse = |found: String| {
-        section.diagnostics().report(span, key, found, "must be positive definite");
+        section
+            .diagnostics()
+            .report(span, key, found, "must be positive definite");
         None
     };
     let matrix = dense(&matrix);
     let diagonal: DVector<f64> = matrix.diagonal();
     if let Some(massless) = diagonal.iter().position(|mass| *mass <= 0.0) {
         let (mass, number) = (diagonal[massless], massless + 1);
-        return refuse(format!("has the mass {mass} kg at degree of freedom {number}"));
+        return refuse(format!(
+            "has the mass {mass} kg at degree of freedom {number}"
+        ));
     }
     if matrix.iter().filter(|entry| **entry != 0.0).count() == diagonal.len() {
         return Some(Mass::Lumped(diagonal));
@@ -113,7 +165,8 @@ fn check_mass(section: &Section<'_>, named: Named) -> Option<Mass> {
 }
 
 fn read_substructures(section: &mut Section<'_>) -> Option<Vec<(String, Named)>> {
-    let allowed = "must name the stiffness matrix of each substructure: { deck = \"k-deck.mtx\", ... }";
+    let allowed =
+        "must name the stiffness matrix of each substructure: { deck = \"k-deck.mtx\", ... }";
     let entries = section.entries("substructures");
     section.require("substructures", allowed, Some(()));
     let mut parts = Vec::new();
@@ -121,19 +174,29 @@ fn read_substructures(section: &mut Section<'_>) -> Option<Vec<(String, Named)>>
     for (name, value) in entries {
         let key = section.key(&format!("substructures.{}", name.get_ref()));
         let Some(file) = value.get_ref().as_str() else {
-            section.refuse(&format!("substructures.{}", name.get_ref()), value, "must name a Matrix Market file");
+            section.refuse(
+                &format!("substructures.{}", name.get_ref()),
+                value,
+                "must name a Matrix Market file",
+            );
             continue;
         };
         if !is_name(name.get_ref()) {
             let allowed = "must have a name of 1 to 64 lower-case letters, digits and hyphens";
-            section.diagnostics().report(name.span(), &key, "is not a name", allowed);
+            section
+                .diagnostics()
+                .report(name.span(), &key, "is not a name", allowed);
             continue;
         }
         let file = Spanned::new(value.span(), file.to_owned());
-        let Some(part) = read_symmetric(section, key, &file) else { continue };
+        let Some(part) = read_symmetric(section, key, &file) else {
+            continue;
+        };
         match matrix_file::check_semidefinite(&dense(&part.matrix)) {
             Ok(()) => parts.push((name.into_inner(), part)),
-            Err(Unusable { found, allowed }) => section.diagnostics().report(part.span, part.key, found, allowed),
+            Err(Unusable { found, allowed }) => section
+                .diagnostics()
+                .report(part.span, part.key, found, allowed),
         }
     }
     (declared > 0 && parts.len() == declared).then_some(parts)

@@ -17,8 +17,10 @@ pub(super) enum MeshKind {
     Truss,
 }
 
-pub(super) const MASS_FORMS: [(&str, MassForm); 2] =
-    [("consistent", MassForm::Consistent), ("lumped", MassForm::Lumped)];
+pub(super) const MASS_FORMS: [(&str, MassForm); 2] = [
+    ("consistent", MassForm::Consistent),
+    ("lumped", MassForm::Lumped),
+];
 
 impl MeshKind {
     /// What is usual: beams by their shape functions, bars by halves.
@@ -68,20 +70,29 @@ fn node_name(node: &NumberOrName) -> String {
 }
 
 pub(super) fn read_mesh(section: &mut Section<'_>, kind: MeshKind) -> Option<LinearSystem> {
-    let mass = section.choice("mass", &MASS_FORMS).map_or(kind.default_mass(), Spanned::into_inner);
+    let mass = section
+        .choice("mass", &MASS_FORMS)
+        .map_or(kind.default_mass(), Spanned::into_inner);
     let sections = read_sections(section, kind);
     let places = read_places(section, kind);
     let groups = section.tables("group");
     let supports = section.tables("support");
     if groups.is_empty() {
-        section.require("group", "must list the members: [[model.group]]", None::<()>);
+        section.require(
+            "group",
+            "must list the members: [[model.group]]",
+            None::<()>,
+        );
     }
     let (mut places, sections) = match (places, sections) {
         (Some(places), Some(sections)) => (places, sections),
         _ => return None, // groups and supports could not be looked up
     };
     let declared = groups.len();
-    let groups: Vec<_> = groups.into_iter().filter_map(|group| read_group(group, &sections, &mut places)).collect();
+    let groups: Vec<_> = groups
+        .into_iter()
+        .filter_map(|group| read_group(group, &sections, &mut places))
+        .collect();
     let names: Vec<_> = groups.iter().map(|(name, _)| name.clone()).collect();
     check_unique(section, "model.group.name", &names);
     let complete = groups.len() == declared && declared > 0;
@@ -95,8 +106,15 @@ pub(super) fn read_mesh(section: &mut Section<'_>, kind: MeshKind) -> Option<Lin
         return None;
     }
     let nodes = places.names.into_iter().zip(places.at).zip(fixed);
-    let nodes = nodes.map(|((name, at), fixed)| MeshNode { name, at, fixed }).collect();
-    let mesh = Mesh { directions, nodes, groups: groups.into_iter().map(|(_, group)| group).collect(), mass };
+    let nodes = nodes
+        .map(|((name, at), fixed)| MeshNode { name, at, fixed })
+        .collect();
+    let mesh = Mesh {
+        directions,
+        nodes,
+        groups: groups.into_iter().map(|(_, group)| group).collect(),
+        mass,
+    };
     check_members(section, &mesh)?;
     let mesh = in_natural_order(mesh);
     let system = mesh.system(|section, along, form| match kind {
@@ -106,24 +124,42 @@ pub(super) fn read_mesh(section: &mut Section<'_>, kind: MeshKind) -> Option<Lin
     check_held(section, system)
 }
 
-fn read_sections(section: &mut Section<'_>, kind: MeshKind) -> Option<Vec<(Spanned<String>, MemberSection)>> {
+fn read_sections(
+    section: &mut Section<'_>,
+    kind: MeshKind,
+) -> Option<Vec<(Spanned<String>, MemberSection)>> {
     let tables = section.tables("section");
     let declared = tables.len();
     if tables.is_empty() {
-        section.require("section", "must say what members are made of: [[model.section]]", None::<()>);
+        section.require(
+            "section",
+            "must say what members are made of: [[model.section]]",
+            None::<()>,
+        );
     }
-    let read: Vec<_> = tables.into_iter().filter_map(|table| read_section(table, kind)).collect();
+    let read: Vec<_> = tables
+        .into_iter()
+        .filter_map(|table| read_section(table, kind))
+        .collect();
     let names: Vec<_> = read.iter().map(|(name, _)| name.clone()).collect();
     check_unique(section, "model.section.name", &names);
     (declared > 0 && read.len() == declared).then_some(read)
 }
 
-fn read_section(mut section: Section<'_>, kind: MeshKind) -> Option<(Spanned<String>, MemberSection)> {
+fn read_section(
+    mut section: Section<'_>,
+    kind: MeshKind,
+) -> Option<(Spanned<String>, MemberSection)> {
     let name = section.required_name("name");
-    let [area, modulus, density] = ["area-m2", "modulus-pa", "density-kg-per-m3"]
-        .map(|key| section.required_number(key, Allowed::POSITIVE).map(Spanned::into_inner));
+    let [area, modulus, density] = ["area-m2", "modulus-pa", "density-kg-per-m3"].map(|key| {
+        section
+            .required_number(key, Allowed::POSITIVE)
+            .map(Spanned::into_inner)
+    });
     let second_moment = match kind {
-        MeshKind::Frame => section.required_number("second-moment-m4", Allowed::POSITIVE).map(Spanned::into_inner),
+        MeshKind::Frame => section
+            .required_number("second-moment-m4", Allowed::POSITIVE)
+            .map(Spanned::into_inner),
         MeshKind::Truss => Some(0.0),
     };
     section.finish();
@@ -139,31 +175,47 @@ fn read_section(mut section: Section<'_>, kind: MeshKind) -> Option<(Spanned<Str
 /// Reads the nodes whose coordinates are given.
 fn read_places(section: &mut Section<'_>, kind: MeshKind) -> Option<Places> {
     let entries = section.entries("nodes");
-    section.require("nodes", "must give the coordinates (m) of nodes: { 1 = [0, 0], ... }", Some(()));
+    section.require(
+        "nodes",
+        "must give the coordinates (m) of nodes: { 1 = [0, 0], ... }",
+        Some(()),
+    );
     let mut places = Places::default();
     let declared = entries.len();
     for (name, value) in entries {
-        let Some(at) = section.entry_numbers("nodes", &name, value, Allowed::ANY) else { continue };
+        let Some(at) = section.entry_numbers("nodes", &name, value, Allowed::ANY) else {
+            continue;
+        };
         let key = section.key(&format!("nodes.{}", name.get_ref()));
         if !is_name(name.get_ref()) {
             let allowed = "must have a name of 1 to 64 lower-case letters, digits and hyphens";
-            section.diagnostics().report(name.span(), key, "is not a name", allowed);
+            section
+                .diagnostics()
+                .report(name.span(), key, "is not a name", allowed);
             continue;
         }
         let found = at.get_ref().len();
-        let fits = kind.coordinates().contains(&found) && (places.dimension == 0 || places.dimension == found);
+        let fits = kind.coordinates().contains(&found)
+            && (places.dimension == 0 || places.dimension == found);
         if !fits {
             let allowed = match (places.dimension, kind.coordinates()) {
                 (0, [only]) => format!("must have {only}"),
                 (0, several) => format!("must have one of {several:?}"),
                 (dimension, _) => format!("must have {dimension} as the nodes before"),
             };
-            section.diagnostics().report(at.span(), key, format!("has {found} coordinates"), allowed);
+            section.diagnostics().report(
+                at.span(),
+                key,
+                format!("has {found} coordinates"),
+                allowed,
+            );
             continue;
         }
         places.dimension = found;
         let coordinate = |index: usize| at.get_ref().get(index).copied().unwrap_or(0.0);
-        places.at.push(Vector3::new(coordinate(0), coordinate(1), coordinate(2)));
+        places
+            .at
+            .push(Vector3::new(coordinate(0), coordinate(1), coordinate(2)));
         places.names.push(name.into_inner());
     }
     (declared > 0 && places.names.len() == declared).then_some(places)
@@ -182,13 +234,27 @@ fn read_group(
     let allowed = "must list the members, each list of nodes a chain of them: [[1, 2, 3], ...]";
     let paths = section.require("paths", allowed, paths);
     if paths.as_ref().is_some_and(Vec::is_empty) {
-        section.diagnostics().report(section.span(), section.key("paths"), "is empty", allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("paths"), "is empty", allowed);
     }
-    let members = paths.map(|paths| paths.iter().map(|path| read_path(&section, path, places)).collect::<Vec<_>>());
+    let members = paths.map(|paths| {
+        paths
+            .iter()
+            .map(|path| read_path(&section, path, places))
+            .collect::<Vec<_>>()
+    });
     section.finish();
     let members = members?.into_iter().collect::<Option<Vec<_>>>()?.concat();
     let name = name?;
-    Some((name.clone(), MemberGroup { name: name.into_inner(), section: sections[of?].1, members }))
+    Some((
+        name.clone(),
+        MemberGroup {
+            name: name.into_inner(),
+            section: sections[of?].1,
+            members,
+        },
+    ))
 }
 
 /// Reads a chain of members. Nodes without coordinates are spaced evenly between the nearest two of the chain that have
@@ -198,23 +264,43 @@ fn read_path(
     path: &Spanned<Vec<Spanned<NumberOrName>>>,
     places: &mut Places,
 ) -> Option<Vec<[usize; 2]>> {
-    let names: Vec<String> = path.get_ref().iter().map(|node| node_name(node.get_ref())).collect();
+    let names: Vec<String> = path
+        .get_ref()
+        .iter()
+        .map(|node| node_name(node.get_ref()))
+        .collect();
     if names.len() < 2 {
         let found = format!("has {} nodes", names.len());
-        section.diagnostics().report(path.span(), section.key("paths"), found, "must have two or more in a chain");
+        section.diagnostics().report(
+            path.span(),
+            section.key("paths"),
+            found,
+            "must have two or more in a chain",
+        );
         return None;
     }
     let mut start = 0;
-    while let Some(next) = (start + 1..names.len()).find(|next| places.find(&names[*next]).is_some()) {
-        let (Some(from), Some(to)) = (places.find(&names[start]), places.find(&names[next])) else { break };
+    while let Some(next) =
+        (start + 1..names.len()).find(|next| places.find(&names[*next]).is_some())
+    {
+        let (Some(from), Some(to)) = (places.find(&names[start]), places.find(&names[next])) else {
+            break;
+        };
         let (from, to) = (places.at[from], places.at[to]);
         for (step, name) in names[start..next].iter().enumerate().skip(1) {
             if let Some(reason) = unfit_for_a_place(name, &names[start + 1..start + step]) {
                 let node = &path.get_ref()[start + step];
-                section.diagnostics().report(node.span(), section.key("paths"), format!("has node {name}"), reason);
+                section.diagnostics().report(
+                    node.span(),
+                    section.key("paths"),
+                    format!("has node {name}"),
+                    reason,
+                );
                 return None;
             }
-            places.at.push(from + (to - from) * (step as f64 / (next - start) as f64));
+            places
+                .at
+                .push(from + (to - from) * (step as f64 / (next - start) as f64));
             places.names.push(name.clone());
         }
         start = next;
@@ -224,7 +310,9 @@ fn read_path(
         let found = format!("ends in node {}, which has no coordinates", names[unplaced]);
         let allowed = "must begin and end with nodes of model.nodes or of a chain before";
         let span = path.get_ref()[unplaced].span();
-        section.diagnostics().report(span, section.key("paths"), found, allowed);
+        section
+            .diagnostics()
+            .report(span, section.key("paths"), found, allowed);
         return None;
     }
     let placed: Vec<usize> = placed.into_iter().flatten().collect();
@@ -236,7 +324,9 @@ fn unfit_for_a_place(name: &str, before: &[String]) -> Option<&'static str> {
     if before.iter().any(|other| other == name) {
         return Some("must not pass a node without coordinates twice");
     }
-    (!is_name(name)).then_some("must be a number from 0 or a name of 1 to 64 lower-case letters, digits and hyphens")
+    (!is_name(name)).then_some(
+        "must be a number from 0 or a name of 1 to 64 lower-case letters, digits and hyphens",
+    )
 }
 
 /// Reads a support into `fixed`; `None` if it has a mistake, or if the nodes are not all known.
@@ -249,7 +339,11 @@ fn read_support(
     let nodes = section.nodes("nodes");
     let nodes = section.require("nodes", "must list the nodes that are held", nodes);
     let held = section.names("fixed");
-    let held = section.require("fixed", format!("must list directions of {directions:?}"), held);
+    let held = section.require(
+        "fixed",
+        format!("must list directions of {directions:?}"),
+        held,
+    );
     let held = held.map(|held| {
         let find = |name| find_name(&section, "fixed", name, directions.iter().copied());
         held.get_ref().iter().map(find).collect::<Vec<_>>()
@@ -265,7 +359,8 @@ fn read_support(
     section.finish();
     let held = held?.into_iter().collect::<Option<Vec<_>>>()?;
     for node in nodes?.into_iter().collect::<Option<Vec<_>>>()? {
-        held.iter().for_each(|direction| fixed[node][*direction] = true);
+        held.iter()
+            .for_each(|direction| fixed[node][*direction] = true);
     }
     Some(())
 }
@@ -273,15 +368,23 @@ fn read_support(
 /// Checks what no single table can tell: lengths, nodes without members, and the size.
 fn check_members(section: &Section<'_>, mesh: &Mesh) -> Option<()> {
     let report = |key: &str, found: String, allowed: &str| {
-        section.diagnostics().report(section.span(), section.key(key), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key(key), found, allowed);
         None
     };
-    let members = || mesh.groups.iter().flat_map(|group| group.members.iter().map(move |ends| (&group.name, ends)));
+    let members = || {
+        mesh.groups
+            .iter()
+            .flat_map(|group| group.members.iter().map(move |ends| (&group.name, ends)))
+    };
     for (group, &[from, to]) in members() {
         let (from, to) = (&mesh.nodes[from], &mesh.nodes[to]);
         if from.at == to.at {
-            let found =
-                format!("has a member of group \"{group}\" without length, from node {} to {}", from.name, to.name);
+            let found = format!(
+                "has a member of group \"{group}\" without length, from node {} to {}",
+                from.name, to.name
+            );
             return report("group", found, "must join nodes at different places");
         }
     }
@@ -296,7 +399,14 @@ fn check_members(section: &Section<'_>, mesh: &Mesh) -> Option<()> {
     let len = mesh.free_len();
     if len == 0 || len > LARGEST_MODEL {
         let allowed = format!("must have from 1 to {LARGEST_MODEL}");
-        return report("nodes", format!("has {}", counted(len, "degree of freedom", "degrees of freedom")), &allowed);
+        return report(
+            "nodes",
+            format!(
+                "has {}",
+                counted(len, "degree of freedom", "degrees of freedom")
+            ),
+            &allowed,
+        );
     }
     Some(())
 }
@@ -317,21 +427,35 @@ fn in_natural_order(mut mesh: Mesh) -> Mesh {
 }
 
 /// Reports a structure that is not held together; passes on one that is.
-pub(super) fn check_held(section: &Section<'_>, system: Option<LinearSystem>) -> Option<LinearSystem> {
+pub(super) fn check_held(
+    section: &Section<'_>,
+    system: Option<LinearSystem>,
+) -> Option<LinearSystem> {
     let stiffness = system.as_ref().map(LinearSystem::nominal_stiffness);
     let finite = stiffness.filter(|stiffness| stiffness.iter().all(|entry| entry.is_finite()));
     let (Some(system), Some(stiffness)) = (system, finite) else {
         let allowed = "must have masses and stiffnesses of real structures";
-        section.diagnostics().report(section.span(), section.key("kind"), "has no natural frequencies", allowed);
+        section.diagnostics().report(
+            section.span(),
+            section.key("kind"),
+            "has no natural frequencies",
+            allowed,
+        );
         return None;
     };
     // to a unit diagonal: forces and moments, short members and long ones differ by orders of magnitude
-    let scale: Vec<f64> = stiffness.diagonal().iter().map(|k| if *k > 0.0 { 1.0 / k.sqrt() } else { 1.0 }).collect();
+    let scale: Vec<f64> = stiffness
+        .diagonal()
+        .iter()
+        .map(|k| if *k > 0.0 { 1.0 / k.sqrt() } else { 1.0 })
+        .collect();
     let scaled = stiffness.map_with_location(|row, column, k| k * scale[row] * scale[column]);
     if let Some(free) = matrix_file::free_degree_of_freedom(&scaled) {
         let found = format!("leaves {} free to move", system.degrees_of_freedom[free]);
         let allowed = "must be held by its supports and members";
-        section.diagnostics().report(section.span(), section.key("support"), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("support"), found, allowed);
         return None;
     }
     Some(system)

@@ -46,11 +46,21 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
 /// Numbers that are finite may still have frequencies that are not.
 fn check_frequencies(section: &Section<'_>, system: &LinearSystem) -> bool {
     let modes = Modes::new(system.mass.to_dense(), system.nominal_stiffness());
-    let sound = |modes: Modes| modes.angular_frequencies.iter().all(|omega| omega.is_normal());
+    let sound = |modes: Modes| {
+        modes
+            .angular_frequencies
+            .iter()
+            .all(|omega| omega.is_normal())
+    };
     let sound = modes.is_some_and(sound);
     if !sound {
         let allowed = "must have masses and stiffnesses of real structures";
-        section.diagnostics().report(section.span(), section.key("kind"), "has no natural frequencies", allowed);
+        section.diagnostics().report(
+            section.span(),
+            section.key("kind"),
+            "has no natural frequencies",
+            allowed,
+        );
     }
     sound
 }

@@ -25,30 +25,53 @@ pub(super) struct NodesRead {
 }
 
 /// Reads every `[[node]]`; `rate_hz` is the structure's.
-pub(super) fn read_nodes(file: &mut Section<'_>, rate_hz: Option<f64>, system: Option<&LinearSystem>) -> NodesRead {
+pub(super) fn read_nodes(
+    file: &mut Section<'_>,
+    rate_hz: Option<f64>,
+    system: Option<&LinearSystem>,
+) -> NodesRead {
     let sections = file.tables("node");
     if sections.is_empty() {
-        file.require("node", "must declare a sensor node: [[node]] with [[node.channel]]", None::<()>);
+        file.require(
+            "node",
+            "must declare a sensor node: [[node]] with [[node.channel]]",
+            None::<()>,
+        );
     }
-    let mut read = NodesRead { nodes: Vec::new(), names: Vec::new(), channels: Vec::new(), incomplete: false };
+    let mut read = NodesRead {
+        nodes: Vec::new(),
+        names: Vec::new(),
+        channels: Vec::new(),
+        incomplete: false,
+    };
     for mut section in sections {
         let name = section.required_name("name");
         let node_rate_hz = section.number("sampling-rate-hz", Allowed::POSITIVE);
         check_rate(&section, rate_hz, node_rate_hz.as_ref());
         let channel_sections = section.tables("channel");
         if channel_sections.is_empty() {
-            section.require("channel", "must declare a channel: [[node.channel]]", None::<()>);
+            section.require(
+                "channel",
+                "must declare a channel: [[node.channel]]",
+                None::<()>,
+            );
         }
         let declared = channel_sections.len();
-        let channels: Vec<_> =
-            channel_sections.into_iter().filter_map(|channel| read_channel(channel, system)).collect();
+        let channels: Vec<_> = channel_sections
+            .into_iter()
+            .filter_map(|channel| read_channel(channel, system))
+            .collect();
         section.finish();
         let own = channels.iter().map(|read| read.channel.clone()).collect();
         read.incomplete |= channels.len() != declared || name.is_none();
         read.channels.extend(channels);
         if let Some(name) = name {
             let sampling_rate_hz = node_rate_hz.map(Spanned::into_inner);
-            read.nodes.push(Node { name: name.get_ref().clone(), sampling_rate_hz, channels: own });
+            read.nodes.push(Node {
+                name: name.get_ref().clone(),
+                sampling_rate_hz,
+                channels: own,
+            });
             read.names.push(name);
         }
     }
@@ -60,12 +83,20 @@ pub(super) fn read_nodes(file: &mut Section<'_>, rate_hz: Option<f64>, system: O
 
 /// A slower node delivers every second, third, ... frame; nothing else keeps samples on frames.
 fn check_rate(section: &Section<'_>, rate_hz: Option<f64>, node_rate_hz: Option<&Spanned<f64>>) {
-    let (Some(rate_hz), Some(node_rate_hz)) = (rate_hz, node_rate_hz) else { return };
+    let (Some(rate_hz), Some(node_rate_hz)) = (rate_hz, node_rate_hz) else {
+        return;
+    };
     let ratio = rate_hz / node_rate_hz.get_ref();
     if ratio.round() < 1.0 || (ratio - ratio.round()).abs() > 1e-9 * ratio {
         let found = format!("is {}", node_rate_hz.get_ref());
-        let allowed = format!("must be {rate_hz} (the structure's) or that divided by a whole number");
-        section.diagnostics().report(node_rate_hz.span(), section.key("sampling-rate-hz"), found, allowed);
+        let allowed =
+            format!("must be {rate_hz} (the structure's) or that divided by a whole number");
+        section.diagnostics().report(
+            node_rate_hz.span(),
+            section.key("sampling-rate-hz"),
+            found,
+            allowed,
+        );
     }
 }
 
@@ -87,14 +118,20 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
         && unit.get_ref() != quantity.unit()
     {
         let found = format!("is \"{}\"", unit.get_ref());
-        section.diagnostics().report(unit.span(), section.key("unit"), found, unit_rule);
+        section
+            .diagnostics()
+            .report(unit.span(), section.key("unit"), found, unit_rule);
     }
     if let Some(quantity @ (Quantity::Displacement | Quantity::Strain)) = quantity
         && system.is_some_and(|system| system.hysteresis.is_some())
     {
-        let allowed =
-            "must be a velocity or an acceleration for the kind bouc-wen, which does not follow displacements";
-        section.diagnostics().report(section.span(), section.key("quantity"), format!("is \"{quantity}\""), allowed);
+        let allowed = "must be a velocity or an acceleration for the kind bouc-wen, which does not follow displacements";
+        section.diagnostics().report(
+            section.span(),
+            section.key("quantity"),
+            format!("is \"{quantity}\""),
+            allowed,
+        );
     }
     let sensed = quantity.and_then(|quantity| read_sensed(&mut section, quantity, system));
     if quantity.is_none() {
@@ -103,8 +140,11 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
     if quantity.is_some_and(Quantity::is_excitation) {
         for key in ["noise-group", "adapt-noise"] {
             if section.contains(key) {
-                let allowed = "must be set with adapt in the [[excitation]] that this channel measures";
-                section.diagnostics().report(section.span(), section.key(key), "is given", allowed);
+                let allowed =
+                    "must be set with adapt in the [[excitation]] that this channel measures";
+                section
+                    .diagnostics()
+                    .report(section.span(), section.key(key), "is given", allowed);
             }
         }
     }
@@ -117,7 +157,12 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
         noise_std: noise_std?.into_inner(),
         range: range.map_or_else(|| quantity.default_range(), Spanned::into_inner),
     };
-    Some(ChannelRead { channel, name, noise_group, adapts_noise })
+    Some(ChannelRead {
+        channel,
+        name,
+        noise_group,
+        adapts_noise,
+    })
 }
 
 /// Reads which degrees of freedom a channel senses; none if it measures an excitation.
@@ -140,18 +185,33 @@ pub(super) fn read_sensed(
                 let terms = counted(terms, "degree of freedom", "degrees of freedom");
                 let found = format!("has {} for {terms}", counted(factors, "entry", "entries"));
                 let key = section.key("coefficients");
-                section.diagnostics().report(coefficients.span(), key, found, "must have one per degree of freedom");
+                section.diagnostics().report(
+                    coefficients.span(),
+                    key,
+                    found,
+                    "must have one per degree of freedom",
+                );
                 return None;
             }
-            let dofs: Vec<_> =
-                dofs.get_ref().iter().map(|dof| degree_of_freedom(section, "dofs", dof, system)).collect();
+            let dofs: Vec<_> = dofs
+                .get_ref()
+                .iter()
+                .map(|dof| degree_of_freedom(section, "dofs", dof, system))
+                .collect();
             let dofs: Option<Vec<usize>> = dofs.into_iter().collect();
             Some(dofs?.into_iter().zip(coefficients.into_inner()).collect())
         }
         _ => {
             let dof = section.number_or_name("dof");
-            let dof = section.require("dof", "must be the number or the name of a degree of freedom", dof)?;
-            Some(vec![(degree_of_freedom(section, "dof", &dof, system)?, 1.0)])
+            let dof = section.require(
+                "dof",
+                "must be the number or the name of a degree of freedom",
+                dof,
+            )?;
+            Some(vec![(
+                degree_of_freedom(section, "dof", &dof, system)?,
+                1.0,
+            )])
         }
     }
 }
@@ -166,17 +226,27 @@ pub(super) fn degree_of_freedom(
     let names = &system?.degrees_of_freedom;
     let (index, found) = match dof.get_ref() {
         NumberOrName::Number(number) => {
-            let index = usize::try_from(*number).ok().and_then(|number| number.checked_sub(1));
-            (index.filter(|index| *index < names.len()), format!("is {number}"))
+            let index = usize::try_from(*number)
+                .ok()
+                .and_then(|number| number.checked_sub(1));
+            (
+                index.filter(|index| *index < names.len()),
+                format!("is {number}"),
+            )
         }
-        NumberOrName::Name(name) => (names.iter().position(|known| known == name), format!("is \"{name}\"")),
+        NumberOrName::Name(name) => (
+            names.iter().position(|known| known == name),
+            format!("is \"{name}\""),
+        ),
     };
     if index.is_none() {
         let hint = match dof.get_ref() {
             NumberOrName::Number(_) => format!("must be from 1 to {}", names.len()),
             NumberOrName::Name(name) => one_of(name, names.iter().map(String::as_str)),
         };
-        section.diagnostics().report(dof.span(), section.key(key), found, hint);
+        section
+            .diagnostics()
+            .report(dof.span(), section.key(key), found, hint);
     }
     index
 }

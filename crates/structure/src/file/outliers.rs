@@ -8,7 +8,10 @@ use crate::section::{Allowed, Section};
 const TRAININGS: [(&str, bool); 2] = [("gated", true), ("raw", false)];
 
 /// Reads `[outliers]`; without the table nothing is screened. `rate_hz` is the structure's.
-pub(super) fn read_outliers(section: Option<Section<'_>>, rate_hz: Option<f64>) -> Option<OutlierPlan> {
+pub(super) fn read_outliers(
+    section: Option<Section<'_>>,
+    rate_hz: Option<f64>,
+) -> Option<OutlierPlan> {
     let mut section = section?;
     let mut plan = OutlierPlan::default();
     if let Some(gated) = section.choice("training", &TRAININGS) {
@@ -16,7 +19,12 @@ pub(super) fn read_outliers(section: Option<Section<'_>>, rate_hz: Option<f64>) 
     }
     plan.training_s = read_time(&mut section, "training-s", rate_hz, OutlierPlan::RESIDUALS);
     plan.window_s = read_time(&mut section, "window-s", rate_hz, OutlierPlan::WINDOW);
-    plan.fault_window_s = read_time(&mut section, "fault-window-s", rate_hz, OutlierPlan::RESIDUALS);
+    plan.fault_window_s = read_time(
+        &mut section,
+        "fault-window-s",
+        rate_hz,
+        OutlierPlan::RESIDUALS,
+    );
     plan.fault_share = section.number_or("fault-share", Allowed::INSIDE_UNIT, plan.fault_share);
     section.finish();
     Some(plan)

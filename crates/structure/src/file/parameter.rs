@@ -94,18 +94,28 @@ fn read_parameter(
     section.finish();
     let name = name?;
     let std = std.map_or(default_std, Spanned::into_inner);
-    let parameter = Parameter { name: name.get_ref().clone(), scales: scales?, mean, std, bounds };
+    let parameter = Parameter {
+        name: name.get_ref().clone(),
+        scales: scales?,
+        mean,
+        std,
+        bounds,
+    };
     Some(ParameterRead { parameter, name })
 }
 
 fn read_bounds(section: &mut Section<'_>, mean: f64) -> (f64, f64) {
-    let Some(bounds) = section.numbers("bounds", Allowed::POSITIVE) else { return BOUNDS };
+    let Some(bounds) = section.numbers("bounds", Allowed::POSITIVE) else {
+        return BOUNDS;
+    };
     match bounds.get_ref()[..] {
         [low, high] if low < mean && mean < high => (low, high),
         _ => {
             let found = format!("is {:?}", bounds.get_ref());
             let allowed = format!("must be [low, high] around the mean {mean}");
-            section.diagnostics().report(bounds.span(), section.key("bounds"), found, allowed);
+            section
+                .diagnostics()
+                .report(bounds.span(), section.key("bounds"), found, allowed);
             BOUNDS
         }
     }
@@ -116,7 +126,9 @@ fn read_of(section: &mut Section<'_>, allowed: &str) -> Option<Spanned<Vec<Spann
     let of = section.names("of");
     let of = section.require("of", allowed, of)?;
     if of.get_ref().is_empty() {
-        section.diagnostics().report(of.span(), section.key("of"), "scales nothing", allowed);
+        section
+            .diagnostics()
+            .report(of.span(), section.key("of"), "scales nothing", allowed);
         return None;
     }
     check_unique(section, &section.key("of"), of.get_ref());
@@ -124,30 +136,57 @@ fn read_of(section: &mut Section<'_>, allowed: &str) -> Option<Spanned<Vec<Spann
 }
 
 fn read_stiffness(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Scales> {
-    let of = read_of(section, "must list the substructures whose stiffness is scaled")?;
+    let of = read_of(
+        section,
+        "must list the substructures whose stiffness is scaled",
+    )?;
     let parts = &system?.substructures;
-    let find = |name| find_name(section, "of", name, parts.iter().map(|part| part.name.as_str()));
+    let find = |name| {
+        find_name(
+            section,
+            "of",
+            name,
+            parts.iter().map(|part| part.name.as_str()),
+        )
+    };
     let found: Vec<_> = of.get_ref().iter().map(find).collect();
     let indices: Vec<usize> = found.into_iter().collect::<Option<_>>()?;
-    let effect = indices.iter().any(|index| parts[*index].stiffness.values().iter().any(|value| *value != 0.0));
+    let effect = indices.iter().any(|index| {
+        parts[*index]
+            .stiffness
+            .values()
+            .iter()
+            .any(|value| *value != 0.0)
+    });
     if !effect {
         let allowed = "must scale a substructure whose stiffness is not zero";
-        section.diagnostics().report(of.span(), section.key("of"), "has no effect", allowed);
+        section
+            .diagnostics()
+            .report(of.span(), section.key("of"), "has no effect", allowed);
         return None;
     }
     Some(Scales::Stiffness(indices))
 }
 
 fn read_mass(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Scales> {
-    let of = read_of(section, "must list the degrees of freedom whose mass is scaled")?;
+    let of = read_of(
+        section,
+        "must list the degrees of freedom whose mass is scaled",
+    )?;
     let system = system?;
     if let Mass::Consistent { .. } = system.mass {
         let allowed = "must not scale masses unless the mass matrix is diagonal";
-        section.diagnostics().report(of.span(), section.key("scales"), "is \"mass\"", allowed);
+        section
+            .diagnostics()
+            .report(of.span(), section.key("scales"), "is \"mass\"", allowed);
         return None;
     }
     let names = || system.degrees_of_freedom.iter().map(String::as_str);
-    let found: Vec<_> = of.get_ref().iter().map(|name| find_name(section, "of", name, names())).collect();
+    let found: Vec<_> = of
+        .get_ref()
+        .iter()
+        .map(|name| find_name(section, "of", name, names()))
+        .collect();
     Some(Scales::Mass(found.into_iter().collect::<Option<_>>()?))
 }
 
@@ -158,7 +197,9 @@ fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Opti
         if word.get_ref() != "all" {
             let found = format!("is \"{}\"", word.get_ref());
             let allowed = "must be \"all\", or a list of the storeys whose dashpots are scaled";
-            section.diagnostics().report(word.span(), section.key("of"), found, allowed);
+            section
+                .diagnostics()
+                .report(word.span(), section.key("of"), found, allowed);
             return None;
         }
         return read_all_damping(section, damping?);
@@ -166,10 +207,19 @@ fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Opti
     let of = read_of(section, "must list the storeys whose dashpots are scaled")?;
     let Damping::Dashpots(parts) = damping? else {
         let allowed = "must not be scaled storey by storey unless damping.kind is \"dashpots\"";
-        section.diagnostics().report(of.span(), section.key("scales"), "is \"damping\"", allowed);
+        section
+            .diagnostics()
+            .report(of.span(), section.key("scales"), "is \"damping\"", allowed);
         return None;
     };
-    let find = |name| find_name(section, "of", name, parts.iter().map(|part| part.name.as_str()));
+    let find = |name| {
+        find_name(
+            section,
+            "of",
+            name,
+            parts.iter().map(|part| part.name.as_str()),
+        )
+    };
     let found: Vec<_> = of.get_ref().iter().map(find).collect();
     Some(Scales::Dashpots(found.into_iter().collect::<Option<_>>()?))
 }
@@ -177,7 +227,10 @@ fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Opti
 /// Takes all damping that there is.
 fn read_all_damping(section: &Section<'_>, damping: &Damping) -> Option<Scales> {
     match damping {
-        Damping::Rayleigh { alpha_per_s, beta_s } if *alpha_per_s == 0.0 && *beta_s == 0.0 => {
+        Damping::Rayleigh {
+            alpha_per_s,
+            beta_s,
+        } if *alpha_per_s == 0.0 && *beta_s == 0.0 => {
             let allowed = "must scale damping that is not zero";
             section.diagnostics().report(
                 section.span(),
@@ -193,34 +246,59 @@ fn read_all_damping(section: &Section<'_>, damping: &Damping) -> Option<Scales> 
     }
 }
 
-fn read_constant(section: &Section<'_>, constant: Constant, system: Option<&LinearSystem>) -> Option<Scales> {
+fn read_constant(
+    section: &Section<'_>,
+    constant: Constant,
+    system: Option<&LinearSystem>,
+) -> Option<Scales> {
     let law = system?.hysteresis;
     if law.is_none_or(|law| law.constant(constant) == 0.0) {
-        let found = if law.is_none() { "has no effect: nothing is hysteretic" } else { "has no effect: it is 0" };
+        let found = if law.is_none() {
+            "has no effect: nothing is hysteretic"
+        } else {
+            "has no effect: it is 0"
+        };
         let allowed = "must scale a constant of the kind bouc-wen that is not zero";
-        section.diagnostics().report(section.span(), section.key("scales"), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("scales"), found, allowed);
         return None;
     }
     Some(Scales::Hysteresis(constant))
 }
 
-fn read_damping_part(section: &Section<'_>, part: What, damping: Option<&Damping>) -> Option<Scales> {
+fn read_damping_part(
+    section: &Section<'_>,
+    part: What,
+    damping: Option<&Damping>,
+) -> Option<Scales> {
     let (nominal, scales, coefficient) = match (damping?, part) {
-        (Damping::Rayleigh { alpha_per_s, .. }, What::DampingAlpha) => (*alpha_per_s, Scales::DampingAlpha, "alpha"),
+        (Damping::Rayleigh { alpha_per_s, .. }, What::DampingAlpha) => {
+            (*alpha_per_s, Scales::DampingAlpha, "alpha")
+        }
         (Damping::Rayleigh { beta_s, .. }, _) => (*beta_s, Scales::DampingBeta, "beta"),
-        (Damping::Dashpots(_) | Damping::Matrix(_), _) => (0.0, Scales::DampingAlpha, "Rayleigh damping"),
+        (Damping::Dashpots(_) | Damping::Matrix(_), _) => {
+            (0.0, Scales::DampingAlpha, "Rayleigh damping")
+        }
     };
     if nominal == 0.0 {
         let found = format!("has no effect: there is no {coefficient}");
         let allowed = "must scale a damping coefficient of [damping] that is not zero";
-        section.diagnostics().report(section.span(), section.key("scales"), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("scales"), found, allowed);
         return None;
     }
     Some(scales)
 }
 
 /// A factor on a factor could not be told apart: everything is scaled by one parameter at most.
-fn check_scaled_once(section: &Section<'_>, scales: &Scales, system: Option<&LinearSystem>, earlier: &[ParameterRead]) {
+fn check_scaled_once(
+    section: &Section<'_>,
+    scales: &Scales,
+    system: Option<&LinearSystem>,
+    earlier: &[ParameterRead],
+) {
     for other in earlier {
         let shared = match (scales, &other.parameter.scales) {
             (Scales::Stiffness(a), Scales::Stiffness(b)) => {
@@ -235,20 +313,31 @@ fn check_scaled_once(section: &Section<'_>, scales: &Scales, system: Option<&Lin
                 let shared = a.iter().find(|index| b.contains(index));
                 let name = |index: &usize| system.and_then(|system| system.storeys.get(*index));
                 shared.map(|index| {
-                    name(index).map_or("the damping".to_owned(), |storey| format!("the dashpot of {}", storey.name))
+                    name(index).map_or("the damping".to_owned(), |storey| {
+                        format!("the dashpot of {}", storey.name)
+                    })
                 })
             }
-            (Scales::Hysteresis(a), Scales::Hysteresis(b)) if a == b => Some("the same constant".to_owned()),
+            (Scales::Hysteresis(a), Scales::Hysteresis(b)) if a == b => {
+                Some("the same constant".to_owned())
+            }
             (Scales::Damping | Scales::DampingAlpha, Scales::Damping | Scales::DampingAlpha) => {
                 Some("alpha".to_owned())
             }
-            (Scales::Damping | Scales::DampingBeta, Scales::Damping | Scales::DampingBeta) => Some("beta".to_owned()),
+            (Scales::Damping | Scales::DampingBeta, Scales::Damping | Scales::DampingBeta) => {
+                Some("beta".to_owned())
+            }
             _ => None,
         };
         if let Some(shared) = shared {
-            let found = format!("scales {shared} as parameter \"{}\" does", other.parameter.name);
+            let found = format!(
+                "scales {shared} as parameter \"{}\" does",
+                other.parameter.name
+            );
             let allowed = "must scale what no other parameter scales";
-            section.diagnostics().report(section.span(), section.key("of"), found, allowed);
+            section
+                .diagnostics()
+                .report(section.span(), section.key("of"), found, allowed);
         }
     }
 }

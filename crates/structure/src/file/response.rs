@@ -8,8 +8,11 @@ use crate::node::Quantity;
 use crate::section::Section;
 use toml::Spanned;
 
-const QUANTITIES: [(&str, Quantity); 3] =
-    [("displacement", Quantity::Displacement), ("velocity", Quantity::Velocity), ("strain", Quantity::Strain)];
+const QUANTITIES: [(&str, Quantity); 3] = [
+    ("displacement", Quantity::Displacement),
+    ("velocity", Quantity::Velocity),
+    ("strain", Quantity::Strain),
+];
 
 /// Reads every `[[response]]`; `taken` are the names of the parameters, which stand beside them in a table of estimates.
 pub(super) fn read_responses(
@@ -17,9 +20,14 @@ pub(super) fn read_responses(
     system: Option<&LinearSystem>,
     taken: impl Iterator<Item = Spanned<String>>,
 ) -> Vec<EstimatedResponse> {
-    let read: Vec<_> =
-        file.tables("response").into_iter().filter_map(|section| read_response(section, system)).collect();
-    let names: Vec<_> = taken.chain(read.iter().map(|(name, _)| name.clone())).collect();
+    let read: Vec<_> = file
+        .tables("response")
+        .into_iter()
+        .filter_map(|section| read_response(section, system))
+        .collect();
+    let names: Vec<_> = taken
+        .chain(read.iter().map(|(name, _)| name.clone()))
+        .collect();
     if !read.is_empty() {
         check_unique(file, "response.name", &names);
     }
@@ -31,12 +39,20 @@ fn read_response(
     system: Option<&LinearSystem>,
 ) -> Option<(Spanned<String>, EstimatedResponse)> {
     let name = section.required_name("name");
-    let quantity = section.required_choice("quantity", &QUANTITIES).map(Spanned::into_inner);
+    let quantity = section
+        .required_choice("quantity", &QUANTITIES)
+        .map(Spanned::into_inner);
     if let Some(quantity @ (Quantity::Displacement | Quantity::Strain)) = quantity
         && system.is_some_and(|system| system.hysteresis.is_some())
     {
-        let allowed = "must be a velocity for the kind bouc-wen, which does not follow displacements";
-        section.diagnostics().report(section.span(), section.key("quantity"), format!("is \"{quantity}\""), allowed);
+        let allowed =
+            "must be a velocity for the kind bouc-wen, which does not follow displacements";
+        section.diagnostics().report(
+            section.span(),
+            section.key("quantity"),
+            format!("is \"{quantity}\""),
+            allowed,
+        );
     }
     let sensed = quantity.and_then(|quantity| read_sensed(&mut section, quantity, system));
     if quantity.is_none() {
@@ -44,7 +60,20 @@ fn read_response(
     }
     section.finish();
     let (name, sensed) = (name?, sensed?);
-    let first = if quantity? == Quantity::Velocity { system?.len() } else { 0 };
-    let terms = sensed.into_iter().map(|(dof, coefficient)| (first + dof, coefficient)).collect();
-    Some((name.clone(), EstimatedResponse { name: name.into_inner(), terms }))
+    let first = if quantity? == Quantity::Velocity {
+        system?.len()
+    } else {
+        0
+    };
+    let terms = sensed
+        .into_iter()
+        .map(|(dof, coefficient)| (first + dof, coefficient))
+        .collect();
+    Some((
+        name.clone(),
+        EstimatedResponse {
+            name: name.into_inner(),
+            terms,
+        },
+    ))
 }

@@ -9,9 +9,13 @@ use toml::Spanned;
 /// Largest seed that a TOML integer holds.
 const LARGEST_SEED: usize = i64::MAX as usize;
 
-const SPIKE_KINDS: [(&str, SpikeKind); 2] = [("added", SpikeKind::Added), ("replaced", SpikeKind::Replaced)];
+const SPIKE_KINDS: [(&str, SpikeKind); 2] = [
+    ("added", SpikeKind::Added),
+    ("replaced", SpikeKind::Replaced),
+];
 
-const FAULT_KINDS: [(&str, FaultKind); 2] = [("bias", FaultKind::Bias), ("silence", FaultKind::Silence)];
+const FAULT_KINDS: [(&str, FaultKind); 2] =
+    [("bias", FaultKind::Bias), ("silence", FaultKind::Silence)];
 
 /// What a simulation refers to; `None` where some could not be read.
 pub(super) struct Context<'c> {
@@ -21,39 +25,75 @@ pub(super) struct Context<'c> {
 }
 
 /// Reads `[simulation]`; without it nothing happens to the structure.
-pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_>) -> SimulationPlan {
+pub(super) fn read_simulation(
+    section: Option<Section<'_>>,
+    context: &Context<'_>,
+) -> SimulationPlan {
     let node_count = context.nodes.map_or(0, <[&str]>::len);
     let mut plan = SimulationPlan::uneventful(node_count);
-    let Some(mut section) = section else { return plan };
-    plan.seed = section.whole("seed", 0, LARGEST_SEED).map_or(0, |seed| seed.into_inner() as u64);
+    let Some(mut section) = section else {
+        return plan;
+    };
+    plan.seed = section
+        .whole("seed", 0, LARGEST_SEED)
+        .map_or(0, |seed| seed.into_inner() as u64);
     plan.modulation = section.table("modulation").and_then(read_modulation);
     for damage in section.tables("damage") {
         let span = damage.span();
         if let Some(damage) = read_damage(damage, context) {
             plan.damage.push(damage);
-            let same = plan.damage.iter().filter(|other| other.parameter == damage.parameter);
+            let same = plan
+                .damage
+                .iter()
+                .filter(|other| other.parameter == damage.parameter);
             let lost: f64 = same.map(|other| other.loss).sum();
             if lost >= 1.0 {
                 let found = format!("adds up to {lost} for this parameter");
-                section.diagnostics().report(span, section.key("damage.loss"), found, "must stay below 1 in all");
+                section.diagnostics().report(
+                    span,
+                    section.key("damage.loss"),
+                    found,
+                    "must stay below 1 in all",
+                );
             }
         }
     }
     plan.dropped_share = section.number_or("dropped-share", Allowed::SHARE, 0.0);
     plan.spikes.share = section.number_or("spike-share", Allowed::SHARE, 0.0);
-    plan.spikes.height = section.number_or("spike-height", Allowed::POSITIVE, SimulationPlan::SPIKE_HEIGHT);
+    plan.spikes.height = section.number_or(
+        "spike-height",
+        Allowed::POSITIVE,
+        SimulationPlan::SPIKE_HEIGHT,
+    );
     if let Some(kind) = section.choice("spike-kind", &SPIKE_KINDS) {
         plan.spikes.kind = kind.into_inner();
     }
     for (name, value) in section.entries("levels") {
         let std = section.entry_number("levels", &name, value, Allowed::DEVIATION);
-        let index = context
-            .levels
-            .and_then(|levels| find_name(&section, "levels", &name, levels.iter().map(|level| level.name.as_str())));
+        let index = context.levels.and_then(|levels| {
+            find_name(
+                &section,
+                "levels",
+                &name,
+                levels.iter().map(|level| level.name.as_str()),
+            )
+        });
         plan.levels.extend(index.zip(std));
     }
-    read_by_node(&mut section, "clock-offsets-s", Allowed::ANY, context, &mut plan.clock_offsets_s);
-    read_by_node(&mut section, "clock-drifts-ppm", Allowed::DRIFT, context, &mut plan.clock_drifts_ppm);
+    read_by_node(
+        &mut section,
+        "clock-offsets-s",
+        Allowed::ANY,
+        context,
+        &mut plan.clock_offsets_s,
+    );
+    read_by_node(
+        &mut section,
+        "clock-drifts-ppm",
+        Allowed::DRIFT,
+        context,
+        &mut plan.clock_drifts_ppm,
+    );
     for fault in section.tables("fault") {
         plan.faults.extend(read_fault(fault, context));
     }
@@ -71,7 +111,9 @@ fn read_by_node(
 ) {
     for (node, value) in section.entries(key) {
         let number = section.entry_number(key, &node, value, allowed);
-        let index = context.nodes.and_then(|nodes| find_name(section, key, &node, nodes.iter().copied()));
+        let index = context
+            .nodes
+            .and_then(|nodes| find_name(section, key, &node, nodes.iter().copied()));
         if let (Some(index), Some(number)) = (index, number) {
             numbers[index] = number;
         }
@@ -84,8 +126,13 @@ fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> 
     let from_s = section.number_or("from-s", Allowed::NOT_NEGATIVE, 0.0);
     let until = section.number("until-s", Allowed::POSITIVE);
     if let Some(until) = until.as_ref().filter(|until| *until.get_ref() <= from_s) {
-        let (found, allowed) = (format!("is {}", until.get_ref()), format!("must be after from-s, {from_s}"));
-        section.diagnostics().report(until.span(), section.key("until-s"), found, allowed);
+        let (found, allowed) = (
+            format!("is {}", until.get_ref()),
+            format!("must be after from-s, {from_s}"),
+        );
+        section
+            .diagnostics()
+            .report(until.span(), section.key("until-s"), found, allowed);
     }
     let until_s = until.map_or(f64::INFINITY, Spanned::into_inner);
     let height = section.number("height", Allowed::ANY);
@@ -98,26 +145,49 @@ fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> 
             "must stand beside kind = \"bias\"",
         );
     }
-    let node = node.and_then(|name| find_name(&section, "node", &name, context.nodes?.iter().copied()));
+    let node =
+        node.and_then(|name| find_name(&section, "node", &name, context.nodes?.iter().copied()));
     section.finish();
     let height = height.map_or(SimulationPlan::BIAS_HEIGHT, Spanned::into_inner);
-    Some(Fault { node: node?, kind: kind?, from_s, until_s, height })
+    Some(Fault {
+        node: node?,
+        kind: kind?,
+        from_s,
+        until_s,
+        height,
+    })
 }
 
 fn read_modulation(mut section: Section<'_>) -> Option<Modulation> {
     let start_s = section.required_number("start-s", Allowed::NOT_NEGATIVE);
     let rise_s = section.required_number("rise-s", Allowed::POSITIVE);
     section.finish();
-    Some(Modulation { start_s: start_s?.into_inner(), rise_s: rise_s?.into_inner() })
+    Some(Modulation {
+        start_s: start_s?.into_inner(),
+        rise_s: rise_s?.into_inner(),
+    })
 }
 
 fn read_damage(mut section: Section<'_>, context: &Context<'_>) -> Option<Damage> {
     let parameter = section.required_name("parameter");
     let at_s = section.required_number("at-s", Allowed::NOT_NEGATIVE);
     let loss = section.required_number("loss", Allowed::INSIDE_UNIT);
-    let over_s = section.number("over-s", Allowed::NOT_NEGATIVE).map_or(0.0, Spanned::into_inner);
-    let parameter =
-        parameter.and_then(|name| find_name(&section, "parameter", &name, context.parameters?.iter().copied()));
+    let over_s = section
+        .number("over-s", Allowed::NOT_NEGATIVE)
+        .map_or(0.0, Spanned::into_inner);
+    let parameter = parameter.and_then(|name| {
+        find_name(
+            &section,
+            "parameter",
+            &name,
+            context.parameters?.iter().copied(),
+        )
+    });
     section.finish();
-    Some(Damage { parameter: parameter?, at_s: at_s?.into_inner(), over_s, loss: loss?.into_inner() })
+    Some(Damage {
+        parameter: parameter?,
+        at_s: at_s?.into_inner(),
+        over_s,
+        loss: loss?.into_inner(),
+    })
 }

@@ -12,13 +12,20 @@ use toml::Spanned;
 const PER_ELEMENT: usize = 5;
 
 pub(super) fn read_tower(section: &mut Section<'_>) -> Option<LinearSystem> {
-    let mass = section.choice("mass", &MASS_FORMS).map_or(MassForm::Consistent, Spanned::into_inner);
+    let mass = section
+        .choice("mass", &MASS_FORMS)
+        .map_or(MassForm::Consistent, Spanned::into_inner);
     let tables = section.tables("segment");
     if tables.is_empty() {
-        section.require("segment", "must list the segments from the foot up: [[model.segment]]", None::<()>);
+        section.require(
+            "segment",
+            "must list the segments from the foot up: [[model.segment]]",
+            None::<()>,
+        );
     }
     let declared = tables.len();
-    let read: Vec<(Spanned<String>, Segment)> = tables.into_iter().filter_map(read_segment).collect();
+    let read: Vec<(Spanned<String>, Segment)> =
+        tables.into_iter().filter_map(read_segment).collect();
     let (names, segments): (Vec<_>, Vec<_>) = read.into_iter().unzip();
     check_unique(section, &section.key("segment.name"), &names);
     if segments.is_empty() || segments.len() < declared {
@@ -28,7 +35,9 @@ pub(super) fn read_tower(section: &mut Section<'_>) -> Option<LinearSystem> {
     if elements > LARGEST_MODEL / PER_ELEMENT {
         let found = format!("add up to {elements} elements");
         let allowed = format!("must add up to at most {}", LARGEST_MODEL / PER_ELEMENT);
-        section.diagnostics().report(section.span(), section.key("segment"), found, allowed);
+        section
+            .diagnostics()
+            .report(section.span(), section.key("segment"), found, allowed);
         return None;
     }
     check_held(section, tower::system(&segments, mass))
@@ -37,9 +46,24 @@ pub(super) fn read_tower(section: &mut Section<'_>) -> Option<LinearSystem> {
 fn read_segment(mut section: Section<'_>) -> Option<(Spanned<String>, Segment)> {
     let name = section.required_name("name");
     let elements = section.whole("elements", 1, LARGEST_MODEL / PER_ELEMENT);
-    let elements = section.require("elements", "must be the number of equal beams of the segment", elements);
-    let numbers = ["height-m", "mass-kg-per-m", "gyration-m2", "bending-x-n-m2", "bending-y-n-m2", "torsion-n-m2"]
-        .map(|key| section.required_number(key, Allowed::POSITIVE).map(Spanned::into_inner));
+    let elements = section.require(
+        "elements",
+        "must be the number of equal beams of the segment",
+        elements,
+    );
+    let numbers = [
+        "height-m",
+        "mass-kg-per-m",
+        "gyration-m2",
+        "bending-x-n-m2",
+        "bending-y-n-m2",
+        "torsion-n-m2",
+    ]
+    .map(|key| {
+        section
+            .required_number(key, Allowed::POSITIVE)
+            .map(Spanned::into_inner)
+    });
     let top_share = section.number_or("top-share", Allowed::POSITIVE, 1.0);
     section.finish();
     let [height, mass, gyration, bending_x, bending_y, torsion] = numbers;
@@ -68,17 +92,35 @@ mod tests {
         assert!(TOWER.contains(replaced), "the tower has no {replaced:?}");
         let read = Structure::parse(&TOWER.replacen(replaced, by, 1), Path::new("tower.toml"));
         let error = read.map(|_| ()).expect_err("the file should be refused");
-        error.diagnostics().iter().map(|d| format!("{}: {}, {}", d.key(), d.found(), d.allowed())).collect()
+        error
+            .diagnostics()
+            .iter()
+            .map(|d| format!("{}: {}, {}", d.key(), d.found(), d.allowed()))
+            .collect()
     }
 
     #[test]
     fn each_segment_has_three_substructures() {
         let tower = Structure::parse(TOWER, Path::new("tower.toml")).unwrap();
-        let names: Vec<&str> = tower.system.substructures.iter().map(|part| part.name.as_str()).collect();
-        let expected =
-            ["main-bending-x", "main-bending-y", "main-torsion", "mast-bending-x", "mast-bending-y", "mast-torsion"];
+        let names: Vec<&str> = tower
+            .system
+            .substructures
+            .iter()
+            .map(|part| part.name.as_str())
+            .collect();
+        let expected = [
+            "main-bending-x",
+            "main-bending-y",
+            "main-torsion",
+            "mast-bending-x",
+            "mast-bending-y",
+            "mast-torsion",
+        ];
         assert_eq!(names, expected);
-        assert_eq!(tower.system.degrees_of_freedom[..5], ["x", "y", "rx", "ry", "rz"].map(|d| format!("node-1-{d}")));
+        assert_eq!(
+            tower.system.degrees_of_freedom[..5],
+            ["x", "y", "rx", "ry", "rz"].map(|d| format!("node-1-{d}"))
+        );
         assert_eq!(tower.system.ground_directions.len(), 2);
     }
 

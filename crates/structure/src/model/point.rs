@@ -55,20 +55,32 @@ impl Point {
         debug_assert_eq!(fixed.forces.ncols(), inputs);
         let (free, parameters) = (fixed.assembly.len(), fixed.parameters.len());
         let zeros = || vec![0.0; free];
-        let hysteretic = fixed.parameters.iter().enumerate().filter(|(_, p)| matches!(p.scales, Scales::Hysteresis(_)));
+        let hysteretic = fixed
+            .parameters
+            .iter()
+            .enumerate()
+            .filter(|(_, p)| matches!(p.scales, Scales::Hysteresis(_)));
         Self {
             displacement: zeros(),
             velocity: zeros(),
             driving: zeros(),
             rate: zeros(),
-            slopes: fixed.hysteresis.map_or(Vec::new(), |law| vec![law.slopes(0.0, 0.0); free]),
+            slopes: fixed
+                .hysteresis
+                .map_or(Vec::new(), |law| vec![law.slopes(0.0, 0.0); free]),
             rate_by_theta: hysteretic.map(|(index, _)| (index, zeros())).collect(),
             theta: vec![1.0; parameters],
             is_scaled: false,
             alpha_per_s: fixed.alpha_per_s,
             beta_s: fixed.beta_s,
             stiffness: vec![0.0; fixed.assembly.entry_count()],
-            damping: vec![0.0; fixed.assembly.damping().map_or(0, |_| fixed.assembly.entry_count())],
+            damping: vec![
+                0.0;
+                fixed
+                    .assembly
+                    .damping()
+                    .map_or(0, |_| fixed.assembly.entry_count())
+            ],
             mass_factors_inverse: vec![1.0; free],
             restoring: zeros(),
             forced: zeros(),
@@ -103,7 +115,10 @@ impl Point {
 
     /// Scales stiffness, mass and damping by `θ`.
     fn scale(&mut self, fixed: &Fixed) {
-        fixed.assembly.stiffness().assemble_to(&self.theta, &mut self.stiffness);
+        fixed
+            .assembly
+            .stiffness()
+            .assemble_to(&self.theta, &mut self.stiffness);
         if let Some(damping) = fixed.assembly.damping() {
             damping.assemble_to(&self.theta, &mut self.damping);
         }
@@ -145,7 +160,9 @@ impl Point {
         }
         for (parameter, column) in &mut self.rate_by_theta {
             if let Scales::Hysteresis(constant) = fixed.parameters[*parameter].scales {
-                let Some(nominal) = fixed.hysteresis.map(|law| law.constant(constant)) else { continue };
+                let Some(nominal) = fixed.hysteresis.map(|law| law.constant(constant)) else {
+                    continue;
+                };
                 for (entry, (w, r)) in column.iter_mut().zip(springs()) {
                     *entry = nominal * law.slope_by(constant, *w, *r);
                 }
@@ -167,12 +184,21 @@ impl Point {
 
     /// Writes the three parts of `ẍ = −M⁻¹(C ẋ + K x) + M⁻¹ T f`, equation (2.45).
     fn accelerate(&mut self, fixed: &Fixed, excitation: &[f64]) {
-        for ((s, x), w) in self.stretched.iter_mut().zip(&self.displacement).zip(&self.driving) {
+        for ((s, x), w) in self
+            .stretched
+            .iter_mut()
+            .zip(&self.displacement)
+            .zip(&self.driving)
+        {
             *s = x + self.beta_s * w;
         }
-        fixed.assembly.mul_to(&self.stiffness, &self.stretched, &mut self.restoring); // K (x + β w)
+        fixed
+            .assembly
+            .mul_to(&self.stiffness, &self.stretched, &mut self.restoring); // K (x + β w)
         if !self.damping.is_empty() {
-            fixed.assembly.mul_add_to(&self.damping, &self.velocity, &mut self.restoring); // + C ẋ
+            fixed
+                .assembly
+                .mul_add_to(&self.damping, &self.velocity, &mut self.restoring); // + C ẋ
         }
         fixed.divide_by_mass(&mut self.restoring);
         self.forced.fill(0.0);
@@ -185,7 +211,8 @@ impl Point {
         }
         for dof in 0..self.restoring.len() {
             let by_mass = self.mass_factors_inverse[dof];
-            self.restoring[dof] = -by_mass * self.restoring[dof] - self.alpha_per_s * self.velocity[dof];
+            self.restoring[dof] =
+                -by_mass * self.restoring[dof] - self.alpha_per_s * self.velocity[dof];
             self.forced[dof] *= by_mass;
             self.acceleration[dof] = self.restoring[dof] + self.forced[dof] + self.ground[dof];
         }
@@ -195,9 +222,18 @@ impl Point {
     /// all Rayleigh damping.
     fn differentiate(&mut self, fixed: &Fixed) {
         let free = self.velocity.len();
-        let columns = self.restoring_by_theta.as_mut_slice().chunks_exact_mut(free);
-        let columns = columns.zip(self.acceleration_by_theta.as_mut_slice().chunks_exact_mut(free));
-        for ((index, parameter), (column, of_acceleration)) in fixed.parameters.iter().enumerate().zip(columns) {
+        let columns = self
+            .restoring_by_theta
+            .as_mut_slice()
+            .chunks_exact_mut(free);
+        let columns = columns.zip(
+            self.acceleration_by_theta
+                .as_mut_slice()
+                .chunks_exact_mut(free),
+        );
+        for ((index, parameter), (column, of_acceleration)) in
+            fixed.parameters.iter().enumerate().zip(columns)
+        {
             let reach = fixed.reach[index].clone();
             for row in reach.clone() {
                 column[row] = 0.0; // mostly two of them: a call of memset would take longer
@@ -206,7 +242,10 @@ impl Point {
             let is_divided = !matches!(parameter.scales, Scales::DampingAlpha | Scales::Mass(_));
             match &parameter.scales {
                 Scales::Stiffness(_) => {
-                    fixed.assembly.stiffness().mul_scaled_add_to(index, &self.stretched, column);
+                    fixed
+                        .assembly
+                        .stiffness()
+                        .mul_scaled_add_to(index, &self.stretched, column);
                 }
                 Scales::Dashpots(_) => {
                     if let Some(damping) = fixed.assembly.damping() {
@@ -215,7 +254,9 @@ impl Point {
                 }
                 Scales::Hysteresis(_) => continue, // moves the rate of r only
                 Scales::Damping | Scales::DampingBeta => {
-                    fixed.assembly.mul_to(&self.stiffness, &self.driving, column);
+                    fixed
+                        .assembly
+                        .mul_to(&self.stiffness, &self.driving, column);
                     column.iter_mut().for_each(|entry| *entry *= fixed.beta_s);
                 }
                 Scales::DampingAlpha => {
@@ -234,14 +275,24 @@ impl Point {
             if let (true, Some(factor)) = (is_divided, &fixed.mass_factor) {
                 factor.solve_mut(column);
             }
-            let by_mass = fixed.reciprocal_masses[reach.clone()].iter().zip(&self.mass_factors_inverse[reach.clone()]);
-            let entries = column[reach.clone()].iter_mut().zip(&mut of_acceleration[reach]);
+            let by_mass = fixed.reciprocal_masses[reach.clone()]
+                .iter()
+                .zip(&self.mass_factors_inverse[reach.clone()]);
+            let entries = column[reach.clone()]
+                .iter_mut()
+                .zip(&mut of_acceleration[reach]);
             for ((entry, of_acceleration), (reciprocal, factor)) in entries.zip(by_mass) {
-                *entry *= if is_divided { -reciprocal * factor } else { 1.0 };
+                *entry *= if is_divided {
+                    -reciprocal * factor
+                } else {
+                    1.0
+                };
                 *of_acceleration = *entry;
             }
             if matches!(parameter.scales, Scales::Damping) {
-                for ((entry, of_acceleration), v) in column.iter_mut().zip(of_acceleration).zip(&self.velocity) {
+                for ((entry, of_acceleration), v) in
+                    column.iter_mut().zip(of_acceleration).zip(&self.velocity)
+                {
                     *entry -= fixed.alpha_per_s * v; // −M⁻¹ α M ẋ
                     *of_acceleration = *entry;
                 }
@@ -250,19 +301,28 @@ impl Point {
         for (index, parameter) in fixed.parameters.iter().enumerate() {
             if let Scales::Mass(dofs) = &parameter.scales {
                 for dof in dofs {
-                    self.acceleration_by_theta[(*dof, index)] -= self.forced[*dof] * self.mass_factors_inverse[*dof];
+                    self.acceleration_by_theta[(*dof, index)] -=
+                        self.forced[*dof] * self.mass_factors_inverse[*dof];
                 }
             }
         }
     }
 
     /// Writes `A_y X` (n × c), equation (2.50).
-    pub(super) fn jacobian_mul(&self, fixed: &Fixed, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+    pub(super) fn jacobian_mul(
+        &self,
+        fixed: &Fixed,
+        columns: &DMatrix<f64>,
+        out: &mut DMatrix<f64>,
+    ) {
         let len = columns.nrows();
         let whole = columns.ncols() / BLOCK * BLOCK * len;
         let (blocks, rest) = columns.as_slice().split_at(whole);
         let (out_blocks, out_rest) = out.as_mut_slice().split_at_mut(whole);
-        for (block, out) in blocks.chunks_exact(BLOCK * len).zip(out_blocks.chunks_exact_mut(BLOCK * len)) {
+        for (block, out) in blocks
+            .chunks_exact(BLOCK * len)
+            .zip(out_blocks.chunks_exact_mut(BLOCK * len))
+        {
             self.jacobian_mul_block::<BLOCK>(fixed, block, out);
         }
         for (column, out) in rest.chunks_exact(len).zip(out_rest.chunks_exact_mut(len)) {
@@ -278,7 +338,9 @@ impl Point {
         let mut out_columns = out.chunks_exact_mut(len).map(|out| out.split_at_mut(free));
         let (mut out_x, mut out_v): ([&mut [f64]; C], [&mut [f64]; C]) = (empty(), empty());
         for (out_x, out_v) in out_x.iter_mut().zip(&mut out_v) {
-            let Some((x, rest)) = out_columns.next() else { continue };
+            let Some((x, rest)) = out_columns.next() else {
+                continue;
+            };
             let (v, out_theta) = rest.split_at_mut(free);
             out_theta.fill(0.0);
             (*out_x, *out_v) = (x, v);
@@ -291,7 +353,9 @@ impl Point {
                 *s = x + self.beta_s * *s;
             }
         }
-        fixed.assembly.mul_columns_to(&self.stiffness, &out_x, &mut out_v); // K (X + β W)
+        fixed
+            .assembly
+            .mul_columns_to(&self.stiffness, &out_x, &mut out_v); // K (X + β W)
         for ((column, out_x), out_v) in columns.iter().zip(&mut out_x).zip(&mut out_v) {
             let (x, rest) = column.split_at(free);
             let (v, theta) = rest.split_at(free);
@@ -306,12 +370,23 @@ impl Point {
         }
         for (column, out_v) in columns.iter().zip(&mut out_v) {
             let (v, theta) = column[free..].split_at(free);
-            let by_mass = fixed.reciprocal_masses.iter().zip(&self.mass_factors_inverse);
+            let by_mass = fixed
+                .reciprocal_masses
+                .iter()
+                .zip(&self.mass_factors_inverse);
             for ((entry, v), (reciprocal, factor)) in out_v.iter_mut().zip(v).zip(by_mass) {
                 *entry = -reciprocal * factor * *entry - self.alpha_per_s * v; // −M⁻¹ (…) − α V
             }
-            let by_theta = self.acceleration_by_theta.as_slice().chunks_exact(free).zip(&fixed.reach);
-            for (theta, (w, reach)) in theta.iter().zip(by_theta).filter(|(theta, _)| **theta != 0.0) {
+            let by_theta = self
+                .acceleration_by_theta
+                .as_slice()
+                .chunks_exact(free)
+                .zip(&fixed.reach);
+            for (theta, (w, reach)) in theta
+                .iter()
+                .zip(by_theta)
+                .filter(|(theta, _)| **theta != 0.0)
+            {
                 for (entry, w) in out_v[reach.clone()].iter_mut().zip(&w[reach.clone()]) {
                     *entry += w * theta; // + W Θ
                 }

@@ -22,20 +22,33 @@ impl StiffnessByMass {
         }
         let free = fixed.assembly.len();
         // through a mass matrix that is not diagonal everything accelerates everything
-        let half_bandwidth = if fixed.mass_factor.is_some() { free - 1 } else { half_bandwidth(&fixed.assembly) };
-        Some(Self { matrix: DMatrix::zeros(free, free), half_bandwidth })
+        let half_bandwidth = if fixed.mass_factor.is_some() {
+            free - 1
+        } else {
+            half_bandwidth(&fixed.assembly)
+        };
+        Some(Self {
+            matrix: DMatrix::zeros(free, free),
+            half_bandwidth,
+        })
     }
 
     /// Writes `G` at a point.
     pub(super) fn set(&mut self, fixed: &Fixed, point: &Point) {
         let free = fixed.assembly.len();
-        for (index, column) in self.matrix.as_mut_slice().chunks_exact_mut(free).enumerate() {
+        for (index, column) in self
+            .matrix
+            .as_mut_slice()
+            .chunks_exact_mut(free)
+            .enumerate()
+        {
             let (places, rows) = fixed.assembly.row(index); // which is the column, because K is symmetric
             let entries = rows.iter().zip(&point.stiffness[places]);
             if fixed.mass_factor.is_none() {
                 // what is outside the pattern has been zero from the start
                 for (row, value) in entries {
-                    column[*row] = value * fixed.reciprocal_masses[*row] * point.mass_factors_inverse[*row];
+                    column[*row] =
+                        value * fixed.reciprocal_masses[*row] * point.mass_factors_inverse[*row];
                 }
                 continue;
             }
@@ -54,7 +67,13 @@ impl StiffnessByMass {
 /// Returns how far from the diagonal the pattern reaches.
 fn half_bandwidth(assembly: &Assembly) -> usize {
     (0..assembly.len())
-        .flat_map(|row| assembly.row(row).1.iter().map(move |column| column.abs_diff(row)))
+        .flat_map(|row| {
+            assembly
+                .row(row)
+                .1
+                .iter()
+                .map(move |column| column.abs_diff(row))
+        })
         .max()
         .unwrap_or(0)
 }

@@ -46,7 +46,9 @@ impl Response {
     pub(super) fn new(channel: &Channel, fixed: &Fixed, mass: &Mass) -> Self {
         // a channel of one degree of freedom has exactly one; a measured excitation is no response
         let dof = channel.sensed.first().map_or(0, |(dof, _)| *dof);
-        let acceleration = |forces, ground| Self::Acceleration(Acceleration::new(dof, forces, ground, fixed, mass));
+        let acceleration = |forces, ground| {
+            Self::Acceleration(Acceleration::new(dof, forces, ground, fixed, mass))
+        };
         match channel.quantity() {
             Quantity::Displacement | Quantity::Strain => Self::Displacement(channel.sensed.clone()),
             Quantity::Velocity => Self::Velocity(dof),
@@ -68,9 +70,17 @@ impl Response {
     /// Returns the predicted observation at the point.
     pub(super) fn value(&self, point: &Point) -> f64 {
         match self {
-            Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * point.displacement[*dof]).sum(),
+            Self::Displacement(terms) => terms
+                .iter()
+                .map(|(dof, factor)| factor * point.displacement[*dof])
+                .sum(),
             Self::Velocity(dof) => point.velocity[*dof],
-            Self::Acceleration(Acceleration { dof, forces, ground, .. }) => {
+            Self::Acceleration(Acceleration {
+                dof,
+                forces,
+                ground,
+                ..
+            }) => {
                 let forced = if *forces { point.forced[*dof] } else { 0.0 };
                 let ground = if *ground { point.ground[*dof] } else { 0.0 };
                 point.restoring[*dof] + forced + ground
@@ -81,11 +91,15 @@ impl Response {
     /// Returns the row of the Jacobian times a column (n) with the parts `x`, `v` (N_d) and `θ`.
     pub(super) fn jacobian_dot(&self, free: usize, column: &[f64]) -> f64 {
         match self {
-            Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * column[*dof]).sum(),
+            Self::Displacement(terms) => terms
+                .iter()
+                .map(|(dof, factor)| factor * column[*dof])
+                .sum(),
             Self::Velocity(dof) => column[free + dof],
-            Self::Acceleration(Acceleration { row, .. }) => {
-                row.iter().map(|(entry, value)| value * column[*entry]).sum()
-            }
+            Self::Acceleration(Acceleration { row, .. }) => row
+                .iter()
+                .map(|(entry, value)| value * column[*entry])
+                .sum(),
         }
     }
 
@@ -94,7 +108,9 @@ impl Response {
         match self {
             Self::Displacement(terms) => terms.iter().for_each(|(dof, factor)| out[*dof] += factor),
             Self::Velocity(dof) => out[free + dof] += 1.0,
-            Self::Acceleration(Acceleration { row, .. }) => row.iter().for_each(|(entry, value)| out[*entry] += value),
+            Self::Acceleration(Acceleration { row, .. }) => {
+                row.iter().for_each(|(entry, value)| out[*entry] += value)
+            }
         }
     }
 
@@ -102,10 +118,19 @@ impl Response {
     pub(super) fn direct_effect(&self, fixed: &Fixed, point: &Point, input: usize) -> f64 {
         match self {
             Self::Displacement(_) | Self::Velocity(_) => 0.0,
-            Self::Acceleration(Acceleration { dof, forces, ground, .. }) => {
+            Self::Acceleration(Acceleration {
+                dof,
+                forces,
+                ground,
+                ..
+            }) => {
                 let force = fixed.forces[(*dof, input)] * point.mass_factors_inverse[*dof];
                 let forced = if *forces { force } else { 0.0 };
-                let ground = if *ground { fixed.grounds[(*dof, input)] } else { 0.0 };
+                let ground = if *ground {
+                    fixed.grounds[(*dof, input)]
+                } else {
+                    0.0
+                };
                 forced + ground
             }
         }
@@ -119,33 +144,65 @@ impl Acceleration {
             Mass::Lumped(_) => (None, fixed.assembly.row(dof).1.to_vec()),
             Mass::Consistent { .. } => {
                 let unit = DMatrix::from_fn(free, 1, |row, _| if row == dof { 1.0 } else { 0.0 });
-                (Some(mass.solve(unit).as_slice().to_vec()), (0..free).collect())
+                (
+                    Some(mass.solve(unit).as_slice().to_vec()),
+                    (0..free).collect(),
+                )
             }
         };
         let entries = columns.len();
-        let damping = vec![0.0; if fixed.assembly.damping().is_some() { entries } else { 0 }];
-        let parameters: Vec<usize> =
-            (0..fixed.reach.len()).filter(|parameter| fixed.reach[*parameter].contains(&dof)).collect();
+        let damping = vec![
+            0.0;
+            if fixed.assembly.damping().is_some() {
+                entries
+            } else {
+                0
+            }
+        ];
+        let parameters: Vec<usize> = (0..fixed.reach.len())
+            .filter(|parameter| fixed.reach[*parameter].contains(&dof))
+            .collect();
         let row = Vec::with_capacity(4 * entries + 1 + parameters.len());
-        Self { dof, forces, ground, by_mass, columns, stiffness: vec![0.0; entries], damping, parameters, row }
+        Self {
+            dof,
+            forces,
+            ground,
+            by_mass,
+            columns,
+            stiffness: vec![0.0; entries],
+            damping,
+            parameters,
+            row,
+        }
     }
 
     fn linearise(&mut self, fixed: &Fixed, point: &Point) {
         let given = &point.damping;
         match &self.by_mass {
             None => {
-                let by_mass = -fixed.reciprocal_masses[self.dof] * point.mass_factors_inverse[self.dof];
+                let by_mass =
+                    -fixed.reciprocal_masses[self.dof] * point.mass_factors_inverse[self.dof];
                 let (range, _) = fixed.assembly.row(self.dof);
-                for (entry, k) in self.stiffness.iter_mut().zip(&point.stiffness[range.clone()]) {
+                for (entry, k) in self
+                    .stiffness
+                    .iter_mut()
+                    .zip(&point.stiffness[range.clone()])
+                {
                     *entry = by_mass * k;
                 }
-                for (entry, c) in self.damping.iter_mut().zip(given.get(range).unwrap_or_default()) {
+                for (entry, c) in self
+                    .damping
+                    .iter_mut()
+                    .zip(given.get(range).unwrap_or_default())
+                {
                     *entry = by_mass * c;
                 }
             }
             Some(by_mass) => {
                 // row of M⁻¹K = K times the column of M⁻¹, both symmetric
-                fixed.assembly.mul_to(&point.stiffness, by_mass, &mut self.stiffness);
+                fixed
+                    .assembly
+                    .mul_to(&point.stiffness, by_mass, &mut self.stiffness);
                 self.stiffness.iter_mut().for_each(|entry| *entry = -*entry);
                 if !given.is_empty() {
                     fixed.assembly.mul_to(given, by_mass, &mut self.damping);
@@ -161,16 +218,36 @@ impl Acceleration {
         let free = fixed.assembly.len();
         let row = &mut self.row;
         row.clear();
-        row.extend(self.columns.iter().copied().zip(self.stiffness.iter().copied()));
+        row.extend(
+            self.columns
+                .iter()
+                .copied()
+                .zip(self.stiffness.iter().copied()),
+        );
         if point.beta_s != 0.0 {
             for (column, k) in self.columns.iter().zip(&self.stiffness) {
                 let of_drive = fixed.drive().of_velocities(*column).into_iter().flatten();
-                row.extend(of_drive.map(|(velocity, sign)| (free + velocity, point.beta_s * k * sign)));
+                row.extend(
+                    of_drive.map(|(velocity, sign)| (free + velocity, point.beta_s * k * sign)),
+                );
             }
         }
-        row.extend(self.columns.iter().zip(&self.damping).map(|(column, c)| (free + column, *c)));
+        row.extend(
+            self.columns
+                .iter()
+                .zip(&self.damping)
+                .map(|(column, c)| (free + column, *c)),
+        );
         row.push((free + self.dof, -point.alpha_per_s));
-        let by_theta = if self.forces { &point.acceleration_by_theta } else { &point.restoring_by_theta };
-        row.extend(self.parameters.iter().map(|parameter| (2 * free + parameter, by_theta[(self.dof, *parameter)])));
+        let by_theta = if self.forces {
+            &point.acceleration_by_theta
+        } else {
+            &point.restoring_by_theta
+        };
+        row.extend(
+            self.parameters
+                .iter()
+                .map(|parameter| (2 * free + parameter, by_theta[(self.dof, *parameter)])),
+        );
     }
 }

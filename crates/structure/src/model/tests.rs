@@ -100,16 +100,23 @@ fn shear_building() -> Structure {
     ))
 }
 
-const CONSISTENT_MASS: &str =
-    "%%MatrixMarket matrix coordinate real symmetric\n3 3 5\n1 1 2\n2 1 0.3\n2 2 1.5\n3 2 -0.2\n3 3 1\n";
-const LOW: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 1600\n2 1 -700\n2 2 700\n";
-const HIGH: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n2 2 500\n3 2 -500\n3 3 500\n";
-const DAMPING: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 4\n1 1 5\n3 1 -2\n2 2 4\n3 3 6\n";
+const CONSISTENT_MASS: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 5\n1 1 2\n2 1 0.3\n2 2 1.5\n3 2 -0.2\n3 3 1\n";
+const LOW: &str =
+    "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 1600\n2 1 -700\n2 2 700\n";
+const HIGH: &str =
+    "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n2 2 500\n3 2 -500\n3 3 500\n";
+const DAMPING: &str =
+    "%%MatrixMarket matrix coordinate real symmetric\n3 3 4\n1 1 5\n3 1 -2\n2 2 4\n3 3 6\n";
 
 /// The same three degrees of freedom from files, with a mass matrix that is not diagonal and the given damping.
 fn of_matrices(mass: &str, damping: &str) -> Structure {
     let folder = tempfile::tempdir().unwrap();
-    for (name, content) in [("m.mtx", mass), ("low.mtx", LOW), ("high.mtx", HIGH), ("c.mtx", DAMPING)] {
+    for (name, content) in [
+        ("m.mtx", mass),
+        ("low.mtx", LOW),
+        ("high.mtx", HIGH),
+        ("c.mtx", DAMPING),
+    ] {
         std::fs::write(folder.path().join(name), content).unwrap();
     }
     let text = format!(
@@ -185,12 +192,24 @@ fn bouc_wen(drive: &str) -> Structure {
 /// The three storeys with dashpots, two of them scaled.
 fn dashpots() -> Structure {
     let text = shear_building().text().to_owned();
-    let (from, to) = (text.find("[damping]").unwrap(), text.find("[[parameter]]").unwrap());
-    let (alpha, excitation) = (text.find("[[parameter]]\n        name = \"alpha\"").unwrap(), "\n[[excitation]]");
+    let (from, to) = (
+        text.find("[damping]").unwrap(),
+        text.find("[[parameter]]").unwrap(),
+    );
+    let (alpha, excitation) = (
+        text.find("[[parameter]]\n        name = \"alpha\"")
+            .unwrap(),
+        "\n[[excitation]]",
+    );
     let dashpots = "[damping]\nkind = \"dashpots\"\ncoefficients-n-s-per-m = [4, 3, 2]\n";
     let scaled = "[[parameter]]\nname = \"dashpots\"\nscales = \"damping\"\nof = [\"storey-1\", \"storey-3\"]\n";
     let rest = text.find(excitation).unwrap();
-    parse(&format!("{}{dashpots}{}{scaled}{}", &text[..from], &text[to..alpha], &text[rest..]))
+    parse(&format!(
+        "{}{dashpots}{}{scaled}{}",
+        &text[..from],
+        &text[to..alpha],
+        &text[rest..]
+    ))
 }
 
 /// One node of a mesh that is free, with its three degrees of freedom: the end of an inclined beam, or the foot of bars.
@@ -232,14 +251,22 @@ group = [{ name = "first", section = "steel", paths = [[1, 2], [1, 3]] }, { name
 support = [{ nodes = [2, 3, 4], fixed = ["x", "y", "z"] }]
 "#;
 
-const WHOLE_DAMPING: &str = "[[parameter]]\nname = \"damping\"\nscales = \"damping\"\nof = \"all\"\n";
+const WHOLE_DAMPING: &str =
+    "[[parameter]]\nname = \"damping\"\nscales = \"damping\"\nof = \"all\"\n";
 
 /// The same building with one factor for both parts of its damping.
 fn with_whole_damping(structure: &Structure) -> Structure {
     let text = structure.text();
-    let (start, end) =
-        (text.find("[[parameter]]\n        name = \"alpha\"").unwrap(), text.find("[[excitation]]").unwrap());
-    parse(&format!("{}{WHOLE_DAMPING}{}", &text[..start], &text[end..]))
+    let (start, end) = (
+        text.find("[[parameter]]\n        name = \"alpha\"")
+            .unwrap(),
+        text.find("[[excitation]]").unwrap(),
+    );
+    parse(&format!(
+        "{}{WHOLE_DAMPING}{}",
+        &text[..start],
+        &text[end..]
+    ))
 }
 
 fn examples() -> Vec<(&'static str, Structure)> {
@@ -248,11 +275,26 @@ fn examples() -> Vec<(&'static str, Structure)> {
     let lumped = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 2\n2 2 1.5\n3 3 1\n";
     vec![
         ("shear building", shear_building()),
-        ("shear building, all its damping", with_whole_damping(&shear_building())),
-        ("consistent mass, all its damping", of_matrices(CONSISTENT_MASS, &format!("{rayleigh}\n{WHOLE_DAMPING}"))),
-        ("damping matrix as a whole", of_matrices(lumped, &format!("{given}\n{WHOLE_DAMPING}"))),
-        ("consistent mass, Rayleigh damping", of_matrices(CONSISTENT_MASS, rayleigh)),
-        ("consistent mass, damping matrix", of_matrices(CONSISTENT_MASS, given)),
+        (
+            "shear building, all its damping",
+            with_whole_damping(&shear_building()),
+        ),
+        (
+            "consistent mass, all its damping",
+            of_matrices(CONSISTENT_MASS, &format!("{rayleigh}\n{WHOLE_DAMPING}")),
+        ),
+        (
+            "damping matrix as a whole",
+            of_matrices(lumped, &format!("{given}\n{WHOLE_DAMPING}")),
+        ),
+        (
+            "consistent mass, Rayleigh damping",
+            of_matrices(CONSISTENT_MASS, rayleigh),
+        ),
+        (
+            "consistent mass, damping matrix",
+            of_matrices(CONSISTENT_MASS, given),
+        ),
         ("lumped mass, damping matrix", of_matrices(lumped, given)),
         ("frame", of_members(BEAM)),
         ("truss", of_members(TRIPOD)),
@@ -265,15 +307,24 @@ fn examples() -> Vec<(&'static str, Structure)> {
 /// A state with displacements, velocities and parameters off their nominal values.
 fn state_of(model: &StructureModel) -> Vec<f64> {
     let physical = model.state_len() - model.parameter_len();
-    let entry =
-        |i: usize| if i < physical { 0.1 * (1.3 * i as f64 + 0.4).sin() } else { 0.8 + 0.1 * (i - physical) as f64 };
+    let entry = |i: usize| {
+        if i < physical {
+            0.1 * (1.3 * i as f64 + 0.4).sin()
+        } else {
+            0.8 + 0.1 * (i - physical) as f64
+        }
+    };
     (0..model.state_len()).map(entry).collect()
 }
 
 const EXCITATION: [f64; 3] = [0.7, -3.0, 2.0];
 
 /// Central differences of `function` of the state, a column per entry.
-fn differences(state: &[f64], rows: usize, mut function: impl FnMut(&[f64]) -> Vec<f64>) -> DMatrix<f64> {
+fn differences(
+    state: &[f64],
+    rows: usize,
+    mut function: impl FnMut(&[f64]) -> Vec<f64>,
+) -> DMatrix<f64> {
     const STEP: f64 = 1e-6;
     let mut out = DMatrix::zeros(rows, state.len());
     for column in 0..state.len() {
@@ -334,7 +385,12 @@ fn the_observation_jacobian_is_the_derivative_of_the_observation() {
         model.observation_jacobian_mul(&DMatrix::identity(len, len), &mut found);
         for row in 0..rows {
             let [found, expected] = [&found, &expected].map(|m| m.rows(row, 1).into_owned());
-            assert_close(&format!("{what}, row {row}"), &found, &expected, DERIVATIVE_TOLERANCE);
+            assert_close(
+                &format!("{what}, row {row}"),
+                &found,
+                &expected,
+                DERIVATIVE_TOLERANCE,
+            );
         }
     }
 }
@@ -366,7 +422,9 @@ fn excitation_matrix_and_feedthrough_are_the_effect_of_the_excitation() {
         let mut b = DMatrix::zeros(len, 3);
         model.excitation_matrix(&mut b);
         assert_close(what, &b, &expected.rows(0, len).into_owned(), 1e-12);
-        let d = model.feedthrough().expect("relative accelerations and forces have a direct term");
+        let d = model
+            .feedthrough()
+            .expect("relative accelerations and forces have a direct term");
         assert_close(what, d, &expected.rows(len, rows).into_owned(), 1e-12);
     }
 }
@@ -383,10 +441,19 @@ fn absolute_is_relative_acceleration_plus_the_motion_of_the_ground() {
     model.derivative(&mut rate);
     let mut seen = vec![0.0; model.observation_len()];
     model.observe(&mut seen);
-    assert!((seen[0] - (rate[3] + EXCITATION[0])).abs() < 1e-12, "absolute, degree of freedom 1, ι = 1");
-    assert!((seen[1] - rate[4]).abs() < 1e-12, "relative, degree of freedom 2");
+    assert!(
+        (seen[0] - (rate[3] + EXCITATION[0])).abs() < 1e-12,
+        "absolute, degree of freedom 1, ι = 1"
+    );
+    assert!(
+        (seen[1] - rate[4]).abs() < 1e-12,
+        "relative, degree of freedom 2"
+    );
     // no force acts on degree of freedom 3, so that its restoring acceleration is its absolute one; ι = 0.5
-    assert!((seen[2] - (rate[5] + 0.5 * EXCITATION[0])).abs() < 1e-12, "restoring, degree of freedom 3");
+    assert!(
+        (seen[2] - (rate[5] + 0.5 * EXCITATION[0])).abs() < 1e-12,
+        "restoring, degree of freedom 3"
+    );
 }
 
 #[test]
@@ -404,8 +471,10 @@ fn matrices_of_a_shear_building_give_the_same_model() {
     let of_file = of_matrices(&dense, rayleigh);
     let storeys = parse(&{
         let mut text = shear_building().text().to_owned();
-        let (from, to) =
-            (text.find("[[parameter]]\n        name = \"mass\"").unwrap(), text.find("\n[[excitation]]").unwrap());
+        let (from, to) = (
+            text.find("[[parameter]]\n        name = \"mass\"").unwrap(),
+            text.find("\n[[excitation]]").unwrap(),
+        );
         text.replace_range(from..to, "");
         text
     });
@@ -460,7 +529,11 @@ fn the_published_sixty_storey_building_has_its_frequencies_and_damping() {
         "#,
     );
     let modes = structure.nominal_modes().unwrap();
-    let frequencies: Vec<f64> = modes.angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect();
+    let frequencies: Vec<f64> = modes
+        .angular_frequencies
+        .iter()
+        .map(|omega| omega / (2.0 * PI))
+        .collect();
     let ratios = modes.damping_ratios(&structure.system);
     assert!((frequencies[0] - 0.1669).abs() < 5e-5, "{}", frequencies[0]);
     assert!((frequencies[1] - 0.5007).abs() < 5e-5, "{}", frequencies[1]);
@@ -474,12 +547,18 @@ fn the_published_sixty_storey_building_has_its_frequencies_and_damping() {
 /// Huang & Yuen (2023), chapter 3: five masses of 1 kg, springs of 5000 N/m, f₁ = 3.203 Hz and 1.00 % in modes 1 and 2.
 #[test]
 fn the_published_chain_has_its_frequency() {
-    let stiffness =
-        crate::shear_building::ShearBuilding { masses_kg: vec![1.0; 5], stiffnesses_n_per_m: vec![5000.0; 5] };
+    let stiffness = crate::shear_building::ShearBuilding {
+        masses_kg: vec![1.0; 5],
+        stiffnesses_n_per_m: vec![5000.0; 5],
+    };
     let system = LinearSystem {
         mass: stiffness.mass(),
-        substructures: stiffness.substructures(&crate::shear_building::with_single_storeys(Vec::new(), 5)),
-        damping: Damping::Rayleigh { alpha_per_s: 0.2998, beta_s: 2.536e-4 },
+        substructures: stiffness
+            .substructures(&crate::shear_building::with_single_storeys(Vec::new(), 5)),
+        damping: Damping::Rayleigh {
+            alpha_per_s: 0.2998,
+            beta_s: 2.536e-4,
+        },
         degrees_of_freedom: stiffness.degrees_of_freedom(),
         ground_directions: Vec::new(),
         storeys: Vec::new(),
@@ -489,7 +568,10 @@ fn the_published_chain_has_its_frequency() {
     let modes = Modes::of(&system, &[1.0; 5]).unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 3.203).abs() < 0.001);
     let ratios = modes.damping_ratios(&system);
-    assert!((ratios[0] - 0.01).abs() < 1e-4 && (ratios[1] - 0.01).abs() < 1e-4, "{ratios:?}");
+    assert!(
+        (ratios[0] - 0.01).abs() < 1e-4 && (ratios[1] - 0.01).abs() < 1e-4,
+        "{ratios:?}"
+    );
 }
 
 #[test]
@@ -498,14 +580,21 @@ fn a_uniform_building_has_the_frequency_and_damping_it_was_asked_for() {
     let modes = demo.nominal_modes().unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 1.0).abs() < 1e-12);
     let ratios = modes.damping_ratios(&demo.system);
-    assert!((ratios[0] - 0.02).abs() < 1e-12 && (ratios[1] - 0.02).abs() < 1e-12, "{ratios:?}");
+    assert!(
+        (ratios[0] - 0.02).abs() < 1e-12 && (ratios[1] - 0.02).abs() < 1e-12,
+        "{ratios:?}"
+    );
 }
 
 /// Natural frequencies (Hz) and damping ratios as designed of an example file.
 fn modes_of(text: &str) -> (Vec<f64>, Vec<f64>) {
     let structure = parse(text);
     let modes = structure.nominal_modes().unwrap();
-    let frequencies = modes.angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect();
+    let frequencies = modes
+        .angular_frequencies
+        .iter()
+        .map(|omega| omega / (2.0 * PI))
+        .collect();
     (frequencies, modes.damping_ratios(&structure.system))
 }
 
@@ -513,19 +602,38 @@ fn modes_of(text: &str) -> (Vec<f64>, Vec<f64>) {
 /// period of 0.494 s.
 #[test]
 fn the_published_hysteretic_chains_have_their_frequencies_and_damping() {
-    let (frequencies, ratios) = modes_of(include_str!("../../../../docs/examples/bouc-wen-ten.toml"));
-    assert!((frequencies[0] - 1.0638).abs() < 1e-4 && (frequencies[1] - 3.1676).abs() < 1e-4, "{frequencies:?}");
-    assert!((ratios[0] - 0.01).abs() < 1e-5 && (ratios[1] - 0.01).abs() < 1e-5, "{ratios:?}");
-    let (frequencies, ratios) = modes_of(include_str!("../../../../docs/examples/bouc-wen-five.toml"));
-    assert!((1.0 / frequencies[0] - 0.494).abs() < 5e-4, "{frequencies:?}");
-    assert!((ratios[0] - 0.02).abs() < 1e-4 && (ratios[1] - 0.02).abs() < 1e-4, "{ratios:?}");
+    let (frequencies, ratios) =
+        modes_of(include_str!("../../../../docs/examples/bouc-wen-ten.toml"));
+    assert!(
+        (frequencies[0] - 1.0638).abs() < 1e-4 && (frequencies[1] - 3.1676).abs() < 1e-4,
+        "{frequencies:?}"
+    );
+    assert!(
+        (ratios[0] - 0.01).abs() < 1e-5 && (ratios[1] - 0.01).abs() < 1e-5,
+        "{ratios:?}"
+    );
+    let (frequencies, ratios) =
+        modes_of(include_str!("../../../../docs/examples/bouc-wen-five.toml"));
+    assert!(
+        (1.0 / frequencies[0] - 0.494).abs() < 5e-4,
+        "{frequencies:?}"
+    );
+    assert!(
+        (ratios[0] - 0.02).abs() < 1e-4 && (ratios[1] - 0.02).abs() < 1e-4,
+        "{ratios:?}"
+    );
 }
 
 /// `a` multiplies the stiffness of small motions, and with it their frequencies: θ₁/m = 6 s⁻² of the oscillator.
 #[test]
 fn the_oscillator_has_the_frequency_of_its_initial_slope() {
-    let (frequencies, _) = modes_of(include_str!("../../../../docs/examples/hysteretic-oscillator.toml"));
-    assert!((frequencies[0] - 6.0_f64.sqrt() / (2.0 * PI)).abs() < 1e-12, "{frequencies:?}");
+    let (frequencies, _) = modes_of(include_str!(
+        "../../../../docs/examples/hysteretic-oscillator.toml"
+    ));
+    assert!(
+        (frequencies[0] - 6.0_f64.sqrt() / (2.0 * PI)).abs() < 1e-12,
+        "{frequencies:?}"
+    );
 }
 
 /// Huang & Yuen (2023), §5.6.1: `ω_j = 80 sin((2j − 1) π / 202)`, 1 % in modes 1 and 2.
@@ -535,10 +643,17 @@ fn the_published_fifty_storey_building_has_its_frequencies_and_damping() {
     assert_eq!(frequencies.len(), 50);
     for (mode, found) in frequencies.iter().enumerate() {
         let expected = 80.0 * ((2 * mode + 1) as f64 * PI / 202.0).sin() / (2.0 * PI);
-        assert!((found / expected - 1.0).abs() < 1e-10, "mode {}: {found} instead of {expected}", mode + 1);
+        assert!(
+            (found / expected - 1.0).abs() < 1e-10,
+            "mode {}: {found} instead of {expected}",
+            mode + 1
+        );
     }
     // α and β are printed with two figures and one, which leaves some of the damping open
-    assert!((ratios[0] - 0.01).abs() < 2e-4 && (ratios[1] - 0.01).abs() < 2e-4, "{ratios:?}");
+    assert!(
+        (ratios[0] - 0.01).abs() < 2e-4 && (ratios[1] - 0.01).abs() < 2e-4,
+        "{ratios:?}"
+    );
 }
 
 /// First natural frequencies of a cantilever of Euler-Bernoulli beams, `(β L)² √(EI / m L⁴) / 2π`, βL = 1.8751, 4.6941;
@@ -549,8 +664,14 @@ fn the_mast_of_the_example_is_a_cantilever() {
     let modes = mast.nominal_modes().unwrap();
     let scale = (2.0e8_f64 / (1200.0 * 12.0_f64.powi(4))).sqrt() / (2.0 * PI);
     let found = [0, 1].map(|mode| modes.angular_frequencies[mode] / (2.0 * PI));
-    assert!((found[0] / (1.8751_f64.powi(2) * scale) - 1.0).abs() < 1e-3, "{found:?}");
-    assert!((found[1] / (4.6941_f64.powi(2) * scale) - 1.0).abs() < 1e-2, "{found:?}");
+    assert!(
+        (found[0] / (1.8751_f64.powi(2) * scale) - 1.0).abs() < 1e-3,
+        "{found:?}"
+    );
+    assert!(
+        (found[1] / (4.6941_f64.powi(2) * scale) - 1.0).abs() < 1e-2,
+        "{found:?}"
+    );
 }
 
 proptest! {
@@ -599,9 +720,13 @@ proptest! {
 fn a_factor_on_all_damping_is_one_on_its_coefficients() {
     let whole = with_whole_damping(&shear_building());
     let doubled = parse(
-        &whole.text().replace("alpha-per-s = 0.3", "alpha-per-s = 0.6").replace("beta-s = 0.004", "beta-s = 0.008"),
+        &whole
+            .text()
+            .replace("alpha-per-s = 0.3", "alpha-per-s = 0.6")
+            .replace("beta-s = 0.004", "beta-s = 0.008"),
     );
-    let [by_factor, by_file] = [(&whole, 2.0), (&doubled, 1.0)]
-        .map(|(structure, factor)| LinearForm::new(&mut structure.model(), &[1.0, 1.0, factor]).system);
+    let [by_factor, by_file] = [(&whole, 2.0), (&doubled, 1.0)].map(|(structure, factor)| {
+        LinearForm::new(&mut structure.model(), &[1.0, 1.0, factor]).system
+    });
     assert!((by_factor - &by_file).norm() <= 1e-14 * by_file.norm());
 }

@@ -34,7 +34,11 @@ pub(super) struct Motion {
 #[derive(Debug, Clone)]
 enum Rule {
     /// The exact recursion of a linear structure, `z = H u + D f`.
-    Exact { recursion: Recursion, observation: DMatrix<f64>, direct: DMatrix<f64> },
+    Exact {
+        recursion: Recursion,
+        observation: DMatrix<f64>,
+        direct: DMatrix<f64>,
+    },
     /// The fourth-order method of Runge and Kutta.
     RungeKutta(Stages),
 }
@@ -65,7 +69,14 @@ impl Motion {
         } else {
             exact(&mut model, theta, step_s, &holds)
         };
-        Self { model, step_s, holds, rule, next_state: state.clone(), state }
+        Self {
+            model,
+            step_s,
+            holds,
+            rule,
+            next_state: state.clone(),
+            state,
+        }
     }
 
     /// Returns `u` (2 N_d).
@@ -76,7 +87,9 @@ impl Motion {
     /// Changes the parameters from now on.
     pub(super) fn set_parameters(&mut self, theta: &[f64]) {
         match &mut self.rule {
-            Rule::Exact { .. } => self.rule = exact(&mut self.model, theta, self.step_s, &self.holds),
+            Rule::Exact { .. } => {
+                self.rule = exact(&mut self.model, theta, self.step_s, &self.holds)
+            }
             Rule::RungeKutta(stages) => stages.theta.copy_from_slice(theta),
         }
     }
@@ -84,13 +97,18 @@ impl Motion {
     /// Writes `z` (N_0) of this instant under `excitation` (N_f).
     pub(super) fn respond(&mut self, excitation: &DVector<f64>, response: &mut DVector<f64>) {
         match &mut self.rule {
-            Rule::Exact { observation, direct, .. } => {
+            Rule::Exact {
+                observation,
+                direct,
+                ..
+            } => {
                 response.gemv(1.0, observation, &self.state, 0.0); // z = H u + D f
                 response.gemv(1.0, direct, excitation, 1.0);
             }
             Rule::RungeKutta(stages) => {
                 stages.set_point(&self.state, 0.0);
-                self.model.linearise_observation(&stages.point, excitation.as_slice());
+                self.model
+                    .linearise_observation(&stages.point, excitation.as_slice());
                 self.model.observe(response.as_mut_slice());
             }
         }
@@ -99,7 +117,15 @@ impl Motion {
     /// Moves by one step, from `excitation` to `next` (N_f).
     pub(super) fn advance(&mut self, excitation: &DVector<f64>, next: &DVector<f64>) {
         match &mut self.rule {
-            Rule::Exact { recursion: Recursion { transition, input, slope }, .. } => {
+            Rule::Exact {
+                recursion:
+                    Recursion {
+                        transition,
+                        input,
+                        slope,
+                    },
+                ..
+            } => {
                 self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u                 (2.7)
                 self.next_state.gemv(1.0, input, excitation, 1.0); // + B f_i
                 if self.holds.contains(&InputHold::First) {
@@ -110,11 +136,22 @@ impl Motion {
             }
             Rule::RungeKutta(stages) => {
                 let mut to = excitation.clone();
-                for (input, _) in self.holds.iter().enumerate().filter(|(_, hold)| **hold == InputHold::First) {
+                for (input, _) in self
+                    .holds
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, hold)| **hold == InputHold::First)
+                {
                     to[input] = next[input];
                 }
                 for substep in 0..stages.substeps {
-                    stages.advance(&mut self.model, &mut self.state, self.step_s, substep, [excitation, &to]);
+                    stages.advance(
+                        &mut self.model,
+                        &mut self.state,
+                        self.step_s,
+                        substep,
+                        [excitation, &to],
+                    );
                 }
             }
         }
@@ -123,7 +160,11 @@ impl Motion {
 
 fn exact(model: &mut StructureModel, theta: &[f64], step_s: f64, holds: &[InputHold]) -> Rule {
     let form = LinearForm::new(model, theta);
-    Rule::Exact { recursion: form.recursion(step_s, holds), observation: form.observation, direct: form.direct }
+    Rule::Exact {
+        recursion: form.recursion(step_s, holds),
+        observation: form.observation,
+        direct: form.direct,
+    }
 }
 
 impl Stages {
@@ -134,9 +175,18 @@ impl Stages {
         point[physical..].copy_from_slice(theta);
         let excitation = vec![0.0; inputs];
         model.linearise_process(&point, &excitation);
-        let substeps = (model.rate_bound() * step_s / RATE_TIMES_SUBSTEP).ceil().clamp(1.0, 1e4) as usize;
+        let substeps = (model.rate_bound() * step_s / RATE_TIMES_SUBSTEP)
+            .ceil()
+            .clamp(1.0, 1e4) as usize;
         let (slope, sum) = (vec![0.0; len], DVector::zeros(physical));
-        Self { theta: theta.to_vec(), substeps, point, slope, sum, excitation }
+        Self {
+            theta: theta.to_vec(),
+            substeps,
+            point,
+            slope,
+            sum,
+            excitation,
+        }
     }
 
     /// Sets the point to `state` plus `by` (s) times the last slope.

@@ -69,11 +69,18 @@ fn exact_step(k: f64, x: f64, v: f64, f: f64, t: f64) -> (f64, f64) {
 
 #[test]
 fn an_oscillator_follows_its_closed_solution() {
-    let structure = oscillator("[[simulation.damage]]\nparameter = \"spring\"\nat-s = 4\nloss = 0.3\n");
+    let structure =
+        oscillator("[[simulation.damage]]\nparameter = \"spring\"\nat-s = 4\nloss = 0.3\n");
     let (mut x, mut v) = (0.0, 0.0);
     for frame in structure.simulator(3).take(500) {
-        let [force, sway] = frame.values[..] else { panic!("two channels") };
-        assert!((sway - x).abs() < 1e-9, "frame {}: {sway} instead of {x}", frame.index);
+        let [force, sway] = frame.values[..] else {
+            panic!("two channels")
+        };
+        assert!(
+            (sway - x).abs() < 1e-9,
+            "frame {}: {sway} instead of {x}",
+            frame.index
+        );
         let k = if frame.index < 200 { 200.0 } else { 140.0 };
         (x, v) = exact_step(k, x, v, force, 0.02);
     }
@@ -84,7 +91,11 @@ fn an_oscillator_follows_its_closed_solution() {
 fn a_first_order_hold_is_the_limit_of_small_held_steps() {
     let mut model = oscillator("").model();
     let form = LinearForm::new(&mut model, &[1.0]);
-    let Recursion { transition, input, slope } = form.recursion(0.02, &[InputHold::First]);
+    let Recursion {
+        transition,
+        input,
+        slope,
+    } = form.recursion(0.02, &[InputHold::First]);
     let start = DVector::from_column_slice(&[0.01, -0.2]);
     let (from, to) = (3.0, -5.0);
     let whole = &transition * &start + &input * from + &slope * (to - from);
@@ -98,7 +109,10 @@ fn a_first_order_hold_is_the_limit_of_small_held_steps() {
         (state - &whole).norm()
     };
     let (coarse, fine) = (error(8), error(16));
-    assert!(coarse < 1e-5 && (coarse / fine - 4.0).abs() < 0.1, "{coarse:e} {fine:e}");
+    assert!(
+        coarse < 1e-5 && (coarse / fine - 4.0).abs() < 0.1,
+        "{coarse:e} {fine:e}"
+    );
 }
 
 /// Three floors whose velocities are seen, as a shear building or with hysteretic springs that are hardly moved.
@@ -154,14 +168,24 @@ const LAW: &str = "kind = \"bouc-wen\"\nmu = 1000\nkappa = 1500\neta = 2\n";
 #[test]
 fn small_motions_of_hysteretic_springs_are_those_of_a_shear_building() {
     for hold in ["zero-order", "first-order"] {
-        let linear: Vec<_> = chain("kind = \"shear-building\"", hold, 1e-7).simulator(1).take(400).collect();
-        let amplitude = linear.iter().flat_map(|frame| &frame.values).fold(0.0_f64, |most, v| most.max(v.abs()));
+        let linear: Vec<_> = chain("kind = \"shear-building\"", hold, 1e-7)
+            .simulator(1)
+            .take(400)
+            .collect();
+        let amplitude = linear
+            .iter()
+            .flat_map(|frame| &frame.values)
+            .fold(0.0_f64, |most, v| most.max(v.abs()));
         for drive in ["floor", "drift"] {
             let hysteretic = chain(&format!("{LAW}drive = \"{drive}\"\n"), hold, 1e-7);
             for (expected, found) in linear.iter().zip(hysteretic.simulator(1)) {
                 for (expected, found) in expected.values.iter().zip(&found.values) {
                     let difference = (expected - found).abs();
-                    assert!(difference < 4e-5 * amplitude, "{drive}, {hold}, frame {}: {difference:e}", expected);
+                    assert!(
+                        difference < 4e-5 * amplitude,
+                        "{drive}, {hold}, frame {}: {difference:e}",
+                        expected
+                    );
                 }
             }
         }
@@ -172,25 +196,41 @@ fn small_motions_of_hysteretic_springs_are_those_of_a_shear_building() {
 #[test]
 fn hysteretic_springs_yield() {
     for drive in ["floor", "drift"] {
-        let mut simulator = chain(&format!("{LAW}drive = \"{drive}\"\n"), "zero-order", 50.0).simulator(1);
+        let mut simulator =
+            chain(&format!("{LAW}drive = \"{drive}\"\n"), "zero-order", 50.0).simulator(1);
         let mut largest = 0.0_f64;
         for _ in 0..1000 {
             simulator.advance_frame();
-            largest = simulator.state()[..3].iter().fold(largest, |most, r| most.max(r.abs()));
+            largest = simulator.state()[..3]
+                .iter()
+                .fold(largest, |most, r| most.max(r.abs()));
         }
-        assert!(largest < 0.02 * (1.0 + 1e-12) && largest > 0.019, "{drive}: {largest}");
+        assert!(
+            largest < 0.02 * (1.0 + 1e-12) && largest > 0.019,
+            "{drive}: {largest}"
+        );
     }
 }
 
 #[test]
 fn the_excitation_has_the_variance_of_the_file_and_is_white() {
     let frames = 20_000;
-    let force: Vec<f64> = oscillator("").simulator(1).take(frames).map(|frame| frame.values[0]).collect();
+    let force: Vec<f64> = oscillator("")
+        .simulator(1)
+        .take(frames)
+        .map(|frame| frame.values[0])
+        .collect();
     let mean_square = force.iter().map(|f| f * f).sum::<f64>() / frames as f64;
     let lagged = force.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>() / frames as f64;
     // standard deviations of both estimates: σ² √(2/N) and σ²/√N; four of them
-    assert!((mean_square - 100.0).abs() < 4.0 * 100.0 * (2.0 / frames as f64).sqrt(), "{mean_square}");
-    assert!(lagged.abs() < 4.0 * 100.0 / (frames as f64).sqrt(), "{lagged}");
+    assert!(
+        (mean_square - 100.0).abs() < 4.0 * 100.0 * (2.0 / frames as f64).sqrt(),
+        "{mean_square}"
+    );
+    assert!(
+        lagged.abs() < 4.0 * 100.0 / (frames as f64).sqrt(),
+        "{lagged}"
+    );
 }
 
 #[test]
@@ -204,7 +244,10 @@ fn the_same_seed_gives_the_same_bits_and_another_seed_another_motion() {
 #[test]
 fn the_motion_does_not_depend_on_the_faults() {
     let clean: Vec<_> = oscillator("").simulator(2).take(400).collect();
-    let faulty: Vec<_> = oscillator("[simulation]\ndropped-share = 0.2\n").simulator(2).take(400).collect();
+    let faulty: Vec<_> = oscillator("[simulation]\ndropped-share = 0.2\n")
+        .simulator(2)
+        .take(400)
+        .collect();
     let (mut dropped, mut all) = (0, 0);
     for (clean, faulty) in clean.iter().zip(&faulty) {
         for (clean, faulty) in clean.values.iter().zip(&faulty.values) {
@@ -215,14 +258,21 @@ fn the_motion_does_not_depend_on_the_faults() {
     }
     // binomial: four standard deviations
     let (share, expected) = (dropped as f64 / all as f64, 0.2);
-    assert!((share - expected).abs() < 4.0 * (0.2 * 0.8 / all as f64).sqrt(), "{share}");
+    assert!(
+        (share - expected).abs() < 4.0 * (0.2 * 0.8 / all as f64).sqrt(),
+        "{share}"
+    );
 }
 
 #[test]
 fn spikes_are_as_frequent_and_as_high_as_asked() {
     let structure = oscillator("[simulation]\nspike-share = 0.05\nspike-height = 1e13\n");
     // 1e13 deviations of 1e-12 are 10 N, or 10 m: far beyond any displacement
-    let spikes = structure.simulator(4).take(4000).filter(|frame| frame.values[1].abs() > 5.0).count();
+    let spikes = structure
+        .simulator(4)
+        .take(4000)
+        .filter(|frame| frame.values[1].abs() > 5.0)
+        .count();
     let four_deviations = 4.0 * (0.05 * 0.95 * 4000.0_f64).sqrt();
     assert!((spikes as f64 - 200.0).abs() < four_deviations, "{spikes}");
 }
@@ -253,7 +303,10 @@ fn the_truth_follows_the_damage() {
 /// `W` is largest, 2, at `t_a + t_b`; 1 before `t_a`: Huang & Yuen (2023), §3.4.
 #[test]
 fn a_modulated_excitation_swells_to_twice_its_amplitude() {
-    let modulation = crate::simulation_plan::Modulation { start_s: 100.0, rise_s: 20.0 };
+    let modulation = crate::simulation_plan::Modulation {
+        start_s: 100.0,
+        rise_s: 20.0,
+    };
     assert_eq!(modulation.amplitude(50.0), 1.0);
     assert_eq!(modulation.amplitude(120.0), 2.0);
     assert!(modulation.amplitude(119.0) < 2.0 && modulation.amplitude(121.0) < 2.0);
@@ -270,7 +323,8 @@ fn the_recursion_is_the_integral_of_the_process() {
     model.linearise_process(&state, &[4.0]);
     let mut rate = [0.0; 3];
     model.derivative(&mut rate);
-    let moved = &recursion.transition * DVector::from_column_slice(&state[..2]) + &recursion.input * 4.0;
+    let moved =
+        &recursion.transition * DVector::from_column_slice(&state[..2]) + &recursion.input * 4.0;
     for i in 0..2 {
         assert!(((moved[i] - state[i]) / h - rate[i]).abs() < 1e-4, "{i}");
     }
@@ -280,13 +334,24 @@ fn the_recursion_is_the_integral_of_the_process() {
 fn modulated_excitation_swells_as_declared() {
     // s = (t − 20)/10: 1 before 20 s, 2 at 30 s, and dies off again
     let structure = oscillator("[simulation]\nmodulation = { start-s = 20, rise-s = 10 }\n");
-    let push: Vec<f64> = structure.simulator(4).take(6000).map(|frame| frame.values[0]).collect();
-    let rms = |from: usize| (push[from..from + 200].iter().map(|f| f * f).sum::<f64>() / 200.0).sqrt();
-    for (time_s, expected) in
-        [(10, 1.0), (30, 2.0), (50, 1.0 + 3.0 * (-2.0_f64).exp()), (100, 1.0 + 8.0 * (-7.0_f64).exp())]
-    {
+    let push: Vec<f64> = structure
+        .simulator(4)
+        .take(6000)
+        .map(|frame| frame.values[0])
+        .collect();
+    let rms =
+        |from: usize| (push[from..from + 200].iter().map(|f| f * f).sum::<f64>() / 200.0).sqrt();
+    for (time_s, expected) in [
+        (10, 1.0),
+        (30, 2.0),
+        (50, 1.0 + 3.0 * (-2.0_f64).exp()),
+        (100, 1.0 + 8.0 * (-7.0_f64).exp()),
+    ] {
         // 200 samples: the deviation has a standard deviation of 5 %
         let found = rms(50 * time_s - 100) / 10.0;
-        assert!((found / expected - 1.0).abs() < 0.2, "{time_s} s: {found} instead of {expected}");
+        assert!(
+            (found / expected - 1.0).abs() < 0.2,
+            "{time_s} s: {found} instead of {expected}"
+        );
     }
 }

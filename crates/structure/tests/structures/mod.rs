@@ -12,13 +12,19 @@ pub fn example(name: &str) -> Structure {
 
 /// Returns the text of an example of the book.
 pub fn text_of(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .with_extension("toml");
     std::fs::read_to_string(path).unwrap()
 }
 
 /// Reads a structure from its text, as if it were an example of the book.
 pub fn parse(name: &str, text: &str) -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .with_extension("toml");
     Structure::parse(text, &path).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
@@ -56,7 +62,17 @@ pub fn portal(mass: &str) -> Structure {
         fixed = ["x", "y", "r"]
         "#
     );
-    parse("demo", &(text + &sway("columns", "roof", "node-2-x", "node-3-x", "direction = \"x\"")))
+    parse(
+        "demo",
+        &(text
+            + &sway(
+                "columns",
+                "roof",
+                "node-2-x",
+                "node-3-x",
+                "direction = \"x\"",
+            )),
+    )
 }
 
 /// A mast of four bars in a plane on two supports, with mass at its nodes or by the shape functions of its bars.
@@ -92,7 +108,10 @@ pub fn small_truss(mass: &str) -> Structure {
         fixed = ["x", "y"]
         "#
     );
-    parse("demo", &(text + &sway("low", "high", "node-3-x", "node-4-y", "direction = \"x\"")))
+    parse(
+        "demo",
+        &(text + &sway("low", "high", "node-3-x", "node-4-y", "direction = \"x\"")),
+    )
 }
 
 /// Damping, two parameters, a ground motion that nobody measures and two accelerometers.
@@ -127,8 +146,19 @@ fn sway(first: &str, second: &str, one: &str, other: &str, direction: &str) -> S
 
 /// The tower with 12 beams in place of 37.
 pub fn small_tower() -> Structure {
-    let mut text = text_of("tower").replace("elements = 27", "elements = 8").replace("elements = 10", "elements = 4");
-    for (node, nearest) in [(4, 1), (8, 2), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)] {
+    let mut text = text_of("tower")
+        .replace("elements = 27", "elements = 8")
+        .replace("elements = 10", "elements = 4");
+    for (node, nearest) in [
+        (4, 1),
+        (8, 2),
+        (13, 4),
+        (18, 5),
+        (23, 7),
+        (27, 8),
+        (32, 10),
+        (37, 12),
+    ] {
         text = text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"));
     }
     parse("tower", &text)
@@ -136,8 +166,19 @@ pub fn small_tower() -> Structure {
 
 /// The tower with four beams, at its own rate.
 pub fn smallest_tower() -> Structure {
-    let mut text = text_of("tower").replace("elements = 27", "elements = 2").replace("elements = 10", "elements = 2");
-    for (node, nearest) in [(4, 1), (8, 1), (13, 1), (18, 2), (23, 2), (27, 2), (32, 3), (37, 4)] {
+    let mut text = text_of("tower")
+        .replace("elements = 27", "elements = 2")
+        .replace("elements = 10", "elements = 2");
+    for (node, nearest) in [
+        (4, 1),
+        (8, 1),
+        (13, 1),
+        (18, 2),
+        (23, 2),
+        (27, 2),
+        (32, 3),
+        (37, 4),
+    ] {
         text = text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"));
     }
     parse("tower", &text)
@@ -171,10 +212,18 @@ pub fn building_with_masses() -> Structure {
         ("top", "mass", "[\"floor-8\"]"),
     ];
     for (name, scales, of) in parameters {
-        writeln!(text, "[[parameter]]\nname = \"{name}\"\nscales = \"{scales}\"\nof = {of}").unwrap();
+        writeln!(
+            text,
+            "[[parameter]]\nname = \"{name}\"\nscales = \"{scales}\"\nof = {of}"
+        )
+        .unwrap();
     }
     for name in ["alpha", "beta"] {
-        writeln!(text, "[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"").unwrap();
+        writeln!(
+            text,
+            "[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\""
+        )
+        .unwrap();
     }
     text.push_str(
         r#"

@@ -17,7 +17,15 @@ const TWO_DOF: &str = include_str!("../../../../docs/examples/two-degrees-of-fre
 const TRUSS: &str = include_str!("../../../../docs/examples/sixteen-bay-truss.toml");
 
 pub(super) fn simulate(text: &str, seconds: f64, run: &Run<'_>) -> Result<Scene, ValidateError> {
-    Scene::simulate(&Plan { text, seconds, noise_share: 0.05, watched: &|_: &Structure| Vec::new() }, run)
+    Scene::simulate(
+        &Plan {
+            text,
+            seconds,
+            noise_share: 0.05,
+            watched: &|_: &Structure| Vec::new(),
+        },
+        run,
+    )
 }
 
 /// Place of the factor of β among the parameters, and its upper bound in the file.
@@ -30,21 +38,45 @@ pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let scene = simulate(TWO_DOF, seconds, run)?;
     let frequencies = scene.structure.natural_frequencies_hz();
     let mut figures = vec![
-        Figure::new("frequency 1 (Hz)", frequencies[0], Required::Within { of: 3.11, by: 0.005 }).published(3.11),
-        Figure::new("damping ratio of mode 1", damping(frequencies[0]), Required::Within { of: 0.01, by: 5e-5 })
-            .published(0.01),
-        Figure::new("damping ratio of mode 2", damping(frequencies[1]), Required::Within { of: 0.01, by: 5e-5 })
-            .published(0.01),
+        Figure::new(
+            "frequency 1 (Hz)",
+            frequencies[0],
+            Required::Within {
+                of: 3.11,
+                by: 0.005,
+            },
+        )
+        .published(3.11),
+        Figure::new(
+            "damping ratio of mode 1",
+            damping(frequencies[0]),
+            Required::Within { of: 0.01, by: 5e-5 },
+        )
+        .published(0.01),
+        Figure::new(
+            "damping ratio of mode 2",
+            damping(frequencies[1]),
+            Required::Within { of: 0.01, by: 5e-5 },
+        )
+        .published(0.01),
     ];
     let late = |samples: usize| {
         let scene = &scene;
-        move |frame: usize, channel: usize| scene.data(frame.saturating_sub(samples * channel))[channel]
+        move |frame: usize, channel: usize| {
+            scene.data(frame.saturating_sub(samples * channel))[channel]
+        }
     };
     let mut plots = Vec::new();
     let mut errors = Vec::new();
-    for (name, samples) in [("synchronous", 0), ("one sample late", 1), ("ten samples late", 10)] {
+    for (name, samples) in [
+        ("synchronous", 0),
+        ("one sample late", 1),
+        ("ten samples late", 10),
+    ] {
         let share = errors.len() as f64 * 0.2;
-        let mut courses = scene.network(&late(samples)).in_one_filter((share, share + 0.2), run)?;
+        let mut courses = scene
+            .network(&late(samples))
+            .in_one_filter((share, share + 0.2), run)?;
         let beta = courses.swap_remove(BETA);
         let course = courses.swap_remove(0);
         let accuracy = course.accuracy(seconds / 2.0);
@@ -54,7 +86,11 @@ pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             1 => (Required::AtLeast(4.0 * errors[0]), Required::AtMost(0.6)),
             _ => (Required::AtLeast(0.03), Required::Reported),
         };
-        figures.push(Figure::new(format!("{name}, one filter: mean error of θ"), error, error_required));
+        figures.push(Figure::new(
+            format!("{name}, one filter: mean error of θ"),
+            error,
+            error_required,
+        ));
         figures.push(Figure::new(
             format!("{name}, one filter: share of θ within 3 deviations"),
             coverage,
@@ -65,20 +101,33 @@ pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             1 => run.pick(Required::AtLeast(7.0), Required::Reported),
             _ => Required::Reported,
         };
-        figures.push(Figure::new(format!("{name}, one filter: mean error of the factor of β"), beta_error, required));
+        figures.push(Figure::new(
+            format!("{name}, one filter: mean error of the factor of β"),
+            beta_error,
+            required,
+        ));
         if samples > 1 {
             let largest = beta.points.iter().map(|point| point[1]).fold(0.0, f64::max);
-            let required = Required::Within { of: BETA_BOUND, by: 0.0 };
+            let required = Required::Within {
+                of: BETA_BOUND,
+                by: 0.0,
+            };
             figures.push(Figure::new(
                 format!("{name}, one filter: largest factor of β, bounded by {BETA_BOUND}"),
                 largest,
                 run.pick(required, Required::Reported),
             ));
         }
-        plots.push(course.plot(&format!("θ in one filter, {name}"), "ratio to nominal", (0.8, 1.2)));
+        plots.push(course.plot(
+            &format!("θ in one filter, {name}"),
+            "ratio to nominal",
+            (0.8, 1.2),
+        ));
         errors.push(error);
     }
-    let fused = scene.network(&late(10)).fuse((0.6, 1.0), run, |_, _, _| {})?;
+    let fused = scene
+        .network(&late(10))
+        .fuse((0.6, 1.0), run, |_, _, _| {})?;
     let accuracy = fused.courses[0].accuracy(seconds / 2.0);
     figures.extend([
         Figure::new(
@@ -102,7 +151,11 @@ pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         "ratio to nominal",
         (0.8, 1.2),
     ));
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }
 
 /// Of a mode of the two degrees of freedom, by the printed coefficients.
@@ -126,19 +179,27 @@ pub(super) const AFTER_DAMAGE_S: f64 = 15.0;
 /// The file at another rate, damaged at other times.
 pub(super) fn truss_at(rate_hz: f64, damages: [f64; 2]) -> String {
     TRUSS
-        .replacen("sampling-rate-hz = 1000", &format!("sampling-rate-hz = {rate_hz}"), 1)
+        .replacen(
+            "sampling-rate-hz = 1000",
+            &format!("sampling-rate-hz = {rate_hz}"),
+            1,
+        )
         .replacen("at-s = 100", &format!("at-s = {}", damages[0]), 1)
         .replacen("at-s = 150", &format!("at-s = {}", damages[1]), 1)
 }
 
 /// Sixteen bays, ten nodes with clocks of their own.
 pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let (rate_hz, seconds, damages) = run.pick((FINE_HZ, 200.0, [100.0, 150.0]), (200.0, 60.0, [24.0, 41.0]));
+    let (rate_hz, seconds, damages) = run.pick(
+        (FINE_HZ, 200.0, [100.0, 150.0]),
+        (200.0, 60.0, [24.0, 41.0]),
+    );
     let fine = simulate(&truss_at(FINE_HZ, damages), seconds + 0.04, run)?;
     let structure = Structure::parse(&truss_at(rate_hz, damages), Path::new("example.toml"))?;
     let every = (FINE_HZ / rate_hz).round() as usize;
     let synchronous = |frame: usize, channel: usize| fine.data(frame * every)[channel];
-    let asynchronous = |frame: usize, channel: usize| fine.data(frame * every + SHIFTS_MS[channel / 2])[channel];
+    let asynchronous =
+        |frame: usize, channel: usize| fine.data(frame * every + SHIFTS_MS[channel / 2])[channel];
     let network = |data, seconds: f64| Network {
         structure: &structure,
         frames: (seconds * rate_hz).round() as usize,
@@ -154,23 +215,44 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut figures = Vec::new();
     let modes = structure.natural_frequencies_hz();
     for (number, frequency) in FREQUENCIES.iter().enumerate() {
-        let required = Required::Within { of: *frequency, by: 0.007 * frequency };
-        figures
-            .push(Figure::new(format!("frequency {} (Hz)", number + 1), modes[number], required).published(*frequency));
+        let required = Required::Within {
+            of: *frequency,
+            by: 0.007 * frequency,
+        };
+        figures.push(
+            Figure::new(
+                format!("frequency {} (Hz)", number + 1),
+                modes[number],
+                required,
+            )
+            .published(*frequency),
+        );
     }
     let of_groups = |courses: &[Course]| -> Vec<Accuracy> {
-        courses[..GROUPS].iter().map(|course| settled(course, COUNTED_FROM_S, &damages, AFTER_DAMAGE_S)).collect()
+        courses[..GROUPS]
+            .iter()
+            .map(|course| settled(course, COUNTED_FROM_S, &damages, AFTER_DAMAGE_S))
+            .collect()
     };
     let error = |courses: &[Course]| {
         let mut mean = Mean::default();
-        of_groups(courses).iter().for_each(|accuracy| mean.take(accuracy.mean_absolute_error()));
+        of_groups(courses)
+            .iter()
+            .for_each(|accuracy| mean.take(accuracy.mean_absolute_error()));
         mean.value()
     };
     let coverage = |courses: &[Course]| least(of_groups(courses).iter().map(Accuracy::coverage));
     let difference = {
         let mut accuracy = Accuracy::default();
-        for (with, without) in fused.courses[..GROUPS].iter().zip(&first_damage.courses[..GROUPS]) {
-            let both = with.points.iter().zip(&without.points).filter(|(point, _)| point[0] > COUNTED_FROM_S);
+        for (with, without) in fused.courses[..GROUPS]
+            .iter()
+            .zip(&first_damage.courses[..GROUPS])
+        {
+            let both = with
+                .points
+                .iter()
+                .zip(&without.points)
+                .filter(|(point, _)| point[0] > COUNTED_FROM_S);
             both.for_each(|(with, without)| accuracy.take(with[1], with[2], without[1]));
         }
         accuracy.rms_error()
@@ -217,7 +299,10 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let after = run.pick((25.0, 50.0), (14.0, 19.0));
         figures.extend([
             Figure::new(
-                format!("{name}, a filter a node: {} to {} s after its damage", after.0, after.1),
+                format!(
+                    "{name}, a filter a node: {} to {} s after its damage",
+                    after.0, after.1
+                ),
                 course.mean(at_s + after.0, at_s + after.1),
                 judged(Required::Within { of: 0.95, by: 0.02 }),
             ),
@@ -230,11 +315,18 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         for (what, course) in [
             ("one filter, clocks agree", &in_one[group]),
             ("one filter, clocks disagree", &in_one_shifted[group]),
-            ("last node, clocks disagree", &fused.local[SHIFTS_MS.len() - 1][group]),
+            (
+                "last node, clocks disagree",
+                &fused.local[SHIFTS_MS.len() - 1][group],
+            ),
             ("fused, clocks disagree", course),
         ] {
             plots.push(course.plot(&format!("{name}, {what}"), "ratio to nominal", (0.8, 1.2)));
         }
     }
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

@@ -21,8 +21,19 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .replace("at-s = 150\n", &format!("at-s = {first_s}\n"))
         .replace("at-s = 250\n", &format!("at-s = {second_s}\n"));
     let watched = |_: &spandrel_structure::Structure| (0..SPRINGS).collect();
-    let scene = Scene::simulate(&Plan { text: &text, seconds, noise_share: 0.05, watched: &watched }, run)?;
-    let plan = scene.structure.class_settings().map(|settings| settings.plan);
+    let scene = Scene::simulate(
+        &Plan {
+            text: &text,
+            seconds,
+            noise_share: 0.05,
+            watched: &watched,
+        },
+        run,
+    )?;
+    let plan = scene
+        .structure
+        .class_settings()
+        .map(|settings| settings.plan);
     let plan = plan.ok_or_else(|| ValidateError::setting(no_classes()))?;
     let settings = published_settings(&scene, 1.0 / 3.0)?;
     let classes = ClassSettings::published(plan, PERSISTENCE_STEPS);
@@ -31,32 +42,69 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut figures = Vec::new();
     if let [first, second, ..] = &scene.structure.check(1.0, run.seed).modes[..] {
         figures.extend([
-            Figure::new("T1 of small motions (s)", first.period_s, Required::relative(0.494, 0.01)).published(0.494),
-            Figure::new("damping ratio of mode 1", first.damping_ratio, Required::relative(0.02, 0.01)).published(0.02),
-            Figure::new("damping ratio of mode 2", second.damping_ratio, Required::relative(0.02, 0.01))
-                .published(0.02),
+            Figure::new(
+                "T1 of small motions (s)",
+                first.period_s,
+                Required::relative(0.494, 0.01),
+            )
+            .published(0.494),
+            Figure::new(
+                "damping ratio of mode 1",
+                first.damping_ratio,
+                Required::relative(0.02, 0.01),
+            )
+            .published(0.02),
+            Figure::new(
+                "damping ratio of mode 2",
+                second.damping_ratio,
+                Required::relative(0.02, 0.01),
+            )
+            .published(0.02),
         ]);
     }
     let after_first = seen.calibrations(first_s, second_s);
-    let trigger = |number: usize| after_first.get(number).map_or(f64::NAN, |(time_s, _)| time_s - first_s);
-    let early = after_first.iter().filter(|(time_s, _)| *time_s < first_s + 5.0);
-    let of_others = early.filter(|(_, class)| *class != ClassId::Calibrating(0)).count();
+    let trigger = |number: usize| {
+        after_first
+            .get(number)
+            .map_or(f64::NAN, |(time_s, _)| time_s - first_s)
+    };
+    let early = after_first
+        .iter()
+        .filter(|(time_s, _)| *time_s < first_s + 5.0);
+    let of_others = early
+        .filter(|(_, class)| *class != ClassId::Calibrating(0))
+        .count();
     figures.extend([
         Figure::new(
             "first calibration after the first damage (s)",
             trigger(0),
-            Required::Between { low: 1.0, high: 4.0 },
+            Required::Between {
+                low: 1.0,
+                high: 4.0,
+            },
         )
         .published(2.164),
         Figure::new(
             "second calibration after the first damage (s)",
             trigger(1),
-            Required::Between { low: 1.0, high: 5.0 },
+            Required::Between {
+                low: 1.0,
+                high: 5.0,
+            },
         )
         .published(3.256),
-        Figure::new("calibrations by another class within 5 s", of_others as f64, Required::AtMost(0.0)).published(0.0),
+        Figure::new(
+            "calibrations by another class within 5 s",
+            of_others as f64,
+            Required::AtMost(0.0),
+        )
+        .published(0.0),
     ]);
-    let last = |from_s: f64, to_s: f64| seen.calibrations(from_s, to_s).last().map_or(from_s, |(time_s, _)| *time_s);
+    let last = |from_s: f64, to_s: f64| {
+        seen.calibrations(from_s, to_s)
+            .last()
+            .map_or(from_s, |(time_s, _)| *time_s)
+    };
     let baseline = |class| class == ClassId::Baseline;
     // a repair of a small error late in the window may come from the next damage's side: the page counts from the last one
     let last_of_first = last(first_s, second_s);
@@ -80,19 +128,27 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     figures.extend([
         Figure::new(
             "first calibration after the second damage (s)",
-            after_second.first().map_or(f64::NAN, |(time_s, _)| time_s - second_s),
+            after_second
+                .first()
+                .map_or(f64::NAN, |(time_s, _)| time_s - second_s),
             Required::Reported,
         )
         .published(2.038),
-        Figure::new("classes that calibrate after the second damage", classes.len() as f64, Required::AtLeast(2.0))
-            .published(2.0),
+        Figure::new(
+            "classes that calibrate after the second damage",
+            classes.len() as f64,
+            Required::AtLeast(2.0),
+        )
+        .published(2.0),
         Figure::new(
             "share of the last second in which the baseline leads",
             seen.share(seconds - 1.0, seconds, baseline),
             Required::AtLeast(1.0),
         )
         .published(1.0)
-        .known_miss("a repair of less than 1 % that is under way when the record ends takes a second"),
+        .known_miss(
+            "a repair of less than 1 % that is under way when the record ends takes a second",
+        ),
         Figure::new(
             "share in which the baseline leads, from the last calibration of the record on",
             seen.share(last(second_s, seconds), seconds, baseline),
@@ -115,24 +171,53 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::AtMost(0.02),
         ));
     }
-    let names: Vec<&str> = scene.structure.parameters().iter().map(|parameter| parameter.name()).collect();
+    let names: Vec<&str> = scene
+        .structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name())
+        .collect();
     for j in SPRINGS..names.len() {
         let coverage = seen.courses[j].accuracy(run.pick(20.0, 10.0)).coverage();
-        figures.push(Figure::new(format!("{}: share inside 3 sd", names[j]), coverage, Required::Reported));
+        figures.push(Figure::new(
+            format!("{}: share inside 3 sd", names[j]),
+            coverage,
+            Required::Reported,
+        ));
     }
-    let restarts = seen.events.iter().filter(|(_, event)| matches!(event, ClassEvent::Restarted { .. })).count();
+    let restarts = seen
+        .events
+        .iter()
+        .filter(|(_, event)| matches!(event, ClassEvent::Restarted { .. }))
+        .count();
     figures.extend([
-        Figure::new("calibrations in all", seen.calibrations(0.0, seconds).len() as f64, Required::Reported)
-            .published(5.0),
-        Figure::new("filters that were lost and restarted", restarts as f64, Required::Reported),
+        Figure::new(
+            "calibrations in all",
+            seen.calibrations(0.0, seconds).len() as f64,
+            Required::Reported,
+        )
+        .published(5.0),
+        Figure::new(
+            "filters that were lost and restarted",
+            restarts as f64,
+            Required::Reported,
+        ),
     ]);
     let mut plots = vec![seen.plausibility_plot("plausibilities")];
     plots.extend((0..SPRINGS).map(|j| seen.parameter_plot(j, names[j], (0.85, 1.15))));
     plots.extend((SPRINGS..names.len()).map(|j| seen.parameter_plot(j, names[j], (0.5, 1.5))));
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }
 
 fn no_classes() -> spandrel_filter::FilterError {
     let (what, allowed) = ("number of model classes", "that of the structure file");
-    spandrel_filter::FilterError::Setting { what, found: 0.0, allowed }
+    spandrel_filter::FilterError::Setting {
+        what,
+        found: 0.0,
+        allowed,
+    }
 }

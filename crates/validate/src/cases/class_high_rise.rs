@@ -17,7 +17,8 @@ const PRIOR_STD: f64 = 0.05;
 const WATCHED_FLOORS: [&str; 3] = ["floor-1", "floor-10", "floor-20"];
 
 /// Why the class that the source names does not always lead after the second damage.
-const NESTED: &str = "the jump of the acceleration at the damage may favour C(5), which contains C(4)";
+const NESTED: &str =
+    "the jump of the acceleration at the damage may favour C(5), which contains C(4)";
 
 /// A building with the times of its damages.
 struct Building {
@@ -28,7 +29,12 @@ struct Building {
 }
 
 fn fifty() -> Building {
-    Building { storeys: 50, text: FILE.to_owned(), seconds: 200.0, damage_s: [80.0, 150.0] }
+    Building {
+        storeys: 50,
+        text: FILE.to_owned(),
+        seconds: 200.0,
+        damage_s: [80.0, 150.0],
+    }
 }
 
 /// The building of the file with twenty storeys only, the last group from 11 to 20, and 1 % damping in two modes.
@@ -44,11 +50,20 @@ fn twenty() -> Building {
         .replace("at-s = 150\n", "at-s = 75\n");
     for floor in [30, 40, 50] {
         // the node of a floor that is not there, up to the next table
-        let begin = text.find(&format!("[[node]]\nname = \"floor-{floor}\"")).unwrap_or(text.len());
-        let end = text[begin..].find("noise-std").and_then(|at| Some(begin + at + text[begin + at..].find('\n')? + 1));
+        let begin = text
+            .find(&format!("[[node]]\nname = \"floor-{floor}\""))
+            .unwrap_or(text.len());
+        let end = text[begin..]
+            .find("noise-std")
+            .and_then(|at| Some(begin + at + text[begin + at..].find('\n')? + 1));
         text.replace_range(begin..end.unwrap_or(text.len()), "");
     }
-    Building { storeys: 20, text, seconds: 110.0, damage_s: [40.0, 75.0] }
+    Building {
+        storeys: 20,
+        text,
+        seconds: 110.0,
+        damage_s: [40.0, 75.0],
+    }
 }
 
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -56,8 +71,18 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     if let Some(building) = run.pick(Some(fifty()), None) {
         measure(&building, (0.0, 0.85), run, &mut figures, &mut plots)?;
     }
-    measure(&twenty(), (run.pick(0.85, 0.0), 1.0), run, &mut figures, &mut plots)?;
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    measure(
+        &twenty(),
+        (run.pick(0.85, 0.0), 1.0),
+        run,
+        &mut figures,
+        &mut plots,
+    )?;
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }
 
 fn measure(
@@ -72,11 +97,20 @@ fn measure(
         states.extend(states_of(structure, &WATCHED_FLOORS, true));
         states
     };
-    let plan = Plan { text: &building.text, seconds: building.seconds, noise_share: 0.05, watched: &watched };
+    let plan = Plan {
+        text: &building.text,
+        seconds: building.seconds,
+        noise_share: 0.05,
+        watched: &watched,
+    };
     let scene = Scene::simulate(&plan, run)?;
     let named = |what: &str| format!("{} storeys: {what}", building.storeys);
     let classes = ClassPlan::Predefined {
-        classes: match scene.structure.class_settings().map(|settings| settings.plan) {
+        classes: match scene
+            .structure
+            .class_settings()
+            .map(|settings| settings.plan)
+        {
             Some(ClassPlan::Predefined { classes }) => classes,
             _ => Vec::new(),
         },
@@ -89,7 +123,8 @@ fn measure(
     let seen = compare(&scene, settings, classes, shares, run, |frame, bank| {
         if frame + 1 == scene.frames {
             let motion = bank.motion().len();
-            let multipliers = |class: usize, group: usize| bank.filter(class).mean()[motion + group];
+            let multipliers =
+                |class: usize, group: usize| bank.filter(class).mean()[motion + group];
             single = [0, 1, 2].map(|group| multipliers(3, group));
             ends = [multipliers(0, 0), bank.plausibilities().of(3)];
         }
@@ -100,29 +135,62 @@ fn measure(
     if let [first, second, ..] = &modes[..] {
         if fifty {
             figures.push(
-                Figure::new(named("f1 (Hz)"), first.frequency_hz, Required::relative(0.198, 0.01)).published(0.198),
+                Figure::new(
+                    named("f1 (Hz)"),
+                    first.frequency_hz,
+                    Required::relative(0.198, 0.01),
+                )
+                .published(0.198),
             );
         }
         for (mode, report) in [(1, first), (2, second)] {
             let required = Required::relative(0.01, 0.01);
-            let figure = Figure::new(named(&format!("damping ratio of mode {mode}")), report.damping_ratio, required);
-            figures.push(if fifty { figure.published(0.01) } else { figure });
+            let figure = Figure::new(
+                named(&format!("damping ratio of mode {mode}")),
+                report.damping_ratio,
+                required,
+            );
+            figures.push(if fifty {
+                figure.published(0.01)
+            } else {
+                figure
+            });
         }
     }
     lead_figures(building, &seen, figures);
-    let plausibility = Figure::new(named("plausibility of C(4) at the end"), ends[1], Required::AtLeast(0.85));
+    let plausibility = Figure::new(
+        named("plausibility of C(4) at the end"),
+        ends[1],
+        Required::AtLeast(0.85),
+    );
     figures.push(plausibility.known_miss(NESTED));
     for (storey, truth) in [0.95, 1.0, 0.92].into_iter().enumerate() {
         figures.push(Figure::new(
             named(&format!("storey {} by C(4) at the end", storey + 1)),
             single[storey],
-            Required::Within { of: truth, by: 0.01 },
+            Required::Within {
+                of: truth,
+                by: 0.01,
+            },
         ));
     }
-    let diluted = if fifty { Required::AtLeast(0.99) } else { Required::Reported };
-    figures.push(Figure::new(named("the multiplier of C(1) at the end"), ends[0], diluted));
+    let diluted = if fifty {
+        Required::AtLeast(0.99)
+    } else {
+        Required::Reported
+    };
+    figures.push(Figure::new(
+        named("the multiplier of C(1) at the end"),
+        ends[0],
+        diluted,
+    ));
     let worst = (0..6)
-        .map(|j| (seen.courses[j].mean(building.seconds - 0.2, building.seconds), [0.95, 1.0, 0.92, 1.0, 1.0, 1.0][j]))
+        .map(|j| {
+            (
+                seen.courses[j].mean(building.seconds - 0.2, building.seconds),
+                [0.95, 1.0, 0.92, 1.0, 1.0, 1.0][j],
+            )
+        })
         .map(|(mean, truth): (f64, f64)| (mean - truth).abs())
         .fold(0.0, f64::max);
     figures.push(Figure::new(
@@ -131,14 +199,28 @@ fn measure(
         Required::AtMost(0.01),
     ));
     for (state, accuracy) in seen.responses.iter().enumerate() {
-        let what = if state < WATCHED_FLOORS.len() { "displacement" } else { "velocity" };
+        let what = if state < WATCHED_FLOORS.len() {
+            "displacement"
+        } else {
+            "velocity"
+        };
         let floor = WATCHED_FLOORS[state % WATCHED_FLOORS.len()];
-        let name = named(&format!("{floor}: relative error of the {what} from 5 s on"));
-        figures.push(Figure::new(name, accuracy.relative_error(), Required::Reported));
+        let name = named(&format!(
+            "{floor}: relative error of the {what} from 5 s on"
+        ));
+        figures.push(Figure::new(
+            name,
+            accuracy.relative_error(),
+            Required::Reported,
+        ));
     }
     plots.push(seen.plausibility_plot(&named("plausibilities")));
     for storey in [0, 2] {
-        plots.push(seen.parameter_plot(storey, &named(&format!("storey {}, weighted", storey + 1)), (0.85, 1.1)));
+        plots.push(seen.parameter_plot(
+            storey,
+            &named(&format!("storey {}, weighted", storey + 1)),
+            (0.85, 1.1),
+        ));
     }
     Ok(())
 }
@@ -151,7 +233,13 @@ fn lead_figures(building: &Building, seen: &Comparison, figures: &mut Vec<Figure
     let is = |number: usize| move |class: ClassId| class == ClassId::Predefined(number - 1);
     // where the acceleration jumps at the damage, the next richer class may lead as well: it has storey 1 singly, too
     let has_storey_1 = move |class| is(2)(class) || (fifty && is(3)(class));
-    let published = |figure: Figure, value: f64| if fifty { figure.published(value) } else { figure };
+    let published = |figure: Figure, value: f64| {
+        if fifty {
+            figure.published(value)
+        } else {
+            figure
+        }
+    };
     figures.push(Figure::new(
         named("share of the second half of the undamaged record in which C(1) leads"),
         seen.share(first_s / 2.0, first_s, is(1)),
@@ -160,7 +248,10 @@ fn lead_figures(building: &Building, seen: &Comparison, figures: &mut Vec<Figure
     let delay = Figure::new(
         named("C(2) leads after the first damage (s)"),
         seen.first_lead(first_s, has_storey_1),
-        Required::Between { low: 0.0, high: 10.0 },
+        Required::Between {
+            low: 0.0,
+            high: 10.0,
+        },
     );
     figures.push(published(delay, 2.110));
     figures.push(Figure::new(
@@ -171,7 +262,10 @@ fn lead_figures(building: &Building, seen: &Comparison, figures: &mut Vec<Figure
     let delay = Figure::new(
         named("C(4) leads after the second damage (s)"),
         seen.first_lead(second_s, is(4)),
-        Required::Between { low: 0.0, high: 8.0 },
+        Required::Between {
+            low: 0.0,
+            high: 8.0,
+        },
     );
     figures.push(published(delay, 5.135).known_miss(NESTED));
     let share = Figure::new(
@@ -181,8 +275,12 @@ fn lead_figures(building: &Building, seen: &Comparison, figures: &mut Vec<Figure
     );
     figures.push(share.known_miss(NESTED));
     figures.push(Figure::new(
-        named("share in which C(4) or C(5), which has storey 3 singly as well, leads from there on"),
-        seen.share(second_s + 8.0, building.seconds, |class| is(4)(class) || is(5)(class)),
+        named(
+            "share in which C(4) or C(5), which has storey 3 singly as well, leads from there on",
+        ),
+        seen.share(second_s + 8.0, building.seconds, |class| {
+            is(4)(class) || is(5)(class)
+        }),
         Required::AtLeast(0.95),
     ));
 }

@@ -28,13 +28,19 @@ pub(super) struct Comparison {
 
 /// The settings of the source: a prior of this deviation for every parameter, no start-up aid, no bound of variances, and a
 /// structure at rest.
-pub(super) fn published_settings(scene: &Scene, parameter_std: f64) -> Result<FilterSettings, ValidateError> {
+pub(super) fn published_settings(
+    scene: &Scene,
+    parameter_std: f64,
+) -> Result<FilterSettings, ValidateError> {
     let mut settings = scene.settings()?;
     settings.annealing = None;
     settings.variance_bound.fill(f64::INFINITY);
     let motion = settings.prior_std.len() - scene.structure.parameters().len();
     settings.prior_std.rows_mut(0, motion).fill(1e-5); // variance 10⁻¹⁰
-    settings.prior_std.rows_mut(motion, scene.structure.parameters().len()).fill(parameter_std);
+    settings
+        .prior_std
+        .rows_mut(motion, scene.structure.parameters().len())
+        .fill(parameter_std);
     Ok(settings)
 }
 
@@ -62,11 +68,17 @@ pub(super) fn compare(
         if let Some(leader) = bank.classes().nth(bank.leader()) {
             seen.leaders.push(leader);
         }
-        seen.events.extend(bank.events().iter().map(|event| (time_s, event.clone())));
+        seen.events
+            .extend(bank.events().iter().map(|event| (time_s, event.clone())));
         if frame % every == 0 {
             let truth = scene.structure.true_parameters(frame as u64);
             for (j, course) in seen.courses.iter_mut().enumerate() {
-                course.take(time_s, bank.parameter_mean()[j], bank.parameter_covariance()[(j, j)], truth[j]);
+                course.take(
+                    time_s,
+                    bank.parameter_mean()[j],
+                    bank.parameter_covariance()[(j, j)],
+                    truth[j],
+                );
             }
             // a class that does not compete at this level has none
             for (_, points) in &mut seen.plausibilities {
@@ -75,7 +87,11 @@ pub(super) fn compare(
             for (class, plausibility) in bank.classes().zip(bank.plausibilities().iter()) {
                 let name = scene.structure.class_name(class);
                 let point = (time_s as f32, plausibility as f32);
-                match seen.plausibilities.iter_mut().find(|(known, _)| known == name) {
+                match seen
+                    .plausibilities
+                    .iter_mut()
+                    .find(|(known, _)| known == name)
+                {
                     Some((_, points)) => {
                         points.pop();
                         points.push(point);
@@ -86,8 +102,17 @@ pub(super) fn compare(
         }
         if time_s >= 5.0 {
             let filter = bank.filter(bank.leader());
-            for ((accuracy, state), truth) in seen.responses.iter_mut().zip(scene.watched()).zip(scene.states(frame)) {
-                accuracy.take(bank.motion()[*state], filter.covariance()[(*state, *state)].max(0.0).sqrt(), *truth);
+            for ((accuracy, state), truth) in seen
+                .responses
+                .iter_mut()
+                .zip(scene.watched())
+                .zip(scene.states(frame))
+            {
+                accuracy.take(
+                    bank.motion()[*state],
+                    filter.covariance()[(*state, *state)].max(0.0).sqrt(),
+                    *truth,
+                );
             }
         }
         look(frame, bank);
@@ -106,13 +131,20 @@ impl Comparison {
     /// Time after `from_s` (s) of the first frame at which one of some classes leads.
     pub(super) fn first_lead(&self, from_s: f64, of: impl Fn(ClassId) -> bool) -> f64 {
         let begin = (from_s / self.step_s).round() as usize;
-        let found = self.leaders.iter().skip(begin).position(|leader| of(*leader));
+        let found = self
+            .leaders
+            .iter()
+            .skip(begin)
+            .position(|leader| of(*leader));
         found.map_or(f64::NAN, |frames| frames as f64 * self.step_s)
     }
 
     /// Time after `from_s` (s) of the first event of a kind.
     pub(super) fn first_event(&self, from_s: f64, of: impl Fn(&ClassEvent) -> bool) -> f64 {
-        let found = self.events.iter().find(|(time_s, event)| *time_s >= from_s && of(event));
+        let found = self
+            .events
+            .iter()
+            .find(|(time_s, event)| *time_s >= from_s && of(event));
         found.map_or(f64::NAN, |(time_s, _)| time_s - from_s)
     }
 
@@ -122,7 +154,11 @@ impl Comparison {
             ClassEvent::Calibrated { by, .. } => Some((*time_s, *by)),
             _ => None,
         };
-        self.events.iter().filter_map(calibration).filter(|(time_s, _)| (from_s..to_s).contains(time_s)).collect()
+        self.events
+            .iter()
+            .filter_map(calibration)
+            .filter(|(time_s, _)| (from_s..to_s).contains(time_s))
+            .collect()
     }
 
     /// Plausibilities over time, of the classes that ever led.
@@ -131,8 +167,13 @@ impl Comparison {
             let every = (points.len() / 1200).max(1);
             points.iter().step_by(every).copied().collect()
         };
-        let led = self.plausibilities.iter().filter(|(_, points)| points.iter().any(|point| point.1 > 0.5));
-        let series = led.map(|(name, points)| Series::new(name.clone(), SeriesKind::Estimate, curve(points))).collect();
+        let led = self
+            .plausibilities
+            .iter()
+            .filter(|(_, points)| points.iter().any(|point| point.1 > 0.5));
+        let series = led
+            .map(|(name, points)| Series::new(name.clone(), SeriesKind::Estimate, curve(points)))
+            .collect();
         Plot::over_time(title, "plausibility", series).within(0.0, 1.0)
     }
 

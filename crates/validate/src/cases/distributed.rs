@@ -95,16 +95,22 @@ pub(super) fn bridge(run: &Run<'_>) -> Result<Outcome, ValidateError> {
 
 /// The file with other rate, damage times and `[fusion]`.
 fn variant(text: &str, rate_hz: f64, damages: [f64; 2], fusion: &str) -> String {
-    let rate = text.lines().find(|line| line.starts_with("sampling-rate-hz")).unwrap_or_default();
-    let (start, end) = (text.find("[fusion]").unwrap_or(0), text.find("[simulation]").unwrap_or(0));
-    let mut text =
-        format!("{}[fusion]\nrate-hz = 1\ndetector = \"none\"\n{fusion}\n\n{}", &text[..start], &text[end..]);
+    let rate = text
+        .lines()
+        .find(|line| line.starts_with("sampling-rate-hz"))
+        .unwrap_or_default();
+    let (start, end) = (
+        text.find("[fusion]").unwrap_or(0),
+        text.find("[simulation]").unwrap_or(0),
+    );
+    let mut text = format!(
+        "{}[fusion]\nrate-hz = 1\ndetector = \"none\"\n{fusion}\n\n{}",
+        &text[..start],
+        &text[end..]
+    );
     text = text.replacen(rate, &format!("sampling-rate-hz = {rate_hz}"), 1);
-    text.replacen("at-s = 100", &format!("at-s = {}", damages[0]), 1).replacen(
-        "at-s = 200",
-        &format!("at-s = {}", damages[1]),
-        1,
-    )
+    text.replacen("at-s = 100", &format!("at-s = {}", damages[0]), 1)
+        .replacen("at-s = 200", &format!("at-s = {}", damages[1]), 1)
 }
 
 fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
@@ -112,18 +118,31 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     let modes = format!("motion = \"modes\"\nmodes = {}", example.traffic.0);
     let [marginal, samples, published] = [
         modes.clone(),
-        format!("motion = \"samples\"\nsamples-per-period = {}", run.pick(example.told.0, example.told.1)),
+        format!(
+            "motion = \"samples\"\nsamples-per-period = {}",
+            run.pick(example.told.0, example.told.1)
+        ),
         format!("{modes}\nrule = \"published\"\nfeedback = \"reset\""),
     ];
-    let [marginal, samples] = [marginal, samples].map(|fusion| variant(example.text, rate_hz, damages, &fusion));
+    let [marginal, samples] =
+        [marginal, samples].map(|fusion| variant(example.text, rate_hz, damages, &fusion));
     let published = variant(example.text, rate_hz, PUBLISHED_DAMAGES, &published);
     let watched = |structure: &Structure| {
         let mut states = scene::states_of(structure, example.watched, false);
         states.extend(scene::states_of(structure, example.watched, true));
         states
     };
-    let simulate =
-        |text: &str, seconds: f64| Scene::simulate(&Plan { text, seconds, noise_share: 0.05, watched: &watched }, run);
+    let simulate = |text: &str, seconds: f64| {
+        Scene::simulate(
+            &Plan {
+                text,
+                seconds,
+                noise_share: 0.05,
+                watched: &watched,
+            },
+            run,
+        )
+    };
     let scene = simulate(&marginal, seconds)?;
     let fuse = |scene: &Scene, shares| {
         let data = |frame: usize, channel: usize| scene.data(frame)[channel];
@@ -141,8 +160,14 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     let modes_of = scene.structure.natural_frequencies_hz();
     for (number, frequency) in example.frequencies.0.iter().enumerate() {
         let found = modes_of.get(number).copied().unwrap_or(f64::NAN);
-        let required = Required::Within { of: *frequency, by: example.frequencies.1 };
-        figures.push(Figure::new(format!("frequency {} (Hz)", number + 1), found, required).published(*frequency));
+        let required = Required::Within {
+            of: *frequency,
+            by: example.frequencies.1,
+        };
+        figures.push(
+            Figure::new(format!("frequency {} (Hz)", number + 1), found, required)
+                .published(*frequency),
+        );
     }
     let (sent, _) = scene.structure.numbers_per_period(0).unwrap_or((0, 0));
     let channels = scene.structure.nodes()[0].channels().len() as f64;
@@ -151,21 +176,32 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         Figure::new(
             "numbers in a message, published modes",
             sent as f64,
-            Required::Within { of: example.traffic.1 as f64, by: 0.0 },
+            Required::Within {
+                of: example.traffic.1 as f64,
+                by: 0.0,
+            },
         )
         .published(example.traffic.1 as f64),
         Figure::new(
             "message over the raw samples that it replaces",
             sent as f64 / (channels * published_rate),
-            Required::Within { of: example.traffic.2, by: 5e-4 },
+            Required::Within {
+                of: example.traffic.2,
+                by: 5e-4,
+            },
         )
         .published(example.traffic.2),
     ]);
     let judged = |required: Required| run.pick(required, Required::Reported);
     let mut error_of = Vec::new();
-    for (name, fused) in [("densities", &by_marginal.courses), ("densities and samples", &with_samples.courses)] {
-        let errors: Vec<f64> =
-            fused[..example.groups].iter().map(|course| course.accuracy(COUNTED_FROM_S).rms_error()).collect();
+    for (name, fused) in [
+        ("densities", &by_marginal.courses),
+        ("densities and samples", &with_samples.courses),
+    ] {
+        let errors: Vec<f64> = fused[..example.groups]
+            .iter()
+            .map(|course| course.accuracy(COUNTED_FROM_S).rms_error())
+            .collect();
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         error_of.push(mean);
         let worst = errors.iter().copied().fold(0.0, f64::max);
@@ -194,11 +230,17 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         );
         for ((group, truth), at_s) in example.damaged.iter().zip(damages) {
             let name_of = scene.structure.parameters()[*group].name();
-            let end = fused[*group].points.last().map_or(f64::NAN, |point| point[1]);
+            let end = fused[*group]
+                .points
+                .last()
+                .map_or(f64::NAN, |point| point[1]);
             figures.push(Figure::new(
                 format!("{name}: {name_of} at the end"),
                 end,
-                judged(Required::Within { of: *truth, by: example.end }),
+                judged(Required::Within {
+                    of: *truth,
+                    by: example.end,
+                }),
             ));
             let before = fused[*group].mean(at_s - 10.0, at_s);
             let after = fused[*group].mean(at_s + 9.0, at_s + 12.0);
@@ -209,7 +251,9 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             ));
         }
     }
-    let centrally = central[..example.groups].iter().map(|course| course.accuracy(COUNTED_FROM_S).rms_error());
+    let centrally = central[..example.groups]
+        .iter()
+        .map(|course| course.accuracy(COUNTED_FROM_S).rms_error());
     let centrally = centrally.sum::<f64>() / example.groups as f64;
     figures.extend([
         Figure::new(
@@ -229,7 +273,11 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         ),
     ]);
     figures.extend(motion(&scene, &by_marginal, example, rate_hz));
-    figures.extend(freezing(&as_published, &scene_of_published.structure, example));
+    figures.extend(freezing(
+        &as_published,
+        &scene_of_published.structure,
+        example,
+    ));
 
     let mut plots = Vec::new();
     for (group, _) in example.damaged {
@@ -259,14 +307,25 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     let variants = [
         ("densities and modes", &scene.structure),
         ("densities and samples", &scene_of_samples.structure),
-        ("densities and modes, published rule", &scene_of_published.structure),
+        (
+            "densities and modes, published rule",
+            &scene_of_published.structure,
+        ),
     ];
-    Ok(Outcome { figures, tables: vec![traffic_table(example, variants, rate_hz)], plots })
+    Ok(Outcome {
+        figures,
+        tables: vec![traffic_table(example, variants, rate_hz)],
+        plots,
+    })
 }
 
 /// Least coverage of the parameters.
 fn coverage(courses: &[Course], damages: &[f64]) -> f64 {
-    least(courses.iter().map(|course| settled(course, COUNTED_FROM_S, damages, AFTER_DAMAGE_S).coverage()))
+    least(
+        courses
+            .iter()
+            .map(|course| settled(course, COUNTED_FROM_S, damages, AFTER_DAMAGE_S).coverage()),
+    )
 }
 
 /// Share of the fusions after the start in which every parameter is within three deviations, also right after a damage.
@@ -298,10 +357,25 @@ fn traffic_table(example: &Example, variants: [(&str, &Structure); 3], rate_hz: 
     });
     let title = match rate_hz == example.full.0 {
         true => "Numbers a second of the first node, and of its raw samples".to_owned(),
-        false => format!("Numbers a second of the first node, and of its raw samples at {} Hz", example.full.0),
+        false => format!(
+            "Numbers a second of the first node, and of its raw samples at {} Hz",
+            example.full.0
+        ),
     };
-    let columns = ["nodes send", "up", "down", "raw samples", "up over raw", "both over raw"].map(str::to_owned);
-    Table { title, columns: columns.to_vec(), rows: rows.to_vec() }
+    let columns = [
+        "nodes send",
+        "up",
+        "down",
+        "raw samples",
+        "up over raw",
+        "both over raw",
+    ]
+    .map(str::to_owned);
+    Table {
+        title,
+        columns: columns.to_vec(),
+        rows: rows.to_vec(),
+    }
 }
 
 /// Fused motion at the fusions against the true one.
@@ -309,9 +383,17 @@ fn motion(scene: &Scene, fused: &Fused, example: &Example, rate_hz: f64) -> Vec<
     let mut accuracies = vec![Accuracy::default(); 2 * example.watched.len()];
     for (fusion, motion) in fused.motion.iter().enumerate() {
         let frame = (fusion + 1) * rate_hz as usize - 1;
-        let state = motion.as_ref().and_then(|motion| scene.structure.extract_motion(motion));
-        let Some(state) = state.filter(|_| scene.time_s(frame) >= COUNTED_FROM_S) else { continue };
-        for ((accuracy, number), truth) in accuracies.iter_mut().zip(scene.watched()).zip(scene.states(frame)) {
+        let state = motion
+            .as_ref()
+            .and_then(|motion| scene.structure.extract_motion(motion));
+        let Some(state) = state.filter(|_| scene.time_s(frame) >= COUNTED_FROM_S) else {
+            continue;
+        };
+        for ((accuracy, number), truth) in accuracies
+            .iter_mut()
+            .zip(scene.watched())
+            .zip(scene.states(frame))
+        {
             accuracy.take(state[*number], f64::NAN, *truth);
         }
     }
@@ -339,7 +421,13 @@ fn freezing(published: &Fused, structure: &Structure, example: &Example) -> Vec<
     let (damaged, truth) = example.damaged[0];
     let course = &published.courses[damaged];
     let name = structure.parameters()[damaged].name();
-    let point = |second: usize| course.points.get(second - 1).copied().unwrap_or([f64::NAN; 4]);
+    let point = |second: usize| {
+        course
+            .points
+            .get(second - 1)
+            .copied()
+            .unwrap_or([f64::NAN; 4])
+    };
     let growth = 2_f64.powf(2.0 / 8.0); // half-life of 8 s
     let expected = (structure.nodes().len() as f64 / growth).sqrt();
     let ratio = (point(3)[2] / point(8)[2]).powf(0.2);
@@ -348,9 +436,16 @@ fn freezing(published: &Fused, structure: &Structure, example: &Example) -> Vec<
         Figure::new(
             "published rule: factor by which the deviation of the first stiffness shrinks in a fusion",
             ratio,
-            Required::Within { of: expected, by: 0.3 },
+            Required::Within {
+                of: expected,
+                by: 0.3,
+            },
         ),
-        Figure::new("published rule: deviation of the first stiffness after 5 s", point(5)[2], Required::Reported),
+        Figure::new(
+            "published rule: deviation of the first stiffness after 5 s",
+            point(5)[2],
+            Required::Reported,
+        ),
         Figure::new(
             "published rule: deviation of the first stiffness after 30 s",
             point(last)[2],

@@ -27,13 +27,24 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         states.extend(scene::states_of(structure, &RESPONSES, true));
         states
     };
-    let scene = Scene::simulate(&Plan { text: &text, seconds, noise_share: 0.05, watched: &watched }, run)?;
+    let scene = Scene::simulate(
+        &Plan {
+            text: &text,
+            seconds,
+            noise_share: 0.05,
+            watched: &watched,
+        },
+        run,
+    )?;
     let mut settings = scene.settings()?;
     let first = settings.prior_mean.len() - GROUPS - 2;
     for group in 0..GROUPS {
         settings.prior_mean[first + group] = if group % 2 == 0 { 1.3 } else { 0.7 };
     }
-    (settings.prior_mean[first + GROUPS], settings.prior_mean[first + GROUPS + 1]) = (1.5, 0.5);
+    (
+        settings.prior_mean[first + GROUPS],
+        settings.prior_mean[first + GROUPS + 1],
+    ) = (1.5, 0.5);
     let mut courses = vec![Course::default(); GROUPS + 2];
     let mut responses = vec![[Accuracy::default(); 2]; 2 * RESPONSES.len()];
     let mut limited = 0;
@@ -48,14 +59,27 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             let time_s = scene.time_s(frame);
             let truth = scene.structure.true_parameters(frame as u64);
             for (j, course) in courses.iter_mut().enumerate() {
-                course.take(time_s, filter.mean()[first + j], filter.covariance()[(first + j, first + j)], truth[j]);
+                course.take(
+                    time_s,
+                    filter.mean()[first + j],
+                    filter.covariance()[(first + j, first + j)],
+                    truth[j],
+                );
             }
-            for ((accuracy, state), truth) in responses.iter_mut().zip(scene.watched()).zip(scene.states(frame)) {
+            for ((accuracy, state), truth) in responses
+                .iter_mut()
+                .zip(scene.watched())
+                .zip(scene.states(frame))
+            {
                 let std = filter.covariance()[(*state, *state)].max(0.0).sqrt();
                 accuracy[usize::from(time_s >= 5.0)].take(filter.mean()[*state], std, *truth);
             }
             if time_s >= 5.0 && frame % 10 == 0 {
-                for ((points, state), truth) in clouds.iter_mut().zip(scene.watched()).zip(scene.states(frame)) {
+                for ((points, state), truth) in clouds
+                    .iter_mut()
+                    .zip(scene.watched())
+                    .zip(scene.states(frame))
+                {
                     points.push((*truth as f32, filter.mean()[*state] as f32));
                 }
             }
@@ -63,17 +87,38 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         },
     )?;
 
-    let names: Vec<&str> = scene.structure.parameters().iter().map(|parameter| parameter.name()).collect();
-    let windows = run.pick([[60.0, 100.0], [130.0, 150.0], [180.0, 200.0]], [[10.0, 14.0], [20.0, 22.0], [28.0, 30.0]]);
-    let mut figures = vec![Figure::new("steps at which a state was clipped", limited as f64, Required::AtMost(0.0))];
+    let names: Vec<&str> = scene
+        .structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name())
+        .collect();
+    let windows = run.pick(
+        [[60.0, 100.0], [130.0, 150.0], [180.0, 200.0]],
+        [[10.0, 14.0], [20.0, 22.0], [28.0, 30.0]],
+    );
+    let mut figures = vec![Figure::new(
+        "steps at which a state was clipped",
+        limited as f64,
+        Required::AtMost(0.0),
+    )];
     let modes = scene.structure.check(0.1, run.seed).modes;
-    for (mode, (report, of)) in modes.iter().zip([0.466, 0.531, 0.699, 0.890, 1.332]).enumerate() {
+    for (mode, (report, of)) in modes
+        .iter()
+        .zip([0.466, 0.531, 0.699, 0.890, 1.332])
+        .enumerate()
+    {
         let required = Required::Within { of, by: 0.001 };
-        figures.push(Figure::new(format!("f{} (Hz)", mode + 1), report.frequency_hz, required).published(of));
+        figures.push(
+            Figure::new(format!("f{} (Hz)", mode + 1), report.frequency_hz, required).published(of),
+        );
     }
     for (mode, report) in modes.iter().take(2).enumerate() {
         let name = format!("damping ratio of mode {}", mode + 1);
-        let required = Required::Within { of: 0.0195, by: 5e-5 };
+        let required = Required::Within {
+            of: 0.0195,
+            by: 5e-5,
+        };
         figures.push(Figure::new(name, report.damping_ratio, required).published(0.02));
     }
     // a shortened record leaves no room for the tenth of the gap that a half-life of 8 s keeps open
@@ -81,11 +126,16 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     for (k, [from, to]) in windows.into_iter().enumerate() {
         let of_window = format!("{from} to {to} s");
         for group in 0..GROUPS {
-            let truth = scene.structure.true_parameters((from / scene.step_s) as u64)[group];
+            let truth = scene
+                .structure
+                .true_parameters((from / scene.step_s) as u64)[group];
             figures.push(Figure::new(
                 format!("{}: mean over {of_window}", names[group]),
                 courses[group].mean(from, to),
-                Required::Within { of: truth, by: settled },
+                Required::Within {
+                    of: truth,
+                    by: settled,
+                },
             ));
         }
         if k == 0 {
@@ -94,25 +144,49 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 Figure::new(
                     format!("alpha (1/s): mean over {of_window}"),
                     0.063 * ratio(0),
-                    run.pick(Required::Within { of: 0.0647, by: 0.010 }, Required::Reported),
+                    run.pick(
+                        Required::Within {
+                            of: 0.0647,
+                            by: 0.010,
+                        },
+                        Required::Reported,
+                    ),
                 )
                 .published(0.063),
                 Figure::new(
                     format!("beta (s): mean over {of_window}"),
                     0.006 * ratio(1),
-                    Required::Within { of: 0.00600, by: run.pick(1e-4, 3e-4) },
+                    Required::Within {
+                        of: 0.00600,
+                        by: run.pick(1e-4, 3e-4),
+                    },
                 )
                 .published(0.006),
             ]);
         }
     }
     let [from, to] = windows[0];
-    let stds: Vec<f64> = courses[..GROUPS].iter().map(|course| course.std(from, to)).collect();
-    let (least, most) = stds.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), std| (low.min(*std), high.max(*std)));
+    let stds: Vec<f64> = courses[..GROUPS]
+        .iter()
+        .map(|course| course.std(from, to))
+        .collect();
+    let (least, most) = stds
+        .iter()
+        .fold((f64::INFINITY, 0.0_f64), |(low, high), std| {
+            (low.min(*std), high.max(*std))
+        });
     let full = |required: Required| run.pick(required, Required::Reported);
     figures.extend([
-        Figure::new("least deviation of a stiffness", least, full(Required::relative(0.0013, 0.3))),
-        Figure::new("largest deviation of a stiffness", most, full(Required::relative(0.0019, 0.3))),
+        Figure::new(
+            "least deviation of a stiffness",
+            least,
+            full(Required::relative(0.0013, 0.3)),
+        ),
+        Figure::new(
+            "largest deviation of a stiffness",
+            most,
+            full(Required::relative(0.0019, 0.3)),
+        ),
         Figure::new(
             "deviation of alpha over its value",
             courses[GROUPS].std(from, to),
@@ -129,24 +203,39 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("{}: half of the drop seen after (s)", names[group]),
                 courses[group].delay(jump, 1.0, 0.95, 0.5),
-                Required::Between { low: 2.5, high: 7.0 },
+                Required::Between {
+                    low: 2.5,
+                    high: 7.0,
+                },
             ),
             Figure::new(
                 format!("{}: 90 % of the drop seen after (s)", names[group]),
                 courses[group].delay(jump, 1.0, 0.95, 0.9),
-                full(Required::Between { low: 9.0, high: 18.0 }),
+                full(Required::Between {
+                    low: 9.0,
+                    high: 18.0,
+                }),
             ),
         ]);
     }
     for (j, name) in names.iter().enumerate() {
         let coverage = courses[j].accuracy(run.pick(20.0, 8.0)).coverage();
-        let required = if DAMAGED.contains(&j) { Required::Reported } else { full(Required::AtLeast(0.97)) };
-        figures.push(Figure::new(format!("{name}: share inside 3 sd after the start"), coverage, required));
+        let required = if DAMAGED.contains(&j) {
+            Required::Reported
+        } else {
+            full(Required::AtLeast(0.97))
+        };
+        figures.push(Figure::new(
+            format!("{name}: share inside 3 sd after the start"),
+            coverage,
+            required,
+        ));
     }
     for (j, name) in RESPONSES.iter().enumerate() {
-        for (what, accuracy, most) in
-            [("displacement", &responses[j], 0.025), ("velocity", &responses[RESPONSES.len() + j], 0.045)]
-        {
+        for (what, accuracy, most) in [
+            ("displacement", &responses[j], 0.025),
+            ("velocity", &responses[RESPONSES.len() + j], 0.045),
+        ] {
             figures.push(Figure::new(
                 format!("{name}: relative error of the {what} in the first 5 s"),
                 accuracy[0].relative_error(),
@@ -164,10 +253,17 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             ));
         }
     }
-    let mut plots: Vec<Plot> =
-        courses.iter().zip(&names).map(|(course, name)| course.plot(name, "ratio to nominal", (0.85, 1.15))).collect();
+    let mut plots: Vec<Plot> = courses
+        .iter()
+        .zip(&names)
+        .map(|(course, name)| course.plot(name, "ratio to nominal", (0.85, 1.15)))
+        .collect();
     for (j, points) in clouds.into_iter().enumerate() {
-        let what = if j < RESPONSES.len() { "displacement" } else { "velocity" };
+        let what = if j < RESPONSES.len() {
+            "displacement"
+        } else {
+            "velocity"
+        };
         let name = RESPONSES[j % RESPONSES.len()];
         let unit = match (name.ends_with('r'), j < RESPONSES.len()) {
             (true, true) => "rad",
@@ -175,7 +271,15 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             (false, true) => "m",
             (false, false) => "m/s",
         };
-        plots.push(Plot::against_truth(format!("{name}: {what} from 5 s on"), unit, points));
+        plots.push(Plot::against_truth(
+            format!("{name}: {what} from 5 s on"),
+            unit,
+            points,
+        ));
     }
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

@@ -7,7 +7,9 @@ use crate::run::Run;
 use crate::statistics::{Accuracy, Normal, rms};
 use crate::systems::oscillator::Oscillator;
 use nalgebra::{DMatrix, DVector};
-use spandrel_filter::{ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel};
+use spandrel_filter::{
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel,
+};
 use std::f64::consts::PI;
 
 const STEP_S: f64 = 0.005;
@@ -25,8 +27,13 @@ struct Record {
 
 fn simulate(seed: u64, steps: usize) -> Record {
     let excitation_variance = 2.0 * PI * 1e-4 / STEP_S;
-    let system = DMatrix::from_row_slice(2, 2, &[0.0, 1.0, -FREQUENCY * FREQUENCY, -2.0 * DAMPING * FREQUENCY]);
-    let (a, b) = LinearModel::discretise(&system, &DMatrix::from_row_slice(2, 1, &[0.0, 1.0]), STEP_S);
+    let system = DMatrix::from_row_slice(
+        2,
+        2,
+        &[0.0, 1.0, -FREQUENCY * FREQUENCY, -2.0 * DAMPING * FREQUENCY],
+    );
+    let (a, b) =
+        LinearModel::discretise(&system, &DMatrix::from_row_slice(2, 1, &[0.0, 1.0]), STEP_S);
     let mut force = Normal::stream(seed, 0);
     let mut noise = Normal::stream(seed, 1);
     let mut u = DVector::zeros(2);
@@ -37,8 +44,16 @@ fn simulate(seed: u64, steps: usize) -> Record {
         })
         .collect();
     let noise_std = [0, 1].map(|j| 0.05 * rms(truth.iter().map(|u| u[j])));
-    let data = truth.iter().map(|u| [0, 1].map(|j| u[j] + noise_std[j] * noise.draw())).collect();
-    Record { truth, data, noise_std, excitation_variance }
+    let data = truth
+        .iter()
+        .map(|u| [0, 1].map(|j| u[j] + noise_std[j] * noise.draw()))
+        .collect();
+    Record {
+        truth,
+        data,
+        noise_std,
+        excitation_variance,
+    }
 }
 
 /// What the filter makes of a record, for a half-life or none.
@@ -54,24 +69,42 @@ struct Tracked {
 fn track(record: &Record, half_life_steps: Option<f64>) -> Result<Tracked, ValidateError> {
     let noise = NoiseModel::known(
         DMatrix::from_element(1, 1, record.excitation_variance),
-        DMatrix::from_diagonal(&DVector::from_row_slice(&record.noise_std.map(|std| std * std))),
+        DMatrix::from_diagonal(&DVector::from_row_slice(
+            &record.noise_std.map(|std| std * std),
+        )),
     );
     let prior = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
     let mut settings = FilterSettings::new(STEP_S, prior, DVector::repeat(4, 1.0), noise);
     if let Some(steps) = half_life_steps {
         settings.fading = FadingFactor::from_half_life(steps).map_err(ValidateError::setting)?;
     }
-    let mut filter = ExtendedKalmanFilter::new(Oscillator::default(), settings).map_err(ValidateError::setting)?;
-    let mut tracked =
-        Tracked { late: Default::default(), last: [(0.0, 0.0); 4], mirrored: 0.0, curves: Default::default() };
+    let mut filter = ExtendedKalmanFilter::new(Oscillator::default(), settings)
+        .map_err(ValidateError::setting)?;
+    let mut tracked = Tracked {
+        late: Default::default(),
+        last: [(0.0, 0.0); 4],
+        mirrored: 0.0,
+        curves: Default::default(),
+    };
     for (i, (datum, response)) in record.data.iter().zip(&record.truth).enumerate() {
         let time_s = (i + 1) as f64 * STEP_S;
-        filter.step(Frame { observations: datum, excitation: &[0.0] }).map_err(ValidateError::at(time_s))?;
+        filter
+            .step(Frame {
+                observations: datum,
+                excitation: &[0.0],
+            })
+            .map_err(ValidateError::at(time_s))?;
         let truth = [response[0], response[1], FREQUENCY, DAMPING];
-        let estimate = [0, 1, 2, 3].map(|j| (filter.mean()[j], filter.covariance()[(j, j)].max(0.0).sqrt()));
+        let estimate = [0, 1, 2, 3].map(|j| {
+            (
+                filter.mean()[j],
+                filter.covariance()[(j, j)].max(0.0).sqrt(),
+            )
+        });
         tracked.mirrored += f64::from(u8::from(estimate[2].0 < 0.0)) / record.data.len() as f64;
         if time_s > 50.0 {
-            for ((accuracy, (mean, std)), truth) in tracked.late.iter_mut().zip(estimate).zip(truth) {
+            for ((accuracy, (mean, std)), truth) in tracked.late.iter_mut().zip(estimate).zip(truth)
+            {
                 accuracy.take(mean, std, truth);
             }
         }
@@ -95,8 +128,15 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
 
     let lambda: f64 = 2f64.powf(1e-3);
     let mut figures = vec![
-        Figure::new("λ for a half-life of 2000 steps", lambda, Required::Within { of: 1.000_693_387, by: 5e-10 })
-            .published(1.000_693_387),
+        Figure::new(
+            "λ for a half-life of 2000 steps",
+            lambda,
+            Required::Within {
+                of: 1.000_693_387,
+                by: 5e-10,
+            },
+        )
+        .published(1.000_693_387),
         Figure::new(
             "relative error of the displacement after 50 s",
             published.late[0].relative_error(),
@@ -112,9 +152,14 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let power = [0, 1].map(|j| rms(late().map(|u| u[j])).powi(2));
     for (j, name, low, high) in [(2, "ω (rad/s)", 0.05, 0.08), (3, "ζ", 0.07, 0.12)] {
         let accuracy = &published.late[j];
-        let bound = (record.excitation_variance * lambda.ln() / power[j - 2]).sqrt() / (2.0 * FREQUENCY);
+        let bound =
+            (record.excitation_variance * lambda.ln() / power[j - 2]).sqrt() / (2.0 * FREQUENCY);
         figures.extend([
-            Figure::new(format!("{name}: share inside 3 sd after 50 s"), accuracy.coverage(), Required::AtLeast(0.99)),
+            Figure::new(
+                format!("{name}: share inside 3 sd after 50 s"),
+                accuracy.coverage(),
+                Required::AtLeast(0.99),
+            ),
             Figure::new(
                 format!("{name}: mean deviation after 50 s"),
                 accuracy.mean_std(),
@@ -124,7 +169,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("{name}: deviation over the information bound"),
                 accuracy.mean_std() / bound,
-                Required::Between { low: 0.8, high: 2.0 },
+                Required::Between {
+                    low: 0.8,
+                    high: 2.0,
+                },
             ),
             // rms of error over deviation is 0.71 in theory: fading states variances twice too large for constants
             Figure::new(
@@ -149,23 +197,46 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         figures.push(Figure::new(
             format!("{name} without forgetting: deviation at the end"),
             std,
-            Required::Between { low: 0.006, high: 0.034 },
+            Required::Between {
+                low: 0.006,
+                high: 0.034,
+            },
         ));
     }
-    figures.push(Figure::new("share of time at the mirrored solution, ω < 0", published.mirrored, Required::Reported));
+    figures.push(Figure::new(
+        "share of time at the mirrored solution, ω < 0",
+        published.mirrored,
+        Required::Reported,
+    ));
 
-    let plots = [("Frequency", "rad/s", FREQUENCY, 1.5), ("Damping ratio", "1", DAMPING, 1.0)]
-        .into_iter()
-        .zip(&published.curves)
-        .map(|((title, unit, truth, range), curve)| {
-            let of = |factor: f32| curve.iter().map(|[t, mean, std]| (*t, mean + factor * std)).collect();
-            let series = vec![
-                Series::new("99.7 %", SeriesKind::Bound, of(-3.0)),
-                Series::new("", SeriesKind::Bound, of(3.0)),
-                Series::new("true", SeriesKind::Truth, curve.iter().map(|[t, ..]| (*t, truth as f32)).collect()),
-                Series::new("estimated", SeriesKind::Estimate, of(0.0)),
-            ];
-            Plot::over_time(title, unit, series).within(-range, range)
-        });
-    Ok(Outcome { figures, tables: Vec::new(), plots: plots.collect() })
+    let plots = [
+        ("Frequency", "rad/s", FREQUENCY, 1.5),
+        ("Damping ratio", "1", DAMPING, 1.0),
+    ]
+    .into_iter()
+    .zip(&published.curves)
+    .map(|((title, unit, truth, range), curve)| {
+        let of = |factor: f32| {
+            curve
+                .iter()
+                .map(|[t, mean, std]| (*t, mean + factor * std))
+                .collect()
+        };
+        let series = vec![
+            Series::new("99.7 %", SeriesKind::Bound, of(-3.0)),
+            Series::new("", SeriesKind::Bound, of(3.0)),
+            Series::new(
+                "true",
+                SeriesKind::Truth,
+                curve.iter().map(|[t, ..]| (*t, truth as f32)).collect(),
+            ),
+            Series::new("estimated", SeriesKind::Estimate, of(0.0)),
+        ];
+        Plot::over_time(title, unit, series).within(-range, range)
+    });
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots: plots.collect(),
+    })
 }

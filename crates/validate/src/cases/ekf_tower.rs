@@ -13,12 +13,23 @@ use crate::statistics::Accuracy;
 
 const FILE: &str = include_str!("../../../../docs/examples/tower.toml");
 /// Nodes with sensors, and the nearest ones of the surrogate.
-const LEVELS: [(usize, usize); 8] = [(4, 1), (8, 2), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)];
+const LEVELS: [(usize, usize); 8] = [
+    (4, 1),
+    (8, 2),
+    (13, 4),
+    (18, 5),
+    (23, 7),
+    (27, 8),
+    (32, 10),
+    (37, 12),
+];
 /// Where the two factors start.
 const STARTS: [[f64; 2]; 3] = [[1.2, 1.2], [1.2, 1.0], [1.0, 1.2]];
 
 fn surrogate() -> String {
-    let mut text = FILE.replace("elements = 27", "elements = 8").replace("elements = 10", "elements = 4");
+    let mut text = FILE
+        .replace("elements = 27", "elements = 8")
+        .replace("elements = 10", "elements = 4");
     for (node, nearest) in LEVELS {
         text = text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"));
     }
@@ -30,13 +41,32 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let seconds = run.pick(5.0, 1.0);
     let watched = |structure: &spandrel_structure::Structure| {
         let top = ["node-12-x", "node-12-y"];
-        [states_of(structure, &top, false), states_of(structure, &top, true)].concat()
+        [
+            states_of(structure, &top, false),
+            states_of(structure, &top, true),
+        ]
+        .concat()
     };
-    let scene = Scene::simulate(&Plan { text: &text, seconds, noise_share: 0.05, watched: &watched }, run)?;
+    let scene = Scene::simulate(
+        &Plan {
+            text: &text,
+            seconds,
+            noise_share: 0.05,
+            watched: &watched,
+        },
+        run,
+    )?;
     let starts = run.pick(&STARTS[..], &STARTS[..1]);
     let (mut figures, mut plots): (Vec<Figure>, Vec<Plot>) = (Vec::new(), Vec::new());
     if let Some(first) = scene.structure.check(0.1, run.seed).modes.first() {
-        figures.push(Figure::new("f1 (Hz), of the surrogate", first.frequency_hz, Required::Reported).published(0.110));
+        figures.push(
+            Figure::new(
+                "f1 (Hz), of the surrogate",
+                first.frequency_hz,
+                Required::Reported,
+            )
+            .published(0.110),
+        );
     }
     for (number, start) in starts.iter().enumerate() {
         let mut settings = scene.settings()?;
@@ -56,10 +86,18 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             |frame, filter, _| {
                 let time_s = scene.time_s(frame);
                 for (j, course) in courses.iter_mut().enumerate() {
-                    course.take(time_s, filter.mean()[first + j], filter.covariance()[(first + j, first + j)], 1.0);
+                    course.take(
+                        time_s,
+                        filter.mean()[first + j],
+                        filter.covariance()[(first + j, first + j)],
+                        1.0,
+                    );
                 }
                 if time_s >= seconds / 2.0 {
-                    for ((accuracy, state), truth) in responses.iter_mut().zip(scene.watched()).zip(scene.states(frame))
+                    for ((accuracy, state), truth) in responses
+                        .iter_mut()
+                        .zip(scene.watched())
+                        .zip(scene.states(frame))
                     {
                         let std = filter.covariance()[(*state, *state)].max(0.0).sqrt();
                         accuracy.take(filter.mean()[*state], std, *truth);
@@ -74,23 +112,37 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             let within = run.pick(0.001, 0.01);
             figures.extend([
                 Figure::new(
-                    named(&format!("stiffness along {direction}, mean of {settled_s} to {seconds} s")),
+                    named(&format!(
+                        "stiffness along {direction}, mean of {settled_s} to {seconds} s"
+                    )),
                     course.mean(settled_s, seconds),
-                    Required::Within { of: 1.0, by: within },
+                    Required::Within {
+                        of: 1.0,
+                        by: within,
+                    },
                 ),
                 Figure::new(
                     named(&format!("its stated deviation along {direction}")),
                     course.std(settled_s, seconds),
                     run.pick(Required::relative(4e-4, 0.3), Required::Reported),
                 )
-                .known_miss("each direction has a factor of its own, learnt from half of the channels"),
+                .known_miss(
+                    "each direction has a factor of its own, learnt from half of the channels",
+                ),
             ]);
         }
-        let names = ["displacement along x", "displacement along y", "velocity along x", "velocity along y"];
+        let names = [
+            "displacement along x",
+            "displacement along y",
+            "velocity along x",
+            "velocity along y",
+        ];
         for (accuracy, name) in responses.iter().zip(names) {
             let required = run.pick(Required::AtMost(0.03), Required::Reported);
             figures.push(Figure::new(
-                named(&format!("relative error of the {name} of the top in the second half")),
+                named(&format!(
+                    "relative error of the {name} of the top in the second half"
+                )),
                 accuracy.relative_error(),
                 required,
             ));
@@ -100,5 +152,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             plots.push(courses[1].plot("stiffness along y", "ratio to nominal", (0.8, 1.3)));
         }
     }
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

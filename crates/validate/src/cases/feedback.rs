@@ -4,7 +4,9 @@
 //! them: an error below 0.025 and a coverage above 0.75. They multiply the densities as published; here the structure has all its
 //! degrees of freedom, and beside them stands what is the default.
 
-use super::asynchronous::{AFTER_DAMAGE_S, COUNTED_FROM_S, FINE_HZ, GROUPS, SHIFTS_MS, simulate, truss_at};
+use super::asynchronous::{
+    AFTER_DAMAGE_S, COUNTED_FROM_S, FINE_HZ, GROUPS, SHIFTS_MS, simulate, truss_at,
+};
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
 use crate::network::{Fused, Network, settled};
@@ -16,8 +18,7 @@ use spandrel_structure::Structure;
 use std::path::Path;
 
 /// Why some of the published ways miss what is required of them.
-const VARIANCES_ALONE: &str =
-    "variances alone drop the correlation of neighbouring bars; the default sends the whole covariance";
+const VARIANCES_ALONE: &str = "variances alone drop the correlation of neighbouring bars; the default sends the whole covariance";
 
 /// One way, by keys of `[fusion]`.
 struct Variant {
@@ -30,18 +31,49 @@ struct Variant {
 }
 
 const fn variant(name: &'static str, keys: &'static str, tracks: bool) -> Variant {
-    Variant { name, keys, agree: false, tracks }
+    Variant {
+        name,
+        keys,
+        agree: false,
+        tracks,
+    }
 }
 
-const FEDERATED: &str = "rule = \"published\"\nfeedback = \"federated\"\ncovariance = \"variances\"";
+const FEDERATED: &str =
+    "rule = \"published\"\nfeedback = \"federated\"\ncovariance = \"variances\"";
 const VARIANTS: [Variant; 8] = [
     variant("federated, variances", FEDERATED, true),
-    Variant { name: "federated, variances, clocks that agree", keys: FEDERATED, agree: true, tracks: true },
-    variant("federated, whole covariance", "rule = \"published\"\nfeedback = \"federated\"", true),
-    variant("mean, variances", "rule = \"published\"\nfeedback = \"mean\"\ncovariance = \"variances\"", true),
-    variant("no feedback, variances", "rule = \"published\"\nfeedback = \"none\"\ncovariance = \"variances\"", false),
-    variant("no feedback, whole covariance", "rule = \"published\"\nfeedback = \"none\"", false),
-    variant("literal, variances", "rule = \"published\"\nfeedback = \"marginal\"\ncovariance = \"variances\"", false),
+    Variant {
+        name: "federated, variances, clocks that agree",
+        keys: FEDERATED,
+        agree: true,
+        tracks: true,
+    },
+    variant(
+        "federated, whole covariance",
+        "rule = \"published\"\nfeedback = \"federated\"",
+        true,
+    ),
+    variant(
+        "mean, variances",
+        "rule = \"published\"\nfeedback = \"mean\"\ncovariance = \"variances\"",
+        true,
+    ),
+    variant(
+        "no feedback, variances",
+        "rule = \"published\"\nfeedback = \"none\"\ncovariance = \"variances\"",
+        false,
+    ),
+    variant(
+        "no feedback, whole covariance",
+        "rule = \"published\"\nfeedback = \"none\"",
+        false,
+    ),
+    variant(
+        "literal, variances",
+        "rule = \"published\"\nfeedback = \"marginal\"\ncovariance = \"variances\"",
+        false,
+    ),
     variant("default", "", true),
 ];
 /// Places of the variants that further figures are of.
@@ -50,27 +82,53 @@ const SYNCHRONOUS: usize = 1;
 const LITERAL: usize = 6;
 
 pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let (rate_hz, seconds, damages) = run.pick((250.0, 80.0, [40.0, 60.0]), (100.0, 30.0, [22.0, 26.0]));
+    let (rate_hz, seconds, damages) =
+        run.pick((250.0, 80.0, [40.0, 60.0]), (100.0, 30.0, [22.0, 26.0]));
     let fine = simulate(&truss_at(FINE_HZ, damages), seconds + 0.04, run)?;
     let every = (FINE_HZ / rate_hz).round() as usize;
     let synchronous = |frame: usize, channel: usize| fine.data(frame * every)[channel];
-    let asynchronous = |frame: usize, channel: usize| fine.data(frame * every + SHIFTS_MS[channel / 2])[channel];
+    let asynchronous =
+        |frame: usize, channel: usize| fine.data(frame * every + SHIFTS_MS[channel / 2])[channel];
     let judged = |required: Required| run.pick(required, Required::Reported);
     let (mut figures, mut plots, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     let mut all: Vec<Fused> = Vec::new();
-    for (number, Variant { name, keys, agree, tracks }) in VARIANTS.into_iter().enumerate() {
+    for (
+        number,
+        Variant {
+            name,
+            keys,
+            agree,
+            tracks,
+        },
+    ) in VARIANTS.into_iter().enumerate()
+    {
         let fusion = format!("[fusion]\ndetector = \"none\"\n{keys}\n");
         let text = truss_at(rate_hz, damages).replacen("[fusion]\n", &fusion, 1);
         let structure = Structure::parse(&text, Path::new("example.toml"))?;
         let data: &dyn Fn(usize, usize) -> f64 = if agree { &synchronous } else { &asynchronous };
         let frames = (seconds * rate_hz).round() as usize;
-        let network = Network { structure: &structure, frames, noise_std: &fine.noise_std, data };
+        let network = Network {
+            structure: &structure,
+            frames,
+            noise_std: &fine.noise_std,
+            data,
+        };
         let share = |number: usize| number as f64 / VARIANTS.len() as f64;
         let fused = network.fuse((share(number), share(number + 1)), run, |_, _, _| {})?;
         let (error, coverage) = accuracy(&fused.courses[..GROUPS], &damages);
-        let of = |required| if tracks { judged(required) } else { Required::Reported };
+        let of = |required| {
+            if tracks {
+                judged(required)
+            } else {
+                Required::Reported
+            }
+        };
         figures.extend([
-            Figure::new(format!("{name}: mean error of stiffness"), error, of(Required::AtMost(0.025))),
+            Figure::new(
+                format!("{name}: mean error of stiffness"),
+                error,
+                of(Required::AtMost(0.025)),
+            ),
             Figure::new(
                 format!("{name}: share of stiffnesses within 3 deviations"),
                 coverage,
@@ -79,7 +137,11 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             .known_miss(VARIANCES_ALONE),
         ]);
         let bars_2 = &fused.courses[1];
-        let means = [(damages[0] - 10.0, damages[0]), (damages[1] - 10.0, damages[1])].map(|(a, b)| bars_2.mean(a, b));
+        let means = [
+            (damages[0] - 10.0, damages[0]),
+            (damages[1] - 10.0, damages[1]),
+        ]
+        .map(|(a, b)| bars_2.mean(a, b));
         rows.push(vec![
             name.to_owned(),
             format!("{:.4}, {:.4}", means[0], means[1]),
@@ -118,11 +180,23 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::AtMost(0.0),
         ),
     ]);
-    let columns =
-        ["way", "bars-2 in the 10 s before the first and the second damage", "node over fused", "started anew"];
+    let columns = [
+        "way",
+        "bars-2 in the 10 s before the first and the second damage",
+        "node over fused",
+        "started anew",
+    ];
     let title = "Nodes and station in each way: means, deviation of a node over the fused one, nodes that started anew";
-    let tables = vec![Table { title: title.to_owned(), columns: columns.map(str::to_owned).to_vec(), rows }];
-    Ok(Outcome { figures, tables, plots })
+    let tables = vec![Table {
+        title: title.to_owned(),
+        columns: columns.map(str::to_owned).to_vec(),
+        rows,
+    }];
+    Ok(Outcome {
+        figures,
+        tables,
+        plots,
+    })
 }
 
 /// Mean error and coverage of the stiffnesses, outside of the start and of the time after each damage.
@@ -140,22 +214,37 @@ fn accuracy(courses: &[Course], damages: &[f64]) -> (f64, f64) {
 fn over_fused(fused: &Fused) -> f64 {
     let mut mean = Mean::default();
     for (group, course) in fused.courses[..GROUPS].iter().enumerate() {
-        let late = course.points.iter().enumerate().filter(|(_, point)| point[0] > COUNTED_FROM_S);
+        let late = course
+            .points
+            .iter()
+            .enumerate()
+            .filter(|(_, point)| point[0] > COUNTED_FROM_S);
         for (fusion, point) in late {
-            fused.local.iter().for_each(|node| mean.take(node[group].points[fusion][2] / point[2]));
+            fused
+                .local
+                .iter()
+                .for_each(|node| mean.take(node[group].points[fusion][2] / point[2]));
         }
     }
     mean.value()
 }
 
 fn largest_at_end(fused: &Fused) -> f64 {
-    let last = fused.courses[..GROUPS].iter().filter_map(|course| course.points.last());
+    let last = fused.courses[..GROUPS]
+        .iter()
+        .filter_map(|course| course.points.last());
     last.map(|point| point[2]).fold(0.0, f64::max)
 }
 
 fn largest_change(fused: &Fused) -> f64 {
     let of = |course: &Course| {
-        let late = || course.points.iter().filter(|point| point[0] > COUNTED_FROM_S).map(|point| point[1]);
+        let late = || {
+            course
+                .points
+                .iter()
+                .filter(|point| point[0] > COUNTED_FROM_S)
+                .map(|point| point[1])
+        };
         late().fold(f64::MIN, f64::max) - late().fold(f64::MAX, f64::min)
     };
     fused.courses[..GROUPS].iter().map(of).fold(0.0, f64::max)
@@ -164,7 +253,11 @@ fn largest_change(fused: &Fused) -> f64 {
 fn difference(one: &Fused, other: &Fused) -> f64 {
     let mut accuracy = Accuracy::default();
     for (one, other) in one.courses[..GROUPS].iter().zip(&other.courses[..GROUPS]) {
-        let both = one.points.iter().zip(&other.points).filter(|(point, _)| point[0] > COUNTED_FROM_S);
+        let both = one
+            .points
+            .iter()
+            .zip(&other.points)
+            .filter(|(point, _)| point[0] > COUNTED_FROM_S);
         both.for_each(|(one, other)| accuracy.take(one[1], one[2], other[1]));
     }
     accuracy.rms_error()

@@ -51,12 +51,16 @@ fn share(counts: [f64; 2]) -> f64 {
 /// Replaces samples and adds the biases; returns frames × channels, and which samples are wrong.
 pub(super) fn corrupt(scene: &Scene, seed: u64) -> (Vec<f64>, Vec<bool>) {
     let channels = scene.noise_std.len();
-    let mut data: Vec<f64> = (0..scene.frames).flat_map(|frame| scene.data(frame).to_vec()).collect();
+    let mut data: Vec<f64> = (0..scene.frames)
+        .flat_map(|frame| scene.data(frame).to_vec())
+        .collect();
     let mut wrong = vec![false; data.len()];
     let mut random = Uniform::stream(seed, 8);
     for channel in 0..channels {
         let of_channel = (0..scene.frames).map(|frame| scene.clean(frame)[channel]);
-        let (low, high) = of_channel.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+        let (low, high) = of_channel.fold((0.0_f64, 0.0_f64), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
         for at in (channel..data.len()).step_by(channels) {
             if random.between(0.0, 1.0) < SPIKES {
                 data[at] = random.between(low, high);
@@ -66,66 +70,109 @@ pub(super) fn corrupt(scene: &Scene, seed: u64) -> (Vec<f64>, Vec<bool>) {
     }
     for (channel, of_rms) in BIASES {
         let bias = of_rms * scene.noise_std[channel] / 0.05; // the noise is 5 % of the rms
-        data.iter_mut().skip(channel).step_by(channels).for_each(|value| *value += bias);
+        data.iter_mut()
+            .skip(channel)
+            .step_by(channels)
+            .for_each(|value| *value += bias);
     }
     (data, wrong)
 }
 
 pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let (rate_hz, seconds, damages) = run.pick((250.0, 500.0, [200.0, 350.0]), (50.0, 57.0, [22.0, 34.0]));
+    let (rate_hz, seconds, damages) =
+        run.pick((250.0, 500.0, [200.0, 350.0]), (50.0, 57.0, [22.0, 34.0]));
     let damages = damages.map(|at_s| at_s + TRAINING_S);
     let text = FILE
-        .replacen("sampling-rate-hz = 250", &format!("sampling-rate-hz = {rate_hz}"), 1)
+        .replacen(
+            "sampling-rate-hz = 250",
+            &format!("sampling-rate-hz = {rate_hz}"),
+            1,
+        )
         .replacen("at-s = 200", &format!("at-s = {}", damages[0]), 1)
         .replacen("at-s = 350", &format!("at-s = {}", damages[1]), 1);
     let watched = |_: &Structure| Vec::new();
-    let plan = Plan { text: &text, seconds: TRAINING_S + seconds, noise_share: 0.05, watched: &watched };
+    let plan = Plan {
+        text: &text,
+        seconds: TRAINING_S + seconds,
+        noise_share: 0.05,
+        watched: &watched,
+    };
     let scene = Scene::simulate(&plan, run)?;
     let (corrupted, wrong) = corrupt(&scene, run.seed);
     let channels = scene.noise_std.len();
 
     let mut rates = vec![Rates::default(); channels];
-    let mut swamped_in = vec![vec![[0.0; 2]; (scene.time_s(scene.frames) / SPAN_S) as usize + 1]; channels];
+    let mut swamped_in =
+        vec![vec![[0.0; 2]; (scene.time_s(scene.frames) / SPAN_S) as usize + 1]; channels];
     let data = |frame: usize, channel: usize| corrupted[frame * channels + channel];
-    let fused = scene.network(&data).fuse((0.0, 0.7), run, |frame, first, filter| {
-        let Some(screening) = filter.outliers().filter(|_| scene.time_s(frame) > TRAINING_S + RATES_FROM_S) else {
-            return;
-        };
-        for (own, channel) in screening.channels().iter().enumerate() {
-            let rejected = channel.verdict() != Verdict::Regular;
-            let (channel_number, at) = (first + own, frame * channels + first + own);
-            let rates = &mut rates[channel_number];
-            let count = |counts: &mut [f64; 2], counted: bool| {
-                counts[0] += f64::from(u8::from(counted));
-                counts[1] += 1.0;
+    let fused = scene
+        .network(&data)
+        .fuse((0.0, 0.7), run, |frame, first, filter| {
+            let Some(screening) = filter
+                .outliers()
+                .filter(|_| scene.time_s(frame) > TRAINING_S + RATES_FROM_S)
+            else {
+                return;
             };
-            if wrong[at] {
-                count(&mut rates.masked, !rejected);
-                if (corrupted[at] - scene.clean(frame)[channel_number]).abs() > 6.0 * channel.scale() {
-                    count(&mut rates.gross_masked, !rejected);
+            for (own, channel) in screening.channels().iter().enumerate() {
+                let rejected = channel.verdict() != Verdict::Regular;
+                let (channel_number, at) = (first + own, frame * channels + first + own);
+                let rates = &mut rates[channel_number];
+                let count = |counts: &mut [f64; 2], counted: bool| {
+                    counts[0] += f64::from(u8::from(counted));
+                    counts[1] += 1.0;
+                };
+                if wrong[at] {
+                    count(&mut rates.masked, !rejected);
+                    if (corrupted[at] - scene.clean(frame)[channel_number]).abs()
+                        > 6.0 * channel.scale()
+                    {
+                        count(&mut rates.gross_masked, !rejected);
+                    }
+                } else {
+                    count(&mut rates.swamped, rejected);
+                    count(
+                        &mut swamped_in[channel_number][(scene.time_s(frame) / SPAN_S) as usize],
+                        rejected,
+                    );
                 }
-            } else {
-                count(&mut rates.swamped, rejected);
-                count(&mut swamped_in[channel_number][(scene.time_s(frame) / SPAN_S) as usize], rejected);
             }
-        }
-    })?;
+        })?;
     let clean = |frame: usize, channel: usize| scene.data(frame)[channel];
     let raw_in_one = scene.network(&data).in_one_filter((0.7, 0.85), run)?;
     let clean_in_one = scene.network(&clean).in_one_filter((0.85, 1.0), run)?;
 
     let judged = |required: Required| run.pick(required, Required::Reported);
     let f1 = scene.structure.natural_frequencies_hz()[0];
-    let mut figures =
-        vec![Figure::new("frequency 1 (Hz)", f1, Required::Within { of: 0.2869, by: 5e-5 }).published(0.2869)];
+    let mut figures = vec![
+        Figure::new(
+            "frequency 1 (Hz)",
+            f1,
+            Required::Within {
+                of: 0.2869,
+                by: 5e-5,
+            },
+        )
+        .published(0.2869),
+    ];
 
     // which nodes are left out
-    let working: Vec<_> =
-        fused.reports.iter().zip(&fused.courses[0].points).filter(|(_, point)| point[0] > TRAINING_S).collect();
+    let working: Vec<_> = fused
+        .reports
+        .iter()
+        .zip(&fused.courses[0].points)
+        .filter(|(_, point)| point[0] > TRAINING_S)
+        .collect();
     let nodes = scene.structure.nodes();
     let excluded: Vec<f64> = (0..nodes.len())
         .map(|node| {
-            share([working.iter().filter(|(reports, _)| reports[node].excluded).count() as f64, working.len() as f64])
+            share([
+                working
+                    .iter()
+                    .filter(|(reports, _)| reports[node].excluded)
+                    .count() as f64,
+                working.len() as f64,
+            ])
         })
         .collect();
     for (node, published) in BIASED {
@@ -134,11 +181,17 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             LEAST_BIASED => judged(Required::AtLeast(0.9)),
             _ => Required::AtLeast(0.9),
         };
-        let figure = format!("{}: share of the fusions that leave it out", nodes[node].name());
+        let figure = format!(
+            "{}: share of the fusions that leave it out",
+            nodes[node].name()
+        );
         figures.push(Figure::new(figure, excluded[node], required).published(published));
     }
     let healthy = |node: &usize| BIASED.iter().all(|(biased, _)| biased != node);
-    let worst_healthy = (0..nodes.len()).filter(healthy).map(|node| excluded[node]).fold(0.0, f64::max);
+    let worst_healthy = (0..nodes.len())
+        .filter(healthy)
+        .map(|node| excluded[node])
+        .fold(0.0, f64::max);
     figures.push(
         Figure::new(
             "healthy nodes: largest share of the fusions that leave one out",
@@ -151,22 +204,39 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     // stiffness
     let from_s = TRAINING_S + COUNTED_FROM_S;
     let of_groups = |courses: &[Course]| -> Vec<Accuracy> {
-        courses[..GROUPS].iter().map(|course| settled(course, from_s, &damages, AFTER_DAMAGE_S)).collect()
+        courses[..GROUPS]
+            .iter()
+            .map(|course| settled(course, from_s, &damages, AFTER_DAMAGE_S))
+            .collect()
     };
     let error = |courses: &[Course]| {
         let mut mean = Mean::default();
-        of_groups(courses).iter().for_each(|accuracy| mean.take(accuracy.mean_absolute_error()));
+        of_groups(courses)
+            .iter()
+            .for_each(|accuracy| mean.take(accuracy.mean_absolute_error()));
         mean.value()
     };
     figures.extend([
-        Figure::new("fused: mean error of stiffness", error(&fused.courses), Required::AtMost(0.025)),
+        Figure::new(
+            "fused: mean error of stiffness",
+            error(&fused.courses),
+            Required::AtMost(0.025),
+        ),
         Figure::new(
             "fused: least share of a stiffness within 3 deviations",
             least(of_groups(&fused.courses).iter().map(Accuracy::coverage)),
             Required::AtLeast(0.95),
         ),
-        Figure::new("one filter, all raw samples: mean error of stiffness", error(&raw_in_one), Required::Reported),
-        Figure::new("one filter, all clean samples: mean error of stiffness", error(&clean_in_one), Required::Reported),
+        Figure::new(
+            "one filter, all raw samples: mean error of stiffness",
+            error(&raw_in_one),
+            Required::Reported,
+        ),
+        Figure::new(
+            "one filter, all clean samples: mean error of stiffness",
+            error(&clean_in_one),
+            Required::Reported,
+        ),
         Figure::new(
             "one filter: error with raw samples over that with clean ones",
             error(&raw_in_one) / error(&clean_in_one),
@@ -177,7 +247,11 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             error(&fused.courses) / error(&clean_in_one),
             Required::Reported,
         ),
-        Figure::new("nodes started anew, times", fused.restarts.iter().sum::<u64>() as f64, Required::Reported),
+        Figure::new(
+            "nodes started anew, times",
+            fused.restarts.iter().sum::<u64>() as f64,
+            Required::Reported,
+        ),
     ]);
     for (group, at_s) in [0, 1].into_iter().zip(damages) {
         let course = &fused.courses[group];
@@ -203,7 +277,10 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
 
     // samples
     let of_healthy = |of: &dyn Fn(&Rates) -> f64| {
-        let rates = rates.iter().enumerate().filter(|(channel, _)| healthy(&(channel / 2)));
+        let rates = rates
+            .iter()
+            .enumerate()
+            .filter(|(channel, _)| healthy(&(channel / 2)));
         rates.map(|(_, rates)| of(rates)).fold(0.0, f64::max)
     };
     figures.extend([
@@ -227,19 +304,32 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     ]);
 
     // of the channels that lose most, when they lose it
-    let mut worst: Vec<usize> = (0..channels).filter(|channel| healthy(&(channel / 2))).collect();
+    let mut worst: Vec<usize> = (0..channels)
+        .filter(|channel| healthy(&(channel / 2)))
+        .collect();
     worst.sort_by(|a, b| share(rates[*b].swamped).total_cmp(&share(rates[*a].swamped)));
     let swamping = worst.iter().take(3).map(|&channel| {
-        let spans = swamped_in[channel].iter().enumerate().filter(|(_, counts)| counts[1] > 0.0);
-        let points = spans.map(|(span, counts)| (((span as f64 + 0.5) * SPAN_S) as f32, share(*counts) as f32));
+        let spans = swamped_in[channel]
+            .iter()
+            .enumerate()
+            .filter(|(_, counts)| counts[1] > 0.0);
+        let points = spans
+            .map(|(span, counts)| (((span as f64 + 0.5) * SPAN_S) as f32, share(*counts) as f32));
         Series::new(
-            scene.structure.channels().nth(channel).map_or("", |channel| channel.name()),
+            scene
+                .structure
+                .channels()
+                .nth(channel)
+                .map_or("", |channel| channel.name()),
             SeriesKind::Points,
             points.collect(),
         )
     });
-    let swamping =
-        Plot::over_time("Share of regular samples rejected in 10 s, three channels", "–", swamping.collect());
+    let swamping = Plot::over_time(
+        "Share of regular samples rejected in 10 s, three channels",
+        "–",
+        swamping.collect(),
+    );
 
     let percent = |value: f64| format!("{:.2}", 100.0 * value);
     let rows = nodes.iter().enumerate().map(|(node, of_node)| {
@@ -267,7 +357,10 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let name = scene.structure.parameters()[group].name();
         for (what, course) in [
             ("one filter with all raw samples", &raw_in_one[group]),
-            ("node at floor 40, its own estimate", &fused.local[15][group]),
+            (
+                "node at floor 40, its own estimate",
+                &fused.local[15][group],
+            ),
             ("node at floor 30, which is biased", &fused.local[14][group]),
             ("fused", &fused.courses[group]),
         ] {
@@ -276,9 +369,18 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     }
     let distances = [(8, "floor 10, biased"), (15, "floor 40")].map(|(node, label)| {
         let points = fused.reports.iter().zip(&fused.courses[0].points);
-        let points = points.filter_map(|(reports, point)| Some((point[0] as f32, reports[node].distance? as f32)));
+        let points = points
+            .filter_map(|(reports, point)| Some((point[0] as f32, reports[node].distance? as f32)));
         Series::new(label, SeriesKind::Points, points.collect())
     });
-    plots.push(Plot::over_time("Distance of two nodes from all others", "–", distances.to_vec()));
-    Ok(Outcome { figures, tables: vec![table], plots })
+    plots.push(Plot::over_time(
+        "Distance of two nodes from all others",
+        "–",
+        distances.to_vec(),
+    ));
+    Ok(Outcome {
+        figures,
+        tables: vec![table],
+        plots,
+    })
 }

@@ -12,8 +12,7 @@ use std::f64::consts::PI;
 
 const FLOORS: usize = 60;
 /// Why figures in absolute units scatter by seed.
-const OF_THE_RECORD: &str =
-    "200 s are 33 periods of the first mode: the motion, and the noise that is 5 % of it, scatter by seed";
+const OF_THE_RECORD: &str = "200 s are 33 periods of the first mode: the motion, and the noise that is 5 % of it, scatter by seed";
 const STEP_S: f64 = 0.005;
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
 /// Steps after which errors count (20 s).
@@ -26,7 +25,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let stiffness = linear::chain(FLOORS, 1632.0);
     let (system, input) = linear::under_ground_motion(&stiffness, 0.0157, 0.0048);
     let (transition, held) = LinearModel::discretise(&system, &input, STEP_S);
-    let observation = DMatrix::from_fn(SENSED.len(), 2 * FLOORS, |c, j| system[(FLOORS + SENSED[c] - 1, j)]);
+    let observation = DMatrix::from_fn(SENSED.len(), 2 * FLOORS, |c, j| {
+        system[(FLOORS + SENSED[c] - 1, j)]
+    });
     let variance = 2.0 * PI * 1.6e-5 / STEP_S;
     let mut normal = Normal::stream(run.seed, 0);
     let mut u = DVector::zeros(2 * FLOORS);
@@ -44,7 +45,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         excitation_covariance: DMatrix::from_element(1, 1, variance),
         sensor_covariance: DMatrix::from_diagonal(&noise_std.map(|std| std * std)),
     };
-    let start = (DVector::zeros(2 * FLOORS), DMatrix::identity(2 * FLOORS, 2 * FLOORS)); // (2.43), (2.44)
+    let start = (
+        DVector::zeros(2 * FLOORS),
+        DMatrix::identity(2 * FLOORS, 2 * FLOORS),
+    ); // (2.43), (2.44)
     let mut filter = KalmanFilter::new(model, start.0, start.1).map_err(ValidateError::setting)?;
     let mut noise = Normal::stream(run.seed, 1);
     let mut accuracy = vec![Accuracy::default(); 2 * FLOORS];
@@ -60,22 +64,32 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let datum = DVector::from_fn(SENSED.len(), |c, _| z[c] + noise_std[c] * noise.draw());
         filter.predict(&[0.0]);
         let time_s = (i + 1) as f64 * STEP_S;
-        let step = filter.update(datum.as_slice()).map_err(ValidateError::at(time_s))?;
+        let step = filter
+            .update(datum.as_slice())
+            .map_err(ValidateError::at(time_s))?;
         let std = |j: usize| filter.covariance()[(j, j)].max(0.0).sqrt();
         if i == 0 {
             first_std = [1, 30, 60].map(|floor| std(floor - 1));
         }
         if i < 2_000 && i % 4 == 0 {
             for (curve, (floor, shift)) in
-                deviations.iter_mut().zip([(1, 0), (30, 0), (60, 0), (1, 1), (30, 1), (60, 1)])
+                deviations
+                    .iter_mut()
+                    .zip([(1, 0), (30, 0), (60, 0), (1, 1), (30, 1), (60, 1)])
             {
-                curve.push((time_s as f32, std(shift * FLOORS + floor - 1).log10() as f32));
+                curve.push((
+                    time_s as f32,
+                    std(shift * FLOORS + floor - 1).log10() as f32,
+                ));
             }
         }
         match i {
             STEADY => steady_std = (0..2 * FLOORS).map(std).collect(),
             _ if i > STEADY && i % 100 == 0 => {
-                let change = steady_std.iter().enumerate().map(|(j, steady)| (std(j) / steady - 1.0).abs());
+                let change = steady_std
+                    .iter()
+                    .enumerate()
+                    .map(|(j, steady)| (std(j) / steady - 1.0).abs());
                 drift = change.fold(drift, f64::max);
             }
             _ => {}
@@ -114,10 +128,41 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     // what follows the rms of the record is judged on the whole one only
     let full = |required: Required| run.pick(required, Required::Reported);
     let mut figures = vec![
-        Figure::new("f1 (Hz)", frequencies[0], Required::Within { of: 0.1669, by: 1e-4 }).published(0.1669),
-        Figure::new("f2 (Hz)", frequencies[1], Required::Within { of: 0.5007, by: 1e-4 }),
-        Figure::new("damping ratio of mode 1", damping(0), Required::Within { of: 0.0100, by: 1e-4 }).published(0.01),
-        Figure::new("damping ratio of mode 2", damping(1), Required::Within { of: 0.0101, by: 1e-4 }).published(0.01),
+        Figure::new(
+            "f1 (Hz)",
+            frequencies[0],
+            Required::Within {
+                of: 0.1669,
+                by: 1e-4,
+            },
+        )
+        .published(0.1669),
+        Figure::new(
+            "f2 (Hz)",
+            frequencies[1],
+            Required::Within {
+                of: 0.5007,
+                by: 1e-4,
+            },
+        ),
+        Figure::new(
+            "damping ratio of mode 1",
+            damping(0),
+            Required::Within {
+                of: 0.0100,
+                by: 1e-4,
+            },
+        )
+        .published(0.01),
+        Figure::new(
+            "damping ratio of mode 2",
+            damping(1),
+            Required::Within {
+                of: 0.0101,
+                by: 1e-4,
+            },
+        )
+        .published(0.01),
     ];
     for floor in [1, 10, 30, 60] {
         let (displacement, velocity) = (&accuracy[floor - 1], &accuracy[FLOORS + floor - 1]);
@@ -136,15 +181,27 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("floor {floor}: rms error of the velocity after 20 s (m/s)"),
                 velocity.rms_error(),
-                full(Required::Between { low: 2.1e-4, high: 2.8e-4 }),
+                full(Required::Between {
+                    low: 2.1e-4,
+                    high: 2.8e-4,
+                }),
             )
             .known_miss(OF_THE_RECORD),
         ]);
     }
     let (displacements, velocities) = accuracy.split_at(FLOORS);
-    let largest = |of: &[Accuracy], what: fn(&Accuracy) -> f64| of.iter().map(what).fold(0.0, f64::max);
-    let least_velocity = velocities.iter().map(Accuracy::rms_error).fold(f64::INFINITY, f64::min);
-    let of_velocity = || full(Required::Between { low: 2.1e-4, high: 2.8e-4 });
+    let largest =
+        |of: &[Accuracy], what: fn(&Accuracy) -> f64| of.iter().map(what).fold(0.0, f64::max);
+    let least_velocity = velocities
+        .iter()
+        .map(Accuracy::rms_error)
+        .fold(f64::INFINITY, f64::min);
+    let of_velocity = || {
+        full(Required::Between {
+            low: 2.1e-4,
+            high: 2.8e-4,
+        })
+    };
     figures.extend([
         Figure::new(
             "every floor: largest relative error of the displacement after 20 s",
@@ -157,8 +214,12 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             full(Required::AtMost(0.10)),
         )
         .known_miss(OF_THE_RECORD),
-        Figure::new("every floor: least rms error of the velocity (m/s)", least_velocity, of_velocity())
-            .known_miss(OF_THE_RECORD),
+        Figure::new(
+            "every floor: least rms error of the velocity (m/s)",
+            least_velocity,
+            of_velocity(),
+        )
+        .known_miss(OF_THE_RECORD),
         Figure::new(
             "every floor: largest rms error of the velocity (m/s)",
             largest(velocities, Accuracy::rms_error),
@@ -173,23 +234,42 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     ]);
     let inside = rms(accuracy.iter().map(|a| a.coverage().sqrt())).powi(2);
     figures.extend([
-        Figure::new("share inside 3 sd, all states", inside, Required::AtLeast(0.995)),
+        Figure::new(
+            "share inside 3 sd, all states",
+            inside,
+            Required::AtLeast(0.995),
+        ),
         Figure::new(
             "rms of error over deviation, all states",
             rms(accuracy.iter().map(Accuracy::normalised_error)),
-            full(Required::Between { low: 0.97, high: 1.03 }),
+            full(Required::Between {
+                low: 0.97,
+                high: 1.03,
+            }),
         )
         .known_miss(OF_THE_RECORD),
-        Figure::new("mean χ² per channel", chi_squared.value(), Required::Within { of: 1.0, by: 0.02 }),
+        Figure::new(
+            "mean χ² per channel",
+            chi_squared.value(),
+            Required::Within { of: 1.0, by: 0.02 },
+        ),
     ]);
-    for (k, (floor, displacement, velocity)) in
-        [(1, 4.1e-6, 2.1e-4), (30, 9.3e-5, 2.5e-4), (60, 1.3e-4, 2.7e-4)].into_iter().enumerate()
+    for (k, (floor, displacement, velocity)) in [
+        (1, 4.1e-6, 2.1e-4),
+        (30, 9.3e-5, 2.5e-4),
+        (60, 1.3e-4, 2.7e-4),
+    ]
+    .into_iter()
+    .enumerate()
     {
         figures.extend([
             Figure::new(
                 format!("floor {floor}: deviation of the displacement after one sample (m)"),
                 first_std[k],
-                Required::Between { low: 0.4, high: 0.7 },
+                Required::Between {
+                    low: 0.4,
+                    high: 0.7,
+                },
             ),
             // follows the rms of the record through the 5 % rule: one record has 33 periods of the first mode
             Figure::new(
@@ -218,13 +298,30 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         })
         .collect();
     let names = ["x, 1", "x, 30", "x, 60", "v, 1", "v, 30", "v, 60"];
-    let series =
-        deviations.into_iter().zip(names).map(|(points, name)| Series::new(name, SeriesKind::Estimate, points));
+    let series = deviations
+        .into_iter()
+        .zip(names)
+        .map(|(points, name)| Series::new(name, SeriesKind::Estimate, points));
     for (points, floor) in responses.into_iter().zip([1, 30, 60]) {
-        for (points, (what, unit)) in points.into_iter().zip([("Displacement", "m"), ("Velocity", "m/s")]) {
-            plots.push(Plot::against_truth(format!("{what} of floor {floor} after 20 s"), unit, points));
+        for (points, (what, unit)) in points
+            .into_iter()
+            .zip([("Displacement", "m"), ("Velocity", "m/s")])
+        {
+            plots.push(Plot::against_truth(
+                format!("{what} of floor {floor} after 20 s"),
+                unit,
+                points,
+            ));
         }
     }
-    plots.push(Plot::over_time("Deviations of displacement (x) and velocity (v), by floor", "log10", series.collect()));
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    plots.push(Plot::over_time(
+        "Deviations of displacement (x) and velocity (v), by floor",
+        "log10",
+        series.collect(),
+    ));
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

@@ -29,18 +29,40 @@ fn truth(time: f64) -> [f64; 6] {
     let (v, c) = (100.0 * omega, 100.0 * omega * omega);
     if a <= PI {
         let (sin, cos) = a.sin_cos();
-        [600.0 + 100.0 * sin, v * cos, -c * sin, -100.0 + 100.0 * cos, -v * sin, -c * cos]
+        [
+            600.0 + 100.0 * sin,
+            v * cos,
+            -c * sin,
+            -100.0 + 100.0 * cos,
+            -v * sin,
+            -c * cos,
+        ]
     } else {
         let (sin, cos) = (a - PI).sin_cos();
-        [600.0 - 100.0 * sin, -v * cos, c * sin, -300.0 + 100.0 * cos, -v * sin, -c * cos]
+        [
+            600.0 - 100.0 * sin,
+            -v * cos,
+            c * sin,
+            -300.0 + 100.0 * cos,
+            -v * sin,
+            -c * cos,
+        ]
     }
 }
 
 fn model(sensor_variance: [f64; 2]) -> LinearModel {
     let transition = DMatrix::from_row_slice(3, 3, &[1.0, 1.0, 0.5, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0]); // (2.38), Δt = 1 s
-    let process = DMatrix::from_row_slice(3, 3, &[0.25, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 1.0, 1.0]) * 0.02; // (2.39)
-    let twice =
-        |block: &DMatrix<f64>| DMatrix::from_fn(6, 6, |i, j| if i / 3 == j / 3 { block[(i % 3, j % 3)] } else { 0.0 });
+    let process =
+        DMatrix::from_row_slice(3, 3, &[0.25, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 1.0, 1.0]) * 0.02; // (2.39)
+    let twice = |block: &DMatrix<f64>| {
+        DMatrix::from_fn(6, 6, |i, j| {
+            if i / 3 == j / 3 {
+                block[(i % 3, j % 3)]
+            } else {
+                0.0
+            }
+        })
+    };
     LinearModel {
         transition: twice(&transition),
         input: DMatrix::identity(6, 6),
@@ -57,14 +79,28 @@ struct Track {
 }
 
 /// Tracks a record from 1 s on; accuracy is counted after `from` s.
-fn track(record: &[[f64; 2]], sensor_variance: [f64; 2], from: usize) -> Result<Track, ValidateError> {
+fn track(
+    record: &[[f64; 2]],
+    sensor_variance: [f64; 2],
+    from: usize,
+) -> Result<Track, ValidateError> {
     let start = (DVector::zeros(6), DMatrix::identity(6, 6) * 500.0);
-    let mut filter = KalmanFilter::new(model(sensor_variance), start.0, start.1).map_err(ValidateError::setting)?;
-    let mut track = Track { estimates: Vec::new(), deviations: Vec::new(), accuracy: [Accuracy::default(); 6] };
+    let mut filter = KalmanFilter::new(model(sensor_variance), start.0, start.1)
+        .map_err(ValidateError::setting)?;
+    let mut track = Track {
+        estimates: Vec::new(),
+        deviations: Vec::new(),
+        accuracy: [Accuracy::default(); 6],
+    };
     for (second, datum) in (1..).zip(record) {
         filter.predict(&[0.0; 6]);
-        filter.update(datum).map_err(ValidateError::at(f64::from(second)))?;
-        let deviation = filter.covariance().diagonal().map(|variance| variance.max(0.0).sqrt());
+        filter
+            .update(datum)
+            .map_err(ValidateError::at(f64::from(second)))?;
+        let deviation = filter
+            .covariance()
+            .diagonal()
+            .map(|variance| variance.max(0.0).sqrt());
         if second > from as i32 {
             let truth = truth(f64::from(second));
             for (j, accuracy) in track.accuracy.iter_mut().enumerate() {
@@ -82,7 +118,10 @@ fn observe(seed: u64, std: [f64; 2]) -> Vec<[f64; 2]> {
     (1..=STEPS)
         .map(|second| {
             let truth = truth(second as f64);
-            [truth[0] + std[0] * normal.draw(), truth[3] + std[1] * normal.draw()]
+            [
+                truth[0] + std[0] * normal.draw(),
+                truth[3] + std[1] * normal.draw(),
+            ]
         })
         .collect()
 }
@@ -105,13 +144,34 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
 
     let end = truth(STEPS as f64);
     let mut figures = vec![
-        Figure::new("end of the path, x (m)", end[0], Required::Within { of: 600.0, by: 1e-6 }),
-        Figure::new("end of the path, y (m)", end[3], Required::Within { of: -400.0, by: 1e-6 }),
+        Figure::new(
+            "end of the path, x (m)",
+            end[0],
+            Required::Within {
+                of: 600.0,
+                by: 1e-6,
+            },
+        ),
+        Figure::new(
+            "end of the path, y (m)",
+            end[3],
+            Required::Within {
+                of: -400.0,
+                by: 1e-6,
+            },
+        ),
     ];
     let steady = &matched.deviations[STEPS - 1];
-    for (name, j, of) in [("position (m)", 0, 1.319), ("velocity (m/s)", 1, 0.750), ("acceleration (m/s²)", 2, 0.271)]
-    {
-        figures.push(Figure::new(format!("steady deviation of the {name}"), steady[j], Required::relative(of, 0.005)));
+    for (name, j, of) in [
+        ("position (m)", 0, 1.319),
+        ("velocity (m/s)", 1, 0.750),
+        ("acceleration (m/s²)", 2, 0.271),
+    ] {
+        figures.push(Figure::new(
+            format!("steady deviation of the {name}"),
+            steady[j],
+            Required::relative(of, 0.005),
+        ));
     }
     figures.push(Figure::new(
         "rms position error after 120 s (m)",
@@ -122,22 +182,52 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let truth = truth(i as f64 + 1.0);
         [record[i][0] - truth[0], record[i][1] - truth[3]]
     }));
-    figures.push(Figure::new("rms error of the raw positions after 120 s (m)", raw, Required::Reported));
-    let least = everywhere.accuracy.iter().map(Accuracy::coverage).fold(f64::INFINITY, f64::min);
-    figures.push(Figure::new("least share inside 3 sd, six states", least, Required::AtLeast(0.97)));
+    figures.push(Figure::new(
+        "rms error of the raw positions after 120 s (m)",
+        raw,
+        Required::Reported,
+    ));
+    let least = everywhere
+        .accuracy
+        .iter()
+        .map(Accuracy::coverage)
+        .fold(f64::INFINITY, f64::min);
+    figures.push(Figure::new(
+        "least share inside 3 sd, six states",
+        least,
+        Required::AtLeast(0.97),
+    ));
     let turn = TURN..TURN + 40;
     let largest = |states: [usize; 2]| {
         let error = |i: usize| {
             let (estimate, truth) = (&everywhere.estimates[i], truth(i as f64 + 1.0));
-            states.map(|j| (estimate[j] - truth[j]).abs()).into_iter().fold(0.0, f64::max)
+            states
+                .map(|j| (estimate[j] - truth[j]).abs())
+                .into_iter()
+                .fold(0.0, f64::max)
         };
         turn.clone().map(error).fold(0.0, f64::max)
     };
-    let valley = turn.clone().map(|i| everywhere.estimates[i][2]).fold(f64::INFINITY, f64::min);
+    let valley = turn
+        .clone()
+        .map(|i| everywhere.estimates[i][2])
+        .fold(f64::INFINITY, f64::min);
     figures.extend([
-        Figure::new("largest position error in the turn (m)", largest([0, 3]), Required::Within { of: 4.7, by: 1.5 }),
-        Figure::new("largest velocity error in the turn (m/s)", largest([1, 4]), Required::Within { of: 6.2, by: 1.0 }),
-        Figure::new("deepest x acceleration in the turn (m/s²)", valley, Required::Within { of: -1.6, by: 0.4 }),
+        Figure::new(
+            "largest position error in the turn (m)",
+            largest([0, 3]),
+            Required::Within { of: 4.7, by: 1.5 },
+        ),
+        Figure::new(
+            "largest velocity error in the turn (m/s)",
+            largest([1, 4]),
+            Required::Within { of: 6.2, by: 1.0 },
+        ),
+        Figure::new(
+            "deepest x acceleration in the turn (m/s²)",
+            valley,
+            Required::Within { of: -1.6, by: 0.4 },
+        ),
         Figure::new(
             "2 % noise, filter with 3 m²: rms error in x (m)",
             too_sure.accuracy[0].rms_error(),
@@ -164,7 +254,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::AtLeast(0.98),
         ),
     ]);
-    Ok(Outcome { figures, tables: Vec::new(), plots: plots(&record, &everywhere) })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots: plots(&record, &everywhere),
+    })
 }
 
 fn plots(record: &[[f64; 2]], track: &Track) -> Vec<Plot> {
@@ -176,28 +270,48 @@ fn plots(record: &[[f64; 2]], track: &Track) -> Vec<Plot> {
         ordinate: "y (m)".to_owned(),
         range: None,
         series: vec![
-            Series::new("observed", SeriesKind::Points, record.iter().map(|z| point(z[0], z[1])).collect()),
+            Series::new(
+                "observed",
+                SeriesKind::Points,
+                record.iter().map(|z| point(z[0], z[1])).collect(),
+            ),
             Series::new(
                 "true",
                 SeriesKind::Truth,
-                seconds().map(|i| truth(i as f64)).map(|t| point(t[0], t[3])).collect(),
+                seconds()
+                    .map(|i| truth(i as f64))
+                    .map(|t| point(t[0], t[3]))
+                    .collect(),
             ),
-            Series::new("estimated", SeriesKind::Estimate, track.estimates.iter().map(|u| point(u[0], u[3])).collect()),
+            Series::new(
+                "estimated",
+                SeriesKind::Estimate,
+                track.estimates.iter().map(|u| point(u[0], u[3])).collect(),
+            ),
         ],
     };
     let over_time = |title: &str, ordinate: &str, j: usize, range: (f32, f32)| {
         let bound = |sign: f64| {
-            let value = move |i: usize| track.estimates[i - 1][j] + sign * 3.0 * track.deviations[i - 1][j];
+            let value =
+                move |i: usize| track.estimates[i - 1][j] + sign * 3.0 * track.deviations[i - 1][j];
             seconds().map(move |i| point(i as f64, value(i)))
         };
         let series = vec![
             Series::new("99.7 %", SeriesKind::Bound, bound(-1.0).collect()),
             Series::new("", SeriesKind::Bound, bound(1.0).collect()),
-            Series::new("true", SeriesKind::Truth, seconds().map(|i| point(i as f64, truth(i as f64)[j])).collect()),
+            Series::new(
+                "true",
+                SeriesKind::Truth,
+                seconds()
+                    .map(|i| point(i as f64, truth(i as f64)[j]))
+                    .collect(),
+            ),
             Series::new(
                 "estimated",
                 SeriesKind::Estimate,
-                seconds().map(|i| point(i as f64, track.estimates[i - 1][j])).collect(),
+                seconds()
+                    .map(|i| point(i as f64, track.estimates[i - 1][j]))
+                    .collect(),
             ),
         ];
         Plot::over_time(title, ordinate, series).within(range.0, range.1)

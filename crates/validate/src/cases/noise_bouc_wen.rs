@@ -15,8 +15,8 @@ use crate::systems::hysteretic::{Events, Motion};
 use crate::tracking::{agreement, lag, peak};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
-    NoiseTarget,
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, NoiseModel, NoiseParameter,
+    NoiseRule, NoiseSettings, NoiseTarget,
 };
 use std::f64::consts::PI;
 
@@ -24,7 +24,9 @@ const MASSES: usize = 5;
 const STEP_S: f64 = 0.002;
 const SENSED: [usize; 3] = [0, 2, 4];
 const PARAMETERS: usize = MASSES + SHAPE_PARAMETERS;
-const NAMES: [&str; PARAMETERS] = ["θ1", "θ2", "θ3", "θ4", "θ5", "alpha", "beta", "mu", "kappa", "eta"];
+const NAMES: [&str; PARAMETERS] = [
+    "θ1", "θ2", "θ3", "θ4", "θ5", "alpha", "beta", "mu", "kappa", "eta",
+];
 /// Fundamental period (s).
 const PERIOD_S: f64 = 1.0 / 2.0259;
 
@@ -113,14 +115,25 @@ fn track(run: &Run<'_>, scenario: Scenario, times: &Times) -> Result<Tracked, Va
         Scenario::Stationary => 1.0,
         Scenario::ExcitationSwells | Scenario::BothSwell => swelling(time_s, times.swells, 1.0),
     };
-    let sensors = |time_s| if scenario == Scenario::BothSwell { swelling(time_s, times.swells, 0.5) } else { 1.0 };
+    let sensors = |time_s| {
+        if scenario == Scenario::BothSwell {
+            swelling(time_s, times.swells, 0.5)
+        } else {
+            1.0
+        }
+    };
     let stiffness = |time_s: f64| match time_s >= times.damage {
         true => vec![0.90, 0.90, 0.95, 0.95, 0.95],
         false => vec![1.0; MASSES],
     };
     let ground_std = |time_s| variance.sqrt() * excitation(time_s);
-    let events =
-        Events { step_s: STEP_S, seconds: times.end, substeps: 2, ground_std: &ground_std, stiffness: &stiffness };
+    let events = Events {
+        step_s: STEP_S,
+        seconds: times.end,
+        substeps: 2,
+        ground_std: &ground_std,
+        stiffness: &stiffness,
+    };
     let motion = Motion::simulate(&chain(), &events, run)?;
     let noise_std = 0.05 * rms(motion.states.iter().map(|state| state[MASSES - 1]));
 
@@ -132,10 +145,15 @@ fn track(run: &Run<'_>, scenario: Scenario, times: &Times) -> Result<Tracked, Va
         start_std: 1.0 / 3.0,
     };
     let mut noise = NoiseModel::known(DMatrix::zeros(1, 1), DMatrix::zeros(3, 3));
-    noise.parameters =
-        vec![level("ground", NoiseTarget::Excitation, 1), level("sensors", NoiseTarget::Sensors, SENSED.len())];
+    noise.parameters = vec![
+        level("ground", NoiseTarget::Excitation, 1),
+        level("sensors", NoiseTarget::Sensors, SENSED.len()),
+    ];
     let first = 2 * MASSES;
-    let (mut mean, mut std) = (DVector::zeros(first + PARAMETERS), DVector::zeros(first + PARAMETERS));
+    let (mut mean, mut std) = (
+        DVector::zeros(first + PARAMETERS),
+        DVector::zeros(first + PARAMETERS),
+    );
     std.rows_mut(0, MASSES).fill(0.1);
     std.rows_mut(MASSES, MASSES).fill(0.005);
     let starts = [
@@ -176,20 +194,32 @@ fn track(run: &Run<'_>, scenario: Scenario, times: &Times) -> Result<Tracked, Va
     };
     for (i, state) in motion.states.iter().enumerate() {
         let time_s = motion.time_s(i);
-        let datum = SENSED.map(|dof| state[dof] + noise_std * sensors(time_s) * sensor_noise.draw());
-        let step =
-            filter.step(Frame { observations: &datum, excitation: &[0.0] }).map_err(ValidateError::at(time_s))?;
+        let datum =
+            SENSED.map(|dof| state[dof] + noise_std * sensors(time_s) * sensor_noise.draw());
+        let step = filter
+            .step(Frame {
+                observations: &datum,
+                excitation: &[0.0],
+            })
+            .map_err(ValidateError::at(time_s))?;
         if step.training_ended && tracked.trained_s.is_nan() {
             tracked.trained_s = time_s;
         }
         if (20.0..misfit_end).contains(&time_s) {
-            tracked.misfit.take(step.normalised_innovation_squared / SENSED.len() as f64);
+            tracked
+                .misfit
+                .take(step.normalised_innovation_squared / SENSED.len() as f64);
         }
         if i % 10 == 0 {
             let truth = stiffness(time_s - STEP_S);
             for (j, course) in tracked.parameters.iter_mut().enumerate() {
                 let truth = truth.get(j).copied().unwrap_or(1.0);
-                course.take(time_s, filter.mean()[first + j], filter.covariance()[(first + j, first + j)], truth);
+                course.take(
+                    time_s,
+                    filter.mean()[first + j],
+                    filter.covariance()[(first + j, first + j)],
+                    truth,
+                );
             }
             // over the level before it swells
             let truths = [excitation(time_s).powi(2), sensors(time_s).powi(2)];
@@ -217,17 +247,34 @@ fn misfit_end(run: &Run<'_>, scenario: Scenario, times: &Times) -> f64 {
 fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
     let times = run.pick(&FULL, &QUICK);
     let tracked = track(run, scenario, times)?;
-    let Tracked { parameters, levels, .. } = &tracked;
+    let Tracked {
+        parameters, levels, ..
+    } = &tracked;
     let published_end = match scenario {
         Scenario::Stationary => 7.68,
         Scenario::ExcitationSwells => 8.91,
         Scenario::BothSwell => 11.33,
     };
     let mut figures = vec![
-        Figure::new("end of the training (s)", tracked.trained_s, Required::Between { low: 5.0, high: 16.0 })
-            .published(published_end),
-        Figure::new("fallbacks in the working phase", tracked.working_fallbacks, Required::AtMost(0.0)),
-        Figure::new("shortened steps in the working phase", tracked.limited, Required::AtMost(0.0)),
+        Figure::new(
+            "end of the training (s)",
+            tracked.trained_s,
+            Required::Between {
+                low: 5.0,
+                high: 16.0,
+            },
+        )
+        .published(published_end),
+        Figure::new(
+            "fallbacks in the working phase",
+            tracked.working_fallbacks,
+            Required::AtMost(0.0),
+        ),
+        Figure::new(
+            "shortened steps in the working phase",
+            tracked.limited,
+            Required::AtMost(0.0),
+        ),
         Figure::new(
             format!("mean misfit, 20 to {} s", misfit_end(run, scenario, times)),
             tracked.misfit.value(),
@@ -239,8 +286,15 @@ fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
         for (window, [from, to]) in times.parameters.into_iter().enumerate() {
             let (ratio, inside, _) = agreement(&parameters[j], from, to);
             if j < MASSES {
-                let required = Required::Within { of: 1.0, by: run.pick(0.01, 0.03) };
-                figures.push(Figure::new(format!("{name}: mean over truth, {from} to {to} s"), ratio, required));
+                let required = Required::Within {
+                    of: 1.0,
+                    by: run.pick(0.01, 0.03),
+                };
+                figures.push(Figure::new(
+                    format!("{name}: mean over truth, {from} to {to} s"),
+                    ratio,
+                    required,
+                ));
             }
             // damping and hysteresis are learnt slowly: a minute after a start a third off they are on their way
             let on_its_way = j >= MASSES && window == 0;
@@ -248,26 +302,61 @@ fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
             figures.push(Figure::new(
                 format!("{name}: share inside 3 sd, {from} to {to} s"),
                 inside,
-                if on_its_way { run.pick(required, Required::Reported) } else { required },
+                if on_its_way {
+                    run.pick(required, Required::Reported)
+                } else {
+                    required
+                },
             ));
         }
         if j < MASSES {
             let after = if j < 2 { 0.90 } else { 0.95 };
             let delay = parameters[j].delay(times.damage, 1.0, after, 0.5);
-            let required = if scenario == Scenario::Stationary { Required::AtMost(6.0) } else { Required::Reported };
-            figures.push(Figure::new(format!("{name}: half of the drop seen after (s)"), delay, required));
+            let required = if scenario == Scenario::Stationary {
+                Required::AtMost(6.0)
+            } else {
+                Required::Reported
+            };
+            figures.push(Figure::new(
+                format!("{name}: half of the drop seen after (s)"),
+                delay,
+                required,
+            ));
         }
     }
     let mut plots: Vec<Plot> = vec![
-        levels[0].plot("Level of the ground motion", "over its level before it swells", (0.0, 6.0)),
-        levels[1].plot("Level of the sensors", "over its level before it swells", (0.0, 4.0)),
+        levels[0].plot(
+            "Level of the ground motion",
+            "over its level before it swells",
+            (0.0, 6.0),
+        ),
+        levels[1].plot(
+            "Level of the sensors",
+            "over its level before it swells",
+            (0.0, 4.0),
+        ),
     ];
-    plots.extend(parameters.iter().zip(NAMES).map(|(course, name)| course.plot(name, "ratio to nominal", (0.6, 1.4))));
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    plots.extend(
+        parameters
+            .iter()
+            .zip(NAMES)
+            .map(|(course, name)| course.plot(name, "ratio to nominal", (0.6, 1.4))),
+    );
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }
 
 /// Figures of the two noise levels.
-fn level_figures(run: &Run<'_>, scenario: Scenario, times: &Times, levels: &[Course; 2], figures: &mut Vec<Figure>) {
+fn level_figures(
+    run: &Run<'_>,
+    scenario: Scenario,
+    times: &Times,
+    levels: &[Course; 2],
+    figures: &mut Vec<Figure>,
+) {
     let stationary = scenario == Scenario::Stationary;
     let [[from, to], after] = times.levels;
     // a level that does not swell is judged up to the damage
@@ -278,26 +367,53 @@ fn level_figures(run: &Run<'_>, scenario: Scenario, times: &Times, levels: &[Cou
             let (ratio, inside, relative_std) = agreement(level, from, to);
             // a window of 20 s holds few of the level's own correlation times, and 15 s after the damage a level that swells is
             // still falling faster than the estimate
-            let swells =
-                scenario == Scenario::BothSwell || (scenario == Scenario::ExcitationSwells && name == "ground");
+            let swells = scenario == Scenario::BothSwell
+                || (scenario == Scenario::ExcitationSwells && name == "ground");
             let falling = run.pick(false, window == 1 && swells);
             let by = run.pick(by, 0.10);
-            let required = if falling { Required::Reported } else { Required::Within { of: 1.0, by } };
-            let covered = if falling { Required::Reported } else { Required::AtLeast(0.97) };
+            let required = if falling {
+                Required::Reported
+            } else {
+                Required::Within { of: 1.0, by }
+            };
+            let covered = if falling {
+                Required::Reported
+            } else {
+                Required::AtLeast(0.97)
+            };
             figures.extend([
-                Figure::new(format!("{name}: mean over truth, {from} to {to} s"), ratio, required),
-                Figure::new(format!("{name}: share inside 3 sd, {from} to {to} s"), inside, covered),
+                Figure::new(
+                    format!("{name}: mean over truth, {from} to {to} s"),
+                    ratio,
+                    required,
+                ),
+                Figure::new(
+                    format!("{name}: share inside 3 sd, {from} to {to} s"),
+                    inside,
+                    covered,
+                ),
             ]);
             if stationary {
-                let (low, high) = if name == "ground" { (0.045, 0.06) } else { (0.024, 0.03) };
+                let (low, high) = if name == "ground" {
+                    (0.045, 0.06)
+                } else {
+                    (0.024, 0.03)
+                };
                 let name = format!("{name}: stated relative deviation, {from} to {to} s");
-                figures.push(Figure::new(name, relative_std, Required::Between { low, high }));
+                figures.push(Figure::new(
+                    name,
+                    relative_std,
+                    Required::Between { low, high },
+                ));
             }
         }
     }
     if stationary {
         let extreme = |level: &Course, pick: fn(f64, f64) -> f64, start: f64| {
-            let within = level.points.iter().filter(|point| (times.damage..times.damage + 10.0).contains(&point[0]));
+            let within = level
+                .points
+                .iter()
+                .filter(|point| (times.damage..times.damage + 10.0).contains(&point[0]));
             within.map(|point| point[1]).fold(start, pick)
         };
         figures.extend([
@@ -319,19 +435,28 @@ fn level_figures(run: &Run<'_>, scenario: Scenario, times: &Times, levels: &[Cou
         Figure::new(
             "ground: largest mean over 2 s (m²/s⁴)",
             largest * 18.85,
-            Required::Between { low: 64.0, high: 83.0 },
+            Required::Between {
+                low: 64.0,
+                high: 83.0,
+            },
         )
         .published(75.4),
         Figure::new(
             "ground: time of that after the height of the swelling (s)",
             at_s - times.damage,
-            Required::Between { low: 0.0, high: 12.0 },
+            Required::Between {
+                low: 0.0,
+                high: 12.0,
+            },
         )
         .published(0.0),
         Figure::new(
             "ground: lag behind the truth (s)",
             lag(&levels[0], run.pick(100.0, 25.0)),
-            Required::Between { low: 1.0, high: 8.0 },
+            Required::Between {
+                low: 1.0,
+                high: 8.0,
+            },
         ),
     ]);
 }

@@ -13,8 +13,8 @@ use crate::statistics::{Mean, Normal, rms};
 use crate::tracking::{agreement, lag, peak};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
-    NoiseTarget,
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, NoiseModel, NoiseParameter,
+    NoiseRule, NoiseSettings, NoiseTarget,
 };
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -84,7 +84,10 @@ fn text(direction: &str, swells: Option<[f64; 2]>, damage: [f64; 2]) -> String {
          [[simulation.damage]]\nparameter = \"pier-right\"\nat-s = {second}\nloss = {LOSS}\n\n"
     );
     if let Some([start_s, rise_s]) = swells {
-        let _ = write!(text, "[simulation.modulation]\nstart-s = {start_s}\nrise-s = {rise_s}\n");
+        let _ = write!(
+            text,
+            "[simulation.modulation]\nstart-s = {start_s}\nrise-s = {rise_s}\n"
+        );
     }
     text
 }
@@ -96,12 +99,27 @@ struct Scenario {
 }
 
 pub(super) fn horizontal(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    case(run, &Scenario { motions: &[("horizontal", "x", Some([120.0, 20.0]))], published_end_s: 21.32 })
+    case(
+        run,
+        &Scenario {
+            motions: &[("horizontal", "x", Some([120.0, 20.0]))],
+            published_end_s: 21.32,
+        },
+    )
 }
 
 pub(super) fn both(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let motions = &[("horizontal", "x", None), ("vertical", "y", Some([150.0, 10.0]))];
-    case(run, &Scenario { motions, published_end_s: 22.14 })
+    let motions = &[
+        ("horizontal", "x", None),
+        ("vertical", "y", Some([150.0, 10.0])),
+    ];
+    case(
+        run,
+        &Scenario {
+            motions,
+            published_end_s: 22.14,
+        },
+    )
 }
 
 /// `1 + s e^(1 − s)`.
@@ -120,7 +138,11 @@ fn stiffness(time_s: f64, damage: [f64; 2]) -> [f64; GROUPS] {
     theta
 }
 
-fn settings(scenario: &Scenario, first: usize, inputs: usize) -> Result<FilterSettings, ValidateError> {
+fn settings(
+    scenario: &Scenario,
+    first: usize,
+    inputs: usize,
+) -> Result<FilterSettings, ValidateError> {
     let level = |name: &str, target, pattern| NoiseParameter {
         name: name.to_owned(),
         target,
@@ -128,18 +150,47 @@ fn settings(scenario: &Scenario, first: usize, inputs: usize) -> Result<FilterSe
         start: 1.0,
         start_std: 1.0 / 3.0,
     };
-    let mut noise = NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(CHANNELS, CHANNELS));
+    let mut noise = NoiseModel::known(
+        DMatrix::zeros(inputs, inputs),
+        DMatrix::zeros(CHANNELS, CHANNELS),
+    );
     for (input, (name, ..)) in scenario.motions.iter().enumerate() {
         let mut pattern = DMatrix::zeros(inputs, inputs);
         pattern[(input, input)] = 1.0;
-        noise.parameters.push(level(name, NoiseTarget::Excitation, pattern));
+        noise
+            .parameters
+            .push(level(name, NoiseTarget::Excitation, pattern));
     }
-    noise.parameters.push(level("sensors", NoiseTarget::Sensors, DMatrix::identity(CHANNELS, CHANNELS)));
+    noise.parameters.push(level(
+        "sensors",
+        NoiseTarget::Sensors,
+        DMatrix::identity(CHANNELS, CHANNELS),
+    ));
     let n = first + GROUPS + 2;
     let (mut mean, mut std) = (DVector::zeros(n), DVector::repeat(n, 1e-3));
     std.rows_mut(first / 2, first / 2).fill(1e-2);
-    let starts = [1.3, 0.75, 1.25, 0.8, 1.3, 0.7, 1.2, 0.12 / 0.063, 0.009 / 0.006];
-    let deviations = [0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.03 / 0.063, 0.002 / 0.006];
+    let starts = [
+        1.3,
+        0.75,
+        1.25,
+        0.8,
+        1.3,
+        0.7,
+        1.2,
+        0.12 / 0.063,
+        0.009 / 0.006,
+    ];
+    let deviations = [
+        0.3,
+        0.3,
+        0.3,
+        0.3,
+        0.3,
+        0.3,
+        0.3,
+        0.03 / 0.063,
+        0.002 / 0.006,
+    ];
     mean.rows_mut(first, GROUPS + 2).copy_from_slice(&starts);
     std.rows_mut(first, GROUPS + 2).copy_from_slice(&deviations);
     let mut settings = FilterSettings::new(1.0 / RATE_HZ, mean, std, noise);
@@ -170,19 +221,29 @@ fn filtered_text(scenario: &Scenario, damage: [f64; 2]) -> String {
 
 fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
     let times = run.pick(&FULL, &QUICK);
-    let begins = |swells: &Option<[f64; 2]>| swells.map(|[from_s, rise_s]| [times.swells.unwrap_or(from_s), rise_s]);
+    let begins = |swells: &Option<[f64; 2]>| {
+        swells.map(|[from_s, rise_s]| [times.swells.unwrap_or(from_s), rise_s])
+    };
     let mut clean: Vec<f64> = Vec::new();
     let mut frames = 0;
     for (k, (_, direction, swells)) in scenario.motions.iter().enumerate() {
         let text = text(direction, begins(swells), times.damage);
-        let plan = Plan { text: &text, seconds: times.end, noise_share: 0.0, watched: &|_| Vec::new() };
+        let plan = Plan {
+            text: &text,
+            seconds: times.end,
+            noise_share: 0.0,
+            watched: &|_| Vec::new(),
+        };
         // motions of their own, and records of one seed and another never meet
         let scene = Scene::simulate_seeded(&plan, 10_000 * k as u64 + run.seed, run)?;
         frames = scene.frames;
         let values = (0..frames).flat_map(|frame| scene.clean(frame).to_vec());
         match clean.is_empty() {
             true => clean = values.collect(),
-            false => clean.iter_mut().zip(values).for_each(|(sum, value)| *sum += value),
+            false => clean
+                .iter_mut()
+                .zip(values)
+                .for_each(|(sum, value)| *sum += value),
         }
     }
     let noise_std = 0.05 * rms(clean.iter().skip(REFERENCE).step_by(CHANNELS).copied());
@@ -193,7 +254,8 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
     let first = 2 * structure.degrees_of_freedom().len();
     let inputs = scenario.motions.len();
     let settings = settings(scenario, first, inputs)?;
-    let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
+    let mut filter =
+        ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
     let unit = 2.0 * PI * 5.0e-6 * RATE_HZ;
     let mut noise = Normal::stream(run.seed, 7);
     let mut parameters = vec![Course::default(); GROUPS + 2];
@@ -201,10 +263,15 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
     let (mut trained_s, mut misfit) = (f64::NAN, Mean::default());
     for frame in 0..frames {
         let time_s = frame as f64 / RATE_HZ;
-        let datum: Vec<f64> =
-            clean[frame * CHANNELS..(frame + 1) * CHANNELS].iter().map(|z| z + noise_std * noise.draw()).collect();
+        let datum: Vec<f64> = clean[frame * CHANNELS..(frame + 1) * CHANNELS]
+            .iter()
+            .map(|z| z + noise_std * noise.draw())
+            .collect();
         let step = filter
-            .step(Frame { observations: &datum, excitation: &vec![0.0; inputs] })
+            .step(Frame {
+                observations: &datum,
+                excitation: &vec![0.0; inputs],
+            })
             .map_err(ValidateError::at(time_s))?;
         if step.training_ended && trained_s.is_nan() {
             trained_s = time_s;
@@ -216,7 +283,12 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             let theta = stiffness(time_s, times.damage);
             for (j, course) in parameters.iter_mut().enumerate() {
                 let truth = theta.get(j).copied().unwrap_or(1.0);
-                course.take(time_s, filter.mean()[first + j], filter.covariance()[(first + j, first + j)], truth);
+                course.take(
+                    time_s,
+                    filter.mean()[first + j],
+                    filter.covariance()[(first + j, first + j)],
+                    truth,
+                );
             }
             for (l, course) in levels.iter_mut().enumerate() {
                 let (scale, truth) = match scenario.motions.get(l) {
@@ -232,14 +304,38 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
         }
     }
 
-    let required = Required::Between { low: 21.27, high: run.pick(30.0, 34.0) };
+    let required = Required::Between {
+        low: 21.27,
+        high: run.pick(30.0, 34.0),
+    };
     let mut figures = vec![
-        Figure::new("end of the training (s)", trained_s, required).published(scenario.published_end_s),
-        Figure::new("mean misfit from 25 s on", misfit.value(), Required::Within { of: 1.0, by: run.pick(0.02, 0.10) }),
-        Figure::new("fallbacks in the working phase", filter.noise().working_fallbacks as f64, Required::AtMost(0.0)),
-        Figure::new("shortened steps in the working phase", filter.noise().limited as f64, Required::AtMost(0.0)),
+        Figure::new("end of the training (s)", trained_s, required)
+            .published(scenario.published_end_s),
+        Figure::new(
+            "mean misfit from 25 s on",
+            misfit.value(),
+            Required::Within {
+                of: 1.0,
+                by: run.pick(0.02, 0.10),
+            },
+        ),
+        Figure::new(
+            "fallbacks in the working phase",
+            filter.noise().working_fallbacks as f64,
+            Required::AtMost(0.0),
+        ),
+        Figure::new(
+            "shortened steps in the working phase",
+            filter.noise().limited as f64,
+            Required::AtMost(0.0),
+        ),
     ];
-    let names: Vec<&str> = scenario.motions.iter().map(|(name, ..)| *name).chain(["sensors"]).collect();
+    let names: Vec<&str> = scenario
+        .motions
+        .iter()
+        .map(|(name, ..)| *name)
+        .chain(["sensors"])
+        .collect();
     let full = |required: Required| run.pick(required, Required::Reported);
     for (level, name) in levels.iter().zip(&names) {
         for &[from, to] in times.levels {
@@ -256,7 +352,10 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
                     ratio,
                     // six seconds are long beside the correlation time of the sensors' level only
                     if *name == "sensors" {
-                        Required::Within { of: 1.0, by: run.pick(by, 0.05) }
+                        Required::Within {
+                            of: 1.0,
+                            by: run.pick(by, 0.05),
+                        }
                     } else {
                         full(Required::Within { of: 1.0, by })
                     },
@@ -268,8 +367,14 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
                 ),
             ]);
             let required = match (*name, inputs) {
-                ("horizontal", 1) => full(Required::Between { low: 0.08, high: 0.11 }),
-                ("sensors", 1) => Required::Between { low: 0.010, high: 0.013 },
+                ("horizontal", 1) => full(Required::Between {
+                    low: 0.08,
+                    high: 0.11,
+                }),
+                ("sensors", 1) => Required::Between {
+                    low: 0.010,
+                    high: 0.013,
+                },
                 _ => Required::Reported,
             };
             figures.push(Figure::new(
@@ -279,26 +384,41 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             ));
         }
     }
-    let swelling = scenario.motions.iter().position(|(.., swells)| swells.is_some()).unwrap_or(0);
-    let height_s = begins(&scenario.motions[swelling].2).map_or(f64::NAN, |[from_s, rise_s]| from_s + rise_s);
+    let swelling = scenario
+        .motions
+        .iter()
+        .position(|(.., swells)| swells.is_some())
+        .unwrap_or(0);
+    let height_s =
+        begins(&scenario.motions[swelling].2).map_or(f64::NAN, |[from_s, rise_s]| from_s + rise_s);
     let (low, high, after, lags) = match inputs {
         1 => (3.2, 4.4, [0.0, 15.0], [1.0, 8.0]),
         _ => (2.5, 3.8, [0.0, 16.0], [2.0, 9.0]),
     };
     let (largest, at_s) = peak(&levels[swelling], height_s - 20.0);
     figures.extend([
-        Figure::new("swelling motion: largest mean over 2 s, over its level", largest, Required::Between { low, high })
-            .published(4.0),
+        Figure::new(
+            "swelling motion: largest mean over 2 s, over its level",
+            largest,
+            Required::Between { low, high },
+        )
+        .published(4.0),
         Figure::new(
             "swelling motion: time of that after its height (s)",
             at_s - height_s,
-            Required::Between { low: after[0], high: after[1] },
+            Required::Between {
+                low: after[0],
+                high: after[1],
+            },
         )
         .published(0.0),
         Figure::new(
             "swelling motion: lag behind the truth (s)",
             lag(&levels[swelling], run.pick(60.0, 30.0)),
-            Required::Between { low: lags[0], high: lags[1] },
+            Required::Between {
+                low: lags[0],
+                high: lags[1],
+            },
         ),
     ]);
     for (group, jump) in DAMAGED.into_iter().zip(times.damage) {
@@ -309,19 +429,40 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             Required::AtMost(5.0),
         ));
     }
-    let parameter_names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
+    let parameter_names: Vec<&str> = structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name())
+        .collect();
     for (j, name) in parameter_names.iter().enumerate() {
         for &[from, to] in times.parameters {
             let (ratio, inside, _) = agreement(&parameters[j], from, to);
             if j < GROUPS {
-                let required = Required::Within { of: 1.0, by: run.pick(0.01, 0.05) };
-                figures.push(Figure::new(format!("{name}: mean over truth, {from} to {to} s"), ratio, required));
+                let required = Required::Within {
+                    of: 1.0,
+                    by: run.pick(0.01, 0.05),
+                };
+                figures.push(Figure::new(
+                    format!("{name}: mean over truth, {from} to {to} s"),
+                    ratio,
+                    required,
+                ));
             }
             let course = &parameters[j];
-            let truth = if j < GROUPS { stiffness(from, times.damage)[j] } else { 1.0 };
+            let truth = if j < GROUPS {
+                stiffness(from, times.damage)[j]
+            } else {
+                1.0
+            };
             // the shortened record ends while the last tenth of a drop is still to be seen
             let is_on_its_way = DAMAGED.contains(&j) && from > times.damage[0];
-            let settled = |required| if is_on_its_way { full(required) } else { required };
+            let settled = |required| {
+                if is_on_its_way {
+                    full(required)
+                } else {
+                    required
+                }
+            };
             figures.extend([
                 Figure::new(
                     format!("{name}: distance of the mean from the truth in deviations, {from} to {to} s"),
@@ -339,10 +480,23 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
     let mut plots: Vec<Plot> = levels
         .iter()
         .zip(&names)
-        .map(|(level, name)| level.plot(&format!("Level: {name}"), "over its level before it swells", (0.0, 5.0)))
+        .map(|(level, name)| {
+            level.plot(
+                &format!("Level: {name}"),
+                "over its level before it swells",
+                (0.0, 5.0),
+            )
+        })
         .collect();
     plots.extend(
-        parameters.iter().zip(&parameter_names).map(|(c, name)| c.plot(name, "ratio to nominal", (0.85, 1.15))),
+        parameters
+            .iter()
+            .zip(&parameter_names)
+            .map(|(c, name)| c.plot(name, "ratio to nominal", (0.85, 1.15))),
     );
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

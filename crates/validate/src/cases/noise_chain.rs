@@ -13,8 +13,8 @@ use crate::systems::chain::Chain;
 use crate::systems::linear;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel, NoiseParameter,
-    NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
+    Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, LinearModel, NoiseModel,
+    NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
 };
 use std::f64::consts::PI;
 
@@ -37,7 +37,11 @@ fn excitation_variance() -> f64 {
 
 fn simulate(seed: u64, seconds: f64) -> Record {
     let (system, _) = linear::under_ground_motion(&linear::chain(MASSES, STIFFNESS), ALPHA, BETA);
-    let input = DMatrix::from_fn(2 * MASSES, 1, |i, _| if i + 1 == 2 * MASSES { 1.0 } else { 0.0 });
+    let input = DMatrix::from_fn(
+        2 * MASSES,
+        1,
+        |i, _| if i + 1 == 2 * MASSES { 1.0 } else { 0.0 },
+    );
     let (transition, held) = LinearModel::discretise(&system, &input, STEP_S);
     let observation = system.rows(MASSES, MASSES).into_owned();
     let (mut force, mut noise) = (Normal::stream(seed, 0), Normal::stream(seed, 1));
@@ -50,9 +54,13 @@ fn simulate(seed: u64, seconds: f64) -> Record {
         .collect();
     let noise_std = 0.05 * rms(data.iter().map(|z| z[MASSES - 1]));
     for z in &mut data {
-        z.iter_mut().for_each(|value| *value += noise_std * noise.draw());
+        z.iter_mut()
+            .for_each(|value| *value += noise_std * noise.draw());
     }
-    Record { data, noise_variance: noise_std * noise_std }
+    Record {
+        data,
+        noise_variance: noise_std * noise_std,
+    }
 }
 
 fn settings(noise: NoiseModel) -> Result<FilterSettings, ValidateError> {
@@ -61,13 +69,19 @@ fn settings(noise: NoiseModel) -> Result<FilterSettings, ValidateError> {
     for j in 0..MASSES {
         std[MASSES + j] = 1e-1;
     }
-    for (j, (mean, deviation)) in [(0.5, 0.3), (1.0, 0.3), (1e-3, 1e-3)].into_iter().enumerate() {
+    for (j, (mean, deviation)) in [(0.5, 0.3), (1.0, 0.3), (1e-3, 1e-3)]
+        .into_iter()
+        .enumerate()
+    {
         prior[2 * MASSES + j] = mean;
         std[2 * MASSES + j] = deviation;
     }
     let mut settings = FilterSettings::new(STEP_S, prior, std, noise);
     settings.fading = FadingFactor::from_half_life(2000.0).map_err(ValidateError::setting)?;
-    settings.annealing = Some(Annealing { amount: 100.0, time_constant_s: 1.0 });
+    settings.annealing = Some(Annealing {
+        amount: 100.0,
+        time_constant_s: 1.0,
+    });
     for j in 2 * MASSES..2 * MASSES + 3 {
         settings.lower[j] = 0.05 * settings.prior_mean[j];
     }
@@ -82,15 +96,26 @@ struct Fixed {
     curve: Vec<(f32, f32)>,
 }
 
-fn with_fixed_levels(record: &Record, excitation: f64, sensors: f64) -> Result<Fixed, ValidateError> {
-    let noise = NoiseModel::known(DMatrix::from_element(1, 1, excitation), DMatrix::identity(MASSES, MASSES) * sensors);
-    let mut filter =
-        ExtendedKalmanFilter::new(Chain::new(MASSES, STIFFNESS), settings(noise)?).map_err(ValidateError::setting)?;
+fn with_fixed_levels(
+    record: &Record,
+    excitation: f64,
+    sensors: f64,
+) -> Result<Fixed, ValidateError> {
+    let noise = NoiseModel::known(
+        DMatrix::from_element(1, 1, excitation),
+        DMatrix::identity(MASSES, MASSES) * sensors,
+    );
+    let mut filter = ExtendedKalmanFilter::new(Chain::new(MASSES, STIFFNESS), settings(noise)?)
+        .map_err(ValidateError::setting)?;
     let mut misfit = Mean::default();
-    let (mut stiffness, mut beta, mut curve) = (Accuracy::default(), Accuracy::default(), Vec::new());
+    let (mut stiffness, mut beta, mut curve) =
+        (Accuracy::default(), Accuracy::default(), Vec::new());
     for (i, datum) in record.data.iter().enumerate() {
         let time_s = (i + 1) as f64 * STEP_S;
-        let frame = Frame { observations: datum.as_slice(), excitation: &[0.0] };
+        let frame = Frame {
+            observations: datum.as_slice(),
+            excitation: &[0.0],
+        };
         let step = filter.step(frame).map_err(ValidateError::at(time_s))?;
         if i % 8 == 0 {
             curve.push((time_s as f32, filter.mean()[2 * MASSES] as f32));
@@ -102,11 +127,19 @@ fn with_fixed_levels(record: &Record, excitation: f64, sensors: f64) -> Result<F
             beta.take(filter.mean()[2 * MASSES + 2], std(2 * MASSES + 2), BETA);
         }
     }
-    Ok(Fixed { misfit: misfit.value(), stiffness, beta, curve })
+    Ok(Fixed {
+        misfit: misfit.value(),
+        stiffness,
+        beta,
+        curve,
+    })
 }
 
 /// Identifies the level of the sensors from `ψ = 1`.
-fn with_identified_level(record: &Record, rule: NoiseRule) -> Result<ExtendedKalmanFilter<Chain>, ValidateError> {
+fn with_identified_level(
+    record: &Record,
+    rule: NoiseRule,
+) -> Result<ExtendedKalmanFilter<Chain>, ValidateError> {
     let excitation = DMatrix::from_element(1, 1, excitation_variance());
     let mut noise = NoiseModel::known(excitation, DMatrix::zeros(MASSES, MASSES));
     noise.parameters.push(NoiseParameter {
@@ -123,11 +156,16 @@ fn with_identified_level(record: &Record, rule: NoiseRule) -> Result<ExtendedKal
         training_limit_steps: (40.0 * PERIOD_S / STEP_S) as u64,
         ..NoiseSettings::default()
     };
-    let mut filter =
-        ExtendedKalmanFilter::new(Chain::new(MASSES, STIFFNESS), settings).map_err(ValidateError::setting)?;
+    let mut filter = ExtendedKalmanFilter::new(Chain::new(MASSES, STIFFNESS), settings)
+        .map_err(ValidateError::setting)?;
     for (i, datum) in record.data.iter().enumerate() {
-        let frame = Frame { observations: datum.as_slice(), excitation: &[0.0] };
-        filter.step(frame).map_err(ValidateError::at((i + 1) as f64 * STEP_S))?;
+        let frame = Frame {
+            observations: datum.as_slice(),
+            excitation: &[0.0],
+        };
+        filter
+            .step(frame)
+            .map_err(ValidateError::at((i + 1) as f64 * STEP_S))?;
     }
     Ok(filter)
 }
@@ -139,43 +177,108 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let weak = with_fixed_levels(&record, 0.001, sensors)?;
     let noisy = with_fixed_levels(&record, force, 10.0 * sensors)?;
     run.advance(0.4);
-    let omega = linear::chain(MASSES, STIFFNESS).symmetric_eigenvalues().min().sqrt();
+    let omega = linear::chain(MASSES, STIFFNESS)
+        .symmetric_eigenvalues()
+        .min()
+        .sqrt();
     let mut figures = vec![
-        Figure::new("variance of the force (N²)", force, Required::Within { of: 0.12566, by: 1e-5 }).published(0.126),
-        Figure::new("f1 (Hz)", omega / (2.0 * PI), Required::Within { of: 3.203, by: 1e-3 }).published(3.20),
-        Figure::new("variance of the sensors ((m/s²)²)", sensors, Required::Reported).published(2.62e-4),
-        Figure::new("case 1: mean misfit", right.misfit, Required::Within { of: 1.0, by: 0.05 }),
+        Figure::new(
+            "variance of the force (N²)",
+            force,
+            Required::Within {
+                of: 0.12566,
+                by: 1e-5,
+            },
+        )
+        .published(0.126),
+        Figure::new(
+            "f1 (Hz)",
+            omega / (2.0 * PI),
+            Required::Within {
+                of: 3.203,
+                by: 1e-3,
+            },
+        )
+        .published(3.20),
+        Figure::new(
+            "variance of the sensors ((m/s²)²)",
+            sensors,
+            Required::Reported,
+        )
+        .published(2.62e-4),
+        Figure::new(
+            "case 1: mean misfit",
+            right.misfit,
+            Required::Within { of: 1.0, by: 0.05 },
+        ),
         Figure::new("case 2: mean misfit", weak.misfit, Required::AtLeast(3.0)),
         Figure::new("case 3: mean misfit", noisy.misfit, Required::AtMost(0.2)),
         Figure::new(
             "deviation of θ, case 3 over case 1",
             noisy.stiffness.mean_std() / right.stiffness.mean_std(),
-            Required::Between { low: 2.0, high: 3.5 },
+            Required::Between {
+                low: 2.0,
+                high: 3.5,
+            },
         ),
         // its interval misses the truth
-        Figure::new("case 2: distance of β from the truth in deviations", weak.beta.bias(), Required::AtLeast(3.0)),
-        Figure::new("case 2: share of time in which β is covered", weak.beta.coverage(), Required::AtMost(0.0))
-            .known_miss("in some records the estimate passes the truth on its way, for up to 3 of the 10 s"),
-        Figure::new("case 2: share of time in which θ is covered", weak.stiffness.coverage(), Required::Reported),
-        Figure::new("case 1: share of time in which θ is covered", right.stiffness.coverage(), Required::Reported),
+        Figure::new(
+            "case 2: distance of β from the truth in deviations",
+            weak.beta.bias(),
+            Required::AtLeast(3.0),
+        ),
+        Figure::new(
+            "case 2: share of time in which β is covered",
+            weak.beta.coverage(),
+            Required::AtMost(0.0),
+        )
+        .known_miss(
+            "in some records the estimate passes the truth on its way, for up to 3 of the 10 s",
+        ),
+        Figure::new(
+            "case 2: share of time in which θ is covered",
+            weak.stiffness.coverage(),
+            Required::Reported,
+        ),
+        Figure::new(
+            "case 1: share of time in which θ is covered",
+            right.stiffness.coverage(),
+            Required::Reported,
+        ),
     ];
     // a force a thousand times too strong: divergence depends on start and record, so that it is shown and not judged
     let wild = with_fixed_levels(&record, 1000.0 * force, sensors);
-    let (misfit, error) =
-        wild.as_ref().map_or((f64::NAN, f64::NAN), |wild| (wild.misfit, wild.stiffness.relative_error()));
+    let (misfit, error) = wild.as_ref().map_or((f64::NAN, f64::NAN), |wild| {
+        (wild.misfit, wild.stiffness.relative_error())
+    });
     figures.extend([
         Figure::new("case 4: mean misfit", misfit, Required::Reported),
-        Figure::new("case 4: error of θ over its value", error, Required::Reported),
-        Figure::new("case 1: error of θ over its value", right.stiffness.relative_error(), Required::Reported),
+        Figure::new(
+            "case 4: error of θ over its value",
+            error,
+            Required::Reported,
+        ),
+        Figure::new(
+            "case 1: error of θ over its value",
+            right.stiffness.relative_error(),
+            Required::Reported,
+        ),
     ]);
     let long = simulate(run.seed, run.pick(100.0, 60.0));
-    for (name, rule) in [("published", NoiseRule::Published), ("fisher", NoiseRule::Fisher)] {
+    for (name, rule) in [
+        ("published", NoiseRule::Published),
+        ("fisher", NoiseRule::Fisher),
+    ] {
         let filter = with_identified_level(&long, rule)?;
         let noise = filter.noise();
         let level = noise.mean[0] / long.noise_variance;
         let trained = f64::from(u8::from(noise.phase == NoisePhase::Working));
         figures.extend([
-            Figure::new(format!("{name}: training ended"), trained, Required::AtLeast(1.0)),
+            Figure::new(
+                format!("{name}: training ended"),
+                trained,
+                Required::AtLeast(1.0),
+            ),
             Figure::new(
                 format!("{name}: fallbacks in the working phase"),
                 noise.working_fallbacks as f64,
@@ -194,9 +297,23 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ]);
         run.advance(0.7);
     }
-    let mut curves = vec![("case 1", right.curve), ("case 2", weak.curve), ("case 3", noisy.curve)];
+    let mut curves = vec![
+        ("case 1", right.curve),
+        ("case 2", weak.curve),
+        ("case 3", noisy.curve),
+    ];
     curves.extend(wild.map(|wild| ("case 4", wild.curve)));
-    let series = curves.into_iter().map(|(name, points)| Series::new(name, SeriesKind::Estimate, points)).collect();
-    let plots = vec![Plot::over_time("Stiffness with the fixed levels of table 3.1", "θ", series).within(0.4, 1.6)];
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    let series = curves
+        .into_iter()
+        .map(|(name, points)| Series::new(name, SeriesKind::Estimate, points))
+        .collect();
+    let plots = vec![
+        Plot::over_time("Stiffness with the fixed levels of table 3.1", "θ", series)
+            .within(0.4, 1.6),
+    ];
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

@@ -10,7 +10,8 @@ use crate::run::Run;
 use crate::scene::Course;
 use crate::statistics::Mean;
 use crate::systems::tall_building::{
-    self, Case, ErrorStatistics, Levels, Record, STEP_S, TABULATED, Tabulated, held_variance, simulate,
+    self, Case, ErrorStatistics, Levels, Record, STEP_S, TABULATED, Tabulated, held_variance,
+    simulate,
 };
 use crate::tracking::{agreement, lag};
 
@@ -48,7 +49,8 @@ fn track(
     shares: (f64, f64),
     run: &Run<'_>,
 ) -> Result<Tracked, ValidateError> {
-    let mut filter = tall_building::Run::new(record, levels, HALF_LIFE).map_err(ValidateError::setting)?;
+    let mut filter =
+        tall_building::Run::new(record, levels, HALF_LIFE).map_err(ValidateError::setting)?;
     let mut tracked = Tracked {
         errors: ErrorStatistics::default(),
         levels: Default::default(),
@@ -77,19 +79,32 @@ fn track(
         }
     }
     let noise = filter.filter.noise();
-    (tracked.replaced, tracked.limited) = ([noise.fallbacks, noise.working_fallbacks], noise.limited);
+    (tracked.replaced, tracked.limited) =
+        ([noise.fallbacks, noise.working_fallbacks], noise.limited);
     Ok(tracked)
 }
 
 /// Largest relative difference of two sets of rms errors.
 fn worst(found: &Tabulated, reference: &Tabulated) -> f64 {
-    found.iter().zip(reference).map(|(found, reference)| (found / reference - 1.0).abs()).fold(0.0, f64::max)
+    found
+        .iter()
+        .zip(reference)
+        .map(|(found, reference)| (found / reference - 1.0).abs())
+        .fold(0.0, f64::max)
 }
 
 /// Least and largest ratio of two sets.
 fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
-    let each = || found.iter().zip(reference).map(|(found, reference)| found / reference);
-    (each().fold(f64::INFINITY, f64::min), each().fold(0.0, f64::max))
+    let each = || {
+        found
+            .iter()
+            .zip(reference)
+            .map(|(found, reference)| found / reference)
+    };
+    (
+        each().fold(f64::INFINITY, f64::min),
+        each().fold(0.0, f64::max),
+    )
 }
 
 /// Published beside measured, quantity by quantity.
@@ -100,26 +115,63 @@ fn table<const N: usize>(
     measured: [&Tabulated; N],
 ) -> Table {
     let mut columns = vec!["state".to_owned()];
-    columns.extend(heads.iter().flat_map(|head| [format!("{head}, published"), format!("{head}, measured")]));
+    columns.extend(
+        heads
+            .iter()
+            .flat_map(|head| [format!("{head}, published"), format!("{head}, measured")]),
+    );
     let rows = published.iter().enumerate().map(|(k, published)| {
-        let (what, unit) = if k < TABULATED.len() { ("x", "m") } else { ("ẋ", "m/s") };
-        let mut row = vec![format!("{what} {} ({unit})", TABULATED[k % TABULATED.len()])];
+        let (what, unit) = if k < TABULATED.len() {
+            ("x", "m")
+        } else {
+            ("ẋ", "m/s")
+        };
+        let mut row = vec![format!(
+            "{what} {} ({unit})",
+            TABULATED[k % TABULATED.len()]
+        )];
         let values = published.iter().zip(measured);
-        row.extend(values.flat_map(|(value, measured)| [format!("{value:.3e}"), format!("{:.3e}", measured[k])]));
+        row.extend(values.flat_map(|(value, measured)| {
+            [format!("{value:.3e}"), format!("{:.3e}", measured[k])]
+        }));
         row
     });
-    Table { title: title.to_owned(), columns, rows: rows.collect() }
+    Table {
+        title: title.to_owned(),
+        columns,
+        rows: rows.collect(),
+    }
 }
 
 fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     let (seconds, from_s) = run.pick((1000.0, 100.0), (120.0, 50.0));
     let record = simulate(case, run.seed, seconds).map_err(ValidateError::setting)?;
     // the second case has two filters more
-    let share = if case == Case::ModulatedGround { 0.2 } else { 1.0 / 3.0 };
+    let share = if case == Case::ModulatedGround {
+        0.2
+    } else {
+        1.0 / 3.0
+    };
     let actual = track(&record, Levels::Actual, from_s, (0.0, share), run)?;
-    let constant = track(&record, Levels::Constant(START), from_s, (share, 2.0 * share), run)?;
-    let online = track(&record, Levels::Online(START), from_s, (2.0 * share, 3.0 * share), run)?;
-    let (rms, far, found) = (actual.errors.rms(), constant.errors.rms(), online.errors.rms());
+    let constant = track(
+        &record,
+        Levels::Constant(START),
+        from_s,
+        (share, 2.0 * share),
+        run,
+    )?;
+    let online = track(
+        &record,
+        Levels::Online(START),
+        from_s,
+        (2.0 * share, 3.0 * share),
+        run,
+    )?;
+    let (rms, far, found) = (
+        actual.errors.rms(),
+        constant.errors.rms(),
+        online.errors.rms(),
+    );
 
     let full = |required: Required| run.pick(required, Required::Reported);
     // records of 120 s hold fewer of the states' own correlation times
@@ -136,20 +188,51 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
             Required::AtMost(most),
         )
         .published(published_most),
-        Figure::new("end of the training (s)", online.training_s, Required::Within { of: 5.0, by: 0.011 }),
-        Figure::new("replaced Hessians in the training", online.replaced[0] as f64, Required::Reported),
-        Figure::new("replaced Hessians later", online.replaced[1] as f64, Required::AtMost(0.0)),
-        Figure::new("steps stopped by the positivity guard", online.limited as f64, Required::AtMost(0.0)),
+        Figure::new(
+            "end of the training (s)",
+            online.training_s,
+            Required::Within { of: 5.0, by: 0.011 },
+        ),
+        Figure::new(
+            "replaced Hessians in the training",
+            online.replaced[0] as f64,
+            Required::Reported,
+        ),
+        Figure::new(
+            "replaced Hessians later",
+            online.replaced[1] as f64,
+            Required::AtMost(0.0),
+        ),
+        Figure::new(
+            "steps stopped by the positivity guard",
+            online.limited as f64,
+            Required::AtMost(0.0),
+        ),
     ];
     let (least, largest) = match case {
-        Case::Ground => ((Required::AtLeast(5.0), Some(5.5)), (Required::AtMost(9.5), Some(9.7))),
+        Case::Ground => (
+            (Required::AtLeast(5.0), Some(5.5)),
+            (Required::AtMost(9.5), Some(9.7)),
+        ),
         Case::ModulatedGround => ((Required::AtLeast(4.0), None), (Required::Reported, None)),
-        Case::Wind => ((Required::AtLeast(4.0), Some(4.6)), (Required::AtMost(8.0), Some(7.5))),
+        Case::Wind => (
+            (Required::AtLeast(4.0), Some(4.6)),
+            (Required::AtMost(8.0), Some(7.5)),
+        ),
     };
-    for (what, ratio, (required, published)) in [("least", least_ratio, least), ("largest", largest_ratio, largest)] {
+    for (what, ratio, (required, published)) in [
+        ("least", least_ratio, least),
+        ("largest", largest_ratio, largest),
+    ] {
         let name = format!("rms errors, [10, 10] over actual levels: {what} ratio");
-        let figure = Figure { published, ..Figure::new(name, ratio, full(required)) };
-        figures.push(figure.known_miss("the errors with the actual levels follow the strength of the record"));
+        let figure = Figure {
+            published,
+            ..Figure::new(name, ratio, full(required))
+        };
+        figures.push(
+            figure
+                .known_miss("the errors with the actual levels follow the strength of the record"),
+        );
     }
     if case == Case::Ground {
         let variance = held_variance(tall_building::GROUND_INTENSITY, STEP_S);
@@ -157,7 +240,10 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
             Figure::new(
                 "variance of a sample of the ground motion (m²/s⁴)",
                 variance,
-                Required::Within { of: 0.075_398_2, by: 1e-6 },
+                Required::Within {
+                    of: 0.075_398_2,
+                    by: 1e-6,
+                },
             )
             .published(0.0754),
         );
@@ -171,29 +257,58 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     for (level, name) in online.levels.iter().zip(["excitation", "sensors"]) {
         let (ratio, inside, stated) = agreement(level, from_s, seconds);
         let mut scatter = Mean::default();
-        level.points.iter().for_each(|[_, mean, _, truth]| scatter.take((mean / truth - ratio).powi(2)));
+        level
+            .points
+            .iter()
+            .for_each(|[_, mean, _, truth]| scatter.take((mean / truth - ratio).powi(2)));
         let scatter = scatter.value().sqrt();
         let (required, covered) = match (case, name) {
-            (Case::Ground, _) => (Required::Within { of: 1.0, by: 0.02 }, full(Required::AtLeast(0.99))),
-            (Case::Wind, _) => (Required::Within { of: 1.0, by: 0.03 }, full(Required::AtLeast(0.99))),
-            (Case::ModulatedGround, "sensors") => {
-                (Required::Within { of: 1.0, by: 0.02 }, full(Required::AtLeast(0.99)))
-            }
+            (Case::Ground, _) => (
+                Required::Within { of: 1.0, by: 0.02 },
+                full(Required::AtLeast(0.99)),
+            ),
+            (Case::Wind, _) => (
+                Required::Within { of: 1.0, by: 0.03 },
+                full(Required::AtLeast(0.99)),
+            ),
+            (Case::ModulatedGround, "sensors") => (
+                Required::Within { of: 1.0, by: 0.02 },
+                full(Required::AtLeast(0.99)),
+            ),
             // it lags behind a level that changes
-            (Case::ModulatedGround, _) => (Required::Reported, full(Required::Between { low: 0.75, high: 0.83 })),
+            (Case::ModulatedGround, _) => (
+                Required::Reported,
+                full(Required::Between {
+                    low: 0.75,
+                    high: 0.83,
+                }),
+            ),
         };
         figures.extend([
-            Figure::new(format!("{name}: mean over the actual level"), ratio, full(required)),
+            Figure::new(
+                format!("{name}: mean over the actual level"),
+                ratio,
+                full(required),
+            ),
             Figure::new(format!("{name}: share inside 3 sd"), inside, covered),
         ]);
         // of a level that does not change it is the filter's own; of the modulated ones the lag is in it
         let of_scatter = match (case, name) {
-            (Case::Ground, "sensors") | (Case::ModulatedGround, "sensors") => Required::relative(0.017, 0.3),
+            (Case::Ground, "sensors") | (Case::ModulatedGround, "sensors") => {
+                Required::relative(0.017, 0.3)
+            }
             (Case::Ground, _) => Required::relative(0.048, 0.3),
-            (Case::Wind, _) => Required::Between { low: 0.7 * 0.07, high: 1.3 * 0.08 },
+            (Case::Wind, _) => Required::Between {
+                low: 0.7 * 0.07,
+                high: 1.3 * 0.08,
+            },
             (Case::ModulatedGround, _) => Required::Reported,
         };
-        figures.push(Figure::new(format!("{name}: scatter of that"), scatter, full(of_scatter)));
+        figures.push(Figure::new(
+            format!("{name}: scatter of that"),
+            scatter,
+            full(of_scatter),
+        ));
         if case == Case::Ground {
             let of_stated = if name == "sensors" { 0.0244 } else { 0.079 };
             figures.push(
@@ -210,15 +325,44 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     match case {
         Case::Ground => {
             let heads = ["actual levels", "[10, 10]", "online"];
-            tables.push(table("Table 2: rms errors", heads, &published::RMS_1, [&rms, &far, &found]));
-            let largest = [&actual.errors.largest, &constant.errors.largest, &online.errors.largest];
-            tables.push(table("Table 3: largest errors", heads, &published::LARGEST_1, largest));
+            tables.push(table(
+                "Table 2: rms errors",
+                heads,
+                &published::RMS_1,
+                [&rms, &far, &found],
+            ));
+            let largest = [
+                &actual.errors.largest,
+                &constant.errors.largest,
+                &online.errors.largest,
+            ];
+            tables.push(table(
+                "Table 3: largest errors",
+                heads,
+                &published::LARGEST_1,
+                largest,
+            ));
         }
         Case::ModulatedGround => {
             let count = record.data.len() as f64;
-            let mean_level = (0..record.data.len()).map(|k| record.actual_levels(k)[0]).sum::<f64>() / count;
-            let mean = track(&record, Levels::Constant([mean_level, record.sensor_variance]), from_s, (0.6, 0.8), run)?;
-            let first = track(&record, Levels::Constant(record.actual_levels(0)), from_s, (0.8, 1.0), run)?;
+            let mean_level = (0..record.data.len())
+                .map(|k| record.actual_levels(k)[0])
+                .sum::<f64>()
+                / count;
+            let mean = track(
+                &record,
+                Levels::Constant([mean_level, record.sensor_variance]),
+                from_s,
+                (0.6, 0.8),
+                run,
+            )?;
+            let first = track(
+                &record,
+                Levels::Constant(record.actual_levels(0)),
+                from_s,
+                (0.8, 1.0),
+                run,
+            )?;
             let (mean, first) = (mean.errors.rms(), first.errors.rms());
             figures.extend([
                 Figure::new(
@@ -236,22 +380,51 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
                 Figure::new(
                     "excitation: lag behind the actual level (s)",
                     lag(&online.levels[0], from_s + 20.0),
-                    full(Required::Between { low: 5.0, high: 13.0 }),
+                    full(Required::Between {
+                        low: 5.0,
+                        high: 13.0,
+                    }),
                 ),
             ]);
-            let heads = ["actual levels", "their mean", "first ones", "[10, 10]", "online"];
-            tables.push(table("Table 4: rms errors", heads, &published::RMS_2, [&rms, &mean, &first, &far, &found]));
+            let heads = [
+                "actual levels",
+                "their mean",
+                "first ones",
+                "[10, 10]",
+                "online",
+            ];
+            tables.push(table(
+                "Table 4: rms errors",
+                heads,
+                &published::RMS_2,
+                [&rms, &mean, &first, &far, &found],
+            ));
         }
         Case::Wind => {
             let heads = ["actual levels", "[10, 10]", "online"];
-            tables.push(table("Table 5: rms errors", heads, &published::RMS_3, [&rms, &far, &found]));
+            tables.push(table(
+                "Table 5: rms errors",
+                heads,
+                &published::RMS_3,
+                [&rms, &far, &found],
+            ));
         }
     }
-    let most = |course: &Course| course.points.iter().map(|point| point[3]).fold(0.0, f64::max) as f32;
+    let most = |course: &Course| {
+        course
+            .points
+            .iter()
+            .map(|point| point[3])
+            .fold(0.0, f64::max) as f32
+    };
     let plots = online
         .levels
         .iter()
         .zip(["Level of the excitation", "Level of the sensors"])
         .map(|(course, title)| course.plot(title, "variance", (0.0, 1.6 * most(course))));
-    Ok(Outcome { figures, tables, plots: plots.collect() })
+    Ok(Outcome {
+        figures,
+        tables,
+        plots: plots.collect(),
+    })
 }

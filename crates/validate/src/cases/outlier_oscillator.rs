@@ -12,7 +12,8 @@ use crate::run::Run;
 use crate::statistics::{Accuracy, Mean, Normal, Uniform, rms};
 use nalgebra::DMatrix;
 use spandrel_filter::{
-    ExtendedKalmanFilter, Frame, LinearModel, OutlierSettings, OutlierTraining, Verdict, outlier::upper_bound,
+    ExtendedKalmanFilter, Frame, LinearModel, OutlierSettings, OutlierTraining, Verdict,
+    outlier::upper_bound,
 };
 use spandrel_structure::Structure;
 use std::f64::consts::PI;
@@ -44,7 +45,11 @@ fn simulate(seed: u64, steps: usize, drops: [f64; 2]) -> Record {
     let (mut ground, mut noise) = (Normal::stream(seed, 0), Normal::stream(seed, 1));
     let recursion = |theta: f64| {
         let system = DMatrix::from_row_slice(2, 2, &[0.0, 1.0, -STIFFNESS * theta, -DAMPING]);
-        LinearModel::discretise(&system, &DMatrix::from_row_slice(2, 1, &[0.0, -1.0]), STEP_S)
+        LinearModel::discretise(
+            &system,
+            &DMatrix::from_row_slice(2, 1, &[0.0, -1.0]),
+            STEP_S,
+        )
     };
     let mut theta = 1.0;
     let mut matrices = recursion(theta);
@@ -52,7 +57,9 @@ fn simulate(seed: u64, steps: usize, drops: [f64; 2]) -> Record {
     let mut truth = Vec::with_capacity(steps);
     for i in 0..steps {
         let time_s = i as f64 * STEP_S;
-        let now = 1.0 - if time_s >= drops[0] { 0.05 } else { 0.0 } - if time_s >= drops[1] { 0.10 } else { 0.0 };
+        let now = 1.0
+            - if time_s >= drops[0] { 0.05 } else { 0.0 }
+            - if time_s >= drops[1] { 0.10 } else { 0.0 };
         if now != theta {
             theta = now;
             matrices = recursion(theta);
@@ -60,19 +67,34 @@ fn simulate(seed: u64, steps: usize, drops: [f64; 2]) -> Record {
         truth.push([x, v, theta]);
         let (a, b) = &matrices;
         let f = std * ground.draw();
-        (x, v) = (a[(0, 0)] * x + a[(0, 1)] * v + b[0] * f, a[(1, 0)] * x + a[(1, 1)] * v + b[1] * f);
+        (x, v) = (
+            a[(0, 0)] * x + a[(0, 1)] * v + b[0] * f,
+            a[(1, 0)] * x + a[(1, 1)] * v + b[1] * f,
+        );
     }
-    let clean: Vec<f64> = truth.iter().map(|[x, v, theta]| -(STIFFNESS * theta * x + DAMPING * v)).collect();
+    let clean: Vec<f64> = truth
+        .iter()
+        .map(|[x, v, theta]| -(STIFFNESS * theta * x + DAMPING * v))
+        .collect();
     let noise_std = 0.1 * rms(clean.iter().copied());
     let regular: Vec<f64> = clean.iter().map(|z| z + noise_std * noise.draw()).collect();
-    let (low, high) = clean.iter().fold((0.0_f64, 0.0_f64), |(low, high), z| (low.min(*z), high.max(*z)));
+    let (low, high) = clean.iter().fold((0.0_f64, 0.0_f64), |(low, high), z| {
+        (low.min(*z), high.max(*z))
+    });
     let mut faults = Uniform::stream(seed, 2);
     let (mut corrupted, mut wrong) = (regular.clone(), vec![false; steps]);
     for i in faults.positions(steps / 100, steps) {
         corrupted[i] = faults.between(low, high);
         wrong[i] = true;
     }
-    Record { truth, clean, regular, corrupted, wrong, noise_std }
+    Record {
+        truth,
+        clean,
+        regular,
+        corrupted,
+        wrong,
+        noise_std,
+    }
 }
 
 /// A filter and its data.
@@ -99,9 +121,17 @@ struct Tracked {
     samples: [Vec<(f32, f32)>; 2],
 }
 
-fn track(record: &Record, data: &[f64], start: [f64; 2], way: Way, run: &Run<'_>) -> Result<Tracked, ValidateError> {
+fn track(
+    record: &Record,
+    data: &[f64],
+    start: [f64; 2],
+    way: Way,
+    run: &Run<'_>,
+) -> Result<Tracked, ValidateError> {
     let structure = Structure::parse(FILE, Path::new("corrupted-oscillator.toml"))?;
-    let mut settings = structure.filter_settings().map_err(ValidateError::setting)?;
+    let mut settings = structure
+        .filter_settings()
+        .map_err(ValidateError::setting)?;
     settings.misfit = None; // the method as it was published
     settings.noise.sensors[(0, 0)] = record.noise_std.powi(2);
     settings.noise.excitation[(0, 0)] = 2.0 * PI * 1.5e-6 / STEP_S;
@@ -120,7 +150,8 @@ fn track(record: &Record, data: &[f64], start: [f64; 2], way: Way, run: &Run<'_>
         upper: upper_bound(WINDOW),
         ..OutlierSettings::for_period(1.0 / (5.513 * STEP_S))
     });
-    let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
+    let mut filter =
+        ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
     let mut tracked = Tracked {
         accuracy: Default::default(),
         masked: [0.0; 2],
@@ -133,16 +164,32 @@ fn track(record: &Record, data: &[f64], start: [f64; 2], way: Way, run: &Run<'_>
     };
     for (i, datum) in data.iter().enumerate() {
         let time_s = i as f64 * STEP_S;
-        filter.step(Frame { observations: &[*datum], excitation: &[0.0] }).map_err(ValidateError::at(time_s))?;
+        filter
+            .step(Frame {
+                observations: &[*datum],
+                excitation: &[0.0],
+            })
+            .map_err(ValidateError::at(time_s))?;
         let [x, v, theta] = record.truth[i];
         if time_s >= COUNTED_FROM_S {
-            for (j, (accuracy, truth)) in tracked.accuracy.iter_mut().zip([x, v, theta, 1.0]).enumerate() {
-                accuracy.take(filter.mean()[j], filter.covariance()[(j, j)].max(0.0).sqrt(), truth);
+            for (j, (accuracy, truth)) in tracked
+                .accuracy
+                .iter_mut()
+                .zip([x, v, theta, 1.0])
+                .enumerate()
+            {
+                accuracy.take(
+                    filter.mean()[j],
+                    filter.covariance()[(j, j)].max(0.0).sqrt(),
+                    truth,
+                );
             }
         }
         if i % 100 == 0 {
             let std = filter.covariance()[(2, 2)].max(0.0).sqrt();
-            tracked.curve.push([time_s as f32, filter.mean()[2] as f32, std as f32]);
+            tracked
+                .curve
+                .push([time_s as f32, filter.mean()[2] as f32, std as f32]);
         }
         if i > TRAINING
             && let Some(outliers) = filter.outliers()
@@ -201,8 +248,7 @@ impl Column {
 }
 
 /// Why the screening takes fewer samples for wrong than specified.
-const WIDE_SCALE: &str =
-    "the training of the first scale falls into the start-up aid, which makes it too wide for minutes";
+const WIDE_SCALE: &str = "the training of the first scale falls into the start-up aid, which makes it too wide for minutes";
 
 /// Table 4.1: rms errors, then mean absolute errors, of the plain filter on regular and corrupted data and of the proposed.
 const TABLE_4_1: [[f64; 6]; 4] = [
@@ -213,7 +259,8 @@ const TABLE_4_1: [[f64; 6]; 4] = [
 ];
 
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let (repeats, steps, drops) = run.pick((10, 120_000, [200.0, 400.0]), (4, 40_000, [80.0, 140.0]));
+    let (repeats, steps, drops) =
+        run.pick((10, 120_000, [200.0, 400.0]), (4, 40_000, [80.0, 140.0]));
     let mut columns: [Column; 3] = Default::default();
     let (mut masked, mut gross, mut swamped) = ([0.0; 2], [0.0; 2], [0.0; 2]);
     let (mut scale, mut evaluated) = (Mean::default(), Mean::default());
@@ -224,15 +271,24 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let record = simulate(1_000 * run.seed + repeat, steps, drops);
         let mut start = Uniform::stream(1_000 * run.seed + repeat, 3);
         let start = [start.between(0.5, 1.5), start.between(0.5, 1.5)];
-        for (column, way) in [Way::Regular, Way::Corrupted, Way::Proposed].into_iter().enumerate() {
-            let data = if way == Way::Regular { &record.regular } else { &record.corrupted };
+        for (column, way) in [Way::Regular, Way::Corrupted, Way::Proposed]
+            .into_iter()
+            .enumerate()
+        {
+            let data = if way == Way::Regular {
+                &record.regular
+            } else {
+                &record.corrupted
+            };
             let tracked = track(&record, data, start, way, run)?;
             columns[column].take(&tracked);
             let screened = way == Way::Proposed;
             if screened {
-                for (sum, one) in
-                    [(&mut masked, tracked.masked), (&mut gross, tracked.gross_masked), (&mut swamped, tracked.swamped)]
-                {
+                for (sum, one) in [
+                    (&mut masked, tracked.masked),
+                    (&mut gross, tracked.gross_masked),
+                    (&mut swamped, tracked.swamped),
+                ] {
                     sum[0] += one[0];
                     sum[1] += one[1];
                 }
@@ -255,13 +311,21 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let [regular, corrupted, proposed] = &columns;
     let mut figures = Vec::new();
     for (j, name) in QUANTITIES.into_iter().enumerate() {
-        let (of, share, most) =
-            [(4.1e-6, 0.05, 1.25), (3.55e-4, 0.05, 1.25), (0.020, 0.20, 1.25), (0.19, 0.20, 1.4)][j];
+        let (of, share, most) = [
+            (4.1e-6, 0.05, 1.25),
+            (3.55e-4, 0.05, 1.25),
+            (0.020, 0.20, 1.25),
+            (0.19, 0.20, 1.4),
+        ][j];
         // the shortened record sees its drops sooner after one another: its errors are its own
         let required = run.pick(Required::relative(of, share), Required::Reported);
         figures.extend([
-            Figure::new(format!("{name}: rms error on regular data"), regular.rms(j), required)
-                .published(TABLE_4_1[j][0]),
+            Figure::new(
+                format!("{name}: rms error on regular data"),
+                regular.rms(j),
+                required,
+            )
+            .published(TABLE_4_1[j][0]),
             Figure::new(
                 format!("{name}: proposed over regular"),
                 proposed.rms(j) / regular.rms(j),
@@ -312,7 +376,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let columns = &columns;
         (0..6).map(move |k| {
             let (kind, way) = (["rms", "mean absolute"][k / 3], k % 3);
-            let measured = if k < 3 { columns[way].rms(j) } else { columns[way].absolutes[j].value() };
+            let measured = if k < 3 {
+                columns[way].rms(j)
+            } else {
+                columns[way].absolutes[j].value()
+            };
             vec![
                 format!("{name}, {kind} error, {}", ways[way]),
                 format!("{:.2e}", TABLE_4_1[j][k]),
@@ -330,18 +398,38 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         "… on corrupted data",
         "Stiffness, proposed filter on corrupted data",
     ];
-    let plots = shown.into_iter().zip(titles).map(|((curve, truth), title)| {
-        let of = |factor: f32| curve.iter().map(|[t, mean, std]| (*t, mean + factor * std)).collect();
-        let true_curve = truth.iter().enumerate().step_by(100).map(|(i, u)| ((i as f64 * STEP_S) as f32, u[2] as f32));
-        let series = vec![
-            Series::new("95 %", SeriesKind::Bound, of(-1.96)),
-            Series::new("", SeriesKind::Bound, of(1.96)),
-            Series::new("true", SeriesKind::Truth, true_curve.collect()),
-            Series::new("estimated", SeriesKind::Estimate, of(0.0)),
-        ];
-        Plot::over_time(title, "θ_k", series).within(0.5, 1.5)
-    });
+    let plots = shown
+        .into_iter()
+        .zip(titles)
+        .map(|((curve, truth), title)| {
+            let of = |factor: f32| {
+                curve
+                    .iter()
+                    .map(|[t, mean, std]| (*t, mean + factor * std))
+                    .collect()
+            };
+            let true_curve = truth
+                .iter()
+                .enumerate()
+                .step_by(100)
+                .map(|(i, u)| ((i as f64 * STEP_S) as f32, u[2] as f32));
+            let series = vec![
+                Series::new("95 %", SeriesKind::Bound, of(-1.96)),
+                Series::new("", SeriesKind::Bound, of(1.96)),
+                Series::new("true", SeriesKind::Truth, true_curve.collect()),
+                Series::new("estimated", SeriesKind::Estimate, of(0.0)),
+            ];
+            Plot::over_time(title, "θ_k", series).within(0.5, 1.5)
+        });
     let mut plots: Vec<Plot> = plots.collect();
-    plots.push(Plot::over_time("Samples after the training, proposed filter", "acceleration (m/s²)", samples));
-    Ok(Outcome { figures, tables: vec![table], plots })
+    plots.push(Plot::over_time(
+        "Samples after the training, proposed filter",
+        "acceleration (m/s²)",
+        samples,
+    ));
+    Ok(Outcome {
+        figures,
+        tables: vec![table],
+        plots,
+    })
 }

@@ -25,13 +25,18 @@ const UNAIDED_S: f64 = 20.0;
 fn corrupt(scene: &Scene, seed: u64) -> (Vec<f64>, Vec<bool>) {
     let channels = scene.noise_std.len();
     let mut random = Uniform::stream(seed, 8);
-    let mut data: Vec<f64> = (0..scene.frames).flat_map(|frame| scene.data(frame).to_vec()).collect();
+    let mut data: Vec<f64> = (0..scene.frames)
+        .flat_map(|frame| scene.data(frame).to_vec())
+        .collect();
     let mut wrong = vec![false; data.len()];
     for channel in 0..channels {
         let of_channel = (0..scene.frames).map(|frame| scene.clean(frame)[channel]);
-        let (low, high) = of_channel.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+        let (low, high) = of_channel.fold((0.0_f64, 0.0_f64), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
         let share = random.between(0.005, 0.01);
-        for frame in random.positions((share * scene.frames as f64).round() as usize, scene.frames) {
+        for frame in random.positions((share * scene.frames as f64).round() as usize, scene.frames)
+        {
             data[frame * channels + channel] = random.between(low, high);
             wrong[frame * channels + channel] = true;
         }
@@ -57,21 +62,47 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .replace("at-s = 100", &format!("at-s = {}", jumps[0]))
         .replace("at-s = 200", &format!("at-s = {}", jumps[1]));
     let watched = |structure: &_| scene::states_of(structure, &RESPONSES, false);
-    let scene = Scene::simulate(&Plan { text: &text, seconds, noise_share: 0.10, watched: &watched }, run)?;
+    let scene = Scene::simulate(
+        &Plan {
+            text: &text,
+            seconds,
+            noise_share: 0.10,
+            watched: &watched,
+        },
+        run,
+    )?;
     let (corrupted, wrong) = corrupt(&scene, run.seed);
     let channels = scene.noise_std.len();
     let mut random = Uniform::stream(run.seed, 9);
-    let start: Vec<f64> =
-        (0..GROUPS + 2).map(|j| if j < GROUPS { random.between(0.8, 1.2) } else { random.between(0.5, 1.5) }).collect();
+    let start: Vec<f64> = (0..GROUPS + 2)
+        .map(|j| {
+            if j < GROUPS {
+                random.between(0.8, 1.2)
+            } else {
+                random.between(0.5, 1.5)
+            }
+        })
+        .collect();
 
-    let track = |screened: bool, clean: bool, aided: bool, shares| -> Result<Tracked, ValidateError> {
+    let track = |screened: bool,
+                 clean: bool,
+                 aided: bool,
+                 shares|
+     -> Result<Tracked, ValidateError> {
         let mut settings = scene.settings()?;
         let first = settings.prior_mean.len() - GROUPS - 2;
         let displacements = first / 2;
         for j in 0..first {
-            settings.prior_std[j] = if j < displacements { 1e-3_f64.sqrt() } else { 0.1 };
+            settings.prior_std[j] = if j < displacements {
+                1e-3_f64.sqrt()
+            } else {
+                0.1
+            };
         }
-        settings.prior_mean.rows_mut(first, GROUPS + 2).copy_from_slice(&start);
+        settings
+            .prior_mean
+            .rows_mut(first, GROUPS + 2)
+            .copy_from_slice(&start);
         if !aided {
             settings.annealing = None;
         }
@@ -79,8 +110,14 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         settings.variance_bound.fill(f64::INFINITY);
         settings.lower.rows_mut(first, GROUPS).fill(0.05);
         settings.upper.rows_mut(first, GROUPS).fill(10.0);
-        (settings.lower[first + GROUPS], settings.upper[first + GROUPS]) = (1e-4 / 0.083, 2.0 / 0.083);
-        (settings.lower[first + GROUPS + 1], settings.upper[first + GROUPS + 1]) = (1e-5 / 0.003, 0.1 / 0.003);
+        (
+            settings.lower[first + GROUPS],
+            settings.upper[first + GROUPS],
+        ) = (1e-4 / 0.083, 2.0 / 0.083);
+        (
+            settings.lower[first + GROUPS + 1],
+            settings.upper[first + GROUPS + 1],
+        ) = (1e-5 / 0.003, 0.1 / 0.003);
         settings.outliers = screened.then(|| {
             let window = run.pick(94_112, 10_000);
             OutlierSettings {
@@ -100,9 +137,17 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             samples: Default::default(),
         };
         let data = |frame: usize| {
-            if clean { scene.data(frame) } else { &corrupted[frame * channels..(frame + 1) * channels] }
+            if clean {
+                scene.data(frame)
+            } else {
+                &corrupted[frame * channels..(frame + 1) * channels]
+            }
         };
-        let frames = if aided { scene.frames } else { scene.frames.min((UNAIDED_S / scene.step_s) as usize) };
+        let frames = if aided {
+            scene.frames
+        } else {
+            scene.frames.min((UNAIDED_S / scene.step_s) as usize)
+        };
         scene.filter_for(frames, settings, data, shares, run, |frame, filter, _| {
             let time_s = scene.time_s(frame);
             let truth = scene.structure.true_parameters(frame as u64);
@@ -112,17 +157,36 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                     tracked.courses[j].take(time_s, filter.mean()[first + j], variance, truth[j]);
                 }
                 if time_s >= COUNTED_FROM_S {
-                    tracked.parameters[j].take(filter.mean()[first + j], variance.max(0.0).sqrt(), truth[j]);
+                    tracked.parameters[j].take(
+                        filter.mean()[first + j],
+                        variance.max(0.0).sqrt(),
+                        truth[j],
+                    );
                 }
             }
             if time_s >= COUNTED_FROM_S {
-                let watched = tracked.responses.iter_mut().zip(scene.watched()).zip(scene.states(frame));
+                let watched = tracked
+                    .responses
+                    .iter_mut()
+                    .zip(scene.watched())
+                    .zip(scene.states(frame));
                 for ((accuracy, state), truth) in watched {
-                    accuracy.take(filter.mean()[*state], filter.covariance()[(*state, *state)].sqrt(), *truth);
+                    accuracy.take(
+                        filter.mean()[*state],
+                        filter.covariance()[(*state, *state)].sqrt(),
+                        *truth,
+                    );
                 }
             }
-            let Some(outliers) = filter.outliers() else { return };
-            for (c, channel) in outliers.channels().iter().enumerate().filter(|(_, channel)| channel.trained()) {
+            let Some(outliers) = filter.outliers() else {
+                return;
+            };
+            for (c, channel) in outliers
+                .channels()
+                .iter()
+                .enumerate()
+                .filter(|(_, channel)| channel.trained())
+            {
                 let rejected = f64::from(u8::from(channel.verdict() != Verdict::Regular));
                 let at = frame * channels + c;
                 let count = |counts: &mut [f64; 2], counted: f64| {
@@ -152,15 +216,28 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let proposed = track(true, false, true, (0.6, 0.9))?;
     let unaided = track(false, true, false, (0.9, 1.0))?;
 
-    let names: Vec<&str> = scene.structure.parameters().iter().map(|parameter| parameter.name()).collect();
+    let names: Vec<&str> = scene
+        .structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name())
+        .collect();
     let mut figures = Vec::new();
     let last = seconds - 0.1;
     for time_s in [jumps[0] - 0.1, jumps[1] - 0.1, last] {
         for group in 0..GROUPS {
-            let truth = scene.structure.true_parameters((time_s / scene.step_s) as u64)[group];
+            let truth = scene
+                .structure
+                .true_parameters((time_s / scene.step_s) as u64)[group];
             let estimate = proposed.courses[group].mean(time_s - 0.06, time_s + 0.06);
             // in the shortened record the filter is still on its way
-            let required = run.pick(Required::Within { of: truth, by: 0.015 }, Required::Reported);
+            let required = run.pick(
+                Required::Within {
+                    of: truth,
+                    by: 0.015,
+                },
+                Required::Reported,
+            );
             figures.push(Figure::new(
                 format!("{}: proposed at {:.0} s", names[group], time_s + 0.1),
                 estimate,
@@ -171,7 +248,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     for (j, of, by) in [(GROUPS, 1.0, 0.10), (GROUPS + 1, 1.0, 0.02)] {
         let estimate = proposed.courses[j].mean(last - 0.06, last + 0.06);
         let required = run.pick(Required::Within { of, by }, Required::Reported);
-        figures.push(Figure::new(format!("{} over its value at the end", names[j]), estimate, required));
+        figures.push(Figure::new(
+            format!("{} over its value at the end", names[j]),
+            estimate,
+            required,
+        ));
     }
     let full = |required: Required| run.pick(required, Required::Reported);
     for (j, name) in names.iter().enumerate() {
@@ -182,7 +263,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             full(Required::AtMost(1.1)),
         ));
         let ratio = plain.parameters[j].rms_error() / regular.parameters[j].rms_error();
-        let required = if j < GROUPS { Required::Reported } else { full(Required::AtLeast(1.7)) };
+        let required = if j < GROUPS {
+            Required::Reported
+        } else {
+            full(Required::AtLeast(1.7))
+        };
         figures.push(Figure::new(
             format!("{name}: rms error, plain filter on corrupted data over regular"),
             ratio,
@@ -192,7 +277,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     for (j, name) in RESPONSES.iter().enumerate() {
         let error = |tracked: &Tracked| tracked.responses[j].rms_error();
         figures.extend([
-            Figure::new(format!("{name}: rms error on regular data (m)"), error(&regular), Required::Reported),
+            Figure::new(
+                format!("{name}: rms error on regular data (m)"),
+                error(&regular),
+                Required::Reported,
+            ),
             Figure::new(
                 format!("{name}: rms error, proposed over regular"),
                 error(&proposed) / error(&regular),
@@ -207,7 +296,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     }
     let (from_s, until_s) = (run.pick(COUNTED_FROM_S, 3.0), UNAIDED_S.min(jumps[0]));
     for (name, tracked) in [("with", &regular), ("without", &unaided)] {
-        let off = tracked.courses[..GROUPS].iter().flat_map(|course| &course.points);
+        let off = tracked.courses[..GROUPS]
+            .iter()
+            .flat_map(|course| &course.points);
         let off = off
             .filter(|point| (from_s..until_s).contains(&point[0]))
             .map(|[_, mean, std, truth]| (mean - truth).abs() / std);
@@ -221,7 +312,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     }
     let before_second = jumps[1] - 0.1;
     figures.push(Figure::new(
-        format!("{}: plain filter on corrupted data off by, before the second drop", names[0]),
+        format!(
+            "{}: plain filter on corrupted data off by, before the second drop",
+            names[0]
+        ),
         (plain.courses[0].mean(before_second - 0.06, before_second + 0.06) - 0.95).abs(),
         full(Required::AtLeast(0.015)),
     ));
@@ -245,9 +339,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ),
     ]);
     let mut plots = Vec::new();
-    for (what, tracked) in
-        [("regular data", &regular), ("corrupted data, plain filter", &plain), ("corrupted data, proposed", &proposed)]
-    {
+    for (what, tracked) in [
+        ("regular data", &regular),
+        ("corrupted data, plain filter", &plain),
+        ("corrupted data, proposed", &proposed),
+    ] {
         for group in [0, 5] {
             plots.push(tracked.courses[group].plot(
                 &format!("{}, {what}", names[group]),
@@ -261,6 +357,14 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Series::new("accepted, one in twenty", SeriesKind::Points, accepted),
         Series::new("rejected", SeriesKind::Points, rejected),
     ];
-    plots.push(Plot::over_time("Samples of the first channel after the training, proposed filter", "m/s²", series));
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    plots.push(Plot::over_time(
+        "Samples of the first channel after the training, proposed filter",
+        "m/s²",
+        series,
+    ));
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

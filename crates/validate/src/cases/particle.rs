@@ -13,7 +13,8 @@ use crate::systems::drifting::numerical_ekf::NumericalEkf;
 use crate::systems::drifting::{building, oscillator};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Drifting, FilterError, Frame, GaussianStart, ImportanceDensity, ParticleFilter, ParticleModel, ParticleSettings,
+    Drifting, FilterError, Frame, GaussianStart, ImportanceDensity, ParticleFilter, ParticleModel,
+    ParticleSettings,
 };
 
 const PARTICLES: usize = 2000;
@@ -33,18 +34,36 @@ struct Track {
 
 impl Track {
     fn new(component: usize) -> Self {
-        Self { component, points: Vec::new() }
+        Self {
+            component,
+            points: Vec::new(),
+        }
     }
 
     fn take<M: ParticleModel>(&mut self, filter: &mut ParticleFilter<M>, truth: &[f64]) {
         // an entry that is not there has no interval, and no figure
-        let (low, high) = filter.credible_interval(self.component, LEVEL).unwrap_or((f64::NAN, f64::NAN));
-        self.points.push([filter.mean()[self.component], low, high, truth[self.component]]);
+        let (low, high) = filter
+            .credible_interval(self.component, LEVEL)
+            .unwrap_or((f64::NAN, f64::NAN));
+        self.points.push([
+            filter.mean()[self.component],
+            low,
+            high,
+            truth[self.component],
+        ]);
     }
 
     fn take_gaussian<M>(&mut self, filter: &NumericalEkf<M>, truth: &[f64]) {
-        let (mean, std) = (filter.mean[self.component], filter.covariance[(self.component, self.component)].sqrt());
-        self.points.push([mean, mean - HALF_WIDTH * std, mean + HALF_WIDTH * std, truth[self.component]]);
+        let (mean, std) = (
+            filter.mean[self.component],
+            filter.covariance[(self.component, self.component)].sqrt(),
+        );
+        self.points.push([
+            mean,
+            mean - HALF_WIDTH * std,
+            mean + HALF_WIDTH * std,
+            truth[self.component],
+        ]);
     }
 
     fn late(&self) -> &[[f64; 4]] {
@@ -53,19 +72,26 @@ impl Track {
 
     /// Error (rms) over truth (rms).
     fn error(&self) -> f64 {
-        rms(self.late().iter().map(|point| point[0] - point[3])) / rms(self.late().iter().map(|point| point[3]))
+        rms(self.late().iter().map(|point| point[0] - point[3]))
+            / rms(self.late().iter().map(|point| point[3]))
     }
 
     /// Share of the frames with the truth inside the interval.
     fn coverage(&self) -> f64 {
-        let inside = self.late().iter().filter(|point| (point[1]..=point[2]).contains(&point[3])).count();
+        let inside = self
+            .late()
+            .iter()
+            .filter(|point| (point[1]..=point[2]).contains(&point[3]))
+            .count();
         inside as f64 / self.late().len() as f64
     }
 
     fn plot(&self, title: &str, unit: &str, from_s: f64, step_s: f64) -> Plot {
         let curve = |of: usize| -> Vec<(f32, f32)> {
             let points = self.points.iter().enumerate();
-            points.map(|(k, point)| ((from_s + k as f64 * step_s) as f32, point[of] as f32)).collect()
+            points
+                .map(|(k, point)| ((from_s + k as f64 * step_s) as f32, point[of] as f32))
+                .collect()
         };
         let series = vec![
             Series::new("95 %", SeriesKind::Bound, curve(1)),
@@ -101,7 +127,11 @@ impl Renewal {
 const TOO_FEW: &str = "2000 particles are too few for 20 states";
 
 fn settings(run: &Run<'_>) -> ParticleSettings {
-    ParticleSettings { particles: PARTICLES, seed: run.seed, ..ParticleSettings::default() }
+    ParticleSettings {
+        particles: PARTICLES,
+        seed: run.seed,
+        ..ParticleSettings::default()
+    }
 }
 
 /// How well damping and noise levels of the building are followed in the first seconds, in the mean over the storeys.
@@ -127,15 +157,24 @@ fn early(
     let mut filter = ParticleFilter::new(model, settings, start).map_err(ValidateError::setting)?;
     let mut tracks: Vec<Track> = (DAMPING..NOISE + STOREYS).map(Track::new).collect();
     for k in WARM + 1..=EARLY {
-        let frame = Frame { observations: &record.data[k], excitation: &[record.input[k]] };
-        filter.step(frame).map_err(ValidateError::at(k as f64 * STEP_S))?;
-        tracks.iter_mut().for_each(|track| track.take(&mut filter, &record.truth[k]));
+        let frame = Frame {
+            observations: &record.data[k],
+            excitation: &[record.input[k]],
+        };
+        filter
+            .step(frame)
+            .map_err(ValidateError::at(k as f64 * STEP_S))?;
+        tracks
+            .iter_mut()
+            .for_each(|track| track.take(&mut filter, &record.truth[k]));
         if !go_on(k as f64 / EARLY as f64) {
             return Err(ValidateError::Stopped);
         }
     }
     let (damping, noise) = tracks.split_at(STOREYS);
-    let mean = |tracks: &[Track], of: fn(&Track) -> f64| tracks.iter().map(of).sum::<f64>() / tracks.len() as f64;
+    let mean = |tracks: &[Track], of: fn(&Track) -> f64| {
+        tracks.iter().map(of).sum::<f64>() / tracks.len() as f64
+    };
     Ok(Early {
         damping_error: mean(damping, Track::error),
         damping_coverage: mean(damping, Track::coverage),
@@ -159,14 +198,32 @@ fn depletion_figures(
     ];
     let mut found = Vec::new();
     for (number, (name, particles, kernel)) in VARIANTS.into_iter().enumerate() {
-        let settings = ParticleSettings { particles, kernel, ..settings(run) };
-        let share = |done: f64| shares.0 + (shares.1 - shares.0) * (number as f64 + done) / VARIANTS.len() as f64;
+        let settings = ParticleSettings {
+            particles,
+            kernel,
+            ..settings(run)
+        };
+        let share = |done: f64| {
+            shares.0 + (shares.1 - shares.0) * (number as f64 + done) / VARIANTS.len() as f64
+        };
         let early = early(record, start(), settings, |done| run.advance(share(done)))?;
         let of = |what: &str| format!("first 5 s, {name}: {what}");
         figures.extend([
-            Figure::new(of("mean error of the damping"), early.damping_error, Required::Reported),
-            Figure::new(of("mean coverage of the damping"), early.damping_coverage, Required::Reported),
-            Figure::new(of("mean coverage of the noise levels"), early.noise_coverage, Required::Reported),
+            Figure::new(
+                of("mean error of the damping"),
+                early.damping_error,
+                Required::Reported,
+            ),
+            Figure::new(
+                of("mean coverage of the damping"),
+                early.damping_coverage,
+                Required::Reported,
+            ),
+            Figure::new(
+                of("mean coverage of the noise levels"),
+                early.noise_coverage,
+                Required::Reported,
+            ),
         ]);
         found.push(early);
     }
@@ -197,7 +254,11 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
     let mut kalman = NumericalEkf::new(model()?, mean, covariance);
     let step_kalman = |kalman: &mut NumericalEkf<Drifting<building::Building>>, k: usize| {
         let previous = (k > 0).then(|| [record.input[k - 1]]);
-        kalman.step(previous.as_ref().map(|input| &input[..]), &[record.input[k]], &record.data[k]);
+        kalman.step(
+            previous.as_ref().map(|input| &input[..]),
+            &[record.input[k]],
+            &record.data[k],
+        );
     };
     (0..=WARM).for_each(|k| step_kalman(&mut kalman, k));
     let (warm_mean, warm_covariance) = (kalman.mean.clone(), kalman.covariance.clone());
@@ -206,18 +267,36 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
         covariance: warm_covariance.clone(),
         previous_input: Some(DVector::from_element(1, record.input[WARM])),
     };
-    let kernel = ParticleSettings { kernel: 0.9, ..settings(run) };
-    let mut filter = ParticleFilter::new(model()?, kernel, start()).map_err(ValidateError::setting)?;
+    let kernel = ParticleSettings {
+        kernel: 0.9,
+        ..settings(run)
+    };
+    let mut filter =
+        ParticleFilter::new(model()?, kernel, start()).map_err(ValidateError::setting)?;
     let components: Vec<usize> = (STIFFNESS..NOISE + STOREYS).chain([STOREYS - 1]).collect();
-    let mut tracks: Vec<Track> = components.iter().map(|component| Track::new(*component)).collect();
+    let mut tracks: Vec<Track> = components
+        .iter()
+        .map(|component| Track::new(*component))
+        .collect();
     let mut by_kalman: Vec<Track> = (STIFFNESS..NOISE).map(Track::new).collect();
     let mut renewal = Renewal::default();
     for k in WARM + 1..=steps {
-        let frame = Frame { observations: &record.data[k], excitation: &[record.input[k]] };
-        renewal.take(&filter.step(frame).map_err(ValidateError::at(k as f64 * STEP_S))?);
-        tracks.iter_mut().for_each(|track| track.take(&mut filter, &record.truth[k]));
+        let frame = Frame {
+            observations: &record.data[k],
+            excitation: &[record.input[k]],
+        };
+        renewal.take(
+            &filter
+                .step(frame)
+                .map_err(ValidateError::at(k as f64 * STEP_S))?,
+        );
+        tracks
+            .iter_mut()
+            .for_each(|track| track.take(&mut filter, &record.truth[k]));
         step_kalman(&mut kalman, k);
-        by_kalman.iter_mut().for_each(|track| track.take_gaussian(&kalman, &record.truth[k]));
+        by_kalman
+            .iter_mut()
+            .for_each(|track| track.take_gaussian(&kalman, &record.truth[k]));
         if !run.advance(run.pick(0.4, 1.0) * k as f64 / steps as f64) {
             return Err(ValidateError::Stopped);
         }
@@ -228,34 +307,72 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
     let mut figures = Vec::new();
     for (storey, track) in stiffness.iter().enumerate() {
         let name = format!("k{}: relative error", storey + 1);
-        figures.push(Figure::new(name, track.error(), full(Required::AtMost(0.12))));
+        figures.push(Figure::new(
+            name,
+            track.error(),
+            full(Required::AtMost(0.12)),
+        ));
     }
     let coverage = stiffness.iter().map(Track::coverage).sum::<f64>() / STOREYS as f64;
     let worst = |tracks: &[Track]| tracks.iter().map(Track::error).fold(0.0, f64::max);
     figures.extend([
-        Figure::new("share of the stiffnesses inside their 95 % intervals", coverage, full(Required::AtLeast(0.85))),
+        Figure::new(
+            "share of the stiffnesses inside their 95 % intervals",
+            coverage,
+            full(Required::AtLeast(0.85)),
+        ),
         Figure::new(
             "error of the damping over that of the stiffness, the worst of each",
             worst(damping) / worst(stiffness),
             Required::AtLeast(1.0),
         ),
     ]);
-    for (time_s, required) in [(10.0, Required::Between { low: 137.0, high: 172.0 }), (15.0, Required::Reported)] {
-        let Some(point) = stiffness[1].points.get((time_s / STEP_S) as usize - WARM - 1) else { continue };
+    for (time_s, required) in [
+        (
+            10.0,
+            Required::Between {
+                low: 137.0,
+                high: 172.0,
+            },
+        ),
+        (15.0, Required::Reported),
+    ] {
+        let Some(point) = stiffness[1]
+            .points
+            .get((time_s / STEP_S) as usize - WARM - 1)
+        else {
+            continue;
+        };
         let name = format!("k2 {time_s} s after the start, truly 150 (MN/m)");
         figures.push(Figure::new(name, point[0], full(required)));
     }
     for (storey, (damping, noise)) in damping.iter().zip(noise).enumerate() {
         let number = storey + 1;
         figures.extend([
-            Figure::new(format!("c{number}: relative error"), damping.error(), Required::Reported),
-            Figure::new(format!("σ{number}: relative error"), noise.error(), Required::Reported),
-            Figure::new(format!("σ{number}: share inside the 95 % interval"), noise.coverage(), Required::Reported),
+            Figure::new(
+                format!("c{number}: relative error"),
+                damping.error(),
+                Required::Reported,
+            ),
+            Figure::new(
+                format!("σ{number}: relative error"),
+                noise.error(),
+                Required::Reported,
+            ),
+            Figure::new(
+                format!("σ{number}: share inside the 95 % interval"),
+                noise.coverage(),
+                Required::Reported,
+            ),
         ]);
     }
     figures.extend([
-        Figure::new("roof displacement: relative error", roof[0].error(), full(Required::AtMost(0.035)))
-            .known_miss(TOO_FEW),
+        Figure::new(
+            "roof displacement: relative error",
+            roof[0].error(),
+            full(Required::AtMost(0.035)),
+        )
+        .known_miss(TOO_FEW),
         Figure::new(
             "roof displacement: share inside the 95 % interval",
             roof[0].coverage(),
@@ -265,15 +382,29 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
         Figure::new(
             "times that particles were drawn anew, of 950",
             renewal.resampled as f64,
-            full(Required::Between { low: 350.0, high: 360.0 }),
+            full(Required::Between {
+                low: 350.0,
+                high: 360.0,
+            }),
         )
         .known_miss("it follows the record; the range is that of two records"),
-        Figure::new("mean of the effective share", renewal.share(), Required::Within { of: 0.31, by: 0.04 }),
-        Figure::new("first ancestors that survive", filter.surviving_ancestors() as f64, Required::AtMost(1.0))
-            .known_miss("how many resamplings it takes follows the record"),
+        Figure::new(
+            "mean of the effective share",
+            renewal.share(),
+            Required::Within { of: 0.31, by: 0.04 },
+        ),
+        Figure::new(
+            "first ancestors that survive",
+            filter.surviving_ancestors() as f64,
+            Required::AtMost(1.0),
+        )
+        .known_miss("how many resamplings it takes follows the record"),
     ]);
     for (storey, track) in by_kalman.iter().take(STOREYS).enumerate() {
-        let name = format!("k{}: relative error of the extended Kalman filter", storey + 1);
+        let name = format!(
+            "k{}: relative error of the extended Kalman filter",
+            storey + 1
+        );
         figures.push(Figure::new(name, track.error(), Required::Reported));
     }
     if run.pick(true, false) {
@@ -281,12 +412,28 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
     }
     let from_s = (WARM + 1) as f64 * STEP_S;
     let plots = (0..STOREYS)
-        .map(|storey| stiffness[storey].plot(&format!("k{}", storey + 1), "stiffness (MN/m)", from_s, STEP_S))
-        .chain(
-            (0..2).map(|storey| damping[storey].plot(&format!("c{}", storey + 1), "damping (kN s/m)", from_s, STEP_S)),
-        )
+        .map(|storey| {
+            stiffness[storey].plot(
+                &format!("k{}", storey + 1),
+                "stiffness (MN/m)",
+                from_s,
+                STEP_S,
+            )
+        })
+        .chain((0..2).map(|storey| {
+            damping[storey].plot(
+                &format!("c{}", storey + 1),
+                "damping (kN s/m)",
+                from_s,
+                STEP_S,
+            )
+        }))
         .collect();
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }
 
 fn oscillator_filter(
@@ -294,7 +441,15 @@ fn oscillator_filter(
     settings: ParticleSettings,
 ) -> Result<ParticleFilter<Drifting<oscillator::Oscillator>>, FilterError> {
     let (mean, covariance): (DVector<f64>, DMatrix<f64>) = record.prior();
-    ParticleFilter::new(record.model()?, settings, GaussianStart { mean, covariance, previous_input: None })
+    ParticleFilter::new(
+        record.model()?,
+        settings,
+        GaussianStart {
+            mean,
+            covariance,
+            previous_input: None,
+        },
+    )
 }
 
 pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -307,42 +462,81 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut renewal = Renewal::default();
     let share = run.pick(0.2, 0.6);
     for (k, truth) in record.truth.iter().enumerate() {
-        let frame = Frame { observations: &[record.data[k]], excitation: &[record.input[k]] };
-        renewal.take(&filter.step(frame).map_err(ValidateError::at(k as f64 * STEP_S))?);
-        tracks.iter_mut().for_each(|track| track.take(&mut filter, truth));
+        let frame = Frame {
+            observations: &[record.data[k]],
+            excitation: &[record.input[k]],
+        };
+        renewal.take(
+            &filter
+                .step(frame)
+                .map_err(ValidateError::at(k as f64 * STEP_S))?,
+        );
+        tracks
+            .iter_mut()
+            .for_each(|track| track.take(&mut filter, truth));
         if !run.advance(share * k as f64 / STEPS as f64) {
             return Err(ValidateError::Stopped);
         }
     }
     let mut figures = Vec::new();
     for (track, name) in tracks.iter().zip(NAMES) {
-        let required =
-            if ["velocity", "force", "θ1"].contains(&name) { Required::AtMost(0.12) } else { Required::Reported };
-        figures.push(Figure::new(format!("{name}: relative error"), track.error(), required));
+        let required = if ["velocity", "force", "θ1"].contains(&name) {
+            Required::AtMost(0.12)
+        } else {
+            Required::Reported
+        };
+        figures.push(Figure::new(
+            format!("{name}: relative error"),
+            track.error(),
+            required,
+        ));
         figures.push(Figure::new(
             format!("{name}: share inside the 95 % interval"),
             track.coverage(),
-            Required::AtLeast(if ["θ2", "θ4"].contains(&name) { 0.66 } else { 0.89 }),
+            Required::AtLeast(if ["θ2", "θ4"].contains(&name) {
+                0.66
+            } else {
+                0.89
+            }),
         ));
     }
     figures.extend([
         Figure::new(
             "times that particles were drawn anew, of 201",
             renewal.resampled as f64,
-            Required::Between { low: 29.0, high: 32.0 },
+            Required::Between {
+                low: 29.0,
+                high: 32.0,
+            },
         )
         .known_miss("it follows the record; the range is that of two records"),
-        Figure::new("mean of the effective share", renewal.share(), Required::Between { low: 0.42, high: 0.45 })
-            .known_miss("it follows the record; the range is that of two records"),
+        Figure::new(
+            "mean of the effective share",
+            renewal.share(),
+            Required::Between {
+                low: 0.42,
+                high: 0.45,
+            },
+        )
+        .known_miss("it follows the record; the range is that of two records"),
     ]);
     // two importance densities, one evidence: on the same record, without the constant that they share
     let steps = run.pick(STEPS, 50);
     let evidence = |density: ImportanceDensity, seed: u64| -> Result<f64, ValidateError> {
-        let settings = ParticleSettings { density, seed, ..settings(run) };
+        let settings = ParticleSettings {
+            density,
+            seed,
+            ..settings(run)
+        };
         let mut filter = oscillator_filter(&record, settings).map_err(ValidateError::setting)?;
         for k in 0..=steps {
-            let frame = Frame { observations: &[record.data[k]], excitation: &[record.input[k]] };
-            filter.step(frame).map_err(ValidateError::at(k as f64 * STEP_S))?;
+            let frame = Frame {
+                observations: &[record.data[k]],
+                excitation: &[record.input[k]],
+            };
+            filter
+                .step(frame)
+                .map_err(ValidateError::at(k as f64 * STEP_S))?;
         }
         Ok(filter.log_evidence())
     };
@@ -358,10 +552,18 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         }
     }
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let (least, most) =
-        all.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(*v), high.max(*v)));
+    let (least, most) = all
+        .iter()
+        .flatten()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+            (low.min(*v), high.max(*v))
+        });
     figures.extend([
-        Figure::new("largest difference of the log evidences of single runs", most - least, Required::AtMost(3.0)),
+        Figure::new(
+            "largest difference of the log evidences of single runs",
+            most - least,
+            Required::AtMost(3.0),
+        ),
         Figure::new(
             "difference of the mean log evidences of the two densities",
             (mean(&all[0]) - mean(&all[1])).abs(),
@@ -373,6 +575,14 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::Reported,
         ),
     ]);
-    let plots = tracks.iter().zip(NAMES).map(|(track, name)| track.plot(name, name, 0.0, STEP_S)).collect();
-    Ok(Outcome { figures, tables: Vec::new(), plots })
+    let plots = tracks
+        .iter()
+        .zip(NAMES)
+        .map(|(track, name)| track.plot(name, name, 0.0, STEP_S))
+        .collect();
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots,
+    })
 }

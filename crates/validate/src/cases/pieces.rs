@@ -5,7 +5,9 @@
 //! a healthy one starts anew once at most, and two to fourteen times when it has learnt from raw samples; that without feedback 6 to 62 %
 //! of the fusions leave a healthy one out.
 
-use super::hierarchical::{AFTER_DAMAGE_S, BIASED, COUNTED_FROM_S, FILE, GROUPS, TRAINING_S, corrupt};
+use super::hierarchical::{
+    AFTER_DAMAGE_S, BIASED, COUNTED_FROM_S, FILE, GROUPS, TRAINING_S, corrupt,
+};
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
 use crate::network::settled;
@@ -19,7 +21,13 @@ const RATE_HZ: f64 = 50.0;
 /// What is put in the place of what, in the file; what is asked of the largest share of the fusions that leave a healthy node out, and of
 /// how often one starts anew.
 const VARIANTS: [(&str, &str, &str, Required, Required); 5] = [
-    ("all pieces", "", "", Required::AtMost(0.02), Required::AtMost(1.0)),
+    (
+        "all pieces",
+        "",
+        "",
+        Required::AtMost(0.02),
+        Required::AtMost(1.0),
+    ),
     (
         "weights of nodes graded",
         DETECTOR,
@@ -34,13 +42,22 @@ const VARIANTS: [(&str, &str, &str, Required, Required); 5] = [
         Required::AtLeast(0.06),
         Required::Reported,
     ),
-    ("no test of nodes", DETECTOR, "detector = \"none\"", Required::Reported, Required::Reported),
+    (
+        "no test of nodes",
+        DETECTOR,
+        "detector = \"none\"",
+        Required::Reported,
+        Required::Reported,
+    ),
     (
         "training on raw samples",
         "[outliers]",
         "[outliers]\ntraining = \"raw\"",
         Required::Reported,
-        Required::Between { low: 2.0, high: 14.0 },
+        Required::Between {
+            low: 2.0,
+            high: 14.0,
+        },
     ),
 ];
 const DETECTOR: &str = "detector = \"one-at-a-time\"";
@@ -49,7 +66,11 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let (seconds, damages) = run.pick((150.0, [60.0, 100.0]), (30.0, [22.0, 26.0]));
     let damages = damages.map(|at_s| at_s + TRAINING_S);
     let text = FILE
-        .replacen("sampling-rate-hz = 250", &format!("sampling-rate-hz = {RATE_HZ}"), 1)
+        .replacen(
+            "sampling-rate-hz = 250",
+            &format!("sampling-rate-hz = {RATE_HZ}"),
+            1,
+        )
         .replacen("at-s = 200", &format!("at-s = {}", damages[0]), 1)
         .replacen("at-s = 350", &format!("at-s = {}", damages[1]), 1);
     let judged = |required: Required| run.pick(required, Required::Reported);
@@ -57,30 +78,60 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     for (number, (name, piece, other, left_out, anew)) in VARIANTS.into_iter().enumerate() {
         let text = text.replacen(piece, other, 1);
         let watched = |_: &Structure| Vec::new();
-        let plan = Plan { text: &text, seconds: TRAINING_S + seconds, noise_share: 0.05, watched: &watched };
+        let plan = Plan {
+            text: &text,
+            seconds: TRAINING_S + seconds,
+            noise_share: 0.05,
+            watched: &watched,
+        };
         let scene = Scene::simulate(&plan, run)?;
         let (corrupted, _) = corrupt(&scene, run.seed);
         let channels = scene.noise_std.len();
         let data = |frame: usize, channel: usize| corrupted[frame * channels + channel];
         let share = |number: usize| number as f64 / VARIANTS.len() as f64;
-        let fused = scene.network(&data).fuse((share(number), share(number + 1)), run, |_, _, _| {})?;
+        let fused =
+            scene
+                .network(&data)
+                .fuse((share(number), share(number + 1)), run, |_, _, _| {})?;
 
         let mut error = Mean::default();
         for course in &fused.courses[..GROUPS] {
-            let accuracy = settled(course, TRAINING_S + COUNTED_FROM_S, &damages, AFTER_DAMAGE_S);
+            let accuracy = settled(
+                course,
+                TRAINING_S + COUNTED_FROM_S,
+                &damages,
+                AFTER_DAMAGE_S,
+            );
             error.take(accuracy.mean_absolute_error());
         }
-        let working = fused.reports.iter().zip(&fused.courses[0].points).filter(|(_, point)| point[0] > TRAINING_S);
+        let working = fused
+            .reports
+            .iter()
+            .zip(&fused.courses[0].points)
+            .filter(|(_, point)| point[0] > TRAINING_S);
         let working: Vec<_> = working.map(|(reports, _)| reports).collect();
         let nodes = 0..scene.structure.nodes().len();
-        let excluded =
-            |node: usize| working.iter().filter(|reports| reports[node].excluded).count() as f64 / working.len() as f64;
+        let excluded = |node: usize| {
+            working
+                .iter()
+                .filter(|reports| reports[node].excluded)
+                .count() as f64
+                / working.len() as f64
+        };
         let is_healthy = |node: &usize| BIASED.iter().all(|(biased, _)| biased != node);
         let healthy: Vec<usize> = nodes.filter(is_healthy).collect();
-        let largest = |of: &dyn Fn(usize) -> f64| healthy.iter().map(|node| of(*node)).fold(0.0, f64::max);
-        let biased = BIASED.iter().map(|(node, _)| excluded(*node)).fold(1.0, f64::min);
+        let largest =
+            |of: &dyn Fn(usize) -> f64| healthy.iter().map(|node| of(*node)).fold(0.0, f64::max);
+        let biased = BIASED
+            .iter()
+            .map(|(node, _)| excluded(*node))
+            .fold(1.0, f64::min);
         figures.extend([
-            Figure::new(format!("{name}: mean error of stiffness"), error.value(), Required::Reported),
+            Figure::new(
+                format!("{name}: mean error of stiffness"),
+                error.value(),
+                Required::Reported,
+            ),
             Figure::new(
                 format!("{name}: least share of the fusions that leave a biased node out"),
                 biased,
@@ -98,5 +149,9 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             ),
         ]);
     }
-    Ok(Outcome { figures, tables: Vec::new(), plots: Vec::new() })
+    Ok(Outcome {
+        figures,
+        tables: Vec::new(),
+        plots: Vec::new(),
+    })
 }

@@ -20,7 +20,11 @@ const TOLD: u64 = 1000;
 const FOLLOWING_HALF_LIVES: f64 = 2.0;
 
 /// Simulates `seconds` of a structure, with all that its file says of the simulation, and identifies it.
-pub(super) fn run(structure: &Structure, seconds: f64, run: &Run<'_>) -> Result<Shares, ValidateError> {
+pub(super) fn run(
+    structure: &Structure,
+    seconds: f64,
+    run: &Run<'_>,
+) -> Result<Shares, ValidateError> {
     let frames = (seconds * structure.sampling_rate_hz()) as u64;
     let block_samples = ((structure.sampling_rate_hz() / LOOKS_HZ) as u64).max(1);
     let layout = Layout::of(structure).map_err(ValidateError::fit)?;
@@ -32,18 +36,28 @@ pub(super) fn run(structure: &Structure, seconds: f64, run: &Run<'_>) -> Result<
     for (row, frame) in simulated_rows(structure, run.seed, 0, Some(frames)).zip(0u64..) {
         cutter.push(row.time_ns, &row.values, &mut samples);
         for (node, block) in samples.drain(..) {
-            alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut aligned);
+            alignment.handle(
+                spandrel_ingest::Input::Samples { node, block },
+                &mut aligned,
+            );
         }
-        aligned.drain(..).for_each(|block| judged.take(Input::Frames(block)));
+        aligned
+            .drain(..)
+            .for_each(|block| judged.take(Input::Frames(block)));
         if frame.is_multiple_of(TOLD) && !run.advance(frame as f64 / frames as f64) {
             return Err(ValidateError::Stopped);
         }
     }
     cutter.end(&mut samples);
     for (node, block) in samples {
-        alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut aligned);
+        alignment.handle(
+            spandrel_ingest::Input::Samples { node, block },
+            &mut aligned,
+        );
     }
-    aligned.drain(..).for_each(|block| judged.take(Input::Frames(block)));
+    aligned
+        .drain(..)
+        .for_each(|block| judged.take(Input::Frames(block)));
     Ok(judged.shares)
 }
 
@@ -62,12 +76,16 @@ struct Judged<'s> {
 
 impl<'s> Judged<'s> {
     fn new(structure: &'s Structure) -> Result<Self, ValidateError> {
-        let fading = structure.filter_settings().map_err(ValidateError::setting)?.fading;
+        let fading = structure
+            .filter_settings()
+            .map_err(ValidateError::setting)?
+            .fading;
         // a half-life is that of the weight of a residual: information fades twice as fast
         let half_life_frames = 2.0 * std::f64::consts::LN_2 * fading.memory_steps();
         Ok(Self {
             structure,
-            identification: Identification::new(structure, "identify").map_err(ValidateError::fit)?,
+            identification: Identification::new(structure, "identify")
+                .map_err(ValidateError::fit)?,
             outputs: Vec::new(),
             truth: structure.true_parameters(0),
             changed: None,
@@ -80,7 +98,12 @@ impl<'s> Judged<'s> {
         let mut outputs = std::mem::take(&mut self.outputs);
         self.identification.handle(input, &mut outputs);
         let unmeasured = ChannelFit::default();
-        let is_measured = self.identification.estimator().channel_fits().iter().any(|channel| *channel != unmeasured);
+        let is_measured = self
+            .identification
+            .estimator()
+            .channel_fits()
+            .iter()
+            .any(|channel| *channel != unmeasured);
         for output in outputs.drain(..) {
             if let Output::Estimates(block) = output {
                 self.look(&block, is_measured);
@@ -98,8 +121,9 @@ impl<'s> Judged<'s> {
             if estimate.flags.phase != Phase::Working {
                 continue;
             }
-            let follows_a_change =
-                self.changed.is_some_and(|changed| ((frame - changed) as f64) < self.following_frames);
+            let follows_a_change = self
+                .changed
+                .is_some_and(|changed| ((frame - changed) as f64) < self.following_frames);
             self.shares.take(Judgement {
                 verdict: estimate.flags.fit,
                 reasons: estimate.flags.fit_reasons,
@@ -114,7 +138,9 @@ impl<'s> Judged<'s> {
 /// Counts the parameters whose 95 % interval holds the truth, and all.
 fn held(estimate: &Estimate, truth: &[f64]) -> (u64, u64) {
     let holds = |(index, (mean, truth)): &(usize, (&f64, &f64))| {
-        estimate.variance(*index).is_some_and(|variance| (*mean - *truth).powi(2) <= 1.96f64.powi(2) * variance)
+        estimate
+            .variance(*index)
+            .is_some_and(|variance| (*mean - *truth).powi(2) <= 1.96f64.powi(2) * variance)
     };
     let parameters = estimate.mean.iter().zip(truth).enumerate();
     (parameters.filter(holds).count() as u64, truth.len() as u64)

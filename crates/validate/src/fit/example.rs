@@ -8,13 +8,34 @@ use std::path::{Path, PathBuf};
 
 /// The matrices that examples name, by path beside their file.
 const MATRICES: [(&str, &str); 7] = [
-    ("k-lower.mtx", include_str!("../../../../docs/examples/matrices/k-lower.mtx")),
-    ("k-middle.mtx", include_str!("../../../../docs/examples/matrices/k-middle.mtx")),
-    ("k-upper.mtx", include_str!("../../../../docs/examples/matrices/k-upper.mtx")),
-    ("mass.mtx", include_str!("../../../../docs/examples/matrices/mass.mtx")),
-    ("vehicle-along-x.mtx", include_str!("../../../../docs/examples/matrices/vehicle-along-x.mtx")),
-    ("vehicle-along-y.mtx", include_str!("../../../../docs/examples/matrices/vehicle-along-y.mtx")),
-    ("vehicle-mass.mtx", include_str!("../../../../docs/examples/matrices/vehicle-mass.mtx")),
+    (
+        "k-lower.mtx",
+        include_str!("../../../../docs/examples/matrices/k-lower.mtx"),
+    ),
+    (
+        "k-middle.mtx",
+        include_str!("../../../../docs/examples/matrices/k-middle.mtx"),
+    ),
+    (
+        "k-upper.mtx",
+        include_str!("../../../../docs/examples/matrices/k-upper.mtx"),
+    ),
+    (
+        "mass.mtx",
+        include_str!("../../../../docs/examples/matrices/mass.mtx"),
+    ),
+    (
+        "vehicle-along-x.mtx",
+        include_str!("../../../../docs/examples/matrices/vehicle-along-x.mtx"),
+    ),
+    (
+        "vehicle-along-y.mtx",
+        include_str!("../../../../docs/examples/matrices/vehicle-along-y.mtx"),
+    ),
+    (
+        "vehicle-mass.mtx",
+        include_str!("../../../../docs/examples/matrices/vehicle-mass.mtx"),
+    ),
 ];
 
 /// Which verdict is right, by what the file says.
@@ -61,7 +82,10 @@ impl Example {
         let directory = std::env::temp_dir().join(directory);
         write_matrices(&directory.join("matrices"))?;
         let structure = Structure::parse(&text, &directory.join(self.name));
-        std::fs::remove_dir_all(&directory).map_err(|source| ValidateError::File { path: directory, source })?;
+        std::fs::remove_dir_all(&directory).map_err(|source| ValidateError::File {
+            path: directory,
+            source,
+        })?;
         Ok(structure?)
     }
 }
@@ -86,13 +110,28 @@ fn as_it_is(text: &str) -> String {
 /// The tower with twelve beams at 50 Hz: as it is, the ten periods before the first verdict take half an hour.
 fn twelve_beams(text: &str) -> String {
     /// Nodes with sensors, and the nearest ones of the shorter tower.
-    const LEVELS: [(usize, usize); 8] = [(4, 1), (8, 2), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)];
-    let shorter = [("elements = 27", "elements = 8"), ("elements = 10", "elements = 4")];
+    const LEVELS: [(usize, usize); 8] = [
+        (4, 1),
+        (8, 2),
+        (13, 4),
+        (18, 5),
+        (23, 7),
+        (27, 8),
+        (32, 10),
+        (37, 12),
+    ];
+    let shorter = [
+        ("elements = 27", "elements = 8"),
+        ("elements = 10", "elements = 4"),
+    ];
     let slower = ("sampling-rate-hz = 500", "sampling-rate-hz = 50");
-    let changed = shorter.into_iter().chain([slower]).fold(text.to_owned(), |text, (from, to)| text.replace(from, to));
-    LEVELS
-        .iter()
-        .fold(changed, |text, (node, nearest)| text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-")))
+    let changed = shorter
+        .into_iter()
+        .chain([slower])
+        .fold(text.to_owned(), |text, (from, to)| text.replace(from, to));
+    LEVELS.iter().fold(changed, |text, (node, nearest)| {
+        text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"))
+    })
 }
 
 macro_rules! examples {
@@ -167,10 +206,22 @@ mod tests {
     #[test]
     fn every_example_file_has_a_case() {
         let directory = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples");
-        let paths = std::fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
-        let files = paths.filter(|path| path.extension().is_some_and(|extension| extension == "toml"));
-        let files: BTreeSet<String> =
-            files.map(|path| format!("fit.{}", path.file_stem().unwrap().to_string_lossy())).collect();
-        assert_eq!(CASES.iter().map(|case| case.name.to_owned()).collect::<BTreeSet<_>>(), files);
+        let paths = std::fs::read_dir(directory)
+            .unwrap()
+            .map(|entry| entry.unwrap().path());
+        let files = paths.filter(|path| {
+            path.extension()
+                .is_some_and(|extension| extension == "toml")
+        });
+        let files: BTreeSet<String> = files
+            .map(|path| format!("fit.{}", path.file_stem().unwrap().to_string_lossy()))
+            .collect();
+        assert_eq!(
+            CASES
+                .iter()
+                .map(|case| case.name.to_owned())
+                .collect::<BTreeSet<_>>(),
+            files
+        );
     }
 }

@@ -32,14 +32,19 @@ impl Shares {
     /// Takes one frame of normal work.
     pub(super) fn take(&mut self, judgement: Judgement) {
         self.working += 1;
-        let Some(verdict) = judgement.verdict else { return };
+        let Some(verdict) = judgement.verdict else {
+            return;
+        };
         if !judgement.is_measured {
             self.unmeasured += 1;
         } else if judgement.follows_a_change {
             self.after_a_change[verdict as usize] += 1;
         } else {
             self.settled[verdict as usize] += 1;
-            judgement.reasons.iter().for_each(|reason| self.reasons[reason as usize] += 1);
+            judgement
+                .reasons
+                .iter()
+                .for_each(|reason| self.reasons[reason as usize] += 1);
             let held = &mut self.held[usize::from(verdict != FitVerdict::Supported)];
             *held = (held.0 + judgement.held.0, held.1 + judgement.held.1);
         }
@@ -73,8 +78,12 @@ impl Shares {
     /// Each reason that was given outside of the time after a change, with its share of the judged time.
     pub(super) fn reasons(&self) -> impl Iterator<Item = (FitReason, f64)> {
         let judged = self.settled.iter().sum::<u64>() as f64;
-        let share = move |reason: FitReason| (reason, self.reasons[reason as usize] as f64 / judged);
-        FitReason::ALL.into_iter().map(share).filter(|(_, share)| *share > 0.0)
+        let share =
+            move |reason: FitReason| (reason, self.reasons[reason as usize] as f64 / judged);
+        FitReason::ALL
+            .into_iter()
+            .map(share)
+            .filter(|(_, share)| *share > 0.0)
     }
 }
 
@@ -104,15 +113,30 @@ mod tests {
             ..judgement
         };
         shares.take(judgement);
-        assert!(shares.settled(FitVerdict::Supported).is_nan(), "nothing is judged yet");
-        shares.take(Judgement { follows_a_change: true, ..doubt });
+        assert!(
+            shares.settled(FitVerdict::Supported).is_nan(),
+            "nothing is judged yet"
+        );
+        shares.take(Judgement {
+            follows_a_change: true,
+            ..doubt
+        });
         shares.take(doubt);
-        shares.take(Judgement { is_measured: true, ..judgement });
+        shares.take(Judgement {
+            is_measured: true,
+            ..judgement
+        });
         assert_eq!(shares.unmeasured(), 0.25);
-        assert_eq!(VERDICTS.map(|verdict| shares.settled(verdict)), [0.5, 0.5, 0.0]);
+        assert_eq!(
+            VERDICTS.map(|verdict| shares.settled(verdict)),
+            [0.5, 0.5, 0.0]
+        );
         assert_eq!(shares.after_a_change(FitVerdict::Doubtful), 1.0);
         assert_eq!(shares.held(), [0.5, 0.5]);
-        assert_eq!(shares.reasons().collect::<Vec<_>>(), [(FitReason::ExcessNoise, 0.5)]);
+        assert_eq!(
+            shares.reasons().collect::<Vec<_>>(),
+            [(FitReason::ExcessNoise, 0.5)]
+        );
     }
 
     const VERDICTS: [FitVerdict; 3] = super::super::VERDICTS;

@@ -9,7 +9,10 @@ const SIZE: (u32, u32) = (720, 300);
 const TRUTH: RGBColor = RGBColor(60, 60, 60);
 const BOUND: RGBColor = RGBColor(150, 150, 150);
 /// How the colour of a bound stands in the file, and how it does with dashes.
-const BOUND_STROKES: [&str; 2] = ["stroke=\"#969696\"", "stroke=\"#969696\" stroke-dasharray=\"4 3\""];
+const BOUND_STROKES: [&str; 2] = [
+    "stroke=\"#969696\"",
+    "stroke=\"#969696\" stroke-dasharray=\"4 3\"",
+];
 const POINTS: [RGBColor; 2] = [RGBColor(150, 175, 210), RGBColor(214, 39, 40)];
 const ESTIMATES: [RGBColor; 7] = [
     RGBColor(31, 119, 180),
@@ -24,8 +27,10 @@ const ESTIMATES: [RGBColor; 7] = [
 /// Returns the diagram as SVG.
 pub(super) fn svg(plot: &Plot) -> Result<String, ValidateError> {
     let mut text = String::new();
-    draw(plot, &mut text)
-        .map_err(|error| ValidateError::Drawing { title: plot.title.clone(), reason: error.to_string() })?;
+    draw(plot, &mut text).map_err(|error| ValidateError::Drawing {
+        title: plot.title.clone(),
+        reason: error.to_string(),
+    })?;
     // each dash of a dashed series, and each point, would be an element of its own, the larger part of the file
     Ok(joined_points(&text).replace(BOUND_STROKES[0], BOUND_STROKES[1]))
 }
@@ -50,7 +55,8 @@ fn joined_points(text: &str) -> String {
                 joined.push_str("\"/>\n");
             }
             if let Some(colour) = colour {
-                let begin = "<path fill=\"none\" stroke-width=\"2\" stroke-linecap=\"round\" stroke=\"";
+                let begin =
+                    "<path fill=\"none\" stroke-width=\"2\" stroke-linecap=\"round\" stroke=\"";
                 joined.push_str(&format!("{begin}{colour}\" d=\""));
             }
         }
@@ -96,7 +102,12 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
     let scale = (width as f32 / (right - left), height as f32 / (high - low));
     let pixels = Pixels { left, low, scale };
     let (mut estimates, mut clouds) = (0, 0);
-    for Series { label, kind, points } in &plot.series {
+    for Series {
+        label,
+        kind,
+        points,
+    } in &plot.series
+    {
         let colour = match kind {
             SeriesKind::Truth => TRUTH,
             SeriesKind::Bound => BOUND,
@@ -110,19 +121,26 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
             }
         };
         // clipped by hand: what lies outside would be drawn over the labels
-        let finite = points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
+        let finite = points
+            .iter()
+            .filter(|(x, y)| x.is_finite() && y.is_finite());
         let inside: Vec<(f32, f32)> = finite.map(|&(x, y)| (x, y.clamp(low, high))).collect();
         let drawn = match kind {
             SeriesKind::Points => {
-                let circles = pixels.cloud(&inside).into_iter().map(|point| Circle::new(point, 1, colour.filled()));
+                let circles = pixels
+                    .cloud(&inside)
+                    .into_iter()
+                    .map(|point| Circle::new(point, 1, colour.filled()));
                 chart.draw_series(circles)?
             }
-            SeriesKind::Bound | SeriesKind::Truth | SeriesKind::Estimate => {
-                chart.draw_series(LineSeries::new(pixels.curve(&inside), colour.stroke_width(1)))?
-            }
+            SeriesKind::Bound | SeriesKind::Truth | SeriesKind::Estimate => chart.draw_series(
+                LineSeries::new(pixels.curve(&inside), colour.stroke_width(1)),
+            )?,
         };
         if !label.is_empty() {
-            drawn.label(label).legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour.stroke_width(2)));
+            drawn.label(label).legend(move |(x, y)| {
+                PathElement::new([(x, y), (x + 14, y)], colour.stroke_width(2))
+            });
         }
     }
     chart
@@ -137,13 +155,23 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
 
 /// Returns the range of a coordinate over all finite points, never empty, with some room.
 fn range(plot: &Plot, coordinate: impl Fn(&(f32, f32)) -> f32) -> (f32, f32) {
-    let values = plot.series.iter().flat_map(|series| &series.points).map(coordinate).filter(|value| value.is_finite());
-    let (low, high) =
-        values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    let values = plot
+        .series
+        .iter()
+        .flat_map(|series| &series.points)
+        .map(coordinate)
+        .filter(|value| value.is_finite());
+    let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
     if low > high {
         return (0.0, 1.0);
     }
-    let room = if high > low { 0.03 * (high - low) } else { 0.5 * high.abs().max(1.0) };
+    let room = if high > low {
+        0.03 * (high - low)
+    } else {
+        0.5 * high.abs().max(1.0)
+    };
     (low - room, high + room)
 }
 
@@ -153,18 +181,36 @@ mod tests {
 
     #[test]
     fn a_diagram_of_long_curves_is_a_small_file() {
-        let curve =
-            |of: &dyn Fn(f32) -> f32| (0..100_000).map(|i| (i as f32 * 0.002, of(i as f32))).collect::<Vec<_>>();
+        let curve = |of: &dyn Fn(f32) -> f32| {
+            (0..100_000)
+                .map(|i| (i as f32 * 0.002, of(i as f32)))
+                .collect::<Vec<_>>()
+        };
         let noise = |i: f32| (i * 12.9898).sin() * 43_758.547 % 1.0;
         let series = vec![
-            Series::new("bound", SeriesKind::Bound, curve(&|i| 1.5 + 0.1 * (i * 1e-3).sin())),
+            Series::new(
+                "bound",
+                SeriesKind::Bound,
+                curve(&|i| 1.5 + 0.1 * (i * 1e-3).sin()),
+            ),
             Series::new("truth", SeriesKind::Truth, curve(&|_| 0.0)),
             Series::new("noisy", SeriesKind::Estimate, curve(&noise)),
-            Series::new("points", SeriesKind::Points, curve(&|i| 0.3 * noise(i)).into_iter().step_by(200).collect()),
+            Series::new(
+                "points",
+                SeriesKind::Points,
+                curve(&|i| 0.3 * noise(i))
+                    .into_iter()
+                    .step_by(200)
+                    .collect(),
+            ),
         ];
         let text = svg(&Plot::over_time("long curves", "value", series)).unwrap();
         assert!(text.len() < 40_000, "{} bytes", text.len());
-        assert_eq!(text.matches("stroke-dasharray").count(), 2, "the bound, and its line in the legend");
+        assert_eq!(
+            text.matches("stroke-dasharray").count(),
+            2,
+            "the bound, and its line in the legend"
+        );
         assert_eq!(text.matches("<path").count(), 1, "all points together");
         assert!(text.matches("h0").count() > 100 && !text.contains("<circle"));
     }

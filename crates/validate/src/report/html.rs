@@ -28,26 +28,54 @@ pub(super) fn page(report: &Report) -> String {
         .map(|case| {
             let name = escaped(case.name);
             let link = Cell(format!("<a href=\"#{name}\">{name}</a>"));
-            (std::iter::once(link).chain(plain(&contents_row(case))).collect(), !case.passed())
+            (
+                std::iter::once(link)
+                    .chain(plain(&contents_row(case)))
+                    .collect(),
+                !case.passed(),
+            )
         })
         .collect();
     table(&mut page, &CONTENTS.map(str::to_owned), &contents);
     for case in cases {
-        let (name, title, source) = (escaped(case.name), escaped(case.title), escaped(case.source));
-        let _ = writeln!(page, "<h2 id=\"{name}\">{title}</h2><p><code>{name}</code>, {source}</p>");
+        let (name, title, source) = (
+            escaped(case.name),
+            escaped(case.title),
+            escaped(case.source),
+        );
+        let _ = writeln!(
+            page,
+            "<h2 id=\"{name}\">{title}</h2><p><code>{name}</code>, {source}</p>"
+        );
         for (seed, why) in &case.failures {
-            let _ = writeln!(page, "<p class=\"missed\">seed {seed} failed: {}</p>", escaped(why));
+            let _ = writeln!(
+                page,
+                "<p class=\"missed\">seed {seed} failed: {}</p>",
+                escaped(why)
+            );
         }
-        let rows: Vec<_> = case.figures.iter().map(|figure| (plain(&row(figure)), !figure.passed)).collect();
+        let rows: Vec<_> = case
+            .figures
+            .iter()
+            .map(|figure| (plain(&row(figure)), !figure.passed))
+            .collect();
         table(&mut page, &heads(case), &rows);
-        for Table { title, columns, rows } in &case.tables {
+        for Table {
+            title,
+            columns,
+            rows,
+        } in &case.tables
+        {
             let _ = writeln!(page, "<h3>{}</h3>", escaped(title));
             let rows: Vec<_> = rows.iter().map(|row| (plain(row), false)).collect();
             table(&mut page, columns, &rows);
         }
         for (index, plot) in case.plots.iter().enumerate() {
             let (file, title) = (escaped(&drawing_name(case, index)), escaped(&plot.title));
-            let _ = writeln!(page, "<p><img loading=\"lazy\" src=\"{file}\" alt=\"{title}\"></p>");
+            let _ = writeln!(
+                page,
+                "<p><img loading=\"lazy\" src=\"{file}\" alt=\"{title}\"></p>"
+            );
         }
     }
     page.push_str("</html>\n");
@@ -60,7 +88,10 @@ fn plain(cells: &[String]) -> Vec<Cell> {
 
 fn table(page: &mut String, columns: &[String], rows: &[(Vec<Cell>, bool)]) {
     let line = |cells: &[Cell], tag: &str| -> String {
-        cells.iter().map(|Cell(cell)| format!("<{tag}>{cell}</{tag}>")).collect()
+        cells
+            .iter()
+            .map(|Cell(cell)| format!("<{tag}>{cell}</{tag}>"))
+            .collect()
     };
     let _ = writeln!(page, "<table><tr>{}</tr>", line(&plain(columns), "th"));
     for (row, missed) in rows {
@@ -91,5 +122,8 @@ fn pair(text: &str, mark: char) -> Option<(usize, usize)> {
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }

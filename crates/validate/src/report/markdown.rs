@@ -23,13 +23,22 @@ pub(super) fn page(report: &Report) -> String {
         .collect();
     table(&mut page, &CONTENTS.map(str::to_owned), &contents);
     for case in cases {
-        let _ = write!(page, "\n## {}\n\n{} (`{}`, {})\n\n", case.name, case.title, case.name, case.source);
+        let _ = write!(
+            page,
+            "\n## {}\n\n{} (`{}`, {})\n\n",
+            case.name, case.title, case.name, case.source
+        );
         for (seed, why) in &case.failures {
             let _ = write!(page, "Seed {seed} failed: {why}\n\n");
         }
         let rows: Vec<Vec<String>> = case.figures.iter().map(row).collect();
         table(&mut page, &heads(case), &rows);
-        for Table { title, columns, rows } in &case.tables {
+        for Table {
+            title,
+            columns,
+            rows,
+        } in &case.tables
+        {
             let _ = write!(page, "\n{title}\n\n");
             table(&mut page, columns, rows);
         }
@@ -42,7 +51,12 @@ pub(super) fn page(report: &Report) -> String {
 
 fn table(page: &mut String, columns: &[String], rows: &[Vec<String>]) {
     let cell = |text: &String| text.replace('\n', " ").replace('|', "\\|");
-    let line = |cells: &[String]| format!("| {} |\n", cells.iter().map(cell).collect::<Vec<_>>().join(" | "));
+    let line = |cells: &[String]| {
+        format!(
+            "| {} |\n",
+            cells.iter().map(cell).collect::<Vec<_>>().join(" | ")
+        )
+    };
     page.push_str(&line(columns));
     page.push_str(&line(&vec!["---".to_owned(); columns.len()]));
     for row in rows {

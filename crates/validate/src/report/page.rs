@@ -20,7 +20,9 @@ pub(super) fn text(report: &Report) -> String {
         for figure in &case.figures {
             let mark = verdict(figure);
             let known = known(figure);
-            let published = figure.published.map_or(String::new(), |value| format!(", published {}", number(value)));
+            let published = figure.published.map_or(String::new(), |value| {
+                format!(", published {}", number(value))
+            });
             let _ = writeln!(
                 text,
                 "  {mark:<8} {}: {} (required {}{}{published}){known}",
@@ -34,8 +36,17 @@ pub(super) fn text(report: &Report) -> String {
             let _ = writeln!(text, "  failed   seed {seed}: {why}");
         }
     }
-    let Count { holds, missed, known, .. } = Count::of(report.cases.iter());
-    let failed = report.cases.iter().map(|case| case.failures.len()).sum::<usize>();
+    let Count {
+        holds,
+        missed,
+        known,
+        ..
+    } = Count::of(report.cases.iter());
+    let failed = report
+        .cases
+        .iter()
+        .map(|case| case.failures.len())
+        .sum::<usize>();
     let _ = writeln!(
         text,
         "{holds} of {} figures as required, {missed} missed ({known} of them known), {failed} runs failed",
@@ -87,7 +98,11 @@ fn verdict(figure: &FigureReport) -> &'static str {
 
 fn measured(figure: &FigureReport) -> Vec<String> {
     let text = |value| measured_number(value, &figure.required);
-    figure.measured.iter().map(|value| value.map_or("none".to_owned(), text)).collect()
+    figure
+        .measured
+        .iter()
+        .map(|value| value.map_or("none".to_owned(), text))
+        .collect()
 }
 
 fn judged(judgement: Judgement, seeds: usize) -> &'static str {
@@ -120,8 +135,13 @@ pub(super) fn write(report: &Report, directory: &Path) -> Result<(), ValidateErr
         }
     }
     // those of an earlier report, by their names only: other files are not ours
-    let ours = |name: &str| name.ends_with(".svg") && cases().iter().any(|case| name.starts_with(case.name));
-    for entry in std::fs::read_dir(&diagrams).map_err(failed(&diagrams))?.flatten() {
+    let ours = |name: &str| {
+        name.ends_with(".svg") && cases().iter().any(|case| name.starts_with(case.name))
+    };
+    for entry in std::fs::read_dir(&diagrams)
+        .map_err(failed(&diagrams))?
+        .flatten()
+    {
         if entry.file_name().to_str().is_some_and(ours) && !drawn.contains(&entry.path()) {
             std::fs::remove_file(entry.path()).map_err(failed(&entry.path()))?;
         }
@@ -137,7 +157,9 @@ pub(super) fn drawing_name(case: &CaseReport, index: usize) -> String {
 
 /// Heads of the table of figures of a case.
 pub(super) fn heads(case: &CaseReport) -> Vec<String> {
-    let mut heads: Vec<String> = ["figure", "published", "required"].map(str::to_owned).to_vec();
+    let mut heads: Vec<String> = ["figure", "published", "required"]
+        .map(str::to_owned)
+        .to_vec();
     heads.extend(case.seeds.iter().map(|seed| format!("seed {seed}")));
     heads.push("verdict".to_owned());
     heads
@@ -148,7 +170,11 @@ pub(super) fn row(figure: &FigureReport) -> Vec<String> {
     let mut row = vec![
         figure.figure.clone(),
         figure.published.map_or("–".to_owned(), number),
-        format!("{}{}", figure.required, judged(figure.judgement, figure.measured.len())),
+        format!(
+            "{}{}",
+            figure.required,
+            judged(figure.judgement, figure.measured.len())
+        ),
     ];
     row.extend(measured(figure));
     row.push(format!("{}{}", verdict(figure), known(figure)));
@@ -158,12 +184,20 @@ pub(super) fn row(figure: &FigureReport) -> Vec<String> {
 /// The paragraphs above the contents.
 pub(super) fn introduction(report: &Report) -> Vec<String> {
     let on_page = report.on_page();
-    let Count { holds, missed, known, reported } = Count::of(on_page.iter().copied());
+    let Count {
+        holds,
+        missed,
+        known,
+        reported,
+    } = Count::of(on_page.iter().copied());
     let (records, option) = match report.length {
         Length::Full => ("records of full length", ""),
         Length::Quick => ("shortened records", " --quick"),
     };
-    let seeds = report.cases.first().map_or(String::new(), |case| seed_options(&case.seeds));
+    let seeds = report
+        .cases
+        .first()
+        .map_or(String::new(), |case| seed_options(&case.seeds));
     let mut paragraphs = vec![
         format!(
             "{holds} of {} figures are as required, {missed} are missed ({known} of them known), {reported} more are reported; \
@@ -180,10 +214,14 @@ pub(super) fn introduction(report: &Report) -> Vec<String> {
             .to_owned(),
     ];
     if on_page.iter().any(|case| case.program == Program::Another) {
-        paragraphs
-            .push("Cases marked with * were run by another build of the program than wrote this page.".to_owned());
+        paragraphs.push(
+            "Cases marked with * were run by another build of the program than wrote this page."
+                .to_owned(),
+        );
     }
-    let absent = cases().iter().filter(|case| !on_page.iter().any(|on_page| on_page.name == case.name));
+    let absent = cases()
+        .iter()
+        .filter(|case| !on_page.iter().any(|on_page| on_page.name == case.name));
     let absent: Vec<String> = absent.map(|case| format!("`{}`", case.name)).collect();
     if !absent.is_empty() {
         paragraphs.push(format!("No outcome is kept of {}.", absent.join(", ")));
@@ -196,18 +234,34 @@ fn seed_options(seeds: &[u64]) -> String {
     match seeds {
         [] => String::new(),
         [seed] => format!(" --seed {seed}"),
-        [first, .., last] if seeds.windows(2).all(|pair| pair[0] + 1 == pair[1]) => format!(" --seeds {first}..{last}"),
+        [first, .., last] if seeds.windows(2).all(|pair| pair[0] + 1 == pair[1]) => {
+            format!(" --seeds {first}..{last}")
+        }
         _ => seeds.iter().map(|seed| format!(" --seed {seed}")).collect(),
     }
 }
 
 /// Heads of the contents.
-pub(super) const CONTENTS: [&str; 9] =
-    ["case", "what", "source", "version", "holds", "missed", "reported", "seeds", "seconds of each"];
+pub(super) const CONTENTS: [&str; 9] = [
+    "case",
+    "what",
+    "source",
+    "version",
+    "holds",
+    "missed",
+    "reported",
+    "seeds",
+    "seconds of each",
+];
 
 /// A row of the contents, without the name of the case.
 pub(super) fn contents_row(case: &CaseReport) -> [String; 8] {
-    let Count { holds, missed, reported, .. } = Count::of(std::iter::once(case));
+    let Count {
+        holds,
+        missed,
+        reported,
+        ..
+    } = Count::of(std::iter::once(case));
     let other = match case.program {
         Program::This => "",
         Program::Another => " *",
@@ -221,6 +275,11 @@ pub(super) fn contents_row(case: &CaseReport) -> [String; 8] {
         missed.to_string(),
         reported.to_string(),
         each(case.seeds.iter().map(u64::to_string).collect()),
-        each(case.seconds.iter().map(|seconds| seconds.map_or("none".to_owned(), |s| format!("{s:.1}"))).collect()),
+        each(
+            case.seconds
+                .iter()
+                .map(|seconds| seconds.map_or("none".to_owned(), |s| format!("{s:.1}")))
+                .collect(),
+        ),
     ]
 }

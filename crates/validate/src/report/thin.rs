@@ -18,7 +18,10 @@ pub(super) struct Pixels {
 
 impl Pixels {
     fn of(&self, point: (f32, f32)) -> (f32, f32) {
-        ((point.0 - self.left) * self.scale.0, (point.1 - self.low) * self.scale.1)
+        (
+            (point.0 - self.left) * self.scale.0,
+            (point.1 - self.low) * self.scale.1,
+        )
     }
 
     /// Returns the points of a curve that cannot be left out without a visible change.
@@ -28,7 +31,12 @@ impl Pixels {
         for run in points.chunk_by(|a, b| column(a) == column(b)) {
             let by_height = |a: &&usize, b: &&usize| run[**a].1.total_cmp(&run[**b].1);
             let all: Vec<usize> = (0..run.len()).collect();
-            let extremes = all.iter().min_by(by_height).into_iter().chain(all.iter().max_by(by_height)).copied();
+            let extremes = all
+                .iter()
+                .min_by(by_height)
+                .into_iter()
+                .chain(all.iter().max_by(by_height))
+                .copied();
             let mut chosen: Vec<usize> = [0, run.len() - 1].into_iter().chain(extremes).collect();
             chosen.sort_unstable();
             chosen.dedup();
@@ -41,8 +49,12 @@ impl Pixels {
     fn without_straight_stretches(&self, points: &[(f32, f32)]) -> Vec<(f32, f32)> {
         let pixels: Vec<(f32, f32)> = points.iter().map(|point| self.of(*point)).collect();
         let mut kept = vec![false; points.len()];
-        let mut stretches: Vec<(usize, usize)> =
-            points.len().checked_sub(1).map(|last| (0, last)).into_iter().collect();
+        let mut stretches: Vec<(usize, usize)> = points
+            .len()
+            .checked_sub(1)
+            .map(|last| (0, last))
+            .into_iter()
+            .collect();
         while let Some((from, to)) = stretches.pop() {
             (kept[from], kept[to]) = (true, true);
             let off = |i: &usize| distance(pixels[*i], pixels[from], pixels[to]);
@@ -51,7 +63,12 @@ impl Pixels {
                 stretches.extend([(from, middle), (middle, to)]);
             }
         }
-        points.iter().zip(kept).filter(|(_, kept)| *kept).map(|(point, _)| *point).collect()
+        points
+            .iter()
+            .zip(kept)
+            .filter(|(_, kept)| *kept)
+            .map(|(point, _)| *point)
+            .collect()
     }
 
     /// Returns one of the single points of each small cell.
@@ -61,13 +78,20 @@ impl Pixels {
             let (x, y) = self.of(*point);
             ((x / CELL).floor() as i64, (y / CELL).floor() as i64)
         };
-        points.iter().filter(|point| taken.insert(cell(point))).copied().collect()
+        points
+            .iter()
+            .filter(|point| taken.insert(cell(point)))
+            .copied()
+            .collect()
     }
 }
 
 /// Distance of a point from the line between two others, or from the first where they are one.
 fn distance(point: (f32, f32), from: (f32, f32), to: (f32, f32)) -> f32 {
-    let (along, across) = ((to.0 - from.0, to.1 - from.1), (point.0 - from.0, point.1 - from.1));
+    let (along, across) = (
+        (to.0 - from.0, to.1 - from.1),
+        (point.0 - from.0, point.1 - from.1),
+    );
     let length = along.0.hypot(along.1);
     match length > 0.0 {
         true => (along.0 * across.1 - along.1 * across.0).abs() / length,
@@ -79,13 +103,21 @@ fn distance(point: (f32, f32), from: (f32, f32), to: (f32, f32)) -> f32 {
 mod tests {
     use super::*;
 
-    const PIXELS: Pixels = Pixels { left: 0.0, low: 0.0, scale: (1.0, 1.0) };
+    const PIXELS: Pixels = Pixels {
+        left: 0.0,
+        low: 0.0,
+        scale: (1.0, 1.0),
+    };
 
     #[test]
     fn a_straight_line_keeps_its_ends_and_a_corner_its_point() {
-        let line: Vec<(f32, f32)> = (0..1000).map(|i| (i as f32 * 0.6, i as f32 * 0.2)).collect();
+        let line: Vec<(f32, f32)> = (0..1000)
+            .map(|i| (i as f32 * 0.6, i as f32 * 0.2))
+            .collect();
         assert_eq!(PIXELS.curve(&line), [line[0], line[999]]);
-        let corner: Vec<(f32, f32)> = (0..201).map(|i| (i as f32, (i as f32 - 100.0).abs())).collect();
+        let corner: Vec<(f32, f32)> = (0..201)
+            .map(|i| (i as f32, (i as f32 - 100.0).abs()))
+            .collect();
         assert_eq!(PIXELS.curve(&corner), [corner[0], corner[100], corner[200]]);
         assert!(PIXELS.curve(&[]).is_empty());
         assert_eq!(PIXELS.curve(&[(1.0, 2.0)]), [(1.0, 2.0)]);
@@ -96,12 +128,17 @@ mod tests {
         let mut points: Vec<(f32, f32)> = (0..100_000).map(|i| (i as f32 * 0.006, 10.0)).collect();
         points[54_321].1 = 90.0;
         let thin = PIXELS.curve(&points);
-        assert!(thin.contains(&points[54_321]) && thin.len() < 10, "{thin:?}");
+        assert!(
+            thin.contains(&points[54_321]) && thin.len() < 10,
+            "{thin:?}"
+        );
     }
 
     #[test]
     fn of_a_cloud_each_cell_keeps_one_point() {
-        let points: Vec<(f32, f32)> = (0..9000).map(|i| ((i % 90) as f32 / 10.0, (i / 90) as f32 * 0.09)).collect();
+        let points: Vec<(f32, f32)> = (0..9000)
+            .map(|i| ((i % 90) as f32 / 10.0, (i / 90) as f32 * 0.09))
+            .collect();
         assert_eq!(PIXELS.cloud(&points).len(), 9);
     }
 }

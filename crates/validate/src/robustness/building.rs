@@ -65,10 +65,16 @@ impl Building {
             random
         };
         let (mut noise, mut motion) = (random(1), random(0));
-        let ground = self.ground.draw(samples, SUBSTEPS, self.rate_hz, &mut motion);
+        let ground = self
+            .ground
+            .draw(samples, SUBSTEPS, self.rate_hz, &mut motion);
         let storeys = self.masses_kg.len();
         let step_s = 1.0 / (self.rate_hz * SUBSTEPS as f64);
-        let mut motion = Motion { building: self, state: vec![0.0; 3 * storeys], kept: vec![1.0; storeys] };
+        let mut motion = Motion {
+            building: self,
+            state: vec![0.0; 3 * storeys],
+            kept: vec![1.0; storeys],
+        };
         let mut frames = Vec::with_capacity(samples);
         for sample in 0..samples {
             let time_s = sample as f64 / self.rate_hz;
@@ -78,7 +84,11 @@ impl Building {
             let first = sample * SUBSTEPS;
             let mut values = vec![ground[first] + self.ground_noise * normal(&mut noise)];
             let accelerations = motion.absolute_accelerations();
-            values.extend(accelerations.into_iter().map(|value| value + self.floor_noise * normal(&mut noise)));
+            values.extend(
+                accelerations
+                    .into_iter()
+                    .map(|value| value + self.floor_noise * normal(&mut noise)),
+            );
             frames.push(values);
             for substep in 0..SUBSTEPS {
                 motion.advance(step_s, ground[first + substep], ground[first + substep + 1]);
@@ -112,14 +122,17 @@ impl Motion<'_> {
     fn rates_to(&self, state: &[f64], ground: f64, rates: &mut [f64]) {
         let building = self.building;
         let storeys = self.kept.len();
-        let drift = |of: &[f64], storey: usize| of[storey] - if storey == 0 { 0.0 } else { of[storey - 1] };
+        let drift =
+            |of: &[f64], storey: usize| of[storey] - if storey == 0 { 0.0 } else { of[storey - 1] };
         let (x, rest) = state.split_at(storeys);
         let (v, z) = rest.split_at(storeys);
         for storey in 0..storeys {
             let elastic = drift(x, storey);
             let rate = drift(v, storey);
             let stiffness = self.kept[storey] * building.stiffnesses_n_per_m[storey];
-            let yields = building.yielding.filter(|yielding| yielding.storey == storey);
+            let yields = building
+                .yielding
+                .filter(|yielding| yielding.storey == storey);
             let spring = match yields {
                 Some(_) => HARDENING * elastic + (1.0 - HARDENING) * z[storey],
                 None => elastic,
@@ -128,7 +141,11 @@ impl Motion<'_> {
                 let ratio = z[storey] / yielding.yield_drift_m;
                 rate * (1.0 - ratio * ratio * 0.5 * (1.0 + (rate * z[storey]).signum()))
             });
-            let damped = if building.damping_stays { building.stiffnesses_n_per_m[storey] } else { stiffness };
+            let damped = if building.damping_stays {
+                building.stiffnesses_n_per_m[storey]
+            } else {
+                stiffness
+            };
             let force = stiffness * spring + building.beta_s * damped * rate;
             rates[storeys + storey] = -force;
             if storey > 0 {

@@ -28,7 +28,10 @@ pub(super) enum Expected {
     /// The file is wrong: intervals of the loss hold, with a decision for this share of the time.
     WrongModel { decided: Option<f64> },
     /// A loss is found in this share of the runs, after so many seconds in the mean.
-    Loss { found: Option<f64>, within_s: Option<f64> },
+    Loss {
+        found: Option<f64>,
+        within_s: Option<f64>,
+    },
     /// A sudden loss is found, and every alert states it rightly; after so many seconds in the mean.
     SuddenLoss { within_s: f64 },
 }
@@ -54,7 +57,10 @@ fn rayleigh(ratio: f64) -> (f64, f64) {
         base * ((2 * mode - 1) as f64 * PI / (2.0 * (2 * STOREYS + 1) as f64)).sin()
     };
     let (first, second) = (omega(1), omega(2));
-    (2.0 * ratio * first * second / (first + second), 2.0 * ratio / (first + second))
+    (
+        2.0 * ratio * first * second / (first + second),
+        2.0 * ratio / (first + second),
+    )
 }
 
 /// The building as stated, on a measured white ground motion.
@@ -68,7 +74,11 @@ pub(super) fn right() -> (Building, Stated) {
         damping_stays: false,
         yielding: None,
         loss: None,
-        ground: Ground { spectrum: Spectrum::WhiteStraight, envelope: Envelope::Constant, std: 0.1 },
+        ground: Ground {
+            spectrum: Spectrum::WhiteStraight,
+            envelope: Envelope::Constant,
+            std: 0.1,
+        },
         ground_noise: 0.005,
         floor_noise: 0.005,
         rate_hz: 100.0,
@@ -86,12 +96,20 @@ pub(super) fn right() -> (Building, Stated) {
 }
 
 fn lose(building: &mut Building, storey: usize, share: f64) {
-    building.loss = Some(Loss { storey: storey - 1, at_s: LOSS_AT_S, share });
+    building.loss = Some(Loss {
+        storey: storey - 1,
+        at_s: LOSS_AT_S,
+        share,
+    });
 }
 
 /// Makes a storey lose stiffness when the reference is known even where the training of the noise levels takes its limit.
 fn lose_late(building: &mut Building, storey: usize, share: f64) {
-    building.loss = Some(Loss { storey: storey - 1, at_s: LATE_LOSS_AT_S, share });
+    building.loss = Some(Loss {
+        storey: storey - 1,
+        at_s: LATE_LOSS_AT_S,
+        share,
+    });
 }
 
 fn damping(building: &mut Building, factor: f64) {
@@ -102,7 +120,10 @@ fn random_masses(building: &mut Building, seed: u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(9);
     if let Ok(share) = Uniform::new_inclusive(-0.1, 0.1) {
-        building.masses_kg.iter_mut().for_each(|mass| *mass *= 1.0 + share.sample(&mut random));
+        building
+            .masses_kg
+            .iter_mut()
+            .for_each(|mass| *mass *= 1.0 + share.sample(&mut random));
     }
 }
 
@@ -122,12 +143,20 @@ fn unmeasured(building: &mut Building, stated: &mut Stated) {
 const RIGHT: Expected = Expected::RightModel;
 const WRONG: Expected = Expected::WrongModel { decided: None };
 /// A share that holds in 18 of 20 runs.
-const FOUND: Expected = Expected::Loss { found: Some(0.9), within_s: None };
-const REPORTED: Expected = Expected::Loss { found: None, within_s: None };
+const FOUND: Expected = Expected::Loss {
+    found: Some(0.9),
+    within_s: None,
+};
+const REPORTED: Expected = Expected::Loss {
+    found: None,
+    within_s: None,
+};
 
 /// What an alert of the version before took, and 5 s more.
 const fn sudden(before_s: f64) -> Expected {
-    Expected::SuddenLoss { within_s: before_s + 5.0 }
+    Expected::SuddenLoss {
+        within_s: before_s + 5.0,
+    }
 }
 
 macro_rules! conditions {

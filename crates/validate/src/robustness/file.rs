@@ -28,7 +28,9 @@ pub(super) const LEARN_S: f64 = 30.0;
 
 impl Stated {
     pub(super) fn text(&self) -> String {
-        let Self { rate_hz, noise_std, .. } = self;
+        let Self {
+            rate_hz, noise_std, ..
+        } = self;
         let mut text = format!(
             "[structure]\nname = \"building\"\nsampling-rate-hz = {rate_hz}\n\n\
              [model]\nkind = \"shear-building\"\nstoreys = {STOREYS}\nmass-kg = {MASS_KG}\n\
@@ -49,7 +51,11 @@ impl Stated {
                 );
             }
         }
-        let _ = write!(text, "\n[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = {}\n", self.ground_std);
+        let _ = write!(
+            text,
+            "\n[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = {}\n",
+            self.ground_std
+        );
         if !self.ground_measured {
             text += "adapt = true\n";
         }
@@ -66,7 +72,9 @@ impl Stated {
                  noise-std = {noise_std}\nnoise-group = \"floors\"\nadapt-noise = true\n"
             );
         }
-        let stiffness: Vec<String> = (1..=STOREYS).map(|storey| format!("\"storey-{storey}\"")).collect();
+        let stiffness: Vec<String> = (1..=STOREYS)
+            .map(|storey| format!("\"storey-{storey}\""))
+            .collect();
         let _ = write!(
             text,
             "\n[filter]\n{}\n[[alert]]\nparameters = [{}]\nloss = {}\ncredibility = 0.99\n\

@@ -40,28 +40,45 @@ pub(super) struct Ground {
 
 impl Ground {
     /// Returns the accelerations (m/s²) at `substeps` points per sample, for `samples` samples and the end of the last.
-    pub(super) fn draw(&self, samples: usize, substeps: usize, rate_hz: f64, random: &mut ChaCha8Rng) -> Vec<f64> {
+    pub(super) fn draw(
+        &self,
+        samples: usize,
+        substeps: usize,
+        rate_hz: f64,
+        random: &mut ChaCha8Rng,
+    ) -> Vec<f64> {
         let fine_s = 1.0 / (rate_hz * substeps as f64);
         let count = samples * substeps + 1;
         let mut motion = match self.spectrum {
             Spectrum::WhiteStraight => {
-                let white: Vec<f64> = (0..samples + 2).map(|_| StandardNormal.sample(random)).collect();
+                let white: Vec<f64> = (0..samples + 2)
+                    .map(|_| StandardNormal.sample(random))
+                    .collect();
                 (0..count)
                     .map(|k| {
-                        let (sample, part) = (k / substeps, (k % substeps) as f64 / substeps as f64);
+                        let (sample, part) =
+                            (k / substeps, (k % substeps) as f64 / substeps as f64);
                         white[sample] + part * (white[sample + 1] - white[sample])
                     })
                     .collect()
             }
             Spectrum::WhiteHeld => {
-                let white: Vec<f64> = (0..=samples).map(|_| StandardNormal.sample(random)).collect();
+                let white: Vec<f64> = (0..=samples)
+                    .map(|_| StandardNormal.sample(random))
+                    .collect();
                 (0..count).map(|k| white[k / substeps]).collect()
             }
             Spectrum::Smooth(cut_off_hz) => {
                 let white = (0..count).map(|_| StandardNormal.sample(random)).collect();
                 // the two second-order sections of a Butterworth low-pass of order four
                 let once = filtered(white, cut_off_hz, (PI / 8.0).cos(), 0.0, fine_s);
-                normalised(filtered(once, cut_off_hz, (3.0 * PI / 8.0).cos(), 0.0, fine_s))
+                normalised(filtered(
+                    once,
+                    cut_off_hz,
+                    (3.0 * PI / 8.0).cos(),
+                    0.0,
+                    fine_s,
+                ))
             }
             Spectrum::KanaiTajimi => {
                 let white = (0..count).map(|_| StandardNormal.sample(random)).collect();
@@ -86,11 +103,25 @@ impl Envelope {
 }
 
 /// Returns the response `ω² x + velocity · 2ζω ẋ` of `ẍ + 2ζω ẋ + ω² x = input`, by the trapezoidal rule.
-fn filtered(input: Vec<f64>, frequency_hz: f64, ratio: f64, velocity: f64, step_s: f64) -> Vec<f64> {
+fn filtered(
+    input: Vec<f64>,
+    frequency_hz: f64,
+    ratio: f64,
+    velocity: f64,
+    step_s: f64,
+) -> Vec<f64> {
     // bilinear transform with its frequency set right at the natural frequency
     let k = 1.0 / (PI * frequency_hz * step_s).tan();
-    let (a0, a1, a2) = (k * k + 2.0 * ratio * k + 1.0, 2.0 - 2.0 * k * k, k * k - 2.0 * ratio * k + 1.0);
-    let (b0, b1, b2) = (1.0 + velocity * 2.0 * ratio * k, 2.0, 1.0 - velocity * 2.0 * ratio * k);
+    let (a0, a1, a2) = (
+        k * k + 2.0 * ratio * k + 1.0,
+        2.0 - 2.0 * k * k,
+        k * k - 2.0 * ratio * k + 1.0,
+    );
+    let (b0, b1, b2) = (
+        1.0 + velocity * 2.0 * ratio * k,
+        2.0,
+        1.0 - velocity * 2.0 * ratio * k,
+    );
     let (mut x1, mut x2, mut y1, mut y2) = (0.0, 0.0, 0.0, 0.0);
     input
         .into_iter()

@@ -36,11 +36,17 @@ pub(super) struct Trial {
 pub(super) const AFTER_ALERT_S: [f64; 4] = [0.0, 5.0, 20.0, 60.0];
 
 /// Identifies what `building` shows for `duration_s` by what is `stated`.
-pub(super) fn run(building: &Building, stated: &Stated, duration_s: f64, seed: u64) -> Result<Trial, ValidateError> {
+pub(super) fn run(
+    building: &Building,
+    stated: &Stated,
+    duration_s: f64,
+    seed: u64,
+) -> Result<Trial, ValidateError> {
     let structure = Structure::parse(&stated.text(), Path::new("building.toml"))
         .map_err(|error| ValidateError::Robustness(error.to_string()))?;
     let failed = |error: &dyn std::fmt::Display| ValidateError::Robustness(error.to_string());
-    let mut identification = Identification::new(&structure, "identify").map_err(|error| failed(&error))?;
+    let mut identification =
+        Identification::new(&structure, "identify").map_err(|error| failed(&error))?;
     let mut watch = Watch::new(&structure, None).map_err(|error| failed(&error))?;
     let samples = building.measure(duration_s, seed);
     let skipped = usize::from(!stated.ground_measured);
@@ -51,12 +57,19 @@ pub(super) fn run(building: &Building, stated: &Stated, duration_s: f64, seed: u
         let frames = frame_block(block, number, skipped, stated.rate_hz);
         identification.handle(Input::Frames(frames), &mut outputs);
         for output in outputs.drain(..) {
-            let Output::Estimates(estimates) = output else { continue };
-            watch.handle_block(&estimates, &mut alerts).map_err(|error| failed(&error))?;
-            let Some((index, last)) = estimates.iter().last() else { continue };
+            let Output::Estimates(estimates) = output else {
+                continue;
+            };
+            watch
+                .handle_block(&estimates, &mut alerts)
+                .map_err(|error| failed(&error))?;
+            let Some((index, last)) = estimates.iter().last() else {
+                continue;
+            };
             let time_s = (index + 1) as f64 / stated.rate_hz;
-            let std: Vec<f64> =
-                (0..last.mean.len()).map(|j| last.variance(j).unwrap_or(f64::NAN).max(0.0).sqrt()).collect();
+            let std: Vec<f64> = (0..last.mean.len())
+                .map(|j| last.variance(j).unwrap_or(f64::NAN).max(0.0).sqrt())
+                .collect();
             trial.look(building, &last.mean, &std, time_s, &raised);
             if let Some(verdict) = identification.estimator().fit().verdict() {
                 trial.verdicts[verdict as usize] += 1;
@@ -64,14 +77,18 @@ pub(super) fn run(building: &Building, stated: &Stated, duration_s: f64, seed: u
         }
         for alert in alerts.drain(..) {
             let time_s = alert.estimate.time_ns as f64 / 1e9;
-            if alert.state == AlertState::Raised && alert.parameter < STOREYS && raised[alert.parameter].is_none() {
+            if alert.state == AlertState::Raised
+                && alert.parameter < STOREYS
+                && raised[alert.parameter].is_none()
+            {
                 trial.take_raised(building, &alert, time_s);
                 raised[alert.parameter] = Some(time_s);
             }
         }
     }
     for frames in watch.decided_shares().values() {
-        trial.decided.0 += frames.frames() - frames.undecided().map(|(_, count)| count).sum::<u64>();
+        trial.decided.0 +=
+            frames.frames() - frames.undecided().map(|(_, count)| count).sum::<u64>();
         trial.decided.1 += frames.frames();
     }
     Ok(trial)
@@ -84,11 +101,22 @@ impl Trial {
     }
 
     /// Compares the estimates of one instant with the truth.
-    fn look(&mut self, building: &Building, mean: &[f64], std: &[f64], time_s: f64, raised: &[Option<f64>]) {
+    fn look(
+        &mut self,
+        building: &Building,
+        mean: &[f64],
+        std: &[f64],
+        time_s: f64,
+        raised: &[Option<f64>],
+    ) {
         for storey in 0..STOREYS {
-            let loss = building.loss.filter(|loss| loss.storey == storey && time_s > loss.at_s);
+            let loss = building
+                .loss
+                .filter(|loss| loss.storey == storey && time_s > loss.at_s);
             // while an estimate moves to its new value the interval in the alert is judged, not this one
-            let settled = building.loss.is_none_or(|loss| time_s < loss.at_s || time_s > loss.at_s + 30.0);
+            let settled = building
+                .loss
+                .is_none_or(|loss| time_s < loss.at_s || time_s > loss.at_s + 30.0);
             let kept = 1.0 - loss.map_or(0.0, |loss| loss.share);
             if time_s >= LEARN_S && settled {
                 self.value_inside.1 += 1;
@@ -99,10 +127,16 @@ impl Trial {
                 continue;
             }
             let learnt = self.learnt[storey].summary();
-            let Some(reference) = learnt.and_then(|span| Reference::new(span.mean, span.variance().sqrt()).ok()) else {
+            let Some(reference) =
+                learnt.and_then(|span| Reference::new(span.mean, span.variance().sqrt()).ok())
+            else {
                 continue;
             };
-            let estimate = ParameterEstimate { time_ns: 0, mean: mean[storey], std: std[storey] };
+            let estimate = ParameterEstimate {
+                time_ns: 0,
+                mean: mean[storey],
+                std: std[storey],
+            };
             let interval = loss_estimate(&estimate, &reference);
             let inside = (interval.low..=interval.high).contains(&(1.0 - kept));
             if settled {
@@ -122,10 +156,15 @@ impl Trial {
     }
 
     fn take_raised(&mut self, building: &Building, alert: &spandrel_alert::Alert, time_s: f64) {
-        match building.loss.filter(|loss| loss.storey == alert.parameter && time_s >= loss.at_s) {
+        match building
+            .loss
+            .filter(|loss| loss.storey == alert.parameter && time_s >= loss.at_s)
+        {
             Some(loss) => {
                 self.delay_s = Some(time_s - loss.at_s);
-                self.alert_inside[0] = alert.loss.map(|interval| (interval.low..=interval.high).contains(&loss.share));
+                self.alert_inside[0] = alert
+                    .loss
+                    .map(|interval| (interval.low..=interval.high).contains(&loss.share));
             }
             None => self.false_alerts.push(alert.parameter),
         }
@@ -135,9 +174,17 @@ impl Trial {
 fn frame_block(block: &[Samples], number: usize, skipped: usize, rate_hz: f64) -> FrameBlock {
     let sequence = (number * BLOCK) as u64;
     let time_ns = (sequence as f64 / rate_hz * 1e9).round() as i64;
-    let values: Vec<f64> = block.iter().flat_map(|samples| samples[skipped..].iter().copied()).collect();
+    let values: Vec<f64> = block
+        .iter()
+        .flat_map(|samples| samples[skipped..].iter().copied())
+        .collect();
     FrameBlock {
-        header: Header { source: "ingest".to_owned(), epoch: 1, sequence, time_ns },
+        header: Header {
+            source: "ingest".to_owned(),
+            epoch: 1,
+            sequence,
+            time_ns,
+        },
         t0_ns: 0,
         sampling_rate_hz: rate_hz,
         channels: (STOREYS + 1 - skipped) as u16,

@@ -64,7 +64,11 @@ fn sign(value: f64) -> f64 {
 
 /// `|r|^exponent`, safe at 0.
 fn power(r: f64, exponent: f64) -> f64 {
-    if r.abs() < TINY { 0.0 } else { r.abs().powf(exponent) }
+    if r.abs() < TINY {
+        0.0
+    } else {
+        r.abs().powf(exponent)
+    }
 }
 
 impl BoucWenModel {
@@ -118,7 +122,11 @@ impl BoucWenModel {
 
     /// `−F/m` on mass `i` of spring forces that a function gives.
     fn acceleration(&self, i: usize, force: impl Fn(usize) -> f64) -> f64 {
-        let above = if i + 1 < self.masses() { force(i + 1) } else { 0.0 };
+        let above = if i + 1 < self.masses() {
+            force(i + 1)
+        } else {
+            0.0
+        };
         (above - force(i)) / self.chain.masses_kg[i]
     }
 }
@@ -146,7 +154,11 @@ impl ProcessModel for BoucWenModel {
             let (u, r) = (v[i], r[i]);
             let (strength, weaker) = (power(r, eta_now), power(r, eta_now - 1.0));
             let (su, sr) = (sign(u), sign(r));
-            let logarithm = if r.abs() < TINY { 0.0 } else { strength * r.abs().ln() };
+            let logarithm = if r.abs() < TINY {
+                0.0
+            } else {
+                strength * r.abs().ln()
+            };
             self.slopes[i] = [
                 1.0 - (mu_now * su * sr + kappa_now) * strength,
                 -eta_now * (mu_now * u.abs() + kappa_now * u * sr) * weaker,
@@ -160,13 +172,22 @@ impl ProcessModel for BoucWenModel {
     fn derivative(&self, out: &mut [f64]) {
         let Parts { v, r, theta, shape } = self.parts(&self.state);
         let masses = self.masses();
-        let BoucWenChain { alpha_per_s, beta_s, mu, kappa, eta, .. } = self.chain;
+        let BoucWenChain {
+            alpha_per_s,
+            beta_s,
+            mu,
+            kappa,
+            eta,
+            ..
+        } = self.chain;
         out.fill(0.0);
         for i in 0..masses {
-            let force = |j| self.by_drift(theta, r, j) + shape[1] * beta_s * self.by_drift(theta, v, j);
+            let force =
+                |j| self.by_drift(theta, r, j) + shape[1] * beta_s * self.by_drift(theta, v, j);
             out[i] = self.acceleration(i, force) - shape[0] * alpha_per_s * v[i] - self.ground;
             let (u, strength) = (v[i], power(r[i], shape[4] * eta));
-            out[masses + i] = u - (shape[2] * mu * u.abs() * sign(r[i]) + shape[3] * kappa * u) * strength;
+            out[masses + i] =
+                u - (shape[2] * mu * u.abs() * sign(r[i]) + shape[3] * kappa * u) * strength;
         }
     }
 
@@ -174,15 +195,25 @@ impl ProcessModel for BoucWenModel {
         let len = self.state.len();
         let masses = self.masses();
         let Parts { v, r, theta, shape } = self.parts(&self.state);
-        let BoucWenChain { alpha_per_s, beta_s, .. } = self.chain;
-        for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
+        let BoucWenChain {
+            alpha_per_s,
+            beta_s,
+            ..
+        } = self.chain;
+        for (column, out) in columns
+            .as_slice()
+            .chunks_exact(len)
+            .zip(out.as_mut_slice().chunks_exact_mut(len))
+        {
             out.fill(0.0);
             let along = self.parts(column);
             for i in 0..masses {
                 let force = |j| {
                     self.by_drift(theta, along.r, j)
                         + self.by_drift(along.theta, r, j)
-                        + shape[1] * beta_s * (self.by_drift(theta, along.v, j) + self.by_drift(along.theta, v, j))
+                        + shape[1]
+                            * beta_s
+                            * (self.by_drift(theta, along.v, j) + self.by_drift(along.theta, v, j))
                         + along.shape[1] * beta_s * self.by_drift(theta, v, j)
                 };
                 out[i] = self.acceleration(i, force)
@@ -215,7 +246,8 @@ impl ProcessModel for BoucWenModel {
         let row = |i: usize| 2.0 * (spring(i) + spring(i + 1)) / self.chain.masses_kg[i];
         let squared = (0..self.masses()).map(row).fold(0.0, f64::max);
         let omega = 1.2 * squared.sqrt();
-        omega * (1.0 + omega * (shape[1] * self.chain.beta_s).abs()) + (shape[0] * self.chain.alpha_per_s).abs()
+        omega * (1.0 + omega * (shape[1] * self.chain.beta_s).abs())
+            + (shape[0] * self.chain.alpha_per_s).abs()
     }
 }
 
@@ -271,7 +303,9 @@ mod tests {
         {
             let mut model = model();
             let n = model.state_len();
-            let state: Vec<f64> = vec![0.2, -0.3, 0.15, 0.01, -0.015, 0.012, 0.9, 1.1, 1.2, 0.8, 1.05, 0.95, 1.1];
+            let state: Vec<f64> = vec![
+                0.2, -0.3, 0.15, 0.01, -0.015, 0.012, 0.9, 1.1, 1.2, 0.8, 1.05, 0.95, 1.1,
+            ];
             assert_eq!(state.len(), n);
             let derivative = |model: &mut BoucWenModel, state: &[f64]| {
                 let mut out = vec![0.0; n];
@@ -289,11 +323,17 @@ mod tests {
                     moved[j] += by;
                     moved
                 };
-                let (up, down) = (derivative(&mut model, &moved(h)), derivative(&mut model, &moved(-h)));
+                let (up, down) = (
+                    derivative(&mut model, &moved(h)),
+                    derivative(&mut model, &moved(-h)),
+                );
                 for i in 0..n {
                     let expected = (up[i] - down[i]) / (2.0 * h);
                     let scale = 1.0 + expected.abs();
-                    assert!((jacobian[(i, j)] - expected).abs() < 1e-5 * scale, "({i}, {j})");
+                    assert!(
+                        (jacobian[(i, j)] - expected).abs() < 1e-5 * scale,
+                        "({i}, {j})"
+                    );
                 }
             }
         }
@@ -302,10 +342,26 @@ mod tests {
     #[test]
     fn springs_belong_to_exactly_one_group() {
         let chain = model().chain;
-        for groups in [vec![vec![0], vec![1]], vec![vec![0, 1], vec![1, 2]], vec![vec![0, 1, 2, 3]]] {
-            assert!(BoucWenModel::new(BoucWenChain { groups, ..chain.clone() }).is_none());
+        for groups in [
+            vec![vec![0], vec![1]],
+            vec![vec![0, 1], vec![1, 2]],
+            vec![vec![0, 1, 2, 3]],
+        ] {
+            assert!(
+                BoucWenModel::new(BoucWenChain {
+                    groups,
+                    ..chain.clone()
+                })
+                .is_none()
+            );
         }
-        assert!(BoucWenModel::new(BoucWenChain { sensed: vec![3], ..chain }).is_none());
+        assert!(
+            BoucWenModel::new(BoucWenChain {
+                sensed: vec![3],
+                ..chain
+            })
+            .is_none()
+        );
     }
 
     #[test]
@@ -318,7 +374,15 @@ mod tests {
         model.linearise_process(&state, &[0.0]);
         let mut jacobian = DMatrix::zeros(n, n);
         model.jacobian_mul(&DMatrix::identity(n, n), &mut jacobian);
-        let largest = jacobian.complex_eigenvalues().iter().map(|value| value.norm()).fold(0.0, f64::max);
-        assert!(largest <= model.rate_bound(), "{largest} > {}", model.rate_bound());
+        let largest = jacobian
+            .complex_eigenvalues()
+            .iter()
+            .map(|value| value.norm())
+            .fold(0.0, f64::max);
+        assert!(
+            largest <= model.rate_bound(),
+            "{largest} > {}",
+            model.rate_bound()
+        );
     }
 }

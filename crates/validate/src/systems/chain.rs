@@ -18,13 +18,23 @@ pub struct Chain {
 impl Chain {
     pub fn new(masses: usize, stiffness: f64) -> Self {
         let zero = DVector::zeros(2 * masses + 3);
-        Self { masses, stiffness, process: zero.clone(), force: 0.0, observed: zero }
+        Self {
+            masses,
+            stiffness,
+            process: zero.clone(),
+            force: 0.0,
+            observed: zero,
+        }
     }
 
     /// `[K x]_i` for the nominal stiffness.
     fn force_row(&self, x: &[f64], i: usize) -> f64 {
         let below = if i > 0 { x[i - 1] } else { 0.0 };
-        let above = if i + 1 < self.masses { x[i + 1] - x[i] } else { 0.0 };
+        let above = if i + 1 < self.masses {
+            x[i + 1] - x[i]
+        } else {
+            0.0
+        };
         self.stiffness * (x[i] - below - above)
     }
 
@@ -41,7 +51,8 @@ impl Chain {
         let n = self.masses;
         let (theta, alpha, beta) = (y[2 * n], y[2 * n + 1], y[2 * n + 2]);
         let elastic = self.force_row(&y[..n], i) + beta * self.force_row(&y[n..2 * n], i);
-        let along = self.force_row(&direction[..n], i) + beta * self.force_row(&direction[n..2 * n], i);
+        let along =
+            self.force_row(&direction[..n], i) + beta * self.force_row(&direction[n..2 * n], i);
         -theta * along
             - alpha * direction[n + i]
             - elastic * direction[2 * n]

@@ -27,9 +27,14 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    pub(crate) fn simulate(chain: &BoucWenChain, events: &Events<'_>, run: &Run<'_>) -> Result<Self, ValidateError> {
+    pub(crate) fn simulate(
+        chain: &BoucWenChain,
+        events: &Events<'_>,
+        run: &Run<'_>,
+    ) -> Result<Self, ValidateError> {
         let masses = chain.masses_kg.len();
-        let mut model = BoucWenModel::new(chain.clone()).ok_or(ValidateError::Example { what: "chain" })?;
+        let mut model =
+            BoucWenModel::new(chain.clone()).ok_or(ValidateError::Example { what: "chain" })?;
         let n = model.state_len();
         let mut y = vec![1.0; n];
         y[..2 * masses].fill(0.0);
@@ -48,13 +53,16 @@ impl Motion {
                     at.copy_from_slice(&y);
                     if let Some(before) = stage.checked_sub(1) {
                         let by = if stage == 3 { h } else { 0.5 * h };
-                        at.iter_mut().zip(&slopes[before]).for_each(|(at, slope)| *at += by * slope);
+                        at.iter_mut()
+                            .zip(&slopes[before])
+                            .for_each(|(at, slope)| *at += by * slope);
                     }
                     model.linearise_process(&at, &f);
                     model.derivative(&mut slopes[stage]);
                 }
                 for i in 0..n {
-                    y[i] += h / 6.0 * (slopes[0][i] + 2.0 * slopes[1][i] + 2.0 * slopes[2][i] + slopes[3][i]);
+                    y[i] += h / 6.0
+                        * (slopes[0][i] + 2.0 * slopes[1][i] + 2.0 * slopes[2][i] + slopes[3][i]);
                 }
             }
             states.push(y[..2 * masses].to_vec());
@@ -62,7 +70,10 @@ impl Motion {
                 return Err(ValidateError::Stopped);
             }
         }
-        Ok(Self { states, step_s: events.step_s })
+        Ok(Self {
+            states,
+            step_s: events.step_s,
+        })
     }
 
     /// Time of a step (s).

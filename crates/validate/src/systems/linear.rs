@@ -13,12 +13,18 @@ pub(crate) fn chain(masses: usize, stiffness_per_mass: f64) -> DMatrix<f64> {
 }
 
 /// System and input matrix (2.4), (2.5) under ground motion, for a mass-normalised stiffness.
-pub(crate) fn under_ground_motion(stiffness: &DMatrix<f64>, alpha: f64, beta: f64) -> (DMatrix<f64>, DMatrix<f64>) {
+pub(crate) fn under_ground_motion(
+    stiffness: &DMatrix<f64>,
+    alpha: f64,
+    beta: f64,
+) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = stiffness.nrows();
     let mut system = DMatrix::zeros(2 * n, 2 * n);
     system.view_mut((0, n), (n, n)).fill_with_identity();
     system.view_mut((n, 0), (n, n)).copy_from(&-stiffness);
-    system.view_mut((n, n), (n, n)).copy_from(&-(DMatrix::identity(n, n) * alpha + stiffness * beta));
+    system
+        .view_mut((n, n), (n, n))
+        .copy_from(&-(DMatrix::identity(n, n) * alpha + stiffness * beta));
     let input = DMatrix::from_fn(2 * n, 1, |i, _| if i < n { 0.0 } else { -1.0 });
     (system, input)
 }

@@ -14,7 +14,12 @@ pub struct Oscillator {
 impl Oscillator {
     fn jacobian_rows(&self) -> [f64; 4] {
         let [x, v, omega, zeta] = self.process;
-        [-omega * omega, -2.0 * zeta * omega, -2.0 * omega * x - 2.0 * zeta * v, -2.0 * omega * v]
+        [
+            -omega * omega,
+            -2.0 * zeta * omega,
+            -2.0 * omega * x - 2.0 * zeta * v,
+            -2.0 * omega * v,
+        ]
     }
 }
 
@@ -34,7 +39,12 @@ impl ProcessModel for Oscillator {
     }
     fn derivative(&self, out: &mut [f64]) {
         let [x, v, omega, zeta] = self.process;
-        out.copy_from_slice(&[v, self.force - 2.0 * zeta * omega * v - omega * omega * x, 0.0, 0.0]);
+        out.copy_from_slice(&[
+            v,
+            self.force - 2.0 * zeta * omega * v - omega * omega * x,
+            0.0,
+            0.0,
+        ]);
     }
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
         let row = self.jacobian_rows();

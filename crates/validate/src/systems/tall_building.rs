@@ -8,8 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use spandrel_filter::{
-    DirectTerm, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, LinearModel, ModalModel, NoiseModel,
-    NoiseParameter, NoiseRule, NoiseSettings, NoiseTarget, StateSpace, Step,
+    DirectTerm, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, LinearModel, ModalModel,
+    NoiseModel, NoiseParameter, NoiseRule, NoiseSettings, NoiseTarget, StateSpace, Step,
 };
 use std::f64::consts::{PI, TAU};
 
@@ -56,7 +56,9 @@ impl Case {
         match self {
             Self::Ground => 1.0,
             Self::ModulatedGround if t < 300.0 => 1.0 + 0.2 * (2.0 * PI * t / 50.0).sin(),
-            Self::ModulatedGround if t < 700.0 => 1.0 + 4.0 * (t - 300.0) * (-0.02 * (t - 100.0)).exp(),
+            Self::ModulatedGround if t < 700.0 => {
+                1.0 + 4.0 * (t - 300.0) * (-0.02 * (t - 100.0)).exp()
+            }
             Self::ModulatedGround => 1.0 - 0.2 * (2.0 * PI * t / 50.0).sin(),
             Self::Wind if t < 500.0 => 1.0 + t / 500.0,
             Self::Wind => 3.0 - t / 500.0,
@@ -65,23 +67,39 @@ impl Case {
 
     /// `θ_f` that belongs to the instant `t` (s): a variance (m²/s⁴) of the ground motion, a factor on [`turbulence`].
     pub fn excitation_level(self, t: f64) -> f64 {
-        let unit = if self == Self::Wind { 1.0 } else { held_variance(GROUND_INTENSITY, STEP_S) };
+        let unit = if self == Self::Wind {
+            1.0
+        } else {
+            held_variance(GROUND_INTENSITY, STEP_S)
+        };
         unit * self.modulation(t).powi(2)
     }
 
     /// `A_f²` of the sensor noise.
     pub fn noise_modulation(self, t: f64) -> f64 {
-        if self == Self::Wind { self.modulation(t).powi(2) } else { 1.0 }
+        if self == Self::Wind {
+            self.modulation(t).powi(2)
+        } else {
+            1.0
+        }
     }
 
     /// The matrix that `θ_f` multiplies (N_f × N_f).
     pub fn excitation_pattern(self) -> DMatrix<f64> {
-        if self == Self::Wind { turbulence() } else { DMatrix::identity(1, 1) }
+        if self == Self::Wind {
+            turbulence()
+        } else {
+            DMatrix::identity(1, 1)
+        }
     }
 
     /// Known part of the excitation (N_f): the mean wind, or nothing.
     pub fn known_excitation(self) -> DVector<f64> {
-        if self == Self::Wind { mean_wind() } else { DVector::zeros(1) }
+        if self == Self::Wind {
+            mean_wind()
+        } else {
+            DVector::zeros(1)
+        }
     }
 
     /// `T` (N_d × N_f).
@@ -138,9 +156,15 @@ fn height(i: usize) -> f64 {
 
 /// Mean wind force on every floor (N).
 pub fn mean_wind() -> DVector<f64> {
-    let (density, reference_height, speed, drag, area, exponent) = (1.20, 10.0, 10.0_f64, 2.03, 20.0 * 2.5, 0.3);
+    let (density, reference_height, speed, drag, area, exponent) =
+        (1.20, 10.0, 10.0_f64, 2.03, 20.0 * 2.5, 0.3);
     DVector::from_fn(FLOORS, |i, _| {
-        0.5 * density * speed * speed * drag * area * (height(i) / reference_height).powf(2.0 * exponent)
+        0.5 * density
+            * speed
+            * speed
+            * drag
+            * area
+            * (height(i) / reference_height).powf(2.0 * exponent)
     })
 }
 
@@ -149,24 +173,41 @@ pub fn turbulence() -> DMatrix<f64> {
     let (intensity, reference_height) = (0.2_f64, 10.0);
     let wind = mean_wind();
     DMatrix::from_fn(FLOORS, FLOORS, |i, j| {
-        intensity.powi(2) * (-(height(i) - height(j)).abs() / reference_height).exp() * wind[i] * wind[j]
+        intensity.powi(2)
+            * (-(height(i) - height(j)).abs() / reference_height).exp()
+            * wind[i]
+            * wind[j]
     })
 }
 
 /// The building in physical coordinates.
 pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
     let [mass, damping, stiffness] = matrices();
-    StateSpace::second_order([&mass, &damping, &stiffness], &case.distribution(), observation(), case.direct_term())
+    StateSpace::second_order(
+        [&mass, &damping, &stiffness],
+        &case.distribution(),
+        observation(),
+        case.direct_term(),
+    )
 }
 
 /// The same building in modal coordinates.
 pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
     let [mass, damping, stiffness] = matrices();
-    ModalModel::new([&mass, &damping, &stiffness], &case.distribution(), &observation(), case.direct_term())
+    ModalModel::new(
+        [&mass, &damping, &stiffness],
+        &case.distribution(),
+        &observation(),
+        case.direct_term(),
+    )
 }
 
 /// The discrete system for the closed forms, with the two noise levels.
-pub fn discrete_model(case: Case, excitation_level: f64, sensor_variance: f64) -> Result<LinearModel, FilterError> {
+pub fn discrete_model(
+    case: Case,
+    excitation_level: f64,
+    sensor_variance: f64,
+) -> Result<LinearModel, FilterError> {
     let model = physical_model(case)?;
     let (transition, input) = LinearModel::discretise(model.system(), model.input(), STEP_S);
     Ok(LinearModel {
@@ -205,7 +246,11 @@ pub fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
 
 /// Names of the 20 quantities.
 pub fn tabulated_name(k: usize) -> String {
-    format!("{}{}", if k < TABULATED.len() { "x" } else { "v" }, TABULATED[k % TABULATED.len()])
+    format!(
+        "{}{}",
+        if k < TABULATED.len() { "x" } else { "v" },
+        TABULATED[k % TABULATED.len()]
+    )
 }
 
 /// One simulated record; entry `k` belongs to the instant `(k + 1) Δt`.
@@ -222,7 +267,10 @@ impl Record {
     /// Actual `[θ_f, θ_n]` for the datum `k`; the force is that of the step before it.
     pub fn actual_levels(&self, k: usize) -> [f64; 2] {
         let (force_t, datum_t) = (k as f64 * STEP_S, (k + 1) as f64 * STEP_S);
-        [self.case.excitation_level(force_t), self.sensor_variance * self.case.noise_modulation(datum_t)]
+        [
+            self.case.excitation_level(force_t),
+            self.sensor_variance * self.case.noise_modulation(datum_t),
+        ]
     }
 }
 
@@ -235,21 +283,31 @@ pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterErr
         DirectTerm::Known(matrix) => &matrix * &known,
         DirectTerm::None | DirectTerm::Whole(_) => DVector::zeros(SENSED.len()),
     };
-    let pattern_factor = case.excitation_pattern().cholesky().map(|factor| factor.unpack());
+    let pattern_factor = case
+        .excitation_pattern()
+        .cholesky()
+        .map(|factor| factor.unpack());
     let pattern_factor = pattern_factor.ok_or(FilterError::InnovationCovariance { pivot: 0 })?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut draw = || -> f64 { StandardNormal.sample(&mut rng) };
     let unit = case.excitation_level(0.0).sqrt() / case.modulation(0.0);
     let count = (seconds / STEP_S).round() as usize;
     let mut state = DVector::zeros(2 * FLOORS);
-    state.rows_mut(0, FLOORS).copy_from(&static_displacement(case));
+    state
+        .rows_mut(0, FLOORS)
+        .copy_from(&static_displacement(case));
     let (mut next, mut white, mut force) = (state.clone(), known.clone(), known.clone());
     let (mut data, mut truth) = (Vec::with_capacity(count), Vec::with_capacity(count));
     let mut datum = DVector::zeros(SENSED.len());
     for k in 0..count {
         white.iter_mut().for_each(|entry| *entry = draw());
         force.copy_from(&known);
-        force.gemv(unit * case.modulation(k as f64 * STEP_S), &pattern_factor, &white, 1.0);
+        force.gemv(
+            unit * case.modulation(k as f64 * STEP_S),
+            &pattern_factor,
+            &white,
+            1.0,
+        );
         next.gemv(1.0, &transition, &state, 0.0);
         next.gemv(1.0, &held, &force, 1.0);
         std::mem::swap(&mut state, &mut next);
@@ -259,13 +317,22 @@ pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterErr
         truth.push(tabulated(|j| state[j]));
     }
     let top = SENSED.len() - 1;
-    let mean_square = data.iter().map(|z: &[f64; SENSED.len()]| z[top] * z[top]).sum::<f64>() / count as f64;
+    let mean_square = data
+        .iter()
+        .map(|z: &[f64; SENSED.len()]| z[top] * z[top])
+        .sum::<f64>()
+        / count as f64;
     let sensor_variance = NOISE_SHARE * NOISE_SHARE * mean_square;
     for (k, z) in data.iter_mut().enumerate() {
         let std = (sensor_variance * case.noise_modulation((k + 1) as f64 * STEP_S)).sqrt();
         z.iter_mut().for_each(|value| *value += std * draw());
     }
-    Ok(Record { case, data, truth, sensor_variance })
+    Ok(Record {
+        case,
+        data,
+        truth,
+        sensor_variance,
+    })
 }
 
 /// What a filter is told of the noise levels `[θ_f, θ_n]`.
@@ -290,10 +357,23 @@ pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
         start_std: start / 3.0,
     };
     let channels = SENSED.len();
-    let mut model = NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(channels, channels));
+    let mut model = NoiseModel::known(
+        DMatrix::zeros(inputs, inputs),
+        DMatrix::zeros(channels, channels),
+    );
     model.parameters = vec![
-        parameter("force", NoiseTarget::Excitation, case.excitation_pattern(), excitation),
-        parameter("sensors", NoiseTarget::Sensors, DMatrix::identity(channels, channels), sensors),
+        parameter(
+            "force",
+            NoiseTarget::Excitation,
+            case.excitation_pattern(),
+            excitation,
+        ),
+        parameter(
+            "sensors",
+            NoiseTarget::Sensors,
+            DMatrix::identity(channels, channels),
+            sensors,
+        ),
     ];
     model
 }
@@ -301,14 +381,21 @@ pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
 /// Settings for [`modal_model`]: the published ones, with a half-life of the noise parameters in steps.
 ///
 /// The prior variances of the physical state become modal ones; floors of equal mass keep them uncorrelated.
-pub fn filter_settings(model: &ModalModel, case: Case, levels: Levels, half_life_steps: f64) -> FilterSettings {
+pub fn filter_settings(
+    model: &ModalModel,
+    case: Case,
+    levels: Levels,
+    half_life_steps: f64,
+) -> FilterSettings {
     let (start, rule) = match levels {
         Levels::Actual => ([1.0, 1.0], NoiseRule::Fixed), // set before every step
         Levels::Constant(levels) => (levels, NoiseRule::Fixed),
         Levels::Online(start) => (start, NoiseRule::HalfOrDouble),
     };
     let mut physical = DVector::zeros(2 * FLOORS);
-    physical.rows_mut(0, FLOORS).copy_from(&static_displacement(case));
+    physical
+        .rows_mut(0, FLOORS)
+        .copy_from(&static_displacement(case));
     let mean = model.modal_from_physical() * physical;
     let std = DVector::repeat(2 * FLOORS, (PRIOR_VARIANCE * FLOOR_MASS).sqrt());
     let mut settings = FilterSettings::new(STEP_S, mean, std, noise_model(case, start));
@@ -333,7 +420,11 @@ pub struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// Starts at `t = 0`, one step before the first datum.
-    pub fn new(record: &'a Record, levels: Levels, half_life_steps: f64) -> Result<Self, FilterError> {
+    pub fn new(
+        record: &'a Record,
+        levels: Levels,
+        half_life_steps: f64,
+    ) -> Result<Self, FilterError> {
         let model = modal_model(record.case)?;
         let settings = filter_settings(&model, record.case, levels, half_life_steps);
         Self::with_settings(model, settings, record, levels)
@@ -346,20 +437,35 @@ impl<'a> Run<'a> {
         record: &'a Record,
         levels: Levels,
     ) -> Result<Self, FilterError> {
-        let shapes = DMatrix::from_fn(TABULATED.len(), FLOORS, |i, j| model.shapes()[(TABULATED[i] - 1, j)]);
+        let shapes = DMatrix::from_fn(TABULATED.len(), FLOORS, |i, j| {
+            model.shapes()[(TABULATED[i] - 1, j)]
+        });
         let mut filter = ExtendedKalmanFilter::new(model, settings)?;
         let known = record.case.known_excitation();
         // the prior is for the instant 0, which has no datum
-        filter.step(Frame { observations: &[f64::NAN; SENSED.len()], excitation: known.as_slice() })?;
-        Ok(Self { filter, record, levels, known, shapes })
+        filter.step(Frame {
+            observations: &[f64::NAN; SENSED.len()],
+            excitation: known.as_slice(),
+        })?;
+        Ok(Self {
+            filter,
+            record,
+            levels,
+            known,
+            shapes,
+        })
     }
 
     /// Takes the datum `k`.
     pub fn step(&mut self, k: usize) -> Result<Step, FilterError> {
         if self.levels == Levels::Actual {
-            self.filter.set_noise_parameters(&self.record.actual_levels(k))?;
+            self.filter
+                .set_noise_parameters(&self.record.actual_levels(k))?;
         }
-        self.filter.step(Frame { observations: &self.record.data[k], excitation: self.known.as_slice() })
+        self.filter.step(Frame {
+            observations: &self.record.data[k],
+            excitation: self.known.as_slice(),
+        })
     }
 
     /// Returns filtered minus true values of the tabulated quantities after the datum `k`.
@@ -368,7 +474,12 @@ impl<'a> Run<'a> {
         std::array::from_fn(|i| {
             let (half, floor) = (i / TABULATED.len(), i % TABULATED.len());
             let modal = mean.rows(half * FLOORS, FLOORS);
-            self.shapes.row(floor).iter().zip(modal.iter()).map(|(shape, q)| shape * q).sum::<f64>()
+            self.shapes
+                .row(floor)
+                .iter()
+                .zip(modal.iter())
+                .map(|(shape, q)| shape * q)
+                .sum::<f64>()
                 - self.record.truth[k][i]
         })
     }

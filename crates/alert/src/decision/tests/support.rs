@@ -6,10 +6,15 @@ use spandrel_bus::Name;
 #[test]
 fn nothing_is_decided_while_the_data_contradict_the_model() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..5, SOUND, SURE).flagged(5..40, SOFT, SURE, contradicted());
+    drive
+        .estimates(0..5, SOUND, SURE)
+        .flagged(5..40, SOFT, SURE, contradicted());
     assert_eq!(drive.states(), [(Undecided, 6)]);
     let told = &drive.alerts[0];
-    assert_eq!(told.undecided_because, Some(UndecidedBecause::FitContradicted));
+    assert_eq!(
+        told.undecided_because,
+        Some(UndecidedBecause::FitContradicted)
+    );
     assert_eq!(
         told.why,
         "no alert of storey-2 is decided: the data contradict the model: the noise found is much larger than the noise \
@@ -21,22 +26,57 @@ fn nothing_is_decided_while_the_data_contradict_the_model() {
 
 #[test]
 fn each_reason_keeps_a_loss_from_being_raised() {
-    let phase = |phase| EstimateFlags { phase, ..EstimateFlags::working() };
+    let phase = |phase| EstimateFlags {
+        phase,
+        ..EstimateFlags::working()
+    };
     let cases = [
-        (phase(Phase::Training), SOFT, SURE, UndecidedBecause::NoiseTraining),
-        (phase(Phase::ExcitationSilent), SOFT, SURE, UndecidedBecause::ExcitationSilent),
-        (contradicted(), SOFT, SURE, UndecidedBecause::FitContradicted),
-        (EstimateFlags::working(), 0.105, SURE, UndecidedBecause::ParameterAtBound),
+        (
+            phase(Phase::Training),
+            SOFT,
+            SURE,
+            UndecidedBecause::NoiseTraining,
+        ),
+        (
+            phase(Phase::ExcitationSilent),
+            SOFT,
+            SURE,
+            UndecidedBecause::ExcitationSilent,
+        ),
+        (
+            contradicted(),
+            SOFT,
+            SURE,
+            UndecidedBecause::FitContradicted,
+        ),
+        (
+            EstimateFlags::working(),
+            0.105,
+            SURE,
+            UndecidedBecause::ParameterAtBound,
+        ),
         // Φ((0.95 − 0.86)/0.08) = 0.87, and Φ(0.05/0.08) = 0.73 of a loss of 10 %
-        (EstimateFlags::working(), SOFT, 0.08, UndecidedBecause::NothingLearnt),
+        (
+            EstimateFlags::working(),
+            SOFT,
+            0.08,
+            UndecidedBecause::NothingLearnt,
+        ),
     ];
     for (flags, mean, std, because) in cases {
         let mut drive = Drive::new(rule());
         drive.flagged(0..60, mean, std, flags);
-        let told: Vec<_> = drive.alerts.iter().map(|alert| (alert.state, alert.undecided_because)).collect();
+        let told: Vec<_> = drive
+            .alerts
+            .iter()
+            .map(|alert| (alert.state, alert.undecided_because))
+            .collect();
         assert_eq!(told, [(Undecided, Some(because))]);
         let decided = drive.decision.decided_frames();
-        assert_eq!((decided.share(), decided.undecided().collect()), (Some(0.0), vec![(because, 60)]));
+        assert_eq!(
+            (decided.share(), decided.undecided().collect()),
+            (Some(0.0), vec![(because, 60)])
+        );
     }
 }
 
@@ -56,7 +96,10 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
     // of one degree of freedom, 95 % of the scatter lie below 6.3 standard deviations
     let few = Reference::new(1.0, 0.0)
         .unwrap()
-        .with_scatter(crate::reference::Scatter { std: 0.03, degrees_of_freedom: 1.0 })
+        .with_scatter(crate::reference::Scatter {
+            std: 0.03,
+            degrees_of_freedom: 1.0,
+        })
         .unwrap();
     assert_eq!(
         told(few, 0.98, 0.001),
@@ -67,29 +110,51 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
 
 #[test]
 fn loss_has_an_interval_for_the_structure_and_one_within_the_record() {
-    let scatter = crate::reference::Scatter { std: 0.02, degrees_of_freedom: 9.0 };
-    let records = Reference::new(1.0, 0.0).unwrap().with_scatter(scatter).unwrap();
+    let scatter = crate::reference::Scatter {
+        std: 0.02,
+        degrees_of_freedom: 9.0,
+    };
+    let records = Reference::new(1.0, 0.0)
+        .unwrap()
+        .with_scatter(scatter)
+        .unwrap();
     let mut drive = Drive::new(rule().with_reference(records));
     drive.estimates(0..30, 0.8, 0.01);
     let raised = drive.alerts.last().unwrap();
     // within the record: 1.96·0.01 on both sides of 20 %; scatter and estimate together: more than 1.96·√(0.01² + (0.8·0.02)²)
-    let within = raised.to_message(&Name::new("tower").unwrap(), &Name::new("storey-2").unwrap());
-    let (within, whole) = (within.loss_interval_within_record.unwrap(), within.loss_interval.unwrap());
-    assert!((within.low - 0.1804).abs() < 1e-6 && (within.high - 0.2196).abs() < 1e-6, "{within:?}");
+    let within = raised.to_message(
+        &Name::new("tower").unwrap(),
+        &Name::new("storey-2").unwrap(),
+    );
+    let (within, whole) = (
+        within.loss_interval_within_record.unwrap(),
+        within.loss_interval.unwrap(),
+    );
+    assert!(
+        (within.low - 0.1804).abs() < 1e-6 && (within.high - 0.2196).abs() < 1e-6,
+        "{within:?}"
+    );
     let half = 1.96 * 0.01_f64.hypot(0.8 * 0.02);
     assert!(
-        (half..1.3 * half).contains(&(whole.high - 0.2)) && (half..1.4 * half).contains(&(0.2 - whole.low)),
+        (half..1.3 * half).contains(&(whole.high - 0.2))
+            && (half..1.4 * half).contains(&(0.2 - whole.low)),
         "{whole:?}"
     );
     let told = "20 % of its stiffness (95 % interval for this structure ";
-    assert!(raised.why.contains(told) && raised.why.contains(" %, within this record 18 to 22 %)"), "{}", raised.why);
+    assert!(
+        raised.why.contains(told) && raised.why.contains(" %, within this record 18 to 22 %)"),
+        "{}",
+        raised.why
+    );
 }
 
 #[test]
 fn reason_that_lasts_less_than_a_second_is_not_announced() {
     let mut drive = Drive::new(rule());
     for second in (0..30).step_by(2) {
-        drive.flagged(second..second + 1, SOUND, SURE, contradicted()).estimates(second + 1..second + 2, SOUND, SURE);
+        drive
+            .flagged(second..second + 1, SOUND, SURE, contradicted())
+            .estimates(second + 1..second + 2, SOUND, SURE);
     }
     assert_eq!(drive.states(), []);
     assert_eq!(drive.decision.decided_frames().share(), Some(0.5));
@@ -98,37 +163,79 @@ fn reason_that_lasts_less_than_a_second_is_not_announced() {
 #[test]
 fn pending_alert_starts_anew_after_a_stretch_without_decisions() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..9, SOFT, SURE).flagged(9..15, SOFT, SURE, contradicted()).estimates(15..40, SOFT, SURE);
-    assert_eq!(drive.states(), [(Pending, 0), (Undecided, 10), (Pending, 16), (Raised, 26)]);
+    drive
+        .estimates(0..9, SOFT, SURE)
+        .flagged(9..15, SOFT, SURE, contradicted())
+        .estimates(15..40, SOFT, SURE);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Undecided, 10), (Pending, 16), (Raised, 26)]
+    );
 }
 
 #[test]
 fn raised_alert_stands_unconfirmed_until_it_is_raised_again() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).flagged(11..60, SOUND, SURE, contradicted()).estimates(60..80, SOFT, SURE);
-    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10), (Unconfirmed, 12), (Raised, 61)]);
-    let [_, raised, unconfirmed, again] = &drive.alerts[..] else { unreachable!() };
-    assert_eq!(unconfirmed.loss, raised.loss, "an estimate of a contradicted model is no loss");
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .flagged(11..60, SOUND, SURE, contradicted())
+        .estimates(60..80, SOFT, SURE);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Raised, 10), (Unconfirmed, 12), (Raised, 61)]
+    );
+    let [_, raised, unconfirmed, again] = &drive.alerts[..] else {
+        unreachable!()
+    };
+    assert_eq!(
+        unconfirmed.loss, raised.loss,
+        "an estimate of a contradicted model is no loss"
+    );
     assert_eq!([unconfirmed.since_ns, again.since_ns], [Some(0), Some(0)]);
-    assert!(unconfirmed.why.contains("not confirmed now: the data contradict the model"), "{}", unconfirmed.why);
+    assert!(
+        unconfirmed
+            .why
+            .contains("not confirmed now: the data contradict the model"),
+        "{}",
+        unconfirmed.why
+    );
 }
 
 #[test]
 fn unconfirmed_alert_is_cleared_once_decisions_find_no_loss() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).flagged(11..60, SOUND, SURE, contradicted()).estimates(60..80, SOUND, SURE);
-    assert_eq!(drive.states()[2..], [(Unconfirmed, 12), (Unconfirmed, 61), (Cleared, 71)]);
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .flagged(11..60, SOUND, SURE, contradicted())
+        .estimates(60..80, SOUND, SURE);
+    assert_eq!(
+        drive.states()[2..],
+        [(Unconfirmed, 12), (Unconfirmed, 61), (Cleared, 71)]
+    );
     assert_eq!(drive.alerts[3].undecided_because, None);
 }
 
 #[test]
 fn unconfirmed_alert_can_be_acknowledged() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).flagged(11..20, SOFT, SURE, contradicted());
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .flagged(11..20, SOFT, SURE, contradicted());
     assert!(drive.acknowledge() && !drive.acknowledge());
     let last = drive.alerts.last().unwrap();
-    assert_eq!((last.state, last.acknowledgement.as_ref().map(|by| by.who.as_str())), (Unconfirmed, Some("Ada")));
-    assert!(last.why.ends_with("; acknowledged by Ada: crew is under way"), "{}", last.why);
+    assert_eq!(
+        (
+            last.state,
+            last.acknowledgement.as_ref().map(|by| by.who.as_str())
+        ),
+        (Unconfirmed, Some("Ada"))
+    );
+    assert!(
+        last.why
+            .ends_with("; acknowledged by Ada: crew is under way"),
+        "{}",
+        last.why
+    );
     drive.estimates(20..30, SOFT, SURE);
     assert_eq!(drive.states()[4..], [(Seen, 21)]);
 }
@@ -137,16 +244,32 @@ fn unconfirmed_alert_can_be_acknowledged() {
 fn acknowledged_alert_that_was_unconfirmed_is_cleared_and_normal_at_once() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..11, SOFT, SURE).acknowledge();
-    drive.flagged(11..20, SOFT, SURE, contradicted()).estimates(20..60, SOUND, SURE);
-    assert_eq!(drive.states()[3..], [(Unconfirmed, 12), (Unconfirmed, 21), (Cleared, 31), (Normal, 31)]);
+    drive
+        .flagged(11..20, SOFT, SURE, contradicted())
+        .estimates(20..60, SOUND, SURE);
+    assert_eq!(
+        drive.states()[3..],
+        [
+            (Unconfirmed, 12),
+            (Unconfirmed, 21),
+            (Cleared, 31),
+            (Normal, 31)
+        ]
+    );
 }
 
 #[test]
 fn cleared_alert_stays_cleared_and_says_that_nothing_is_decided() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).estimates(11..40, SOUND, SURE).flagged(40..50, SOUND, SURE, contradicted());
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .estimates(11..40, SOUND, SURE)
+        .flagged(40..50, SOUND, SURE, contradicted());
     let last = drive.alerts.last().unwrap();
-    assert_eq!((last.state, last.undecided_because), (Cleared, Some(UndecidedBecause::FitContradicted)));
+    assert_eq!(
+        (last.state, last.undecided_because),
+        (Cleared, Some(UndecidedBecause::FitContradicted))
+    );
     assert!(drive.acknowledge());
     assert_eq!(drive.alerts.last().unwrap().state, Undecided);
 }
@@ -154,9 +277,15 @@ fn cleared_alert_stays_cleared_and_says_that_nothing_is_decided() {
 #[test]
 fn reference_is_not_learnt_from_frames_that_are_not_decided_on() {
     let mut drive = Drive::new(rule().with_learnt_reference(60.0).unwrap());
-    drive.estimates(0..30, 0.9, SURE).flagged(30..70, 0.2, SURE, contradicted()).estimates(70..110, 0.9, SURE);
+    drive
+        .estimates(0..30, 0.9, SURE)
+        .flagged(30..70, 0.2, SURE, contradicted())
+        .estimates(70..110, 0.9, SURE);
     // 40 s are contradicted and one more follows them: 60 s of learning are over at 101 s
-    assert_eq!(drive.states(), [(Learns, 0), (Undecided, 31), (Learns, 71), (Normal, 101)]);
+    assert_eq!(
+        drive.states(),
+        [(Learns, 0), (Undecided, 31), (Learns, 71), (Normal, 101)]
+    );
     assert!((drive.alerts[3].reference.unwrap().mean() - 0.9).abs() < 1e-12);
 }
 
@@ -166,7 +295,10 @@ fn state_that_nothing_was_announced_of_is_not_normal_while_it_is_undecided() {
     drive.flagged(0..1, SOUND, SURE, contradicted());
     assert_eq!(drive.decision.unannounced(), None);
     drive.estimates(1..2, SOUND, SURE);
-    assert_eq!(drive.decision.unannounced().map(|alert| alert.state), Some(Normal));
+    assert_eq!(
+        drive.decision.unannounced().map(|alert| alert.state),
+        Some(Normal)
+    );
 }
 
 #[test]
@@ -174,24 +306,49 @@ fn no_new_alert_is_raised_in_the_first_seconds_of_a_jump() {
     let at_once = Rule::new(0.05, 0.95, 0.5, 0.0).unwrap();
     let mut drive = Drive::new(at_once.clone());
     drive.flagged(0..20, SOFT, SURE, jumping());
-    assert_eq!(drive.states(), [(Pending, 0), (Raised, 8)], "a jump that does not end holds alerts for 8 s");
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Raised, 8)],
+        "a jump that does not end holds alerts for 8 s"
+    );
     let pending = &drive.alerts[0].why;
-    assert!(pending.ends_with("is raised after 0 s; a sudden change is still being followed"), "{pending}");
+    assert!(
+        pending.ends_with("is raised after 0 s; a sudden change is still being followed"),
+        "{pending}"
+    );
     let mut drive = Drive::new(at_once);
-    drive.flagged(0..2, SOFT, SURE, jumping()).estimates(2..20, SOUND, SURE);
-    assert_eq!(drive.states(), [(Pending, 0), (Normal, 2)], "a part that only seemed to have lost is not raised");
+    drive
+        .flagged(0..2, SOFT, SURE, jumping())
+        .estimates(2..20, SOUND, SURE);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Normal, 2)],
+        "a part that only seemed to have lost is not raised"
+    );
 }
 
 #[test]
 fn raised_alert_says_that_the_loss_is_still_falling_until_the_jump_is_over() {
     let mut drive = Drive::new(Rule::new(0.05, 0.95, 0.5, 0.0).unwrap());
-    drive.estimates(0..1, SOFT, SURE).flagged(1..2, 0.7, 0.05, jumping()).estimates(2..3, 0.61, SURE);
-    assert_eq!((drive.states(), drive.revisions(Raised)), (vec![(Raised, 0)], vec![(1, 1), (2, 2)]));
+    drive
+        .estimates(0..1, SOFT, SURE)
+        .flagged(1..2, 0.7, 0.05, jumping())
+        .estimates(2..3, 0.61, SURE);
+    assert_eq!(
+        (drive.states(), drive.revisions(Raised)),
+        (vec![(Raised, 0)], vec![(1, 1), (2, 2)])
+    );
     // 30 % less 1.96 times 5 %
     let followed = "storey-2 has lost at least 20.2 % of its stiffness, still falling (95 % interval 20.2 to 39.8 %)";
-    assert!(drive.alerts[1].why.starts_with(followed), "{}", drive.alerts[1].why);
     assert!(
-        drive.alerts[2].why.starts_with("storey-2 has lost 39 % of its stiffness (95 %"),
+        drive.alerts[1].why.starts_with(followed),
+        "{}",
+        drive.alerts[1].why
+    );
+    assert!(
+        drive.alerts[2]
+            .why
+            .starts_with("storey-2 has lost 39 % of its stiffness (95 %"),
         "{}",
         drive.alerts[2].why
     );
@@ -202,34 +359,59 @@ fn raised_alert_is_revised_where_the_loss_leaves_the_announced_interval() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..20, SOFT, SURE);
     // within 1.96 times 1 % of what was announced at 10 s, and beyond it
-    drive.estimates(20..30, 0.845, SURE).estimates(30..40, 0.8, SURE);
-    assert_eq!((drive.states(), drive.revisions(Raised)), (vec![(Pending, 0), (Raised, 10)], vec![(1, 30)]));
+    drive
+        .estimates(20..30, 0.845, SURE)
+        .estimates(30..40, 0.8, SURE);
+    assert_eq!(
+        (drive.states(), drive.revisions(Raised)),
+        (vec![(Pending, 0), (Raised, 10)], vec![(1, 30)])
+    );
     let revised = drive.alerts.last().unwrap();
     assert_eq!((revised.since_ns, revised.revision), (Some(0), 1));
     assert!((revised.loss.unwrap().loss - 0.2).abs() < 1e-12);
     drive.acknowledge();
     drive.estimates(40..50, 0.7, SURE);
     assert_eq!(drive.states()[2..], [(Seen, 39)]);
-    assert_eq!(drive.revisions(Seen), [(1, 40)], "revisions are counted in each state");
+    assert_eq!(
+        drive.revisions(Seen),
+        [(1, 40)],
+        "revisions are counted in each state"
+    );
 }
 
 #[test]
 fn raised_alert_whose_loss_goes_says_that_it_is_about_to_be_cleared() {
     let mut drive = Drive::new(rule());
-    drive.estimates(0..11, SOFT, SURE).estimates(11..15, SOUND, SURE);
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .estimates(11..15, SOUND, SURE);
     assert_eq!(drive.revisions(Raised), [(1, 11)]);
     let why = &drive.alerts.last().unwrap().why;
-    assert!(why.starts_with("storey-2 has lost 0 % of its") && why.ends_with("; is cleared after 10 s"), "{why}");
+    assert!(
+        why.starts_with("storey-2 has lost 0 % of its") && why.ends_with("; is cleared after 10 s"),
+        "{why}"
+    );
 }
 
 #[test]
 fn revisions_come_at_most_once_a_second() {
     let mut drive = Drive::new(Rule::new(0.05, 0.95, 0.5, 0.0).unwrap());
     for frame in 0..300 {
-        let estimate = ParameterEstimate { time_ns: frame * S / 100, mean: 0.9 - 0.001 * frame as f64, std: 0.001 };
-        drive.decision.handle(Input::Estimate(estimate, EstimateFlags::working()), &mut drive.alerts);
+        let estimate = ParameterEstimate {
+            time_ns: frame * S / 100,
+            mean: 0.9 - 0.001 * frame as f64,
+            std: 0.001,
+        };
+        drive.decision.handle(
+            Input::Estimate(estimate, EstimateFlags::working()),
+            &mut drive.alerts,
+        );
     }
-    let times: Vec<i64> = drive.alerts.iter().map(|alert| alert.estimate.time_ns / (S / 100)).collect();
+    let times: Vec<i64> = drive
+        .alerts
+        .iter()
+        .map(|alert| alert.estimate.time_ns / (S / 100))
+        .collect();
     assert_eq!(times, [0, 100, 200]);
 }
 
@@ -247,13 +429,20 @@ fn undecided_state_restored_anywhere_goes_on_alike() {
                 12..16 => jumping(),
                 _ => EstimateFlags::working(),
             };
-            let mean = if (12..45).contains(&second) { SOFT } else { SOUND };
+            let mean = if (12..45).contains(&second) {
+                SOFT
+            } else {
+                SOUND
+            };
             drive.flagged(second..second + 1, mean, SURE, flags);
         }
         drive.alerts
     };
     let whole = run(None);
-    assert!(whole.iter().any(|alert| alert.state == Unconfirmed) && whole.iter().any(|alert| alert.follows_jump));
+    assert!(
+        whole.iter().any(|alert| alert.state == Unconfirmed)
+            && whole.iter().any(|alert| alert.follows_jump)
+    );
     for second in 0..60 {
         assert_eq!(run(Some(second)), whole, "restored at {second} s");
     }

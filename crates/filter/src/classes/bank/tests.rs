@@ -29,7 +29,13 @@ impl Springs {
     }
 
     fn stiffness(&self) -> f64 {
-        self.shares.iter().enumerate().map(|(n, share)| share * self.multiplier(n)).sum::<f64>() * OMEGA * OMEGA
+        self.shares
+            .iter()
+            .enumerate()
+            .map(|(n, share)| share * self.multiplier(n))
+            .sum::<f64>()
+            * OMEGA
+            * OMEGA
     }
 }
 
@@ -63,7 +69,8 @@ impl ProcessModel for Springs {
         let n = self.state.len();
         for c in 0..columns.ncols() {
             out[(0, c)] = columns[(1, c)];
-            let mut sum = -self.stiffness() * columns[(0, c)] - 0.1 * OMEGA * self.state[n - 1] * columns[(1, c)];
+            let mut sum = -self.stiffness() * columns[(0, c)]
+                - 0.1 * OMEGA * self.state[n - 1] * columns[(1, c)];
             for (spring, share) in self.shares.iter().enumerate() {
                 let group = 2 + self.grouping.group_of(spring);
                 sum -= OMEGA * OMEGA * share * self.state[0] * columns[(group, c)];
@@ -105,8 +112,9 @@ impl ObservationModel for Springs {
             out[(1, c)] = columns[(1, c)];
             for (spring, share) in self.shares.iter().enumerate() {
                 let group = 2 + self.grouping.group_of(spring);
-                out[(2 + spring, c)] =
-                    share * (self.multiplier(spring) * columns[(0, c)] + self.state[0] * columns[(group, c)]);
+                out[(2 + spring, c)] = share
+                    * (self.multiplier(spring) * columns[(0, c)]
+                        + self.state[0] * columns[(group, c)]);
             }
         }
     }
@@ -136,8 +144,17 @@ impl ComponentSystem for System {
 
     fn grouped(&self, grouping: &Grouping, factors: &[f64]) -> Springs {
         let state = vec![0.0; 3 + grouping.groups().len()];
-        let shares = SHARES.iter().zip(factors).map(|(share, factor)| share * factor).collect();
-        Springs { shares, grouping: grouping.clone(), state, ground: 0.0 }
+        let shares = SHARES
+            .iter()
+            .zip(factors)
+            .map(|(share, factor)| share * factor)
+            .collect();
+        Springs {
+            shares,
+            grouping: grouping.clone(),
+            state,
+            ground: 0.0,
+        }
     }
 }
 
@@ -160,7 +177,10 @@ fn template() -> FilterSettings {
 fn frames(count: usize, damaged: Option<usize>, at: usize, seed: u64) -> Vec<([f64; 6], f64)> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut random) };
-    let mut model = System.grouped(&Grouping::new((0..4).map(|n| vec![n]).collect(), 4).unwrap(), &[1.0; 4]);
+    let mut model = System.grouped(
+        &Grouping::new((0..4).map(|n| vec![n]).collect(), 4).unwrap(),
+        &[1.0; 4],
+    );
     let mut state = vec![0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0];
     let (mut out, mut rate) = (Vec::new(), vec![0.0; 7]);
     for frame in 0..count {
@@ -176,17 +196,26 @@ fn frames(count: usize, damaged: Option<usize>, at: usize, seed: u64) -> Vec<([f
             // midpoint rule
             model.linearise_process(&state, &[ground]);
             model.derivative(&mut rate);
-            let half: Vec<f64> = state.iter().zip(&rate).map(|(y, r)| y + STEP_S / 40.0 * r).collect();
+            let half: Vec<f64> = state
+                .iter()
+                .zip(&rate)
+                .map(|(y, r)| y + STEP_S / 40.0 * r)
+                .collect();
             model.linearise_process(&half, &[ground]);
             model.derivative(&mut rate);
-            state.iter_mut().zip(&rate).for_each(|(y, r)| *y += STEP_S / 20.0 * r);
+            state
+                .iter_mut()
+                .zip(&rate)
+                .for_each(|(y, r)| *y += STEP_S / 20.0 * r);
         }
     }
     out
 }
 
 fn alone(components: usize) -> Vec<Grouping> {
-    (0..components).map(|n| Grouping::apart(vec![n], components).unwrap()).collect()
+    (0..components)
+        .map(|n| Grouping::apart(vec![n], components).unwrap())
+        .collect()
 }
 
 fn self_calibrating() -> ClassSettings {
@@ -199,7 +228,11 @@ fn run<'f>(
 ) -> Vec<(usize, ClassEvent)> {
     let mut events = Vec::new();
     for (index, (data, ground)) in frames.into_iter().enumerate() {
-        bank.step(Frame { observations: data, excitation: &[*ground] }).unwrap();
+        bank.step(Frame {
+            observations: data,
+            excitation: &[*ground],
+        })
+        .unwrap();
         events.extend(bank.events().iter().map(|event| (index, event.clone())));
     }
     events
@@ -213,17 +246,28 @@ fn single_class_is_the_filter_itself() {
     // the class has its multipliers first
     settings.prior_std = DVector::from_row_slice(&[1e-3, 1e-3, 0.2, 0.2, 0.2, 0.2, 0.3]);
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
-    let plan = ClassPlan::Predefined { classes: vec![grouping] };
+    let plan = ClassPlan::Predefined {
+        classes: vec![grouping],
+    };
     let mut bank = ClassBank::new(System, template(), ClassSettings::published(plan, 10)).unwrap();
     for (data, ground) in frames(200, None, 0, 1) {
-        let frame = Frame { observations: &data, excitation: &[ground] };
+        let frame = Frame {
+            observations: &data,
+            excitation: &[ground],
+        };
         let (one, other) = (filter.step(frame).unwrap(), bank.step(frame).unwrap());
-        assert_eq!(one.normalised_innovation_squared, other.normalised_innovation_squared);
+        assert_eq!(
+            one.normalised_innovation_squared,
+            other.normalised_innovation_squared
+        );
         assert!((one.log_evidence - other.log_evidence).abs() < 1e-12 * one.log_evidence.abs());
     }
     for (parameter, entry) in [2, 6, 3, 4, 5].into_iter().enumerate() {
         assert_eq!(bank.parameter_mean()[parameter], filter.mean()[entry]);
-        assert_eq!(bank.parameter_covariance()[(parameter, 1)], filter.covariance()[(entry, 6)]);
+        assert_eq!(
+            bank.parameter_covariance()[(parameter, 1)],
+            filter.covariance()[(entry, 6)]
+        );
     }
 }
 
@@ -237,15 +281,25 @@ fn damaged_spring_is_found_and_becomes_the_nominal_model() {
             _ => None,
         });
         let (at, by) = first.expect("a tenth is lost");
-        assert!(at > 1000 && by == ClassId::Calibrating(spring), "seed {seed}: {by:?} at {at}");
+        assert!(
+            at > 1000 && by == ClassId::Calibrating(spring),
+            "seed {seed}: {by:?} at {at}"
+        );
         assert!(bank.calibrations() >= 1);
         for (component, factor) in bank.factors().iter().enumerate() {
             let truth = if component == spring { 0.9 } else { 1.0 };
-            assert!((factor - truth).abs() < 0.02, "seed {seed}: {component} {factor}");
+            assert!(
+                (factor - truth).abs() < 0.02,
+                "seed {seed}: {component} {factor}"
+            );
         }
         for (component, parameter) in COMPONENTS.into_iter().enumerate() {
             let truth = if component == spring { 0.9 } else { 1.0 };
-            assert!((bank.parameter_mean()[parameter] - truth).abs() < 0.01, "{seed} {}", bank.parameter_mean());
+            assert!(
+                (bank.parameter_mean()[parameter] - truth).abs() < 0.01,
+                "{seed} {}",
+                bank.parameter_mean()
+            );
         }
     }
 }
@@ -254,8 +308,13 @@ fn damaged_spring_is_found_and_becomes_the_nominal_model() {
 fn hierarchy_goes_up_heals_and_comes_down() {
     let substructures = Grouping::new(vec![vec![0], vec![1], vec![2, 3]], 4).unwrap();
     for rule in [PersistenceRule::Consecutive, PersistenceRule::Share] {
-        let plan = ClassPlan::Hierarchical { substructures: substructures.clone() };
-        let settings = ClassSettings { persistence_rule: rule, ..ClassSettings::published(plan, 100) };
+        let plan = ClassPlan::Hierarchical {
+            substructures: substructures.clone(),
+        };
+        let settings = ClassSettings {
+            persistence_rule: rule,
+            ..ClassSettings::published(plan, 100)
+        };
         let mut bank = ClassBank::new(System, template(), settings).unwrap();
         let events = run(&mut bank, &frames(4000, Some(2), 1000, 5));
         let deeds: Vec<&ClassEvent> = events
@@ -263,12 +322,26 @@ fn hierarchy_goes_up_heals_and_comes_down() {
             .map(|(_, event)| event)
             .filter(|event| !matches!(event, ClassEvent::Leading { .. }))
             .collect();
-        assert_eq!(deeds.first(), Some(&&ClassEvent::LevelUp { substructure: 2 }), "{deeds:?}");
+        assert_eq!(
+            deeds.first(),
+            Some(&&ClassEvent::LevelUp { substructure: 2 }),
+            "{deeds:?}"
+        );
         assert!(deeds.iter().any(|event| matches!(
             event,
-            ClassEvent::Calibrated { by: ClassId::Component { component: 2, substructure: 2 }, .. }
+            ClassEvent::Calibrated {
+                by: ClassId::Component {
+                    component: 2,
+                    substructure: 2
+                },
+                ..
+            }
         )));
-        assert!(deeds.iter().any(|event| matches!(event, ClassEvent::LevelDown { .. })));
+        assert!(
+            deeds
+                .iter()
+                .any(|event| matches!(event, ClassEvent::LevelDown { .. }))
+        );
         assert!((bank.parameter_mean()[3] - 0.9).abs() < 0.01);
     }
 }
@@ -285,12 +358,20 @@ fn lost_filter_continues_from_the_most_plausible_one() {
     state.filters[lost] = {
         let mut filter = bank.members[lost].filter.clone();
         let covariance = DMatrix::identity(len, len) * 1e-12;
-        filter.continue_from(&state.filters[lost], DVector::repeat(len, 50.0), covariance, Some);
+        filter.continue_from(
+            &state.filters[lost],
+            DVector::repeat(len, 50.0),
+            covariance,
+            Some,
+        );
         filter.state().clone()
     };
     bank.restore(state).unwrap();
     let events = run(&mut bank, &frames[200..]);
-    assert!(events.iter().any(|(_, event)| *event == ClassEvent::Restarted { class: bank.members[lost].id }));
+    assert!(events.iter().any(|(_, event)| *event
+        == ClassEvent::Restarted {
+            class: bank.members[lost].id
+        }));
     assert!((bank.filter(lost).mean()[2] - 1.0).abs() < 0.1);
     assert!((bank.plausibilities().iter().sum::<f64>() - 1.0).abs() < 1e-12);
 }
@@ -301,7 +382,13 @@ fn bank_whose_filters_are_all_lost_says_so_and_restarts() {
     let frames = frames(300, None, 0, 7);
     run(&mut bank, &frames[..100]);
     let bad = [1e300; 6];
-    assert!(bank.step(Frame { observations: &bad, excitation: &[0.0] }).is_err());
+    assert!(
+        bank.step(Frame {
+            observations: &bad,
+            excitation: &[0.0]
+        })
+        .is_err()
+    );
     bank.restart().unwrap();
     run(&mut bank, &frames[100..]);
     assert!((bank.parameter_mean()[0] - 1.0).abs() < 0.1);
@@ -318,7 +405,10 @@ fn adaptive_template() -> FilterSettings {
         start: 4.0 * NOISE_STD * NOISE_STD,
         start_std: NOISE_STD * NOISE_STD,
     });
-    template.noise_settings = NoiseSettings { training_steps: 100, ..NoiseSettings::default() };
+    template.noise_settings = NoiseSettings {
+        training_steps: 100,
+        ..NoiseSettings::default()
+    };
     template.outliers = Some(OutlierSettings::for_period(100.0));
     template
 }
@@ -331,7 +421,12 @@ fn all_classes_take_noise_levels_and_rejections_from_the_leader() {
     run(&mut bank, &frames[..2900]);
     let level = bank.noise().mean[0];
     assert!((level.sqrt() / NOISE_STD - 1.0).abs() < 0.1, "{level}");
-    let step = bank.step(Frame { observations: &frames[2900].0, excitation: &[frames[2900].1] }).unwrap();
+    let step = bank
+        .step(Frame {
+            observations: &frames[2900].0,
+            excitation: &[frames[2900].1],
+        })
+        .unwrap();
     assert_eq!((step.rejected_channels, step.used_channels), (1, 5));
     for class in 0..5 {
         assert!(bank.filter(class).innovation()[0].is_nan());
@@ -350,16 +445,33 @@ fn frame_on_which_the_screening_filter_fails_is_left_by_all_classes() {
     bank.members[leader].filter.lead(noise, outliers);
     frames[1000].0[0] += 1.0;
     let before = bank.plausibilities().clone();
-    let step = bank.step(Frame { observations: &frames[1000].0, excitation: &[frames[1000].1] }).unwrap();
+    let step = bank
+        .step(Frame {
+            observations: &frames[1000].0,
+            excitation: &[frames[1000].1],
+        })
+        .unwrap();
     assert_eq!(step.used_channels, 0);
     for class in (0..5).filter(|class| *class != leader) {
-        assert!(bank.filter(class).innovation().iter().all(|innovation| innovation.is_nan()), "class {class}");
+        assert!(
+            bank.filter(class)
+                .innovation()
+                .iter()
+                .all(|innovation| innovation.is_nan()),
+            "class {class}"
+        );
         // among each other as plausible as before
         let share = |all: &Plausibilities| all.of(class) / (1.0 - all.of(leader));
         let (found, expected) = (share(bank.plausibilities()), share(&before));
-        assert!((found - expected).abs() < 1e-3 * (1.0 + expected), "class {class}: {found}, was {expected}");
+        assert!(
+            (found - expected).abs() < 1e-3 * (1.0 + expected),
+            "class {class}: {found}, was {expected}"
+        );
     }
-    assert!(bank.events().iter().any(|event| *event == ClassEvent::Restarted { class: bank.members[leader].id }));
+    assert!(bank.events().iter().any(|event| *event
+        == ClassEvent::Restarted {
+            class: bank.members[leader].id
+        }));
     run(&mut bank, &frames[1001..]);
     assert!((bank.parameter_mean()[0] - 1.0).abs() < 0.1);
 }
@@ -376,7 +488,8 @@ fn sharper_class_wins_by_the_factor_of_ockham() {
         for _ in 0..1000 {
             let noise: f64 = StandardNormal.sample(&mut random);
             let y = 1.0 + 0.1 * noise;
-            let ln_normal = |nu: f64, s: f64| -0.5 * (std::f64::consts::TAU * s).ln() - 0.5 * nu * nu / s;
+            let ln_normal =
+                |nu: f64, s: f64| -0.5 * (std::f64::consts::TAU * s).ln() - 0.5 * nu * nu / s;
             let s: f64 = variance + 0.01;
             plausibilities.update(&[ln_normal(y - 1.0, 0.01), ln_normal(y - mean, s)], 0.0);
             let gain: f64 = variance / s;
@@ -391,15 +504,34 @@ fn sharper_class_wins_by_the_factor_of_ockham() {
 
 #[test]
 fn settings_out_of_range_are_refused() {
-    let refused = |settings: ClassSettings| assert!(ClassBank::new(System, template(), settings).is_err());
-    refused(ClassSettings { floor: 0.2, ..self_calibrating() });
-    refused(ClassSettings { persistence_steps: 0, ..self_calibrating() });
-    refused(ClassSettings { reset_std: 0.0, ..self_calibrating() });
-    refused(ClassSettings::published(ClassPlan::Predefined { classes: vec![] }, 1));
-    refused(ClassSettings::published(ClassPlan::Predefined { classes: alone(3) }, 1));
+    let refused =
+        |settings: ClassSettings| assert!(ClassBank::new(System, template(), settings).is_err());
+    refused(ClassSettings {
+        floor: 0.2,
+        ..self_calibrating()
+    });
+    refused(ClassSettings {
+        persistence_steps: 0,
+        ..self_calibrating()
+    });
+    refused(ClassSettings {
+        reset_std: 0.0,
+        ..self_calibrating()
+    });
+    refused(ClassSettings::published(
+        ClassPlan::Predefined { classes: vec![] },
+        1,
+    ));
+    refused(ClassSettings::published(
+        ClassPlan::Predefined { classes: alone(3) },
+        1,
+    ));
     // two substructures against each other are one class twice
     let substructures = Grouping::new(vec![vec![0, 1]], 4).unwrap();
-    refused(ClassSettings::published(ClassPlan::Hierarchical { substructures }, 1));
+    refused(ClassSettings::published(
+        ClassPlan::Hierarchical { substructures },
+        1,
+    ));
 }
 
 #[test]

@@ -10,8 +10,16 @@ const PARAMETERS: usize = 8;
 #[test]
 fn limits_are_those_of_the_chi_squared_distribution() {
     let detector = GlobalDetector::default();
-    assert!((detector.limit(6) - 3.5485).abs() < 5e-5, "{}", detector.limit(6));
-    assert!((detector.limit(8) - 3.9379).abs() < 5e-5, "{}", detector.limit(8));
+    assert!(
+        (detector.limit(6) - 3.5485).abs() < 5e-5,
+        "{}",
+        detector.limit(6)
+    );
+    assert!(
+        (detector.limit(8) - 3.9379).abs() < 5e-5,
+        "{}",
+        detector.limit(8)
+    );
 }
 
 /// Shares of trials in which shifted and healthy nodes are left out, for nodes in `shifted` off by six deviations.
@@ -28,7 +36,13 @@ fn shares(detector: GlobalDetector, shifted: &[usize], seed: u64) -> (f64, f64) 
                     let std = 0.5 + random.random::<f64>();
                     let noise: f64 = random.sample(StandardNormal);
                     let sign = if random.random::<bool>() { 1.0 } else { -1.0 };
-                    mean[m] = std * (noise + if shifted.contains(&node) { 6.0 * sign } else { 0.0 });
+                    mean[m] = std
+                        * (noise
+                            + if shifted.contains(&node) {
+                                6.0 * sign
+                            } else {
+                                0.0
+                            });
                     covariance[(m, m)] = std * std;
                 }
                 Gaussian { mean, covariance }
@@ -37,38 +51,68 @@ fn shares(detector: GlobalDetector, shifted: &[usize], seed: u64) -> (f64, f64) 
         let found = detector.judge(&densities.iter().collect::<Vec<_>>(), Sharing::Nothing);
         for (node, found) in found.iter().enumerate().filter(|(_, found)| found.excluded) {
             let _ = found;
-            if shifted.contains(&node) { hits += 1 } else { false_alarms += 1 }
+            if shifted.contains(&node) {
+                hits += 1
+            } else {
+                false_alarms += 1
+            }
         }
     }
     let rate = |count: usize, of: usize| count as f64 / (of.max(1) * TRIALS) as f64;
-    (rate(hits, shifted.len()), rate(false_alarms, NODES - shifted.len()))
+    (
+        rate(hits, shifted.len()),
+        rate(false_alarms, NODES - shifted.len()),
+    )
 }
 
 #[test]
 fn gross_nodes_are_found_and_healthy_ones_mostly_kept() {
     // ch7 §5, check 4
     let published = GlobalDetector::default();
-    let stepwise = GlobalDetector { one_at_a_time: true, ..published };
+    let stepwise = GlobalDetector {
+        one_at_a_time: true,
+        ..published
+    };
     for seed in [1, 2, 3] {
         let (_, clean) = shares(published, &[], seed);
         assert!((0.04..0.06).contains(&clean), "seed {seed}: {clean}");
         let (hit, healthy) = shares(published, &[4], seed);
-        assert!(hit > 0.999 && healthy < 0.13, "seed {seed}: {hit} {healthy}");
+        assert!(
+            hit > 0.999 && healthy < 0.13,
+            "seed {seed}: {hit} {healthy}"
+        );
         let (hit, healthy) = shares(published, &[1, 7, 12], seed);
-        assert!(hit > 0.999 && (0.18..0.22).contains(&healthy), "seed {seed}: {hit} {healthy}");
+        assert!(
+            hit > 0.999 && (0.18..0.22).contains(&healthy),
+            "seed {seed}: {hit} {healthy}"
+        );
         for shifted in [&[][..], &[4], &[1, 7, 12]] {
             let (hit, healthy) = shares(stepwise, shifted, seed);
-            assert!(healthy < 0.07 && (shifted.is_empty() || hit > 0.999), "seed {seed}: {hit} {healthy}");
+            assert!(
+                healthy < 0.07 && (shifted.is_empty() || hit > 0.999),
+                "seed {seed}: {hit} {healthy}"
+            );
         }
     }
 }
 
 #[test]
 fn two_nodes_are_never_judged_and_two_are_always_left() {
-    let at = |mean: f64| Gaussian { mean: DVector::from_element(1, mean), covariance: DMatrix::identity(1, 1) };
+    let at = |mean: f64| Gaussian {
+        mean: DVector::from_element(1, mean),
+        covariance: DMatrix::identity(1, 1),
+    };
     let (near, far, farther) = (at(0.0), at(100.0), at(-100.0));
-    let detector = GlobalDetector { one_at_a_time: true, ..GlobalDetector::default() };
-    assert!(detector.judge(&[&near, &far], Sharing::All).iter().all(|node| !node.excluded));
+    let detector = GlobalDetector {
+        one_at_a_time: true,
+        ..GlobalDetector::default()
+    };
+    assert!(
+        detector
+            .judge(&[&near, &far], Sharing::All)
+            .iter()
+            .all(|node| !node.excluded)
+    );
     let found = detector.judge(&[&near, &far, &farther], Sharing::All);
     assert_eq!(found.iter().filter(|node| !node.excluded).count(), 2);
     assert!(detector.judge(&[], Sharing::All).is_empty());
@@ -79,12 +123,17 @@ fn two_nodes_are_never_judged_and_two_are_always_left() {
 /// The surest one is regular, although it is far from the mean of the others as (7.52) counts it, and one that is off is found.
 #[test]
 fn who_is_surer_than_all_others_is_not_suspicious() {
-    let detector = GlobalDetector { screening: 0.999, one_at_a_time: true, ..GlobalDetector::default() };
+    let detector = GlobalDetector {
+        screening: 0.999,
+        one_at_a_time: true,
+        ..GlobalDetector::default()
+    };
     for seed in [1, 2, 3] {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut left_out = [[0_usize; 2]; 2];
         for _ in 0..1000 {
-            let mut normal = || DVector::from_fn(PARAMETERS, |_, _| random.sample::<f64, _>(StandardNormal));
+            let mut normal =
+                || DVector::from_fn(PARAMETERS, |_, _| random.sample::<f64, _>(StandardNormal));
             let (of_all, of_surest) = (2.0 * normal(), 0.5 * normal());
             let mut densities: Vec<Gaussian> = (0..NODES)
                 .map(|_| Gaussian {
@@ -92,7 +141,10 @@ fn who_is_surer_than_all_others_is_not_suspicious() {
                     covariance: DMatrix::identity(PARAMETERS, PARAMETERS) * 4.26,
                 })
                 .collect();
-            densities[0] = Gaussian { mean: of_surest, covariance: DMatrix::identity(PARAMETERS, PARAMETERS) * 0.25 };
+            densities[0] = Gaussian {
+                mean: of_surest,
+                covariance: DMatrix::identity(PARAMETERS, PARAMETERS) * 0.25,
+            };
             densities[9].mean.add_scalar_mut(10.0);
             let nodes: Vec<&Gaussian> = densities.iter().collect();
             for (left_out, sharing) in left_out.iter_mut().zip([Sharing::All, Sharing::Nothing]) {
@@ -109,14 +161,23 @@ fn who_is_surer_than_all_others_is_not_suspicious() {
 
 /// Nodes that know one parameter, each to a deviation of 1, all at 0 but the first.
 fn one_node_at(mean: f64) -> Vec<Gaussian> {
-    let at = |mean: f64| Gaussian { mean: DVector::from_element(1, mean), covariance: DMatrix::identity(1, 1) };
-    (0..NODES).map(|node| at(if node == 0 { mean } else { 0.0 })).collect()
+    let at = |mean: f64| Gaussian {
+        mean: DVector::from_element(1, mean),
+        covariance: DMatrix::identity(1, 1),
+    };
+    (0..NODES)
+        .map(|node| at(if node == 0 { mean } else { 0.0 }))
+        .collect()
 }
 
 #[test]
 fn the_weight_is_that_with_which_the_distance_would_be_at_the_limit() {
     for one_at_a_time in [true, false] {
-        let detector = GlobalDetector { screening: 0.999, one_at_a_time, ..GlobalDetector::default() };
+        let detector = GlobalDetector {
+            screening: 0.999,
+            one_at_a_time,
+            ..GlobalDetector::default()
+        };
         let limit = detector.limit(1);
         assert!((limit - 3.2905).abs() < 5e-5, "{limit}"); // two-sided 0.999 of the normal distribution
         // against the mean of fifteen others
@@ -124,27 +185,48 @@ fn the_weight_is_that_with_which_the_distance_would_be_at_the_limit() {
         for times in [0.5, 0.99, 1.01, 2.0, 5.0, 100.0] {
             let nodes = one_node_at(times * limit * f64::sqrt(variance));
             let found = detector.judge(&nodes.iter().collect::<Vec<_>>(), Sharing::Nothing);
-            let expected = if times < 1.0 { 1.0 } else { 1.0 / (times * times) };
-            assert!((found[0].weight - expected).abs() < 1e-12, "{times}: {:?}", found[0]);
+            let expected = if times < 1.0 {
+                1.0
+            } else {
+                1.0 / (times * times)
+            };
+            assert!(
+                (found[0].weight - expected).abs() < 1e-12,
+                "{times}: {:?}",
+                found[0]
+            );
             assert_eq!(found[0].excluded, times > 1.0, "{times}");
-            assert!(found[1..].iter().all(|node| node.weight == 1.0 && !node.excluded), "{times}");
+            assert!(
+                found[1..]
+                    .iter()
+                    .all(|node| node.weight == 1.0 && !node.excluded),
+                "{times}"
+            );
         }
     }
 }
 
 #[test]
 fn healthy_nodes_are_discounted_as_rarely_as_they_are_suspicious_and_never_much() {
-    let stepwise = GlobalDetector { one_at_a_time: true, ..GlobalDetector::default() };
+    let stepwise = GlobalDetector {
+        one_at_a_time: true,
+        ..GlobalDetector::default()
+    };
     // the limit means 5 % and 0.1 %; of the latter 32 are expected in 32 000
     for (screening, most) in [(0.95, 0.06), (0.999, 0.002)] {
-        let detector = GlobalDetector { screening, ..stepwise };
+        let detector = GlobalDetector {
+            screening,
+            ..stepwise
+        };
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let (mut discounted, mut least, mut lost) = (0, 1.0_f64, 0.0);
         const TRIALS: usize = 2000;
         for _ in 0..TRIALS {
             let nodes: Vec<Gaussian> = (0..NODES)
                 .map(|_| Gaussian {
-                    mean: DVector::from_fn(PARAMETERS, |_, _| random.sample::<f64, _>(StandardNormal)),
+                    mean: DVector::from_fn(PARAMETERS, |_, _| {
+                        random.sample::<f64, _>(StandardNormal)
+                    }),
                     covariance: DMatrix::identity(PARAMETERS, PARAMETERS),
                 })
                 .collect();
@@ -158,6 +240,9 @@ fn healthy_nodes_are_discounted_as_rarely_as_they_are_suspicious_and_never_much(
         assert!(share > 0.0 && share < most, "{screening}: {share}");
         assert!(least > 3.0 * LEAST_WEIGHT, "{screening}: {least}");
         // what is lost of their information is a fraction of what leaving them out would lose
-        assert!(lost < 0.4 * discounted as f64, "{screening}: {lost} of {discounted}");
+        assert!(
+            lost < 0.4 * discounted as f64,
+            "{screening}: {lost} of {discounted}"
+        );
     }
 }

@@ -2,7 +2,9 @@ use super::*;
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, Frame};
 use crate::fading::FadingFactor;
-use crate::fusion::{Feedback, FeedbackRule, Gaussian, LocalFilter, MotionExchange, NodeSettings, Taken};
+use crate::fusion::{
+    Feedback, FeedbackRule, Gaussian, LocalFilter, MotionExchange, NodeSettings, Taken,
+};
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::NoiseModel;
 use nalgebra::{DMatrix, DVector};
@@ -54,7 +56,11 @@ impl ObservationModel for Constants {
         }
     }
     fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        for (column, out) in columns.as_slice().chunks_exact(2).zip(out.as_mut_slice().chunks_exact_mut(2)) {
+        for (column, out) in columns
+            .as_slice()
+            .chunks_exact(2)
+            .zip(out.as_mut_slice().chunks_exact_mut(2))
+        {
             for (out, row) in out.iter_mut().zip(ROWS) {
                 *out = row[0] * column[0] + row[1] * column[1];
             }
@@ -70,7 +76,10 @@ fn fading() -> FadingFactor {
 }
 
 fn filter() -> ExtendedKalmanFilter<Constants> {
-    let noise = NoiseModel::known(DMatrix::zeros(0, 0), DMatrix::from_diagonal_element(2, 2, NOISE * NOISE));
+    let noise = NoiseModel::known(
+        DMatrix::zeros(0, 0),
+        DMatrix::from_diagonal_element(2, 2, NOISE * NOISE),
+    );
     let prior = DVector::from_row_slice(&[0.9, 1.1]);
     let mut settings = FilterSettings::new(0.1, prior, DVector::repeat(2, 0.2), noise);
     settings.fading = fading();
@@ -90,15 +99,23 @@ fn node(position: usize) -> Result<LocalFilter<Constants>, FilterError> {
 }
 
 fn datum(channel: usize, step: u64) -> f64 {
-    let noise = ((step as f64 * 12.9898 + channel as f64 * 78.233).sin() * 43_758.547).fract() - 0.5;
+    let noise =
+        ((step as f64 * 12.9898 + channel as f64 * 78.233).sin() * 43_758.547).fract() - 0.5;
     ROWS[channel][0] * 1.05 + ROWS[channel][1] * 0.93 + NOISE * noise
 }
 
 /// Runs both nodes for a period and returns what they say.
-fn run_period(nodes: &mut [LocalFilter<Constants>], first: u64) -> Vec<crate::fusion::LocalEstimate> {
+fn run_period(
+    nodes: &mut [LocalFilter<Constants>],
+    first: u64,
+) -> Vec<crate::fusion::LocalEstimate> {
     let run = |(channel, node): (usize, &mut LocalFilter<Constants>)| {
         for step in first..first + STEPS {
-            node.step(Frame { observations: &[datum(channel, step)], excitation: &[] }).unwrap();
+            node.step(Frame {
+                observations: &[datum(channel, step)],
+                excitation: &[],
+            })
+            .unwrap();
         }
         node.report()
     };
@@ -111,24 +128,38 @@ fn answer(index: u64, parameters: &Gaussian, told: &[crate::fusion::LocalEstimat
         parameters: parameters.clone(),
         nodes: told.len(),
         motion: None,
-        responses: told.iter().map(|estimate| estimate.motion.clone()).collect(),
+        responses: told
+            .iter()
+            .map(|estimate| estimate.motion.clone())
+            .collect(),
     }
 }
 
 #[test]
 fn told_samples_are_whole_multiples_of_the_unit() {
     let exponent = unit_exponent(NOISE);
-    assert_eq!((exponent, unit_exponent(0.25), unit_exponent(0.249)), (-5, -5, -6));
+    assert_eq!(
+        (exponent, unit_exponent(0.25), unit_exponent(0.249)),
+        (-5, -5, -6)
+    );
     let exchange = SampleExchange::new(&[2, 3], 1).rounded_to(vec![exponent, -2, 3, 4, 5]);
-    assert_eq!((exchange.unit_exponents(0), exchange.unit_exponents(1)), (&[exponent, -2][..], &[3, 4, 5][..]));
+    assert_eq!(
+        (exchange.unit_exponents(0), exchange.unit_exponents(1)),
+        (&[exponent, -2][..], &[3, 4, 5][..])
+    );
     let mut shared = Shared::new(&exchange, 0, 1);
     let huge = 0.25 * f64::from(i32::MAX) * 1.01;
-    for (told, expected) in
-        [([0.1, 0.1], [0.09375, 0.0]), ([-1.7, 0.126], [-1.6875, 0.25]), ([f64::NAN, huge], [f64::NAN; 2])]
-    {
+    for (told, expected) in [
+        ([0.1, 0.1], [0.09375, 0.0]),
+        ([-1.7, 0.126], [-1.6875, 0.25]),
+        ([f64::NAN, huge], [f64::NAN; 2]),
+    ] {
         shared.tell(1, told.into_iter());
         for (found, expected) in shared.outgoing.iter().zip(expected) {
-            assert!(*found == expected || (found.is_nan() && expected.is_nan()), "{told:?}: {found}");
+            assert!(
+                *found == expected || (found.is_nan() && expected.is_nan()),
+                "{told:?}: {found}"
+            );
         }
     }
 }
@@ -141,7 +172,10 @@ fn a_node_tells_its_samples_at_the_instants() {
         for (channel, estimate) in told.iter().enumerate() {
             let motion = estimate.motion.as_ref().unwrap();
             let expected = [1, 3, 5].map(|step| datum(channel, period * STEPS + step));
-            assert_eq!((motion.mean.as_slice(), motion.variance.len()), (&expected[..], 0));
+            assert_eq!(
+                (motion.mean.as_slice(), motion.variance.len()),
+                (&expected[..], 0)
+            );
         }
     }
 }
@@ -155,17 +189,31 @@ fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
         mean: DVector::from_row_slice(&[1.0, 1.0]),
         covariance: DMatrix::from_row_slice(2, 2, &[0.02, 0.005, 0.005, 0.03]),
     };
-    nodes.iter_mut().for_each(|node| assert_eq!(node.take(&answer(1, &fused, &told)), Taken::Applied));
+    nodes
+        .iter_mut()
+        .for_each(|node| assert_eq!(node.take(&answer(1, &fused, &told)), Taken::Applied));
     let told = run_period(&mut nodes, STEPS);
     let own = told[0].parameters.information().unwrap();
 
     // from the fused density on, with the samples of the other node where it tells them
     let mut all = filter();
-    all.step(Frame { observations: &[f64::NAN; 2], excitation: &[] }).unwrap();
+    all.step(Frame {
+        observations: &[f64::NAN; 2],
+        excitation: &[],
+    })
+    .unwrap();
     all.replace_parameters(&fused).unwrap();
     for step in STEPS..2 * STEPS {
-        let other = if (step + 1 - STEPS).is_multiple_of(2) { datum(1, step) } else { f64::NAN };
-        all.step(Frame { observations: &[datum(0, step), other], excitation: &[] }).unwrap();
+        let other = if (step + 1 - STEPS).is_multiple_of(2) {
+            datum(1, step)
+        } else {
+            f64::NAN
+        };
+        all.step(Frame {
+            observations: &[datum(0, step), other],
+            excitation: &[],
+        })
+        .unwrap();
     }
     let again = Gaussian {
         mean: DVector::from_row_slice(&[1.02, 0.95]),
@@ -176,25 +224,41 @@ fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
     expected.add(1.0, &all.parameters().information().unwrap());
     expected.add(-1.0, &own);
     let (expected, found) = (expected.gaussian().unwrap(), nodes[0].filter().parameters());
-    assert!((&found.mean - &expected.mean).amax() < 1e-10, "{found:?} {expected:?}");
+    assert!(
+        (&found.mean - &expected.mean).amax() < 1e-10,
+        "{found:?} {expected:?}"
+    );
     assert!((&found.covariance - &expected.covariance).amax() < 1e-10);
-    assert!((&found.covariance - &again.covariance).amax() > 1e-4, "nothing was learnt");
+    assert!(
+        (&found.covariance - &again.covariance).amax() > 1e-4,
+        "nothing was learnt"
+    );
 }
 
 #[test]
 fn samples_that_are_missing_or_make_no_sense_tell_nothing() {
     let mut nodes = [node(0).unwrap(), node(1).unwrap()];
     let told = run_period(&mut nodes, 0);
-    let fused = Gaussian { mean: DVector::repeat(2, 1.0), covariance: DMatrix::from_diagonal_element(2, 2, 0.02) };
+    let fused = Gaussian {
+        mean: DVector::repeat(2, 1.0),
+        covariance: DMatrix::from_diagonal_element(2, 2, 0.02),
+    };
     nodes[0].take(&answer(1, &fused, &told));
     let mut told = run_period(&mut nodes, STEPS);
-    let missing = [vec![f64::NAN; INSTANTS], vec![1.0; INSTANTS + 1], vec![f64::INFINITY; INSTANTS]];
+    let missing = [
+        vec![f64::NAN; INSTANTS],
+        vec![1.0; INSTANTS + 1],
+        vec![f64::INFINITY; INSTANTS],
+    ];
     for samples in missing {
         let mut node = nodes[0].clone();
         told[1].motion.as_mut().unwrap().mean = samples.into();
         assert_eq!(node.take(&answer(2, &fused, &told)), Taken::Applied);
         let found = node.filter().parameters();
-        assert!((&found.mean - &fused.mean).amax() < 1e-12 && (&found.covariance - &fused.covariance).amax() < 1e-12);
+        assert!(
+            (&found.mean - &fused.mean).amax() < 1e-12
+                && (&found.covariance - &fused.covariance).amax() < 1e-12
+        );
     }
 }
 
@@ -217,11 +281,19 @@ fn instants_divide_the_samples_of_a_period() {
 fn samples_of_before_a_gap_are_not_told_after_it() {
     let mut node = node(0).unwrap();
     for step in 0..4 {
-        node.step(Frame { observations: &[datum(0, step)], excitation: &[] }).unwrap();
+        node.step(Frame {
+            observations: &[datum(0, step)],
+            excitation: &[],
+        })
+        .unwrap();
     }
     node.skip(STEPS);
     for step in 4 + STEPS..2 * STEPS {
-        node.step(Frame { observations: &[datum(0, step)], excitation: &[] }).unwrap();
+        node.step(Frame {
+            observations: &[datum(0, step)],
+            excitation: &[],
+        })
+        .unwrap();
     }
     assert!(node.is_due());
     let told = node.report().motion.unwrap().mean;
@@ -234,7 +306,11 @@ fn samples_have_the_same_places_in_the_period_of_a_node_that_begins_within_it() 
     let mut node = node(0).unwrap();
     node.begin_at(3);
     for step in 3..STEPS {
-        node.step(Frame { observations: &[datum(0, step)], excitation: &[] }).unwrap();
+        node.step(Frame {
+            observations: &[datum(0, step)],
+            excitation: &[],
+        })
+        .unwrap();
     }
     assert!(node.is_due());
     let told = node.report().motion.unwrap().mean;

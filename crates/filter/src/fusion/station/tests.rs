@@ -67,15 +67,28 @@ fn fading() -> FadingFactor {
 }
 
 fn prior() -> Gaussian {
-    Gaussian { mean: DVector::from_row_slice(&[0.9, 1.1]), covariance: DMatrix::from_diagonal_element(2, 2, 0.04) }
+    Gaussian {
+        mean: DVector::from_row_slice(&[0.9, 1.1]),
+        covariance: DMatrix::from_diagonal_element(2, 2, 0.04),
+    }
 }
 
 fn node(row: [f64; 2], feedback: FeedbackRule) -> LocalFilter<Constants> {
-    let noise = NoiseModel::known(DMatrix::zeros(0, 0), DMatrix::from_element(1, 1, NOISE * NOISE));
+    let noise = NoiseModel::known(
+        DMatrix::zeros(0, 0),
+        DMatrix::from_element(1, 1, NOISE * NOISE),
+    );
     let std = prior().covariance.diagonal().map(f64::sqrt);
     let mut settings = FilterSettings::new(0.1, prior().mean, std, noise);
     settings.fading = fading();
-    let filter = ExtendedKalmanFilter::new(Constants { row, mean: [0.0; 2] }, settings).unwrap();
+    let filter = ExtendedKalmanFilter::new(
+        Constants {
+            row,
+            mean: [0.0; 2],
+        },
+        settings,
+    )
+    .unwrap();
     let limits = (DVector::repeat(2, -1e3), DVector::repeat(2, 1e3));
     let settings = NodeSettings {
         steps_per_period: PERIOD,
@@ -91,7 +104,10 @@ fn node(row: [f64; 2], feedback: FeedbackRule) -> LocalFilter<Constants> {
 fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
     Station::new(StationSettings {
         nodes,
-        prior: Gaussian { covariance: prior().covariance / fading().value(), ..prior() },
+        prior: Gaussian {
+            covariance: prior().covariance / fading().value(),
+            ..prior()
+        },
         growth_per_period: fading().value().powi(PERIOD as i32),
         variance_bound: DVector::repeat(2, f64::INFINITY),
         rule,
@@ -114,7 +130,10 @@ fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
             mean: DVector::from_row_slice(&mean),
             covariance: DMatrix::from_diagonal_element(2, 2, 1e-6),
         },
-        lineage: Some(Lineage { own: index - 1, answers: Vec::new() }),
+        lineage: Some(Lineage {
+            own: index - 1,
+            answers: Vec::new(),
+        }),
         motion: None,
         instant: index as f64,
     };
@@ -130,7 +149,10 @@ fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
     assert!(fused.started_anew);
     assert_eq!(fused.parameters.mean, prior().mean);
     // what nodes are told is the prior, too
-    assert_eq!(fused.feedback[0].as_ref().unwrap().parameters.mean, prior().mean);
+    assert_eq!(
+        fused.feedback[0].as_ref().unwrap().parameters.mean,
+        prior().mean
+    );
 }
 
 /// A datum of node `k` at `step`, reproducible and without a pattern.
@@ -159,7 +181,10 @@ const ROWS: [[f64; 2]; 4] = [[1.0, 0.2], [0.3, 1.0], [1.0, -0.5], [0.0, 0.7]];
 
 /// Runs four nodes for forty periods; feedback reaches node `k` `lag(k)` samples after it was sent. Returns the distances from
 /// the centralised filter: of the fused means, and relative, of the covariances.
-fn distance_from_centralised(feedback: FeedbackRule, lag: impl Fn(usize, u64) -> u64) -> (f64, f64) {
+fn distance_from_centralised(
+    feedback: FeedbackRule,
+    lag: impl Fn(usize, u64) -> u64,
+) -> (f64, f64) {
     let mut nodes: Vec<_> = ROWS.iter().map(|row| node(*row, feedback)).collect();
     let mut station = station(4, FusionRule::PriorCorrect(Sharing::Nothing), feedback);
     let mut centralised = Centralised(prior().information().unwrap());
@@ -168,11 +193,19 @@ fn distance_from_centralised(feedback: FeedbackRule, lag: impl Fn(usize, u64) ->
     for step in 0..40 * PERIOD {
         centralised.step(step, &ROWS);
         for (k, node) in nodes.iter_mut().enumerate() {
-            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+            node.step(Frame {
+                observations: &[datum(k, step, ROWS[k])],
+                excitation: &[],
+            })
+            .unwrap();
         }
         under_way.retain(|(due, k, feedback)| {
             if *due <= step {
-                assert_eq!(nodes[*k].take(feedback), Taken::Applied, "step {step}, node {k}");
+                assert_eq!(
+                    nodes[*k].take(feedback),
+                    Taken::Applied,
+                    "step {step}, node {k}"
+                );
             }
             *due > step
         });
@@ -184,8 +217,11 @@ fn distance_from_centralised(feedback: FeedbackRule, lag: impl Fn(usize, u64) ->
             let fused = station.fuse(period);
             assert_eq!(fused.used, 4);
             let expected = centralised.0.gaussian().unwrap();
-            worst.0 = worst.0.max((&fused.parameters.mean - &expected.mean).amax());
-            let off = (&fused.parameters.covariance - &expected.covariance).amax() / expected.covariance.amax();
+            worst.0 = worst
+                .0
+                .max((&fused.parameters.mean - &expected.mean).amax());
+            let off = (&fused.parameters.covariance - &expected.covariance).amax()
+                / expected.covariance.amax();
             worst.1 = worst.1.max(off);
             for (k, answer) in fused.feedback.into_iter().enumerate() {
                 let answer = answer.unwrap();
@@ -202,16 +238,30 @@ fn distance_from_centralised(feedback: FeedbackRule, lag: impl Fn(usize, u64) ->
 
 #[test]
 fn independent_gains_make_the_centralised_filter_whatever_the_feedback_does() {
-    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+    for feedback in [
+        FeedbackRule::Marginal,
+        FeedbackRule::Federated,
+        FeedbackRule::None,
+        FeedbackRule::Mean,
+    ] {
         let at_once = distance_from_centralised(feedback, |_, _| 0);
         let late = distance_from_centralised(feedback, |k, _| 1 + 2 * k as u64);
-        let irregular =
-            distance_from_centralised(
-                feedback,
-                |k, step| if (step + k as u64).is_multiple_of(3) { u64::MAX } else { 2 },
+        let irregular = distance_from_centralised(feedback, |k, step| {
+            if (step + k as u64).is_multiple_of(3) {
+                u64::MAX
+            } else {
+                2
+            }
+        });
+        for (case, (mean, covariance)) in [
+            ("at once", at_once),
+            ("late", late),
+            ("irregular", irregular),
+        ] {
+            assert!(
+                mean < 1e-10 && covariance < 1e-10,
+                "{feedback:?}, {case}: {mean:e}, {covariance:e}"
             );
-        for (case, (mean, covariance)) in [("at once", at_once), ("late", late), ("irregular", irregular)] {
-            assert!(mean < 1e-10 && covariance < 1e-10, "{feedback:?}, {case}: {mean:e}, {covariance:e}");
         }
     }
 }
@@ -221,14 +271,24 @@ fn sixteen_copies_of_the_prior_fuse_to_the_prior() {
     // ch6 §5, check 5
     let message = |index| LocalEstimate {
         index,
-        parameters: Gaussian { covariance: prior().covariance * fading().value().powi(PERIOD as i32 - 1), ..prior() },
-        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        parameters: Gaussian {
+            covariance: prior().covariance * fading().value().powi(PERIOD as i32 - 1),
+            ..prior()
+        },
+        lineage: Some(Lineage {
+            own: 0,
+            answers: Vec::new(),
+        }),
         motion: None,
         instant: index as f64,
     };
     let faded = message(1).parameters;
     for sharing in [Sharing::All, Sharing::Nothing, Sharing::Factor(4.0)] {
-        let mut station = station(16, FusionRule::PriorCorrect(sharing), FeedbackRule::Marginal);
+        let mut station = station(
+            16,
+            FusionRule::PriorCorrect(sharing),
+            FeedbackRule::Marginal,
+        );
         for node in 0..16 {
             station.receive(node, message(1), 1.0).unwrap();
         }
@@ -252,21 +312,49 @@ fn useless_messages_are_refused_and_change_nothing() {
     let good = LocalEstimate {
         index: 1,
         parameters: prior(),
-        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        lineage: Some(Lineage {
+            own: 0,
+            answers: Vec::new(),
+        }),
         motion: None,
         instant: 1.0,
     };
-    let with = |parameters| LocalEstimate { parameters, ..good.clone() };
-    let nan = Gaussian { mean: DVector::from_row_slice(&[f64::NAN, 1.0]), ..prior() };
-    let indefinite = Gaussian { covariance: DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 1.0]), ..prior() };
-    let longer = Gaussian { mean: DVector::zeros(3), covariance: DMatrix::identity(3, 3) };
-    assert_eq!(station.receive(7, good.clone(), 1.0), Err(Refusal::UnknownNode));
+    let with = |parameters| LocalEstimate {
+        parameters,
+        ..good.clone()
+    };
+    let nan = Gaussian {
+        mean: DVector::from_row_slice(&[f64::NAN, 1.0]),
+        ..prior()
+    };
+    let indefinite = Gaussian {
+        covariance: DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 1.0]),
+        ..prior()
+    };
+    let longer = Gaussian {
+        mean: DVector::zeros(3),
+        covariance: DMatrix::identity(3, 3),
+    };
+    assert_eq!(
+        station.receive(7, good.clone(), 1.0),
+        Err(Refusal::UnknownNode)
+    );
     assert_eq!(station.receive(0, with(nan), 1.0), Err(Refusal::NoDensity));
-    assert_eq!(station.receive(0, with(indefinite), 1.0), Err(Refusal::NoDensity));
-    assert_eq!(station.receive(0, with(longer), 1.0), Err(Refusal::Dimension));
+    assert_eq!(
+        station.receive(0, with(indefinite), 1.0),
+        Err(Refusal::NoDensity)
+    );
+    assert_eq!(
+        station.receive(0, with(longer), 1.0),
+        Err(Refusal::Dimension)
+    );
     assert!(!station.has_heard(0));
     station.receive(0, good.clone(), 1.0).unwrap();
-    assert_eq!(station.receive(0, good.clone(), 1.0), Err(Refusal::Old), "a repeat");
+    assert_eq!(
+        station.receive(0, good.clone(), 1.0),
+        Err(Refusal::Old),
+        "a repeat"
+    );
     assert!(station.has_heard(0));
     station.forget(0);
     station.receive(0, good, 1.0).unwrap();
@@ -290,7 +378,10 @@ fn a_stale_message_is_left_out() {
     let message = LocalEstimate {
         index: 1,
         parameters: prior(),
-        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        lineage: Some(Lineage {
+            own: 0,
+            answers: Vec::new(),
+        }),
         motion: None,
         instant: 1.0,
     };
@@ -302,7 +393,10 @@ fn a_stale_message_is_left_out() {
 
 /// Runs two nodes that learn independently, of which the second one is heard only in the periods that `hears` tells; returns the
 /// fused covariances without those of the centralised filter.
-fn more_uncertain_than_centralised(feedback: FeedbackRule, hears: impl Fn(u64) -> bool) -> Vec<DMatrix<f64>> {
+fn more_uncertain_than_centralised(
+    feedback: FeedbackRule,
+    hears: impl Fn(u64) -> bool,
+) -> Vec<DMatrix<f64>> {
     let mut nodes = [node(ROWS[0], feedback), node(ROWS[1], feedback)];
     let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), feedback);
     let mut centralised = Centralised(prior().information().unwrap());
@@ -310,7 +404,11 @@ fn more_uncertain_than_centralised(feedback: FeedbackRule, hears: impl Fn(u64) -
     for step in 0..60 * PERIOD {
         centralised.step(step, &ROWS[..2]);
         for (k, node) in nodes.iter_mut().enumerate() {
-            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+            node.step(Frame {
+                observations: &[datum(k, step, ROWS[k])],
+                excitation: &[],
+            })
+            .unwrap();
         }
         if (step + 1).is_multiple_of(PERIOD) {
             let period = (step + 1) / PERIOD;
@@ -326,7 +424,8 @@ fn more_uncertain_than_centralised(feedback: FeedbackRule, hears: impl Fn(u64) -
                     assert_eq!(node.take(answer), Taken::Applied);
                 }
             }
-            differences.push(fused.parameters.covariance - centralised.0.gaussian().unwrap().covariance);
+            differences
+                .push(fused.parameters.covariance - centralised.0.gaussian().unwrap().covariance);
         }
     }
     differences
@@ -335,14 +434,28 @@ fn more_uncertain_than_centralised(feedback: FeedbackRule, hears: impl Fn(u64) -
 /// Broke: what had been learnt until the lost message was lost for ever, and with every second one all of it.
 #[test]
 fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
-    let runs: [fn(u64) -> bool; 3] =
-        [|period| period.is_multiple_of(2), |period| period.is_multiple_of(7), |period| period % 9 > 5];
-    for feedback in [FeedbackRule::None, FeedbackRule::Marginal, FeedbackRule::Federated] {
+    let runs: [fn(u64) -> bool; 3] = [
+        |period| period.is_multiple_of(2),
+        |period| period.is_multiple_of(7),
+        |period| period % 9 > 5,
+    ];
+    for feedback in [
+        FeedbackRule::None,
+        FeedbackRule::Marginal,
+        FeedbackRule::Federated,
+    ] {
         for hears in runs {
             for (period, more) in (1..).zip(more_uncertain_than_centralised(feedback, hears)) {
-                assert!(more.clone().symmetric_eigen().eigenvalues.min() > -1e-9, "{feedback:?}, period {period}");
+                assert!(
+                    more.clone().symmetric_eigen().eigenvalues.min() > -1e-9,
+                    "{feedback:?}, period {period}"
+                );
                 // whatever was lost before, the message that is heard makes up for it
-                assert!(!hears(period) || more.amax() < 1e-9, "{feedback:?}, period {period}: {:e}", more.amax());
+                assert!(
+                    !hears(period) || more.amax() < 1e-9,
+                    "{feedback:?}, period {period}: {:e}",
+                    more.amax()
+                );
             }
         }
     }
@@ -351,13 +464,24 @@ fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
 /// Broke: a node that takes no answers named messages that the station had not got, and told nothing from then on.
 #[test]
 fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
-    let mut nodes = [node(ROWS[0], FeedbackRule::Marginal), node(ROWS[1], FeedbackRule::Marginal)];
-    let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), FeedbackRule::Marginal);
+    let mut nodes = [
+        node(ROWS[0], FeedbackRule::Marginal),
+        node(ROWS[1], FeedbackRule::Marginal),
+    ];
+    let mut station = station(
+        2,
+        FusionRule::PriorCorrect(Sharing::Nothing),
+        FeedbackRule::Marginal,
+    );
     let mut centralised = Centralised(prior().information().unwrap());
     for step in 0..60 * PERIOD {
         centralised.step(step, &ROWS[..2]);
         for (k, node) in nodes.iter_mut().enumerate() {
-            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+            node.step(Frame {
+                observations: &[datum(k, step, ROWS[k])],
+                excitation: &[],
+            })
+            .unwrap();
         }
         if (step + 1).is_multiple_of(PERIOD) {
             let period = (step + 1) / PERIOD;
@@ -370,8 +494,16 @@ fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
             let fused = station.fuse(period as f64);
             nodes[0].take(fused.feedback[0].as_ref().unwrap());
             let off = fused.parameters.covariance - centralised.0.gaussian().unwrap().covariance;
-            assert!(period.is_multiple_of(3) || off.amax() < 1e-9, "period {period}: {:e}", off.amax());
-            assert!(station.known[1].counted.len() <= ANSWERS_KEPT + 2, "{}", station.known[1].counted.len());
+            assert!(
+                period.is_multiple_of(3) || off.amax() < 1e-9,
+                "period {period}: {:e}",
+                off.amax()
+            );
+            assert!(
+                station.known[1].counted.len() <= ANSWERS_KEPT + 2,
+                "{}",
+                station.known[1].counted.len()
+            );
             assert!(station.known[1].answered.len() <= ANSWERS_KEPT + 1);
         }
     }
@@ -380,29 +512,65 @@ fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
 #[test]
 fn nodes_that_tell_nothing_new_do_not_weaken_what_others_have_learnt() {
     let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
-    let learnt = Gaussian { covariance: prior().covariance * 0.5, ..prior() };
-    let message = |lineage| LocalEstimate { index: 1, parameters: learnt.clone(), lineage, motion: None, instant: 1.0 };
-    station.receive(0, message(Some(Lineage { own: 0, answers: Vec::new() })), 1.0).unwrap();
+    let learnt = Gaussian {
+        covariance: prior().covariance * 0.5,
+        ..prior()
+    };
+    let message = |lineage| LocalEstimate {
+        index: 1,
+        parameters: learnt.clone(),
+        lineage,
+        motion: None,
+        instant: 1.0,
+    };
+    station
+        .receive(
+            0,
+            message(Some(Lineage {
+                own: 0,
+                answers: Vec::new(),
+            })),
+            1.0,
+        )
+        .unwrap();
     for node in 1..4 {
         station.receive(node, message(None), 1.0).unwrap();
     }
     let fused = station.fuse(1.0);
     assert_eq!(fused.used, 4);
-    assert!((fused.parameters.covariance - learnt.covariance).amax() < 1e-12, "of one that learns, all counts");
+    assert!(
+        (fused.parameters.covariance - learnt.covariance).amax() < 1e-12,
+        "of one that learns, all counts"
+    );
 }
 
 /// Broke: a node told of what it had learnt in a part of a period as if it had been a whole one; then what it learnt in it was lost.
 #[test]
 fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing_twice() {
     const LATE: u64 = 2;
-    let mut nodes = [node(ROWS[0], FeedbackRule::Marginal), node(ROWS[1], FeedbackRule::Marginal)];
+    let mut nodes = [
+        node(ROWS[0], FeedbackRule::Marginal),
+        node(ROWS[1], FeedbackRule::Marginal),
+    ];
     nodes[1].begin_at(LATE);
-    let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), FeedbackRule::Marginal);
+    let mut station = station(
+        2,
+        FusionRule::PriorCorrect(Sharing::Nothing),
+        FeedbackRule::Marginal,
+    );
     let mut centralised = Centralised(prior().information().unwrap());
     for step in 0..40 * PERIOD {
         centralised.step(step, if step < LATE { &ROWS[..1] } else { &ROWS[..2] });
-        for (k, node) in nodes.iter_mut().enumerate().filter(|(k, _)| *k == 0 || step >= LATE) {
-            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        for (k, node) in nodes
+            .iter_mut()
+            .enumerate()
+            .filter(|(k, _)| *k == 0 || step >= LATE)
+        {
+            node.step(Frame {
+                observations: &[datum(k, step, ROWS[k])],
+                excitation: &[],
+            })
+            .unwrap();
         }
         assert_eq!(nodes[0].is_due(), nodes[1].is_due());
         if nodes[0].is_due() {
@@ -417,7 +585,8 @@ fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing
                 assert_eq!(node.take(answer.as_ref().unwrap()), Taken::Applied);
             }
             let all = centralised.0.gaussian().unwrap();
-            let off = (&fused.parameters.covariance - &all.covariance).amax() / all.covariance.amax();
+            let off =
+                (&fused.parameters.covariance - &all.covariance).amax() / all.covariance.amax();
             assert!(off < 1e-10, "period {period}: covariance off by {off:e}");
             let off = (&fused.parameters.mean - &all.mean).amax();
             assert!(off < 1e-10, "period {period}: mean off by {off:e}");
@@ -433,8 +602,14 @@ fn motion_goes_to_nodes_of_the_same_instant_only() {
     let message = |instant: f64| LocalEstimate {
         index: 1,
         parameters: prior(),
-        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
-        motion: Some(CompressedMotion { mean: DVector::repeat(1, instant), variance: DVector::zeros(0) }),
+        lineage: Some(Lineage {
+            own: 0,
+            answers: Vec::new(),
+        }),
+        motion: Some(CompressedMotion {
+            mean: DVector::repeat(1, instant),
+            variance: DVector::zeros(0),
+        }),
         instant,
     };
     let sample = 1.0 / PERIOD as f64;
@@ -445,10 +620,30 @@ fn motion_goes_to_nodes_of_the_same_instant_only() {
     let fused = station.fuse(7.0);
     assert_eq!(fused.used, 3, "the density of the late one counts");
     let told = |node: usize| -> Vec<bool> {
-        fused.feedback[node].as_ref().unwrap().responses.iter().map(Option::is_some).collect()
+        fused.feedback[node]
+            .as_ref()
+            .unwrap()
+            .responses
+            .iter()
+            .map(Option::is_some)
+            .collect()
     };
-    assert_eq!([told(0), told(1), told(2)], [[true, true, false], [true, true, false], [false, false, true]]);
-    assert_eq!(fused.nodes.iter().map(|node| node.out_of_step).collect::<Vec<_>>(), [false, false, true]);
+    assert_eq!(
+        [told(0), told(1), told(2)],
+        [
+            [true, true, false],
+            [true, true, false],
+            [false, false, true]
+        ]
+    );
+    assert_eq!(
+        fused
+            .nodes
+            .iter()
+            .map(|node| node.out_of_step)
+            .collect::<Vec<_>>(),
+        [false, false, true]
+    );
 }
 
 /// Broke: the station answered with its prior, and the nodes forgot what they knew.
@@ -463,7 +658,11 @@ fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
     for step in 0..40 * PERIOD {
         centralised.step(step, &ROWS);
         for (k, node) in nodes.iter_mut().enumerate() {
-            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+            node.step(Frame {
+                observations: &[datum(k, step, ROWS[k])],
+                excitation: &[],
+            })
+            .unwrap();
         }
         if !nodes[0].is_due() {
             continue;
@@ -479,13 +678,22 @@ fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
         assert_eq!(fused.adopted, period == 20);
         let all = centralised.0.gaussian().unwrap();
         let more = &fused.parameters.covariance - &all.covariance;
-        assert!(more.symmetric_eigen().eigenvalues.min() > -1e-9, "period {period}");
+        assert!(
+            more.symmetric_eigen().eigenvalues.min() > -1e-9,
+            "period {period}"
+        );
         if period == 20 {
             // it had faded by a period, and the nodes have learnt since
             let growth = fading().value().powi(PERIOD as i32);
-            let faded: Gaussian = Gaussian { covariance: &before.covariance * growth, ..before.clone() };
+            let faded: Gaussian = Gaussian {
+                covariance: &before.covariance * growth,
+                ..before.clone()
+            };
             let lost = faded.covariance - &fused.parameters.covariance;
-            assert!(lost.symmetric_eigen().eigenvalues.min() > -1e-9, "it knows less than the nodes did before");
+            assert!(
+                lost.symmetric_eigen().eigenvalues.min() > -1e-9,
+                "it knows less than the nodes did before"
+            );
         }
         for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
             assert_eq!(node.take(answer.as_ref().unwrap()), Taken::Applied);
@@ -496,10 +704,16 @@ fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
 
 #[test]
 fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
-    for (readmission, expected) in [(1, [true, false, false, false]), (3, [true, true, true, false])] {
+    for (readmission, expected) in [
+        (1, [true, false, false, false]),
+        (3, [true, true, true, false]),
+    ] {
         let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
-        station.settings.detector =
-            Some(GlobalDetector { readmission, one_at_a_time: true, ..GlobalDetector::default() });
+        station.settings.detector = Some(GlobalDetector {
+            readmission,
+            one_at_a_time: true,
+            ..GlobalDetector::default()
+        });
         let mut found = Vec::new();
         for index in 1..=4_u64 {
             for node in 0..4 {
@@ -517,7 +731,13 @@ fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
                 station.receive(node, message, index as f64).unwrap();
             }
             let fused = station.fuse(index as f64);
-            assert!(fused.nodes.iter().enumerate().all(|(node, report)| node == 2 || !report.excluded));
+            assert!(
+                fused
+                    .nodes
+                    .iter()
+                    .enumerate()
+                    .all(|(node, report)| node == 2 || !report.excluded)
+            );
             found.push(fused.nodes[2].excluded);
         }
         assert_eq!(found, expected);
@@ -527,21 +747,32 @@ fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
 /// A station of four nodes that tests them, graded or not.
 fn testing_station(weighting: Weighting) -> Station {
     let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
-    station.settings.detector =
-        Some(GlobalDetector { screening: 0.999, one_at_a_time: true, weighting, ..GlobalDetector::default() });
+    station.settings.detector = Some(GlobalDetector {
+        screening: 0.999,
+        one_at_a_time: true,
+        weighting,
+        ..GlobalDetector::default()
+    });
     station
 }
 
 #[test]
 fn graded_weights_of_regular_nodes_change_no_bit() {
     let run = |detector: Option<GlobalDetector>| {
-        let mut nodes: Vec<_> = ROWS.iter().map(|row| node(*row, FeedbackRule::Marginal)).collect();
+        let mut nodes: Vec<_> = ROWS
+            .iter()
+            .map(|row| node(*row, FeedbackRule::Marginal))
+            .collect();
         let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
         station.settings.detector = detector;
         let mut all = Vec::new();
         for step in 0..30 * PERIOD {
             for (k, node) in nodes.iter_mut().enumerate() {
-                node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+                node.step(Frame {
+                    observations: &[datum(k, step, ROWS[k])],
+                    excitation: &[],
+                })
+                .unwrap();
             }
             if nodes[0].is_due() {
                 let period = (step + 1) as f64 / PERIOD as f64;
@@ -552,7 +783,13 @@ fn graded_weights_of_regular_nodes_change_no_bit() {
                 for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
                     node.take(answer.as_ref().unwrap());
                 }
-                assert!(fused.nodes.iter().all(|node| node.weight == 1.0 && !node.excluded), "period {period}");
+                assert!(
+                    fused
+                        .nodes
+                        .iter()
+                        .all(|node| node.weight == 1.0 && !node.excluded),
+                    "period {period}"
+                );
                 all.push(fused.parameters);
             }
         }
@@ -575,14 +812,20 @@ fn moved_by(off: f64, weighting: Weighting) -> (f64, f64) {
                 mean: &prior().mean + DVector::from_row_slice(&[off, 0.0]),
                 covariance: prior().covariance * 0.5,
             },
-            lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+            lineage: Some(Lineage {
+                own: 0,
+                answers: Vec::new(),
+            }),
             motion: None,
             instant: 1.0,
         };
         station.receive(node, message, 1.0).unwrap();
     }
     let fused = station.fuse(1.0);
-    (fused.parameters.mean[0] - prior().mean[0], fused.nodes[2].weight)
+    (
+        fused.parameters.mean[0] - prior().mean[0],
+        fused.nodes[2].weight,
+    )
 }
 
 #[test]
@@ -596,14 +839,27 @@ fn the_farther_a_node_is_off_the_less_it_moves_the_fused_mean() {
         assert!((found - weight).abs() < 1e-9, "{times}: {found}");
         // the others count 1 each, and γ is the sum of the weights
         let expected = weight / (3.0 + weight) * times * limit;
-        assert!((moved - expected).abs() < 1e-9 && moved < before, "{times}: {moved}, expected {expected}");
+        assert!(
+            (moved - expected).abs() < 1e-9 && moved < before,
+            "{times}: {moved}, expected {expected}"
+        );
         before = moved;
     }
-    assert_eq!(moved_by(0.99 * limit, Weighting::AllOrNothing), moved_by(0.99 * limit, Weighting::Graded));
+    assert_eq!(
+        moved_by(0.99 * limit, Weighting::AllOrNothing),
+        moved_by(0.99 * limit, Weighting::Graded)
+    );
     // beyond √10 times the limit, and without grades at once, it is left out
-    for (times, weighting) in [(3.2, Weighting::Graded), (100.0, Weighting::Graded), (1.01, Weighting::AllOrNothing)] {
+    for (times, weighting) in [
+        (3.2, Weighting::Graded),
+        (100.0, Weighting::Graded),
+        (1.01, Weighting::AllOrNothing),
+    ] {
         let (moved, weight) = moved_by(times * limit, weighting);
-        assert!(moved.abs() < 1e-12 && weight == 0.0, "{times}: {moved}, {weight}");
+        assert!(
+            moved.abs() < 1e-12 && weight == 0.0,
+            "{times}: {moved}, {weight}"
+        );
     }
 }
 
@@ -615,7 +871,11 @@ fn a_node_that_stays_discounted_is_left_out_and_comes_back_when_it_is_regular() 
     for index in 1..=20_u64 {
         for node in 0..4 {
             // off by one and a half times the limit until the fifteenth fusion
-            let off = if node == 2 && index <= 15 { 1.5 * (-2.0 * 0.001_f64.ln() * 0.04).sqrt() } else { 0.0 };
+            let off = if node == 2 && index <= 15 {
+                1.5 * (-2.0 * 0.001_f64.ln() * 0.04).sqrt()
+            } else {
+                0.0
+            };
             let message = LocalEstimate {
                 index,
                 parameters: Gaussian {
@@ -635,9 +895,20 @@ fn a_node_that_stays_discounted_is_left_out_and_comes_back_when_it_is_regular() 
         found.push(weights[2]);
     }
     let patience = PATIENCE as usize;
-    assert!(found[..patience].iter().all(|weight| (weight - 1.0 / 2.25).abs() < 1e-9), "{found:?}");
-    assert!(found[patience..17].iter().all(|weight| *weight == 0.0), "{found:?}");
-    assert!(found[17..].iter().all(|weight| *weight == 1.0), "the third regular fusion uses it again: {found:?}");
+    assert!(
+        found[..patience]
+            .iter()
+            .all(|weight| (weight - 1.0 / 2.25).abs() < 1e-9),
+        "{found:?}"
+    );
+    assert!(
+        found[patience..17].iter().all(|weight| *weight == 0.0),
+        "{found:?}"
+    );
+    assert!(
+        found[17..].iter().all(|weight| *weight == 1.0),
+        "the third regular fusion uses it again: {found:?}"
+    );
 }
 
 /// Broke, in a simulation: three biased nodes that told the others their responses in between moved them to where they were, and were
@@ -647,9 +918,15 @@ fn the_motion_of_a_discounted_node_is_told_when_it_has_been_regular_for_long_eno
     let mut station = testing_station(Weighting::Graded);
     station.settings.detector.as_mut().unwrap().readmission = 2;
     station.settings.motion = MotionExchange::Samples(SampleExchange::new(&[1, 1, 1, 1], 1));
-    for (index, (off, is_told)) in (1..).zip([(1.5, false), (0.0, false), (0.0, true), (1.5, false)]) {
+    for (index, (off, is_told)) in
+        (1..).zip([(1.5, false), (0.0, false), (0.0, true), (1.5, false)])
+    {
         for node in 0..4 {
-            let off = if node == 2 { off * (-2.0 * 0.001_f64.ln() * 0.04).sqrt() } else { 0.0 };
+            let off = if node == 2 {
+                off * (-2.0 * 0.001_f64.ln() * 0.04).sqrt()
+            } else {
+                0.0
+            };
             let message = LocalEstimate {
                 index,
                 parameters: Gaussian {
@@ -657,13 +934,19 @@ fn the_motion_of_a_discounted_node_is_told_when_it_has_been_regular_for_long_eno
                     covariance: DMatrix::from_diagonal_element(2, 2, 0.02),
                 },
                 lineage: None,
-                motion: Some(CompressedMotion { mean: DVector::repeat(1, 0.5), variance: DVector::zeros(0) }),
+                motion: Some(CompressedMotion {
+                    mean: DVector::repeat(1, 0.5),
+                    variance: DVector::zeros(0),
+                }),
                 instant: index as f64,
             };
             station.receive(node, message, index as f64).unwrap();
         }
         let fused = station.fuse(index as f64);
-        assert!(!fused.nodes[2].excluded && (fused.nodes[2].weight < 1.0) == (off > 0.0), "fusion {index}");
+        assert!(
+            !fused.nodes[2].excluded && (fused.nodes[2].weight < 1.0) == (off > 0.0),
+            "fusion {index}"
+        );
         let told: Vec<bool> = fused.responses.iter().map(Option::is_some).collect();
         assert_eq!(told, [true, true, is_told, true], "fusion {index}");
     }

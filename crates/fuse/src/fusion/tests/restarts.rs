@@ -14,7 +14,10 @@ fn next_life(before: &Fusion, structure: &Structure, epoch: u64) -> Fusion {
 }
 
 fn estimated(outputs: &[Output]) -> Vec<Estimate> {
-    estimates(outputs).into_iter().flat_map(|block| block.estimates.clone()).collect()
+    estimates(outputs)
+        .into_iter()
+        .flat_map(|block| block.estimates.clone())
+        .collect()
 }
 
 /// What live nodes send, which take each answer at once.
@@ -22,9 +25,17 @@ fn sends(_: usize, second: u64) -> Option<LocalMessage> {
     let mut message = message(3, second, Pace::Live, 0.9);
     let density = message.density.as_mut().unwrap();
     // ever surer
-    density.covariance.iter_mut().for_each(|entry| *entry /= second as f64);
-    density.lineage =
-        Some(NodeLineage { own: second - 1, answers: vec![second - 1].into_iter().filter(|own| *own > 0).collect() });
+    density
+        .covariance
+        .iter_mut()
+        .for_each(|entry| *entry /= second as f64);
+    density.lineage = Some(NodeLineage {
+        own: second - 1,
+        answers: vec![second - 1]
+            .into_iter()
+            .filter(|own| *own > 0)
+            .collect(),
+    });
     Some(message)
 }
 
@@ -35,20 +46,35 @@ fn a_station_that_is_started_again_goes_on_as_if_it_had_never_stopped() {
     live(&mut undisturbed, 1..7, sends);
     let mut again = next_life(&undisturbed, &structure(), 8);
     let expected = estimated(&live(&mut undisturbed, 7..12, sends));
-    let told = run(&mut again, [Input::Present(vec![true; 16]), Input::Tick(6 * SECOND_NS + 600_000_000)]);
-    assert!(told.is_empty(), "nothing is said before something is heard: {told:?}");
+    let told = run(
+        &mut again,
+        [
+            Input::Present(vec![true; 16]),
+            Input::Tick(6 * SECOND_NS + 600_000_000),
+        ],
+    );
+    assert!(
+        told.is_empty(),
+        "nothing is said before something is heard: {told:?}"
+    );
     let outputs = live(&mut again, 7..12, sends);
     let found = estimated(&outputs);
     assert_eq!(found.len(), expected.len());
     for (found, expected) in found.iter().zip(&expected) {
-        let numbers = |estimate: &Estimate| [estimate.mean.clone(), estimate.covariance.clone()].concat();
+        let numbers =
+            |estimate: &Estimate| [estimate.mean.clone(), estimate.covariance.clone()].concat();
         for (found, expected) in numbers(found).iter().zip(numbers(expected)) {
             // the clock began elsewhere, and its periods round otherwise
-            assert!((found - expected).abs() <= 1e-12, "{found} in place of {expected}");
+            assert!(
+                (found - expected).abs() <= 1e-12,
+                "{found} in place of {expected}"
+            );
         }
     }
-    let places: Vec<(u64, u64)> =
-        estimates(&outputs).iter().map(|block| (block.header.epoch, block.header.sequence)).collect();
+    let places: Vec<(u64, u64)> = estimates(&outputs)
+        .iter()
+        .map(|block| (block.header.epoch, block.header.sequence))
+        .collect();
     assert_eq!(places, [(8, 0), (8, 1), (8, 2), (8, 3), (8, 4)]);
     assert!(events(&outputs).is_empty(), "{:?}", events(&outputs));
 }
@@ -82,9 +108,17 @@ fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
     let one_period = 2_f64.powf(1.0 / (HALF_LIFE_S / 2.0));
     for parameter in 0..10 {
         let std = last.variance(parameter).unwrap().sqrt();
-        assert!((next.mean[parameter] - last.mean[parameter]).abs() < 1e-6 * std, "{} {}", next.mean[parameter], std);
+        assert!(
+            (next.mean[parameter] - last.mean[parameter]).abs() < 1e-6 * std,
+            "{} {}",
+            next.mean[parameter],
+            std
+        );
         let growth = next.variance(parameter).unwrap() / (std * std);
-        assert!((growth / one_period - 1.0).abs() < 1e-6, "it fades by one period, {one_period}, and not by {growth}");
+        assert!(
+            (growth / one_period - 1.0).abs() < 1e-6,
+            "it fades by one period, {one_period}, and not by {growth}"
+        );
     }
     // and that is what the nodes are answered
     let answers = outputs.iter().filter(|output| {
@@ -107,9 +141,20 @@ fn what_was_told_of_outliers_is_not_told_again() {
     };
     let told = |fusion: &mut Fusion, index, rejected| {
         let screening = vec![screened(0), screened(rejected)];
-        let outputs = run(fusion, [local(0, LocalMessage { screening, ..message(3, index, Pace::Live, 0.95) })]);
+        let outputs = run(
+            fusion,
+            [local(
+                0,
+                LocalMessage {
+                    screening,
+                    ..message(3, index, Pace::Live, 0.95)
+                },
+            )],
+        );
         let flagged = outputs.iter().filter_map(|output| match output {
-            Output::Outliers(0, display) if display.channel.as_str() == "acceleration-1" => Some(display.flagged),
+            Output::Outliers(0, display) if display.channel.as_str() == "acceleration-1" => {
+                Some(display.flagged)
+            }
             _ => None,
         });
         flagged.sum::<u64>()
@@ -129,5 +174,8 @@ fn a_state_of_other_nodes_is_refused() {
     let renamed = Structure::parse(&text, Path::new("building.toml")).unwrap();
     let mut other = Fusion::new(&renamed, "fuse", 8).unwrap();
     let error = other.restore(state).unwrap_err().to_string();
-    assert!(error.contains("nodes of a checkpoint") && error.contains("15") && error.contains("16"), "{error}");
+    assert!(
+        error.contains("nodes of a checkpoint") && error.contains("15") && error.contains("16"),
+        "{error}"
+    );
 }

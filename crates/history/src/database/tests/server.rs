@@ -46,7 +46,10 @@ impl Server {
     }
 
     pub(super) fn start(&mut self) {
-        let options = format!("-k {} -c listen_addresses= -c fsync=off", self.folder.path().display());
+        let options = format!(
+            "-k {} -c listen_addresses= -c fsync=off",
+            self.folder.path().display()
+        );
         let log = self.data().join("log");
         run(self
             .command("pg_ctl")
@@ -61,7 +64,11 @@ impl Server {
     }
 
     pub(super) fn stop(&mut self) {
-        run(self.command("pg_ctl").args(["-w", "-m", "immediate", "-D"]).arg(self.data()).arg("stop"));
+        run(self
+            .command("pg_ctl")
+            .args(["-w", "-m", "immediate", "-D"])
+            .arg(self.data())
+            .arg("stop"));
     }
 
     pub(super) fn url(&self) -> String {
@@ -73,7 +80,11 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         let mut stop = self.command("pg_ctl");
-        stop.args(["-m", "immediate", "-D"]).arg(self.data()).arg("stop").stdout(Stdio::null()).stderr(Stdio::null());
+        stop.args(["-m", "immediate", "-D"])
+            .arg(self.data())
+            .arg("stop")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
         // a server that is stopped already cannot be stopped again
         let _ = stop.status();
     }
@@ -81,7 +92,11 @@ impl Drop for Server {
 
 fn run(command: &mut Command) {
     let output = command.current_dir("/").output().unwrap();
-    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{command:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }
 
 fn is_root() -> bool {
@@ -91,9 +106,21 @@ fn is_root() -> bool {
 
 /// Where the programs of the server are: on the path, or where Debian puts them.
 fn programs() -> Option<PathBuf> {
-    let on_path = std::env::var_os("PATH").map(|path| std::env::split_paths(&path).collect::<Vec<_>>());
-    let versions = std::fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
+    let on_path =
+        std::env::var_os("PATH").map(|path| std::env::split_paths(&path).collect::<Vec<_>>());
+    let versions = std::fs::read_dir("/usr/lib/postgresql")
+        .into_iter()
+        .flatten()
+        .flatten();
     let debian = versions.map(|version| version.path().join("bin"));
-    let has_all = |folder: &Path| ["initdb", "pg_ctl"].iter().all(|program| folder.join(program).is_file());
-    on_path.into_iter().flatten().chain(debian).find(|folder| has_all(folder))
+    let has_all = |folder: &Path| {
+        ["initdb", "pg_ctl"]
+            .iter()
+            .all(|program| folder.join(program).is_file())
+    };
+    on_path
+        .into_iter()
+        .flatten()
+        .chain(debian)
+        .find(|folder| has_all(folder))
 }

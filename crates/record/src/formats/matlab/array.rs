@@ -11,7 +11,11 @@ const DEEPEST: usize = 32;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Array {
     /// Real numbers, column by column.
-    Numbers { rows: usize, columns: usize, values: Vec<f64> },
+    Numbers {
+        rows: usize,
+        columns: usize,
+        values: Vec<f64>,
+    },
     /// One line of text.
     Text(String),
     /// Arrays, column by column.
@@ -39,10 +43,17 @@ impl Array {
             return Ok(None);
         }
         if depth > DEEPEST {
-            return Err(Fault::at_byte(0, "depth of cells and structures", depth, format!("at most {DEEPEST}")));
+            return Err(Fault::at_byte(
+                0,
+                "depth of cells and structures",
+                depth,
+                format!("at most {DEEPEST}"),
+            ));
         }
         let (_, flags) = tagged(&mut data)?;
-        let flags = Bytes::new(flags, data.order).u32().map_err(|fault| fault.moved_by(8))?;
+        let flags = Bytes::new(flags, data.order)
+            .u32()
+            .map_err(|fault| fault.moved_by(8))?;
         let shape = integers(&mut data)?;
         let name = text(tagged(&mut data)?.1);
         let class = flags & 0xff;
@@ -51,7 +62,9 @@ impl Array {
             CELL => Self::Cells(nested(&mut data, product(&shape), depth)?),
             STRUCTURE => Self::read_structures(&mut data, product(&shape), depth)?,
             CHARACTERS => Self::read_text(&mut data)?,
-            class if NUMBERS.contains(&class) && !is_complex => Self::read_numbers(&mut data, &shape)?,
+            class if NUMBERS.contains(&class) && !is_complex => {
+                Self::read_numbers(&mut data, &shape)?
+            }
             OBJECT => Self::Other,
             _ => Self::Other,
         };
@@ -62,11 +75,20 @@ impl Array {
         let start = data.position();
         let (kind, bytes) = tagged(data)?;
         let values = numbers(kind, bytes, data.order).ok_or_else(|| {
-            Fault::at_byte(start, "type of numbers", kind, "1 to 7, 9, 12 or 13 (integers and floating point)")
+            Fault::at_byte(
+                start,
+                "type of numbers",
+                kind,
+                "1 to 7, 9, 12 or 13 (integers and floating point)",
+            )
         })?;
         let count = product(shape);
         if count != Some(values.len()) {
-            let stated = shape.iter().map(i64::to_string).collect::<Vec<_>>().join(" by ");
+            let stated = shape
+                .iter()
+                .map(i64::to_string)
+                .collect::<Vec<_>>()
+                .join(" by ");
             return Err(Fault::at_byte(
                 start,
                 "number of values",
@@ -76,7 +98,11 @@ impl Array {
         }
         let rows = usize::try_from(shape.first().copied().unwrap_or(0)).unwrap_or(0);
         let columns = values.len().checked_div(rows).unwrap_or(0);
-        Ok(Self::Numbers { rows, columns, values })
+        Ok(Self::Numbers {
+            rows,
+            columns,
+            values,
+        })
     }
 
     fn read_text(data: &mut Bytes<'_>) -> Result<Self, Fault> {
@@ -95,11 +121,22 @@ impl Array {
         }))
     }
 
-    fn read_structures(data: &mut Bytes<'_>, count: Option<usize>, depth: usize) -> Result<Self, Fault> {
+    fn read_structures(
+        data: &mut Bytes<'_>,
+        count: Option<usize>,
+        depth: usize,
+    ) -> Result<Self, Fault> {
         let start = data.position();
-        let length = integers(data)?.first().and_then(|length| usize::try_from(*length).ok());
+        let length = integers(data)?
+            .first()
+            .and_then(|length| usize::try_from(*length).ok());
         let length = length.filter(|length| *length > 0).ok_or_else(|| {
-            Fault::at_byte(start, "length of field names", "not a positive number", "a positive number")
+            Fault::at_byte(
+                start,
+                "length of field names",
+                "not a positive number",
+                "a positive number",
+            )
         })?;
         let names: Vec<String> = tagged(data)?
             .1
@@ -107,7 +144,11 @@ impl Array {
             .map(|name| text(name.split(|byte| *byte == 0).next().unwrap_or(name)))
             .collect();
         let mut elements = Vec::new();
-        for _ in 0..if names.is_empty() { 0 } else { count.unwrap_or(usize::MAX) } {
+        for _ in 0..if names.is_empty() {
+            0
+        } else {
+            count.unwrap_or(usize::MAX)
+        } {
             let fields = nested(data, Some(names.len()), depth)?;
             elements.push(names.iter().cloned().zip(fields).collect());
         }
@@ -126,7 +167,11 @@ impl Array {
     pub(super) fn number(&self) -> Option<f64> {
         match self {
             Self::Numbers { values, .. } if values.len() == 1 => values.first().copied(),
-            Self::Numbers { .. } | Self::Text(_) | Self::Cells(_) | Self::Structures(_) | Self::Other => None,
+            Self::Numbers { .. }
+            | Self::Text(_)
+            | Self::Cells(_)
+            | Self::Structures(_)
+            | Self::Other => None,
         }
     }
 
@@ -146,9 +191,15 @@ fn nested(data: &mut Bytes<'_>, count: Option<usize>, depth: usize) -> Result<Ve
         let start = data.position();
         let (kind, inner) = tagged(data)?;
         if kind != MATRIX {
-            return Err(Fault::at_byte(start, "type of a cell or field", kind, "14 (array)"));
+            return Err(Fault::at_byte(
+                start,
+                "type of a cell or field",
+                kind,
+                "14 (array)",
+            ));
         }
-        let array = Array::read(Bytes::new(inner, data.order), depth + 1).map_err(|fault| fault.moved_by(start + 8))?;
+        let array = Array::read(Bytes::new(inner, data.order), depth + 1)
+            .map_err(|fault| fault.moved_by(start + 8))?;
         arrays.push(array.map_or(Array::Other, |(_, array)| array));
     }
     Ok(arrays)
@@ -156,7 +207,9 @@ fn nested(data: &mut Bytes<'_>, count: Option<usize>, depth: usize) -> Result<Ve
 
 /// Number of elements of a shape; `None` if it is none that memory holds.
 fn product(shape: &[i64]) -> Option<usize> {
-    shape.iter().try_fold(1_usize, |product, size| product.checked_mul(usize::try_from(*size).ok()?))
+    shape.iter().try_fold(1_usize, |product, size| {
+        product.checked_mul(usize::try_from(*size).ok()?)
+    })
 }
 
 fn integers(data: &mut Bytes<'_>) -> Result<Vec<i64>, Fault> {
@@ -165,14 +218,20 @@ fn integers(data: &mut Bytes<'_>) -> Result<Vec<i64>, Fault> {
     let mut bytes = Bytes::new(bytes, data.order);
     let mut integers = Vec::new();
     while !bytes.is_at_end() {
-        integers.push(i64::from(bytes.i32().map_err(|fault| fault.moved_by(start))?));
+        integers.push(i64::from(
+            bytes.i32().map_err(|fault| fault.moved_by(start))?,
+        ));
     }
     Ok(integers)
 }
 
 /// Numbers of an element of this type; `None` if it has none.
 fn numbers(kind: u32, bytes: &[u8], order: ByteOrder) -> Option<Vec<f64>> {
-    fn all<const N: usize>(bytes: &[u8], order: ByteOrder, number: impl Fn([u8; N]) -> f64) -> Vec<f64> {
+    fn all<const N: usize>(
+        bytes: &[u8],
+        order: ByteOrder,
+        number: impl Fn([u8; N]) -> f64,
+    ) -> Vec<f64> {
         bytes
             .chunks_exact(N)
             .filter_map(|chunk| chunk.try_into().ok())

@@ -11,8 +11,15 @@ use crate::rate::rate_from_step;
 use crate::recorded::{RecordedChannel, Segment};
 
 const TIMES: [&str; 3] = ["t", "time", "times"];
-const RATES: [&str; 7] =
-    ["fs", "samplerate", "sampling_rate", "samplingrate", "sample_rate", "samplingfrequency", "rate"];
+const RATES: [&str; 7] = [
+    "fs",
+    "samplerate",
+    "sampling_rate",
+    "samplingrate",
+    "sample_rate",
+    "samplingfrequency",
+    "rate",
+];
 const STEPS: [&str; 2] = ["dt", "timestep"];
 /// Shorter arrays are settings, not series.
 const LEAST_SAMPLES: usize = 3;
@@ -31,8 +38,16 @@ pub(super) fn of_variables(variables: &[Named]) -> Result<Vec<RecordedChannel>, 
     collect(variables, &Around::default(), &mut channels);
     match channels.is_empty() {
         true => {
-            let names = variables.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
-            Err(Fault::of_file("content", format!("the variables {names}"), "a numeric matrix with samples"))
+            let names = variables
+                .iter()
+                .map(|(name, _)| name.as_str())
+                .collect::<Vec<_>>()
+                .join(", ");
+            Err(Fault::of_file(
+                "content",
+                format!("the variables {names}"),
+                "a numeric matrix with samples",
+            ))
         }
         false => Ok(channels),
     }
@@ -40,7 +55,8 @@ pub(super) fn of_variables(variables: &[Named]) -> Result<Vec<RecordedChannel>, 
 
 /// Collects the series of arrays that stand side by side.
 fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>) {
-    let is_one_of = |name: &str, known: &[&str]| known.contains(&name.to_ascii_lowercase().as_str());
+    let is_one_of =
+        |name: &str, known: &[&str]| known.contains(&name.to_ascii_lowercase().as_str());
     let mut around = outer.clone();
     for (name, array) in fields {
         match array {
@@ -49,7 +65,10 @@ fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>
             }
             _ => {}
         }
-        if let Some(number) = array.number().filter(|number| number.is_finite() && *number > 0.0) {
+        if let Some(number) = array
+            .number()
+            .filter(|number| number.is_finite() && *number > 0.0)
+        {
             if is_one_of(name, &RATES) {
                 around.rate_hz = Some(number);
             } else if is_one_of(name, &STEPS) {
@@ -58,28 +77,60 @@ fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>
         }
     }
     for (name, array) in fields {
-        let path = if around.path.is_empty() { name.clone() } else { format!("{}.{name}", around.path) };
+        let path = if around.path.is_empty() {
+            name.clone()
+        } else {
+            format!("{}.{name}", around.path)
+        };
         match array {
-            Array::Numbers { rows, columns, values } if !is_one_of(name, &TIMES) => {
-                let matrix = Matrix { rows: *rows, columns: *columns, values };
+            Array::Numbers {
+                rows,
+                columns,
+                values,
+            } if !is_one_of(name, &TIMES) => {
+                let matrix = Matrix {
+                    rows: *rows,
+                    columns: *columns,
+                    values,
+                };
                 series(&path, &matrix, fields, &around, channels);
             }
             Array::Structures(elements) => {
                 for (index, element) in elements.iter().enumerate() {
-                    let own_name = element.iter().find(|(name, _)| name.to_ascii_lowercase().ends_with("name"));
-                    let own_name = own_name.and_then(|(_, array)| array.text()).filter(|name| !name.is_empty());
+                    let own_name = element
+                        .iter()
+                        .find(|(name, _)| name.to_ascii_lowercase().ends_with("name"));
+                    let own_name = own_name
+                        .and_then(|(_, array)| array.text())
+                        .filter(|name| !name.is_empty());
                     let path = match (own_name, elements.len()) {
                         (Some(own_name), 2..) => own_name.to_owned(),
                         (None, 2..) => format!("{path}({})", index + 1),
                         (_, _) => path.clone(),
                     };
-                    collect(element, &Around { path, ..around.clone() }, channels);
+                    collect(
+                        element,
+                        &Around {
+                            path,
+                            ..around.clone()
+                        },
+                        channels,
+                    );
                 }
             }
             Array::Cells(cells) => {
-                let numbered = |(index, cell): (usize, &Array)| (format!("{path}({})", index + 1), cell.clone());
+                let numbered = |(index, cell): (usize, &Array)| {
+                    (format!("{path}({})", index + 1), cell.clone())
+                };
                 let cells: Vec<Named> = cells.iter().enumerate().map(numbered).collect();
-                collect(&cells, &Around { path: String::new(), ..around.clone() }, channels);
+                collect(
+                    &cells,
+                    &Around {
+                        path: String::new(),
+                        ..around.clone()
+                    },
+                    channels,
+                );
             }
             Array::Numbers { .. } | Array::Text(_) | Array::Other => {}
         }
@@ -94,21 +145,37 @@ struct Matrix<'a> {
 }
 
 /// Takes the columns, or the rows, of a matrix as series.
-fn series(path: &str, matrix: &Matrix<'_>, beside: &[Named], around: &Around, channels: &mut Vec<RecordedChannel>) {
-    let Matrix { rows, columns, values } = *matrix;
+fn series(
+    path: &str,
+    matrix: &Matrix<'_>,
+    beside: &[Named],
+    around: &Around,
+    channels: &mut Vec<RecordedChannel>,
+) {
+    let Matrix {
+        rows,
+        columns,
+        values,
+    } = *matrix;
     let is_by_column = match &around.times_s {
         Some(times_s) if rows == times_s.len() => true,
         Some(times_s) if columns == times_s.len() => false,
         Some(_) => return, // beside times, only what is as long as they are is a series
         None => rows >= columns,
     };
-    let (length, count) = if is_by_column { (rows, columns) } else { (columns, rows) };
+    let (length, count) = if is_by_column {
+        (rows, columns)
+    } else {
+        (columns, rows)
+    };
     if length < LEAST_SAMPLES {
         return;
     }
     let names = listed(beside, "names", count);
     let units = listed(beside, "units", count);
-    let one_unit = beside.iter().find(|(name, _)| name.to_ascii_lowercase().ends_with("unit"));
+    let one_unit = beside
+        .iter()
+        .find(|(name, _)| name.to_ascii_lowercase().ends_with("unit"));
     let one_unit = one_unit.and_then(|(_, array)| array.text());
     // `data` beside names says nothing that they do not
     let parent = path.rsplit_once('.').map(|(parent, _)| parent);
@@ -123,24 +190,37 @@ fn series(path: &str, matrix: &Matrix<'_>, beside: &[Named], around: &Around, ch
             true => values[index * rows..(index + 1) * rows].to_vec(),
             false => values.iter().skip(index).step_by(rows).copied().collect(),
         };
-        let samples: Vec<f64> =
-            samples.into_iter().map(|sample| if sample.is_finite() { sample } else { f64::NAN }).collect();
+        let samples: Vec<f64> = samples
+            .into_iter()
+            .map(|sample| if sample.is_finite() { sample } else { f64::NAN })
+            .collect();
         let channel = match &around.times_s {
             Some(times_s) => {
-                let times_ns: Vec<i64> = times_s.iter().map(|time_s| (time_s * 1e9).round() as i64).collect();
+                let times_ns: Vec<i64> = times_s
+                    .iter()
+                    .map(|time_s| (time_s * 1e9).round() as i64)
+                    .collect();
                 RecordedChannel::from_times(name, None, &times_ns, &samples)
             }
             None => RecordedChannel::new(name, around.rate_hz, vec![Segment::new(0, samples)]),
         };
-        let unit = units.as_ref().map(|units| units[index]).or(one_unit).unwrap_or_default();
+        let unit = units
+            .as_ref()
+            .map(|units| units[index])
+            .or(one_unit)
+            .unwrap_or_default();
         channels.push(channel.with_unit(unit));
     }
 }
 
 /// A cell array of `count` texts beside a matrix whose name ends in `ending`.
 fn listed<'a>(beside: &'a [Named], ending: &str, count: usize) -> Option<Vec<&'a str>> {
-    let named = beside.iter().filter(|(name, _)| name.to_ascii_lowercase().ends_with(ending));
-    named.filter_map(|(_, array)| array.texts()).find(|texts| texts.len() == count)
+    let named = beside
+        .iter()
+        .filter(|(name, _)| name.to_ascii_lowercase().ends_with(ending));
+    named
+        .filter_map(|(_, array)| array.texts())
+        .find(|texts| texts.len() == count)
 }
 
 /// Whether numbers can be times.

@@ -10,11 +10,29 @@ struct Writer {
 
 impl Writer {
     fn words(&self, words: &[u32]) -> Vec<u8> {
-        words.iter().flat_map(|word| if self.is_big { word.to_be_bytes() } else { word.to_le_bytes() }).collect()
+        words
+            .iter()
+            .flat_map(|word| {
+                if self.is_big {
+                    word.to_be_bytes()
+                } else {
+                    word.to_le_bytes()
+                }
+            })
+            .collect()
     }
 
     fn doubles(&self, values: &[f64]) -> Vec<u8> {
-        values.iter().flat_map(|value| if self.is_big { value.to_be_bytes() } else { value.to_le_bytes() }).collect()
+        values
+            .iter()
+            .flat_map(|value| {
+                if self.is_big {
+                    value.to_be_bytes()
+                } else {
+                    value.to_le_bytes()
+                }
+            })
+            .collect()
     }
 
     fn element(&self, kind: u32, data: &[u8]) -> Vec<u8> {
@@ -34,11 +52,21 @@ impl Writer {
     }
 
     fn matrix(&self, name: &str, rows: u32, columns: u32, values: &[f64]) -> Vec<u8> {
-        self.array(6, &[rows, columns], name, &[self.element(9, &self.doubles(values))])
+        self.array(
+            6,
+            &[rows, columns],
+            name,
+            &[self.element(9, &self.doubles(values))],
+        )
     }
 
     fn text(&self, name: &str, text: &str) -> Vec<u8> {
-        self.array(4, &[1, text.len() as u32], name, &[self.element(16, text.as_bytes())])
+        self.array(
+            4,
+            &[1, text.len() as u32],
+            name,
+            &[self.element(16, text.as_bytes())],
+        )
     }
 
     fn cells(&self, name: &str, texts: &[&str]) -> Vec<u8> {
@@ -47,14 +75,26 @@ impl Writer {
     }
 
     fn structures(&self, name: &str, fields: &[&str], elements: &[Vec<Vec<u8>>]) -> Vec<u8> {
-        let names: Vec<u8> = fields.iter().flat_map(|field| format!("{field:\0<16}").into_bytes()).collect();
+        let names: Vec<u8> = fields
+            .iter()
+            .flat_map(|field| format!("{field:\0<16}").into_bytes())
+            .collect();
         let head = [self.element(5, &self.words(&[16])), self.element(1, &names)];
-        self.array(2, &[1, elements.len() as u32], name, &[head.concat(), elements.concat().concat()])
+        self.array(
+            2,
+            &[1, elements.len() as u32],
+            name,
+            &[head.concat(), elements.concat().concat()],
+        )
     }
 
     fn file(mut self, variables: &[Vec<u8>]) -> Vec<u8> {
         let mut header = format!("{:<124}", "MATLAB 5.0 MAT-file").into_bytes();
-        header.extend(if self.is_big { [1, 0, b'M', b'I'] } else { [0, 1, b'I', b'M'] });
+        header.extend(if self.is_big {
+            [1, 0, b'M', b'I']
+        } else {
+            [0, 1, b'I', b'M']
+        });
         self.bytes.extend(header);
         self.bytes.extend(variables.concat());
         self.bytes
@@ -62,7 +102,10 @@ impl Writer {
 }
 
 fn writer(is_big: bool) -> Writer {
-    Writer { is_big, bytes: Vec::new() }
+    Writer {
+        is_big,
+        bytes: Vec::new(),
+    }
 }
 
 /// Two sensors of two components and five samples, with times of 20 Hz.
@@ -98,8 +141,14 @@ fn structures_with_names_units_and_times_are_read_in_both_byte_orders() {
         let channels = read(&writer.file(&variables)).unwrap();
         let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
         assert_eq!(names, ["2S.x", "2S.y", "2N.x", "2N.y"]);
-        assert_eq!(channels[3].samples().collect::<Vec<_>>(), [-5.0, -6.0, -7.0, -8.0, -9.0]);
-        assert_eq!((channels[0].unit(), channels[1].unit()), (Some("g"), Some("m/s2")));
+        assert_eq!(
+            channels[3].samples().collect::<Vec<_>>(),
+            [-5.0, -6.0, -7.0, -8.0, -9.0]
+        );
+        assert_eq!(
+            (channels[0].unit(), channels[1].unit()),
+            (Some("g"), Some("m/s2"))
+        );
         assert!((channels[0].sampling_rate_hz().unwrap() - 20.0).abs() < 1e-9);
     }
 }
@@ -108,7 +157,10 @@ fn structures_with_names_units_and_times_are_read_in_both_byte_orders() {
 fn compressed_variables_are_the_same() {
     let writer = writer(false);
     let plain = variables(&writer);
-    let packed: Vec<Vec<u8>> = plain.iter().map(|variable| compressed(&writer, variable)).collect();
+    let packed: Vec<Vec<u8>> = plain
+        .iter()
+        .map(|variable| compressed(&writer, variable))
+        .collect();
     let packed = self::writer(false).file(&packed);
     assert_eq!(read(&packed).unwrap(), read(&writer.file(&plain)).unwrap());
 }
@@ -117,10 +169,19 @@ fn compressed_variables_are_the_same() {
 fn matrix_without_times_is_read_along_its_longer_side_at_the_rate_beside_it() {
     let writer = writer(false);
     let values: Vec<f64> = (0..8).map(f64::from).collect();
-    let variables = [writer.matrix("fs", 1, 1, &[100.0]), writer.matrix("acc", 2, 4, &values)];
+    let variables = [
+        writer.matrix("fs", 1, 1, &[100.0]),
+        writer.matrix("acc", 2, 4, &values),
+    ];
     let channels = read(&writer.file(&variables)).unwrap();
-    assert_eq!((channels[1].name(), channels[1].sampling_rate_hz()), ("acc.2", Some(100.0)));
-    assert_eq!(channels[1].samples().collect::<Vec<_>>(), [1.0, 3.0, 5.0, 7.0]);
+    assert_eq!(
+        (channels[1].name(), channels[1].sampling_rate_hz()),
+        ("acc.2", Some(100.0))
+    );
+    assert_eq!(
+        channels[1].samples().collect::<Vec<_>>(),
+        [1.0, 3.0, 5.0, 7.0]
+    );
 }
 
 #[test]
@@ -128,7 +189,10 @@ fn version_7_3_is_refused_by_name() {
     let mut file = writer(false).file(&[]);
     file[124..126].copy_from_slice(&[0, 2]);
     let told = read(&file).unwrap_err().to_string();
-    assert!(told.contains("version of the MAT-file is 0200") && told.contains("7.3 is HDF5"), "{told}");
+    assert!(
+        told.contains("version of the MAT-file is 0200") && told.contains("7.3 is HDF5"),
+        "{told}"
+    );
 }
 
 #[test]
@@ -136,7 +200,9 @@ fn shape_that_the_values_do_not_fill_is_refused() {
     let writer = writer(false);
     for (rows, columns) in [(5, 3), (u32::MAX >> 1, u32::MAX >> 1)] {
         let variables = [writer.matrix("acc", rows, columns, &[1.0, 2.0, 3.0, 4.0])];
-        let told = read(&self::writer(false).file(&variables)).unwrap_err().to_string();
+        let told = read(&self::writer(false).file(&variables))
+            .unwrap_err()
+            .to_string();
         assert!(told.contains("number of values is 4"), "{told}");
     }
 }

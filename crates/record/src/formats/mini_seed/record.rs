@@ -25,8 +25,12 @@ pub(super) fn decode(mut data: Bytes<'_>, encoding: u8, count: usize) -> Result<
             // three bytes: shifted up for the sign, and down again
             let bytes = data.take(3)?;
             let word = match data.order {
-                crate::bytes::ByteOrder::Little => i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]),
-                crate::bytes::ByteOrder::Big => i32::from_be_bytes([bytes[0], bytes[1], bytes[2], 0]),
+                crate::bytes::ByteOrder::Little => {
+                    i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]])
+                }
+                crate::bytes::ByteOrder::Big => {
+                    i32::from_be_bytes([bytes[0], bytes[1], bytes[2], 0])
+                }
             };
             Ok(f64::from(word >> 8))
         }),
@@ -35,6 +39,11 @@ pub(super) fn decode(mut data: Bytes<'_>, encoding: u8, count: usize) -> Result<
         5 => plain_values(&mut data, count, Bytes::f64),
         10 => steim::decode(data, count, steim::Level::One),
         11 => steim::decode(data, count, steim::Level::Two),
-        other => Err(Fault::at_byte(0, "encoding of the samples", other, ENCODINGS)),
+        other => Err(Fault::at_byte(
+            0,
+            "encoding of the samples",
+            other,
+            ENCODINGS,
+        )),
     }
 }

@@ -17,8 +17,12 @@ const TIME_IS_CORRECTED: u8 = 2;
 
 /// Whether bytes begin as a record does: a sequence number, a quality, a blank.
 pub(super) fn is_record(bytes: &[u8]) -> bool {
-    let Some(head) = bytes.get(..8) else { return false };
-    head[..6].iter().all(|byte| byte.is_ascii_digit() || *byte == b' ' || *byte == 0)
+    let Some(head) = bytes.get(..8) else {
+        return false;
+    };
+    head[..6]
+        .iter()
+        .all(|byte| byte.is_ascii_digit() || *byte == b' ' || *byte == 0)
         && matches!(head[6], b'D' | b'R' | b'Q' | b'M')
         && matches!(head[7], b' ' | 0)
 }
@@ -36,18 +40,26 @@ struct Blockettes {
 pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     if !is_record(bytes) {
         let found = format!("`{}`", text(&bytes[..bytes.len().min(8)]).escape_default());
-        return Err(Fault::at_byte(0, "start of a record", found, "a sequence number and D, R, Q or M, or MS and 3"));
+        return Err(Fault::at_byte(
+            0,
+            "start of a record",
+            found,
+            "a sequence number and D, R, Q or M, or MS and 3",
+        ));
     }
     let mut header = Bytes::new(bytes, ByteOrder::Big);
     header.take(8)?;
     let mut code = |length| header.take(length).map(text);
     let (station, location, channel, network) = (code(5)?, code(2)?, code(3)?, code(2)?);
-    let order = [ByteOrder::Big, ByteOrder::Little].into_iter().find(|order| {
-        let mut year = header.clone();
-        year.order = *order;
-        year.u16().is_ok_and(|year| YEARS.contains(&year))
-    });
-    header.order = order.ok_or_else(|| Fault::at_byte(20, "year", "none in either byte order", "1900 to 2100"))?;
+    let order = [ByteOrder::Big, ByteOrder::Little]
+        .into_iter()
+        .find(|order| {
+            let mut year = header.clone();
+            year.order = *order;
+            year.u16().is_ok_and(|year| YEARS.contains(&year))
+        });
+    header.order = order
+        .ok_or_else(|| Fault::at_byte(20, "year", "none in either byte order", "1900 to 2100"))?;
     let (year, day) = (header.u16()?, header.u16()?);
     let (hour, minute, second) = (header.u8()?, header.u8()?, header.u8()?);
     header.u8()?; // unused
@@ -85,12 +97,16 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
             length.to_string(),
         ));
     }
-    let rate_hz =
-        blockettes.rate_hz.map_or_else(|| nominal_rate(factor, multiplier), |rate_hz| Some(f64::from(rate_hz)));
+    let rate_hz = blockettes.rate_hz.map_or_else(
+        || nominal_rate(factor, multiplier),
+        |rate_hz| Some(f64::from(rate_hz)),
+    );
     if count == 0 || encoding == 0 || rate_hz.is_none() {
         return Ok((None, length)); // a header alone, or text of a log
     }
-    let rate_hz = rate_hz.filter(|rate_hz| rate_hz.is_finite() && *rate_hz > 0.0).unwrap_or(0.0);
+    let rate_hz = rate_hz
+        .filter(|rate_hz| rate_hz.is_finite() && *rate_hz > 0.0)
+        .unwrap_or(0.0);
     if rate_hz == 0.0 {
         return Err(Fault::at_byte(
             32,
@@ -101,22 +117,48 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     }
     if !(HEADER_BYTES..length).contains(&data_start) {
         let allowed = format!("{HEADER_BYTES} to {}", length - 1);
-        return Err(Fault::at_byte(44, "start of the samples", format!("byte {data_start}"), allowed));
+        return Err(Fault::at_byte(
+            44,
+            "start of the samples",
+            format!("byte {data_start}"),
+            allowed,
+        ));
     }
 
     let second = f64::from(second) + f64::from(ticks) * 1e-4;
-    let (year, day, hour, minute) = (i64::from(year), i64::from(day), i64::from(hour), i64::from(minute));
+    let (year, day, hour, minute) = (
+        i64::from(year),
+        i64::from(day),
+        i64::from(hour),
+        i64::from(minute),
+    );
     let start_ns = day_of_year_ns(year, day, hour, minute, second).ok_or_else(|| {
         let found = format!("year {year}, day {day}, {hour}:{minute}:{second}");
         Fault::at_byte(20, "start time", found, "a date and time of day")
     })?;
-    let correction_ns = if activity & TIME_IS_CORRECTED == 0 { i64::from(correction_ticks) * 100_000 } else { 0 };
+    let correction_ns = if activity & TIME_IS_CORRECTED == 0 {
+        i64::from(correction_ticks) * 100_000
+    } else {
+        0
+    };
     let start_ns = start_ns + correction_ns + i64::from(blockettes.microseconds) * 1000;
-    let data_order = if data_order == 0 { ByteOrder::Little } else { ByteOrder::Big };
+    let data_order = if data_order == 0 {
+        ByteOrder::Little
+    } else {
+        ByteOrder::Big
+    };
     let data = Bytes::new(&bytes[data_start..length], data_order);
     let samples = decode(data, encoding, count).map_err(|fault| fault.moved_by(data_start))?;
     let name = [network, station, location, channel].join(".");
-    Ok((Some(Record { name, rate_hz, start_ns, samples }), length))
+    Ok((
+        Some(Record {
+            name,
+            rate_hz,
+            start_ns,
+            samples,
+        }),
+        length,
+    ))
 }
 
 impl Blockettes {
@@ -127,7 +169,12 @@ impl Blockettes {
         while next != 0 {
             if next < least {
                 let place = format!("byte {next} of the record");
-                return Err(Fault::at_byte(link, "next blockette", place, format!("from byte {least} on")));
+                return Err(Fault::at_byte(
+                    link,
+                    "next blockette",
+                    place,
+                    format!("from byte {least} on"),
+                ));
             }
             let position = next;
             (link, least) = (position + 2, position + 4);
@@ -170,10 +217,17 @@ mod tests {
     #[test]
     fn factor_and_multiplier_give_the_rates_of_the_manual() {
         // SEED manual v2.4, page 110: 330 Hz, 330.6 Hz, one sample a minute, 0.1 Hz
-        for (factor, multiplier, expected) in [(33, 10, 330.0), (3306, -10, 330.6), (-60, 1, 1.0 / 60.0), (1, -10, 0.1)]
-        {
+        for (factor, multiplier, expected) in [
+            (33, 10, 330.0),
+            (3306, -10, 330.6),
+            (-60, 1, 1.0 / 60.0),
+            (1, -10, 0.1),
+        ] {
             let rate_hz = nominal_rate(factor, multiplier).unwrap();
-            assert!((rate_hz - expected).abs() < 1e-12, "{factor}, {multiplier}: {rate_hz}");
+            assert!(
+                (rate_hz - expected).abs() < 1e-12,
+                "{factor}, {multiplier}: {rate_hz}"
+            );
         }
         assert_eq!(nominal_rate(0, 0), None);
     }

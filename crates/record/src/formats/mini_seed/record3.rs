@@ -47,24 +47,51 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     // a negative number is a period in seconds
     let rate_hz = if rate < 0.0 { -1.0 / rate } else { rate };
     if !(rate_hz.is_finite() && rate_hz > 0.0) {
-        return Err(Fault::at_byte(16, "sampling rate", rate, "a number of Hz, or minus a number of seconds"));
+        return Err(Fault::at_byte(
+            16,
+            "sampling rate",
+            rate,
+            "a number of Hz, or minus a number of seconds",
+        ));
     }
-    let (year, day, hour, minute) = (i64::from(year), i64::from(day), i64::from(hour), i64::from(minute));
-    let start_ns = day_of_year_ns(year, day, hour, minute, f64::from(second)).filter(|_| nanoseconds < 1_000_000_000);
+    let (year, day, hour, minute) = (
+        i64::from(year),
+        i64::from(day),
+        i64::from(hour),
+        i64::from(minute),
+    );
+    let start_ns = day_of_year_ns(year, day, hour, minute, f64::from(second))
+        .filter(|_| nanoseconds < 1_000_000_000);
     let start_ns = start_ns.ok_or_else(|| {
-        let found = format!("year {year}, day {day}, {hour}:{minute}:{second} and {nanoseconds} ns");
+        let found =
+            format!("year {year}, day {day}, {hour}:{minute}:{second} and {nanoseconds} ns");
         Fault::at_byte(4, "start time", found, "a date and time of day")
     })?;
     // Steim frames are big endian in either version
-    let order = if matches!(encoding, 10 | 11) { ByteOrder::Big } else { ByteOrder::Little };
-    let samples = decode(Bytes::new(data, order), encoding, count).map_err(|fault| fault.moved_by(data_start))?;
+    let order = if matches!(encoding, 10 | 11) {
+        ByteOrder::Big
+    } else {
+        ByteOrder::Little
+    };
+    let samples = decode(Bytes::new(data, order), encoding, count)
+        .map_err(|fault| fault.moved_by(data_start))?;
     let start_ns = start_ns + i64::from(nanoseconds);
-    Ok((Some(Record { name: name_of(&identifier), rate_hz, start_ns, samples }), length))
+    Ok((
+        Some(Record {
+            name: name_of(&identifier),
+            rate_hz,
+            start_ns,
+            samples,
+        }),
+        length,
+    ))
 }
 
 /// `IU.COLA.00.LHZ` of `FDSN:IU_COLA_00_L_H_Z`, as version 2 has it; other identifiers as they are.
 fn name_of(identifier: &str) -> String {
-    let Some(codes) = identifier.strip_prefix("FDSN:") else { return identifier.to_owned() };
+    let Some(codes) = identifier.strip_prefix("FDSN:") else {
+        return identifier.to_owned();
+    };
     let codes: Vec<&str> = codes.split('_').collect();
     match codes[..] {
         [network, station, location, band, source, position] => {
@@ -92,7 +119,11 @@ const REMAINDERS: [u32; 256] = {
         let mut remainder = byte as u32;
         let mut bit = 0;
         while bit < 8 {
-            remainder = if remainder & 1 == 1 { (remainder >> 1) ^ 0x82F6_3B78 } else { remainder >> 1 };
+            remainder = if remainder & 1 == 1 {
+                (remainder >> 1) ^ 0x82F6_3B78
+            } else {
+                remainder >> 1
+            };
             bit += 1;
         }
         remainders[byte] = remainder;

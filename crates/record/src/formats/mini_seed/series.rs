@@ -13,7 +13,11 @@ const RATE_TOLERANCE: f64 = 1e-4;
 pub(super) fn join(records: Vec<(usize, Record)>) -> Result<Vec<RecordedChannel>, Fault> {
     let mut groups: Vec<Vec<(usize, Record)>> = Vec::new();
     for (place, record) in records {
-        match groups.iter_mut().find(|group| group.first().is_some_and(|(_, first)| first.name == record.name)) {
+        match groups.iter_mut().find(|group| {
+            group
+                .first()
+                .is_some_and(|(_, first)| first.name == record.name)
+        }) {
             Some(group) => group.push((place, record)),
             None => groups.push(vec![(place, record)]),
         }
@@ -23,8 +27,9 @@ pub(super) fn join(records: Vec<(usize, Record)>) -> Result<Vec<RecordedChannel>
 
 fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fault> {
     records.sort_by_key(|(_, record)| record.start_ns); // stable: of two that begin together the first in the file leads
-    let (name, rate_hz) =
-        records.first().map_or((String::new(), 1.0), |(_, first)| (first.name.clone(), first.rate_hz));
+    let (name, rate_hz) = records.first().map_or((String::new(), 1.0), |(_, first)| {
+        (first.name.clone(), first.rate_hz)
+    });
     let mut segments: Vec<(i64, Vec<f64>)> = Vec::new();
     for (place, record) in records {
         if (record.rate_hz - rate_hz).abs() > RATE_TOLERANCE * rate_hz {
@@ -47,13 +52,31 @@ fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fa
             continue;
         }
         let overlap = ((-steps_ahead).round() as usize).min(record.samples.len());
-        let there = &samples[samples.len() - ((-steps_ahead).round() as usize).min(samples.len())..];
-        if there.iter().zip(&record.samples).any(|(there, again)| there.to_bits() != again.to_bits()) {
-            let (found, allowed) = ("other samples for times that are there", "the same samples, or later ones");
-            return Err(Fault::at_byte(place, format!("record of {name}"), found, allowed));
+        let there =
+            &samples[samples.len() - ((-steps_ahead).round() as usize).min(samples.len())..];
+        if there
+            .iter()
+            .zip(&record.samples)
+            .any(|(there, again)| there.to_bits() != again.to_bits())
+        {
+            let (found, allowed) = (
+                "other samples for times that are there",
+                "the same samples, or later ones",
+            );
+            return Err(Fault::at_byte(
+                place,
+                format!("record of {name}"),
+                found,
+                allowed,
+            ));
         }
         samples.extend_from_slice(&record.samples[overlap..]);
     }
-    let segments = segments.into_iter().map(|(start_ns, samples)| Segment::new(start_ns, samples)).collect();
-    Ok(RecordedChannel::new(name, Some(rate_hz), segments).with_unit("counts").with_origin(TimeOrigin::Epoch))
+    let segments = segments
+        .into_iter()
+        .map(|(start_ns, samples)| Segment::new(start_ns, samples))
+        .collect();
+    Ok(RecordedChannel::new(name, Some(rate_hz), segments)
+        .with_unit("counts")
+        .with_origin(TimeOrigin::Epoch))
 }

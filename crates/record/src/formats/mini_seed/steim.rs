@@ -28,17 +28,26 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
         let start = data.position();
         let is_first_frame = start == 0;
         let mut frame = Bytes::new(data.take(FRAME_BYTES.min(data.left()))?, data.order);
-        let codes = frame.u32().map_err(|_| too_few(start, samples.len(), count))?;
+        let codes = frame
+            .u32()
+            .map_err(|_| too_few(start, samples.len(), count))?;
         for place in 1..WORDS {
             let code = codes >> (2 * (WORDS - 1 - place)) & 3;
-            let Ok(word) = word(&mut frame, code, level) else { return Err(too_few(start, samples.len(), count)) };
+            let Ok(word) = word(&mut frame, code, level) else {
+                return Err(too_few(start, samples.len(), count));
+            };
             match (is_first_frame, place) {
                 (true, 1) => first = word as i32,
                 (true, 2) => last = word as i32,
                 _ => {
                     let (differences, bits) = packed(code, word, level).ok_or_else(|| {
                         let found = format!("{code} with {}", word >> 30);
-                        Fault::at_byte(start + 4 * place, "code of a word", found, "one of Steim level 2")
+                        Fault::at_byte(
+                            start + 4 * place,
+                            "code of a word",
+                            found,
+                            "one of Steim level 2",
+                        )
                     })?;
                     for index in (0..differences).rev() {
                         if samples.len() == count {
@@ -46,7 +55,11 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
                         }
                         let difference = signed(word >> (index * bits), bits);
                         // the first difference leads from the record before; the first sample is stated
-                        sample = if samples.is_empty() { first } else { sample.wrapping_add(difference) };
+                        sample = if samples.is_empty() {
+                            first
+                        } else {
+                            sample.wrapping_add(difference)
+                        };
                         samples.push(f64::from(sample));
                     }
                 }
@@ -54,7 +67,12 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
         }
     }
     if sample != last {
-        return Err(Fault::at_byte(8, "last sample as decompressed", sample, format!("{last} as the record states")));
+        return Err(Fault::at_byte(
+            8,
+            "last sample as decompressed",
+            sample,
+            format!("{last} as the record states"),
+        ));
     }
     Ok(samples)
 }
@@ -72,7 +90,12 @@ fn word(frame: &mut Bytes<'_>, code: u32, level: Level) -> Result<u32, Fault> {
 }
 
 fn too_few(position: usize, found: usize, count: usize) -> Fault {
-    Fault::at_byte(position, "number of compressed samples", found, count.to_string())
+    Fault::at_byte(
+        position,
+        "number of compressed samples",
+        found,
+        count.to_string(),
+    )
 }
 
 /// How many differences a word has, and of how many bits; `None` if there is no such code.

@@ -14,15 +14,29 @@ struct Writer {
 }
 
 /// Records of 256 bytes with integers of 32 bits, at 100 Hz.
-const PLAIN: Writer = Writer { order: ByteOrder::Big, encoding: 3, power: 8, channel: "HNZ", ticks: 0 };
+const PLAIN: Writer = Writer {
+    order: ByteOrder::Big,
+    encoding: 3,
+    power: 8,
+    channel: "HNZ",
+    ticks: 0,
+};
 
 impl Writer {
     fn u16(&self, value: u16) -> [u8; 2] {
-        if self.order == ByteOrder::Big { value.to_be_bytes() } else { value.to_le_bytes() }
+        if self.order == ByteOrder::Big {
+            value.to_be_bytes()
+        } else {
+            value.to_le_bytes()
+        }
     }
 
     fn u32(&self, value: u32) -> [u8; 4] {
-        if self.order == ByteOrder::Big { value.to_be_bytes() } else { value.to_le_bytes() }
+        if self.order == ByteOrder::Big {
+            value.to_be_bytes()
+        } else {
+            value.to_le_bytes()
+        }
     }
 
     fn record(&self, count: u16, data: &[u8]) -> Vec<u8> {
@@ -31,11 +45,31 @@ impl Writer {
         bytes.remove(8);
         bytes.extend([self.u16(2020), self.u16(1)].concat());
         bytes.extend([0, 0, (self.ticks / 10_000) as u8, 0]);
-        bytes.extend([self.u16((self.ticks % 10_000) as u16), self.u16(count), self.u16(100), self.u16(1)].concat());
+        bytes.extend(
+            [
+                self.u16((self.ticks % 10_000) as u16),
+                self.u16(count),
+                self.u16(100),
+                self.u16(1),
+            ]
+            .concat(),
+        );
         bytes.extend([0, 0, 0, 2]);
-        bytes.extend([self.u32(0).to_vec(), self.u16(64).to_vec(), self.u16(48).to_vec()].concat());
+        bytes.extend(
+            [
+                self.u32(0).to_vec(),
+                self.u16(64).to_vec(),
+                self.u16(48).to_vec(),
+            ]
+            .concat(),
+        );
         bytes.extend([self.u16(1000), self.u16(56)].concat());
-        bytes.extend([self.encoding, u8::from(self.order == ByteOrder::Big), self.power, 0]);
+        bytes.extend([
+            self.encoding,
+            u8::from(self.order == ByteOrder::Big),
+            self.power,
+            0,
+        ]);
         bytes.extend([self.u16(1001), self.u16(0)].concat());
         bytes.extend([100, 42, 0, 0]); // 42 µs
         bytes.extend(data);
@@ -44,13 +78,19 @@ impl Writer {
     }
 
     fn integers(&self, values: &[i32]) -> Vec<u8> {
-        let data: Vec<u8> = values.iter().flat_map(|value| self.u32(*value as u32)).collect();
+        let data: Vec<u8> = values
+            .iter()
+            .flat_map(|value| self.u32(*value as u32))
+            .collect();
         self.record(values.len() as u16, &data)
     }
 
     /// The same record, `ticks` of 0.1 ms after the start.
     fn after(&self, ticks: u32) -> Self {
-        Self { ticks, ..self.clone() }
+        Self {
+            ticks,
+            ..self.clone()
+        }
     }
 
     fn words(&self, words: &[u32]) -> Vec<u8> {
@@ -84,8 +124,20 @@ fn all_plain_encodings_are_read() {
     let of = |encoding: u8, data: &[u8]| samples(&Writer { encoding, ..PLAIN }.record(2, data));
     assert_eq!(of(1, &[0, 5, 0xff, 0xfb]), [5.0, -5.0]);
     assert_eq!(of(2, &[0, 0, 5, 0xff, 0xff, 0xfb]), [5.0, -5.0]);
-    assert_eq!(of(4, &[1.5_f32.to_be_bytes(), (-2.5_f32).to_be_bytes()].concat()), [1.5, -2.5]);
-    assert_eq!(of(5, &[1.5_f64.to_be_bytes(), (-2.5_f64).to_be_bytes()].concat()), [1.5, -2.5]);
+    assert_eq!(
+        of(
+            4,
+            &[1.5_f32.to_be_bytes(), (-2.5_f32).to_be_bytes()].concat()
+        ),
+        [1.5, -2.5]
+    );
+    assert_eq!(
+        of(
+            5,
+            &[1.5_f64.to_be_bytes(), (-2.5_f64).to_be_bytes()].concat()
+        ),
+        [1.5, -2.5]
+    );
 }
 
 /// A frame of level 1: words 1 and 2 the first and last sample, then differences of 8, 16 and 32 bits.
@@ -96,14 +148,21 @@ fn steim_1(writer: &Writer, last: i32) -> Vec<u8> {
     data.extend([99, 1, 0xfe, 3]);
     data.extend([writer.u16(300), writer.u16(0xfe0c)].concat());
     data.extend(writer.words(&[70_000]));
-    Writer { encoding: 10, ..writer.clone() }.record(7, &data)
+    Writer {
+        encoding: 10,
+        ..writer.clone()
+    }
+    .record(7, &data)
 }
 
 #[test]
 fn steim_1_is_decompressed() {
     for order in [ByteOrder::Big, ByteOrder::Little] {
         let found = samples(&steim_1(&Writer { order, ..PLAIN }, 70_802));
-        assert_eq!(found, [1000.0, 1001.0, 999.0, 1002.0, 1302.0, 802.0, 70_802.0]);
+        assert_eq!(
+            found,
+            [1000.0, 1001.0, 999.0, 1002.0, 1302.0, 802.0, 70_802.0]
+        );
     }
 }
 
@@ -112,7 +171,9 @@ fn steim_2_is_decompressed() {
     // seven of 4 bits, six of 5, five of 6, three of 10, two of 15, one of 30
     let codes = 0b11 << 24 | 0b11 << 22 | 0b11 << 20 | 0b10 << 18 | 0b10 << 16 | 0b10 << 14;
     let pack = |kind: u32, bits: u32, values: &[i32]| {
-        values.iter().fold(kind, |word, value| word << bits | (*value as u32 & ((1 << bits) - 1)))
+        values.iter().fold(kind, |word, value| {
+            word << bits | (*value as u32 & ((1 << bits) - 1))
+        })
     };
     let groups: [(u32, u32, &[i32]); 6] = [
         (2, 4, &[0, 1, -1, 7, -8, 2, 3]),
@@ -123,7 +184,11 @@ fn steim_2_is_decompressed() {
         (1, 30, &[-500_000]),
     ];
     let mut expected = vec![100.0];
-    for difference in groups.iter().flat_map(|(_, _, values)| values.iter()).skip(1) {
+    for difference in groups
+        .iter()
+        .flat_map(|(_, _, values)| values.iter())
+        .skip(1)
+    {
         expected.push(expected.last().unwrap() + f64::from(*difference));
     }
     let last = *expected.last().unwrap() as i32;
@@ -134,14 +199,21 @@ fn steim_2_is_decompressed() {
         kind << 30 | (word & ((1_u64 << used) - 1) as u32)
     }));
     words.resize(16, 0);
-    let file = Writer { encoding: 11, ..PLAIN }.record(expected.len() as u16, &PLAIN.words(&words));
+    let file = Writer {
+        encoding: 11,
+        ..PLAIN
+    }
+    .record(expected.len() as u16, &PLAIN.words(&words));
     assert_eq!(samples(&file), expected);
 }
 
 #[test]
 fn last_sample_that_does_not_come_out_is_damage() {
     let told = read(&steim_1(&PLAIN, 5)).unwrap_err().to_string();
-    assert_eq!(told, "byte 72: last sample as decompressed is 70802, must be 5 as the record states");
+    assert_eq!(
+        told,
+        "byte 72: last sample as decompressed is 70802, must be 5 as the record states"
+    );
 }
 
 #[test]
@@ -151,8 +223,14 @@ fn records_out_of_order_are_joined_and_holes_stay() {
     let third = PLAIN.after(900).integers(&[6]);
     let channels = read(&[third, second, first].concat()).unwrap();
     assert_eq!(channels.len(), 1);
-    assert_eq!(channels[0].samples().collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-    let gap = Gap { after_ns: START_NS + 42_000 + 40_000_000, samples: 4 };
+    assert_eq!(
+        channels[0].samples().collect::<Vec<_>>(),
+        [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    );
+    let gap = Gap {
+        after_ns: START_NS + 42_000 + 40_000_000,
+        samples: 4,
+    };
     assert_eq!(channels[0].gaps(), [gap]);
 }
 
@@ -161,17 +239,35 @@ fn repeated_record_counts_once_and_a_contradiction_is_refused() {
     let first = PLAIN.integers(&[1, 2, 3]);
     assert_eq!(samples(&first.repeat(2)), [1.0, 2.0, 3.0]);
     let overlapping = PLAIN.after(200).integers(&[3, 4]);
-    assert_eq!(samples(&[first.clone(), overlapping].concat()), [1.0, 2.0, 3.0, 4.0]);
+    assert_eq!(
+        samples(&[first.clone(), overlapping].concat()),
+        [1.0, 2.0, 3.0, 4.0]
+    );
     let other = PLAIN.after(200).integers(&[9, 4]);
     let told = read(&[first, other].concat()).unwrap_err().to_string();
-    assert!(told.starts_with("byte 256: record of XX.TEST.00.HNZ is other samples for times that are there"), "{told}");
+    assert!(
+        told.starts_with(
+            "byte 256: record of XX.TEST.00.HNZ is other samples for times that are there"
+        ),
+        "{told}"
+    );
 }
 
 #[test]
 fn channels_are_told_apart() {
-    let other = Writer { channel: "HNE", ..PLAIN };
-    let channels =
-        read(&[PLAIN.integers(&[1]), other.integers(&[2]), PLAIN.after(100).integers(&[3])].concat()).unwrap();
+    let other = Writer {
+        channel: "HNE",
+        ..PLAIN
+    };
+    let channels = read(
+        &[
+            PLAIN.integers(&[1]),
+            other.integers(&[2]),
+            PLAIN.after(100).integers(&[3]),
+        ]
+        .concat(),
+    )
+    .unwrap();
     let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
     assert_eq!(names, ["XX.TEST.00.HNZ", "XX.TEST.00.HNE"]);
     assert_eq!(channels[0].samples().collect::<Vec<_>>(), [1.0, 3.0]);
@@ -182,7 +278,10 @@ fn blockette_that_points_at_itself_is_refused() {
     let mut file = PLAIN.integers(&[1, 2]);
     file[50..52].copy_from_slice(&48_u16.to_be_bytes());
     let told = read(&file).unwrap_err().to_string();
-    assert_eq!(told, "byte 50: next blockette is byte 48 of the record, must be from byte 52 on");
+    assert_eq!(
+        told,
+        "byte 50: next blockette is byte 48 of the record, must be from byte 52 on"
+    );
 }
 
 /// A record of version 3 with integers of 32 bits.
@@ -207,7 +306,10 @@ fn version_3(values: &[i32], rate: f64) -> Vec<u8> {
 fn version_3_has_nanoseconds_and_periods() {
     let channels = read(&version_3(&[5, -6], -0.01)).unwrap();
     assert_eq!(channels[0].start_ns(), Some(START_NS + 123_456_789));
-    assert_eq!((channels[0].name(), channels[0].sampling_rate_hz()), ("XX.TEST.00.HNZ", Some(100.0)));
+    assert_eq!(
+        (channels[0].name(), channels[0].sampling_rate_hz()),
+        ("XX.TEST.00.HNZ", Some(100.0))
+    );
     assert_eq!(channels[0].samples().collect::<Vec<_>>(), [5.0, -6.0]);
 }
 
@@ -241,7 +343,11 @@ fn file_cut_anywhere_is_refused_or_lacks_whole_records() {
 
 #[test]
 fn damaged_byte_is_an_error_or_other_values_but_no_panic() {
-    for file in [steim_1(&PLAIN, 70_802), PLAIN.integers(&[1, 2, 3]), version_3(&[1, 2], 100.0)] {
+    for file in [
+        steim_1(&PLAIN, 70_802),
+        PLAIN.integers(&[1, 2, 3]),
+        version_3(&[1, 2], 100.0),
+    ] {
         for place in 0..file.len() {
             for damage in [0x01, 0x80, 0xff] {
                 let mut damaged = file.clone();

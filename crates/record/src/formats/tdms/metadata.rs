@@ -18,7 +18,11 @@ pub(super) enum Index {
     /// One value after the other.
     Values { kind: u32, bytes: u64 },
     /// Within strides that the channels of a device share.
-    Daqmx { count: u64, scalers: Vec<Scaler>, widths: Vec<u32> },
+    Daqmx {
+        count: u64,
+        scalers: Vec<Scaler>,
+        widths: Vec<u32>,
+    },
 }
 
 /// Where the values of a DAQmx channel stand in a stride.
@@ -49,7 +53,10 @@ pub(super) struct Metadata(Vec<Said>);
 
 impl Metadata {
     /// Reads the metadata; `objects` are those of the segments before.
-    pub(super) fn read(mut data: Bytes<'_>, objects: &BTreeMap<String, Object>) -> Result<Self, Fault> {
+    pub(super) fn read(
+        mut data: Bytes<'_>,
+        objects: &BTreeMap<String, Object>,
+    ) -> Result<Self, Fault> {
         let count = data.u32()?;
         let mut said: Vec<Said> = Vec::new();
         for _ in 0..count {
@@ -59,9 +66,16 @@ impl Metadata {
             let index = match data.u32()? {
                 NO_RAW_DATA => None,
                 AS_BEFORE => Some(before().ok_or_else(|| {
-                    Fault::at_byte(start, format!("index of {path}"), "as before", "stated, there is none before")
+                    Fault::at_byte(
+                        start,
+                        format!("index of {path}"),
+                        "as before",
+                        "stated, there is none before",
+                    )
                 })?),
-                code @ (DAQMX_FORMAT_CHANGING | DAQMX_DIGITAL_LINE) => Some(daqmx(&mut data, code)?),
+                code @ (DAQMX_FORMAT_CHANGING | DAQMX_DIGITAL_LINE) => {
+                    Some(daqmx(&mut data, code)?)
+                }
                 _ => Some(values(&mut data)?),
             };
             let mut properties = Vec::new();
@@ -69,16 +83,28 @@ impl Metadata {
                 let key = string(&mut data)?;
                 properties.push((key, property(&mut data)?));
             }
-            said.push(Said { path, index, properties });
+            said.push(Said {
+                path,
+                index,
+                properties,
+            });
         }
         Ok(Self(said))
     }
 
     /// Adds what was said to the objects, and to the order of the raw data.
     pub(super) fn apply(self, objects: &mut BTreeMap<String, Object>, order: &mut Vec<String>) {
-        for Said { path, index, properties } in self.0 {
+        for Said {
+            path,
+            index,
+            properties,
+        } in self.0
+        {
             let place = objects.len();
-            let object = objects.entry(path.clone()).or_insert_with(|| Object { place, ..Object::default() });
+            let object = objects.entry(path.clone()).or_insert_with(|| Object {
+                place,
+                ..Object::default()
+            });
             object.properties.extend(properties);
             let in_order = order.contains(&path);
             match index {
@@ -115,10 +141,22 @@ fn values(data: &mut Bytes<'_>) -> Result<Index, Fault> {
     let count = data.u64()?;
     let bytes = match (kind, size(kind)) {
         (TEXT, _) => data.u64()?,
-        (_, Some(size)) => count
-            .checked_mul(size)
-            .ok_or_else(|| Fault::at_byte(start, "number of values", count, "one whose bytes can be counted"))?,
-        (other, None) => return Err(Fault::at_byte(start, "type of values", format!("{other:#x}"), KINDS)),
+        (_, Some(size)) => count.checked_mul(size).ok_or_else(|| {
+            Fault::at_byte(
+                start,
+                "number of values",
+                count,
+                "one whose bytes can be counted",
+            )
+        })?,
+        (other, None) => {
+            return Err(Fault::at_byte(
+                start,
+                "type of values",
+                format!("{other:#x}"),
+                KINDS,
+            ));
+        }
     };
     Ok(Index::Values { kind, bytes })
 }
@@ -142,15 +180,29 @@ fn daqmx(data: &mut Bytes<'_>, code: u32) -> Result<Index, Fault> {
             }
         };
         if daqmx_size(kind).is_none() {
-            return Err(Fault::at_byte(start, "type of a DAQmx scaler", kind, "0 to 5 (integers of 8, 16 or 32 bits)"));
+            return Err(Fault::at_byte(
+                start,
+                "type of a DAQmx scaler",
+                kind,
+                "0 to 5 (integers of 8, 16 or 32 bits)",
+            ));
         }
-        scalers.push(Scaler { id: data.u32()?, kind, buffer, place });
+        scalers.push(Scaler {
+            id: data.u32()?,
+            kind,
+            buffer,
+            place,
+        });
     }
     let mut widths = Vec::new();
     for _ in 0..data.u32()? {
         widths.push(data.u32()?);
     }
-    Ok(Index::Daqmx { count, scalers, widths })
+    Ok(Index::Daqmx {
+        count,
+        scalers,
+        widths,
+    })
 }
 
 /// Bytes of a value of a DAQmx scaler: unsigned and signed of 8, 16 and 32 bits, in turn.
@@ -162,8 +214,7 @@ const BOOLEAN: u32 = 0x21;
 /// Type of texts.
 pub(super) const TEXT: u32 = 0x20;
 const TIME: u32 = 0x44;
-const KINDS: &str =
-    "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), 44 (time) or 8000c, 10000d (complex)";
+const KINDS: &str = "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), 44 (time) or 8000c, 10000d (complex)";
 
 /// Bytes of a value of a type; `None` if it has no fixed number, or is not known.
 pub(super) fn size(kind: u32) -> Option<u64> {
@@ -209,12 +260,21 @@ fn property(data: &mut Bytes<'_>) -> Result<Property, Fault> {
             };
             let fraction_ns = ((u128::from(fraction) * 1_000_000_000) >> 64) as i64;
             let since_1970 = seconds.saturating_sub(SECONDS_1904_TO_1970);
-            Ok(Property::Time(since_1970.saturating_mul(1_000_000_000).saturating_add(fraction_ns)))
+            Ok(Property::Time(
+                since_1970
+                    .saturating_mul(1_000_000_000)
+                    .saturating_add(fraction_ns),
+            ))
         }
         kind => match (number(data, kind)?, size(kind)) {
             (Some(number), _) => Ok(Property::Number(number)),
             (None, Some(size)) => data.take(size as usize).map(|_| Property::Other),
-            (None, None) => Err(Fault::at_byte(start, "type of a property", format!("{kind:#x}"), KINDS)),
+            (None, None) => Err(Fault::at_byte(
+                start,
+                "type of a property",
+                format!("{kind:#x}"),
+                KINDS,
+            )),
         },
     }
 }

@@ -16,21 +16,34 @@ pub(super) fn read(
     order: &[String],
 ) -> Result<(), Fault> {
     let index = |path: &String| objects.get(path).and_then(|object| object.index.clone());
-    let indices: Vec<(String, Index)> = order.iter().filter_map(|path| Some((path.clone(), index(path)?))).collect();
-    let is_daqmx = indices.iter().any(|(_, index)| matches!(index, Index::Daqmx { .. }));
+    let indices: Vec<(String, Index)> = order
+        .iter()
+        .filter_map(|path| Some((path.clone(), index(path)?)))
+        .collect();
+    let is_daqmx = indices
+        .iter()
+        .any(|(_, index)| matches!(index, Index::Daqmx { .. }));
     if is_daqmx {
         return read_daqmx(data, is_unfinished, &indices, objects);
     }
-    let chunk_bytes = indices.iter().try_fold(0_u64, |sum, (_, index)| match index {
-        Index::Values { bytes, .. } => sum.checked_add(*bytes),
-        Index::Daqmx { .. } => Some(sum),
-    });
-    let chunk_bytes =
-        chunk_bytes.ok_or_else(|| Fault::at_byte(0, "bytes of a chunk", "beyond counting", "fewer than 2^64"))?;
+    let chunk_bytes = indices
+        .iter()
+        .try_fold(0_u64, |sum, (_, index)| match index {
+            Index::Values { bytes, .. } => sum.checked_add(*bytes),
+            Index::Daqmx { .. } => Some(sum),
+        });
+    let chunk_bytes = chunk_bytes.ok_or_else(|| {
+        Fault::at_byte(0, "bytes of a chunk", "beyond counting", "fewer than 2^64")
+    })?;
     if chunk_bytes == 0 {
         return match data.left() {
             0 => Ok(()),
-            left => Err(Fault::at_byte(0, "raw data", format!("{left} bytes"), "none: no channel has values here")),
+            left => Err(Fault::at_byte(
+                0,
+                "raw data",
+                format!("{left} bytes"),
+                "none: no channel has values here",
+            )),
         };
     }
     while !data.is_at_end() {
@@ -51,9 +64,16 @@ pub(super) fn read(
     Ok(())
 }
 
-fn add(objects: &mut BTreeMap<String, Object>, path: &str, scaler: u32, values: impl IntoIterator<Item = f64>) {
+fn add(
+    objects: &mut BTreeMap<String, Object>,
+    path: &str,
+    scaler: u32,
+    values: impl IntoIterator<Item = f64>,
+) {
     if let Some(object) = objects.get_mut(path) {
-        let finite = values.into_iter().map(|value| if value.is_finite() { value } else { f64::NAN });
+        let finite = values
+            .into_iter()
+            .map(|value| if value.is_finite() { value } else { f64::NAN });
         object.samples.entry(scaler).or_default().extend(finite);
     }
 }
@@ -64,8 +84,12 @@ fn read_contiguous(
     objects: &mut BTreeMap<String, Object>,
 ) -> Result<(), Fault> {
     for (path, index) in indices {
-        let Index::Values { kind, bytes, .. } = index else { continue };
-        let length = usize::try_from(*bytes).unwrap_or(usize::MAX).min(data.left());
+        let Index::Values { kind, bytes, .. } = index else {
+            continue;
+        };
+        let length = usize::try_from(*bytes)
+            .unwrap_or(usize::MAX)
+            .min(data.left());
         let mut values = Bytes::new(data.take(length)?, data.order);
         let size = size(*kind).unwrap_or(u64::MAX) as usize;
         let mut numbers = Vec::new();
@@ -89,9 +113,16 @@ fn read_interleaved(
 ) -> Result<(), Fault> {
     let mut kinds = Vec::new();
     for (path, index) in indices {
-        let Index::Values { kind, .. } = index else { continue };
+        let Index::Values { kind, .. } = index else {
+            continue;
+        };
         let size = size(*kind).ok_or_else(|| {
-            Fault::at_byte(data.position(), format!("type of {path}"), "text", "numbers, for data in turn")
+            Fault::at_byte(
+                data.position(),
+                format!("type of {path}"),
+                "text",
+                "numbers, for data in turn",
+            )
         })?;
         kinds.push((path, *kind, size as usize));
     }
@@ -116,7 +147,12 @@ fn read_daqmx(
     let mut widths: &[u32] = &[];
     let mut counts = Vec::new();
     for (path, index) in indices {
-        let Index::Daqmx { count, scalers, widths: own } = index else {
+        let Index::Daqmx {
+            count,
+            scalers,
+            widths: own,
+        } = index
+        else {
             return Err(Fault::at_byte(
                 0,
                 format!("raw data of {path}"),
@@ -125,7 +161,13 @@ fn read_daqmx(
             ));
         };
         widths = own; // all channels state the widths of the same buffers
-        for Scaler { kind, buffer, place, .. } in scalers {
+        for Scaler {
+            kind,
+            buffer,
+            place,
+            ..
+        } in scalers
+        {
             let width = own.get(*buffer as usize).copied().unwrap_or(0);
             let end = match place {
                 Place::Byte(byte) => u64::from(*byte) + daqmx_size(*kind).unwrap_or(0) as u64,
@@ -133,34 +175,63 @@ fn read_daqmx(
             };
             if end > u64::from(width) {
                 let found = format!("up to byte {end} of buffer {buffer}");
-                return Err(Fault::at_byte(0, format!("place of {path}"), found, format!("within its {width} bytes")));
+                return Err(Fault::at_byte(
+                    0,
+                    format!("place of {path}"),
+                    found,
+                    format!("within its {width} bytes"),
+                ));
             }
         }
         counts.push(*count);
     }
     let strides = counts.iter().copied().max().unwrap_or(0);
-    let chunk = widths.iter().try_fold(0_u64, |sum, width| sum.checked_add(strides.checked_mul(u64::from(*width))?));
+    let chunk = widths.iter().try_fold(0_u64, |sum, width| {
+        sum.checked_add(strides.checked_mul(u64::from(*width))?)
+    });
     let Some(chunk) = chunk.filter(|chunk| *chunk > 0) else {
         return match data.left() {
             0 => Ok(()),
-            left => Err(Fault::at_byte(0, "raw data", format!("{left} bytes"), "none: no channel has values here")),
+            left => Err(Fault::at_byte(
+                0,
+                "raw data",
+                format!("{left} bytes"),
+                "none: no channel has values here",
+            )),
         };
     };
     while !data.is_at_end() {
         if (data.left() as u64) < chunk && !is_unfinished {
             let found = format!("{} bytes", data.left());
-            return Err(Fault::at_byte(data.position(), "last chunk of raw data", found, format!("{chunk} bytes")));
+            return Err(Fault::at_byte(
+                data.position(),
+                "last chunk of raw data",
+                found,
+                format!("{chunk} bytes"),
+            ));
         }
         for (buffer, width) in widths.iter().enumerate() {
-            let length = usize::try_from(strides * u64::from(*width)).unwrap_or(usize::MAX).min(data.left());
+            let length = usize::try_from(strides * u64::from(*width))
+                .unwrap_or(usize::MAX)
+                .min(data.left());
             let rows = data.take(length)?;
             for (path, index) in indices {
-                let Index::Daqmx { count, scalers, .. } = index else { continue };
-                let own = scalers.iter().filter(|scaler| scaler.buffer as usize == buffer);
+                let Index::Daqmx { count, scalers, .. } = index else {
+                    continue;
+                };
+                let own = scalers
+                    .iter()
+                    .filter(|scaler| scaler.buffer as usize == buffer);
                 for scaler in own {
-                    let rows =
-                        rows.chunks_exact((*width).max(1) as usize).take(usize::try_from(*count).unwrap_or(usize::MAX));
-                    add(objects, path, scaler.id, rows.filter_map(|row| scaled_value(row, scaler, data.order)));
+                    let rows = rows
+                        .chunks_exact((*width).max(1) as usize)
+                        .take(usize::try_from(*count).unwrap_or(usize::MAX));
+                    add(
+                        objects,
+                        path,
+                        scaler.id,
+                        rows.filter_map(|row| scaled_value(row, scaler, data.order)),
+                    );
                 }
             }
         }
@@ -171,7 +242,11 @@ fn read_daqmx(
 /// The value of a scaler in a stride.
 fn scaled_value(row: &[u8], scaler: &Scaler, order: ByteOrder) -> Option<f64> {
     let byte = match scaler.place {
-        Place::Bit(bit) => return row.get(bit as usize / 8).map(|byte| f64::from(byte >> (bit % 8) & 1)),
+        Place::Bit(bit) => {
+            return row
+                .get(bit as usize / 8)
+                .map(|byte| f64::from(byte >> (bit % 8) & 1));
+        }
         Place::Byte(byte) => byte as usize,
     };
     let mut value = Bytes::new(row.get(byte..)?, order);

@@ -9,11 +9,19 @@ fn torn_log(appends: &[Vec<LoggedFrames>]) -> (Vec<u8>, Vec<usize>, String) {
     let mut ends = Vec::new();
     for blocks in appends {
         log.append(blocks).unwrap();
-        ends.push(std::fs::metadata(&segments(folder.path())[0]).unwrap().len() as usize);
+        ends.push(
+            std::fs::metadata(&segments(folder.path())[0])
+                .unwrap()
+                .len() as usize,
+        );
     }
     drop(log);
     let path = segments(folder.path()).remove(0);
-    (std::fs::read(&path).unwrap(), ends, path.file_name().unwrap().to_str().unwrap().to_owned())
+    (
+        std::fs::read(&path).unwrap(),
+        ends,
+        path.file_name().unwrap().to_str().unwrap().to_owned(),
+    )
 }
 
 fn appends() -> Vec<Vec<LoggedFrames>> {
@@ -26,7 +34,11 @@ fn appends() -> Vec<Vec<LoggedFrames>> {
 }
 
 fn rows_of_epoch(appends: &[Vec<LoggedFrames>], epoch: u64) -> Vec<(u64, Vec<u64>)> {
-    let blocks: Vec<LoggedFrames> = appends.concat().into_iter().filter(|block| block.epoch == epoch).collect();
+    let blocks: Vec<LoggedFrames> = appends
+        .concat()
+        .into_iter()
+        .filter(|block| block.epoch == epoch)
+        .collect();
     rows_of(&blocks)
 }
 
@@ -41,28 +53,61 @@ fn a_log_cut_at_any_byte_is_a_prefix_and_goes_on() {
         let (mut log, opened) = open(folder.path());
         // an append is whole without the index of its messages, which stands behind its chunk
         let index_bytes = |append: usize| 15 + 16 * appends[append].len();
-        let whole = (0..ends.len()).filter(|append| ends[*append] - index_bytes(*append) <= cut).count();
+        let whole = (0..ends.len())
+            .filter(|append| ends[*append] - index_bytes(*append) <= cut)
+            .count();
         let reader = log.reader();
         for epoch in 1..3 {
-            assert_eq!(all_frames(&reader, epoch, 100), rows_of_epoch(&appends[..whole], epoch), "cut at {cut}");
+            assert_eq!(
+                all_frames(&reader, epoch, 100),
+                rows_of_epoch(&appends[..whole], epoch),
+                "cut at {cut}"
+            );
         }
-        assert_eq!(opened.last.as_ref(), appends[..whole].concat().last(), "cut at {cut}");
+        assert_eq!(
+            opened.last.as_ref(),
+            appends[..whole].concat().last(),
+            "cut at {cut}"
+        );
         assert!(!opened.was_closed, "cut at {cut}");
         if whole > 0 {
             let is_index_whole = ends[whole - 1] <= cut;
-            let kept = ends[whole - 1] - if is_index_whole { 0 } else { index_bytes(whole - 1) };
+            let kept = ends[whole - 1]
+                - if is_index_whole {
+                    0
+                } else {
+                    index_bytes(whole - 1)
+                };
             assert_eq!(opened.torn_bytes, (cut - kept) as u64, "cut at {cut}");
-            assert!(mcap::MessageStream::new(&std::fs::read(&path).unwrap()).unwrap().all(|message| message.is_ok()));
+            assert!(
+                mcap::MessageStream::new(&std::fs::read(&path).unwrap())
+                    .unwrap()
+                    .all(|message| message.is_ok())
+            );
         } else {
-            let aside: u64 = opened.set_aside.iter().map(|path| std::fs::metadata(path).unwrap().len()).sum();
-            assert_eq!(opened.torn_bytes + aside, cut as u64, "nothing disappears unseen");
+            let aside: u64 = opened
+                .set_aside
+                .iter()
+                .map(|path| std::fs::metadata(path).unwrap().len())
+                .sum();
+            assert_eq!(
+                opened.torn_bytes + aside,
+                cut as u64,
+                "nothing disappears unseen"
+            );
         }
         log.append(&[frames(3, 0, 2)]).unwrap();
         assert_eq!(all_frames(&reader, 3, 100), rows_of(&[frames(3, 0, 2)]));
         log.close().unwrap();
         let (log, opened) = open(folder.path());
-        assert_eq!((opened.was_closed, opened.torn_bytes, opened.last), (true, 0, Some(frames(3, 0, 2))));
-        assert_eq!(all_frames(&log.reader(), 1, 100), rows_of_epoch(&appends[..whole], 1));
+        assert_eq!(
+            (opened.was_closed, opened.torn_bytes, opened.last),
+            (true, 0, Some(frames(3, 0, 2)))
+        );
+        assert_eq!(
+            all_frames(&log.reader(), 1, 100),
+            rows_of_epoch(&appends[..whole], 1)
+        );
     }
 }
 
@@ -102,8 +147,14 @@ fn damage_that_comes_while_the_log_is_open_is_a_gap() {
     bytes[place] ^= 1;
     std::fs::write(&path, bytes).unwrap();
     let reader = log.reader();
-    assert_eq!(reader.read(1, 0, 100, 10_000).unwrap().unwrap(), frames(1, 0, 4));
-    assert_eq!(reader.read(1, 4, 100, 10_000).unwrap().unwrap(), frames(1, 5, 5));
+    assert_eq!(
+        reader.read(1, 0, 100, 10_000).unwrap().unwrap(),
+        frames(1, 0, 4)
+    );
+    assert_eq!(
+        reader.read(1, 4, 100, 10_000).unwrap().unwrap(),
+        frames(1, 5, 5)
+    );
 }
 
 #[test]
@@ -113,11 +164,17 @@ fn a_log_that_is_not_closed_has_all_its_frames_and_gets_an_end() {
     log.append(&[frames(1, 0, 5)]).unwrap();
     drop(log);
     let (log, opened) = open(folder.path());
-    assert_eq!((opened.last, opened.was_closed, opened.torn_bytes), (Some(frames(1, 0, 5)), false, 0));
+    assert_eq!(
+        (opened.last, opened.was_closed, opened.torn_bytes),
+        (Some(frames(1, 0, 5)), false, 0)
+    );
     assert!(opened.same_boot);
     log.close().unwrap();
     let bytes = std::fs::read(&segments(folder.path())[0]).unwrap();
-    assert!(mcap::Summary::read(&bytes).unwrap().is_none(), "a footer without summary");
+    assert!(
+        mcap::Summary::read(&bytes).unwrap().is_none(),
+        "a footer without summary"
+    );
     let (_, opened) = open(folder.path());
     assert!(!opened.was_closed, "mended is not closed");
 }
@@ -125,9 +182,12 @@ fn a_log_that_is_not_closed_has_all_its_frames_and_gets_an_end() {
 #[test]
 fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
     let folder = tempfile::tempdir().unwrap();
-    for (noted, found) in
-        [(None, None), (Some(false), Some(false)), (Some(true), Some(true)), (Some(false), Some(false))]
-    {
+    for (noted, found) in [
+        (None, None),
+        (Some(false), Some(false)),
+        (Some(true), Some(true)),
+        (Some(false), Some(false)),
+    ] {
         let (mut log, _) = open(folder.path());
         if let Some(noted) = noted {
             log.note_complete(noted).unwrap();
@@ -143,7 +203,10 @@ fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
 #[test]
 fn a_log_whose_newest_segment_is_gone_was_not_closed() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = LogSettings { segment_bytes: 1, ..LogSettings::default() };
+    let settings = LogSettings {
+        segment_bytes: 1,
+        ..LogSettings::default()
+    };
     let (mut log, _) = FrameLog::open(folder.path(), layout(), settings).unwrap();
     log.append(&[frames(1, 0, 5)]).unwrap();
     log.append(&[frames(1, 5, 5)]).unwrap();
@@ -151,7 +214,10 @@ fn a_log_whose_newest_segment_is_gone_was_not_closed() {
     drop(log);
     std::fs::remove_file(newest).unwrap();
     let (log, opened) = open(folder.path());
-    assert_eq!((opened.was_closed, opened.torn_bytes, opened.last), (false, 0, Some(frames(1, 0, 5))));
+    assert_eq!(
+        (opened.was_closed, opened.torn_bytes, opened.last),
+        (false, 0, Some(frames(1, 0, 5)))
+    );
     log.close().unwrap();
     assert!(open(folder.path()).1.was_closed);
 }
@@ -172,18 +238,34 @@ fn a_segment_without_any_frame_is_set_aside_and_never_in_the_way() {
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();
     log.close().unwrap();
-    let name = |sequence: u64| folder.path().join(SegmentName { epoch: 1, sequence }.file_name());
+    let name = |sequence: u64| {
+        folder
+            .path()
+            .join(SegmentName { epoch: 1, sequence }.file_name())
+    };
     std::fs::write(name(5), vec![0; 5000]).unwrap();
     std::fs::write(name(6), []).unwrap();
     let (mut log, opened) = open(folder.path());
-    let aside = folder.path().join(format!("{}.unreadable", name(5).file_name().unwrap().to_str().unwrap()));
-    assert_eq!((opened.set_aside, opened.last), (vec![aside.clone()], Some(frames(1, 0, 5))));
+    let aside = folder.path().join(format!(
+        "{}.unreadable",
+        name(5).file_name().unwrap().to_str().unwrap()
+    ));
+    assert_eq!(
+        (opened.set_aside, opened.last),
+        (vec![aside.clone()], Some(frames(1, 0, 5)))
+    );
     assert_eq!(std::fs::read(aside).unwrap(), vec![0; 5000]);
     assert!(!name(6).exists());
     // one that comes later is no more in the way
     std::fs::write(name(5), vec![0; 6000]).unwrap();
     log.append(&[frames(1, 5, 5)]).unwrap();
-    assert_eq!(all_frames(&log.reader(), 1, 100), rows_of(&[frames(1, 0, 10)]));
-    let aside = folder.path().join(format!("{}.2.unreadable", name(5).file_name().unwrap().to_str().unwrap()));
+    assert_eq!(
+        all_frames(&log.reader(), 1, 100),
+        rows_of(&[frames(1, 0, 10)])
+    );
+    let aside = folder.path().join(format!(
+        "{}.2.unreadable",
+        name(5).file_name().unwrap().to_str().unwrap()
+    ));
     assert_eq!(std::fs::read(aside).unwrap(), vec![0; 6000]);
 }

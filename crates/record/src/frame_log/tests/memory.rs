@@ -17,13 +17,27 @@ fn a_segment_that_is_being_written_holds_little_of_its_chunks() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     let held = allocation_counter::measure(|| append_live(&mut log));
-    assert!(held.bytes_current < 20 * CHUNKS as i64, "{} bytes of {CHUNKS} chunks", held.bytes_current);
+    assert!(
+        held.bytes_current < 20 * CHUNKS as i64,
+        "{} bytes of {CHUNKS} chunks",
+        held.bytes_current
+    );
     let reader = log.reader();
-    assert_eq!(reader.read(1, 9_001, 4, usize::MAX).unwrap().unwrap(), frames(1, 9_001, 4));
+    assert_eq!(
+        reader.read(1, 9_001, 4, usize::MAX).unwrap().unwrap(),
+        frames(1, 9_001, 4)
+    );
     let mut log = Some(log);
     let ending = allocation_counter::measure(|| log.take().unwrap().close().unwrap());
-    assert!(ending.bytes_max < 400 << 10, "{} bytes to end it", ending.bytes_max);
-    assert_eq!(all_frames(&reader, 1, 4096), rows_of(&[frames(1, 0, 5 * CHUNKS)]));
+    assert!(
+        ending.bytes_max < 400 << 10,
+        "{} bytes to end it",
+        ending.bytes_max
+    );
+    assert_eq!(
+        all_frames(&reader, 1, 4096),
+        rows_of(&[frames(1, 0, 5 * CHUNKS)])
+    );
 }
 
 #[test]
@@ -31,16 +45,26 @@ fn the_index_that_is_read_from_the_file_is_that_of_its_chunks() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     append_live(&mut log);
-    log.append(&[frames(1, 5 * CHUNKS, 5), frames(1, 5 * CHUNKS + 5, 5), ended(frames(1, 5 * CHUNKS + 10, 1))])
-        .unwrap();
+    log.append(&[
+        frames(1, 5 * CHUNKS, 5),
+        frames(1, 5 * CHUNKS + 5, 5),
+        ended(frames(1, 5 * CHUNKS + 10, 1)),
+    ])
+    .unwrap();
     log.close().unwrap();
     let bytes = std::fs::read(segments(folder.path()).remove(0)).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let stats = summary.stats.clone().unwrap();
-    assert_eq!((stats.message_count, u64::from(stats.chunk_count)), (CHUNKS + 3, CHUNKS + 1));
+    assert_eq!(
+        (stats.message_count, u64::from(stats.chunk_count)),
+        (CHUNKS + 3, CHUNKS + 1)
+    );
     let first_ns = frames(1, 0, 1).time_ns() as u64;
     let last_ns = frames(1, 5 * CHUNKS + 10, 1).time_ns() as u64;
-    assert_eq!((stats.message_start_time, stats.message_end_time), (first_ns, last_ns));
+    assert_eq!(
+        (stats.message_start_time, stats.message_end_time),
+        (first_ns, last_ns)
+    );
     assert_eq!((summary.schemas.len(), summary.channels.len()), (1, 1));
     let mut places = Vec::new();
     for index in &summary.chunk_indexes {
@@ -52,7 +76,12 @@ fn the_index_that_is_read_from_the_file_is_that_of_its_chunks() {
             }
         }
     }
-    assert_eq!(places, (0..CHUNKS as u32 + 3).map(|number| (number, true)).collect::<Vec<_>>());
+    assert_eq!(
+        places,
+        (0..CHUNKS as u32 + 3)
+            .map(|number| (number, true))
+            .collect::<Vec<_>>()
+    );
     // the checksum of the summary is of all of it, and of the footer before the checksum
     let footer = bytes.len() - mcap::MAGIC.len() - 4;
     let start_at = footer - 16;

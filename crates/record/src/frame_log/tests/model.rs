@@ -45,7 +45,11 @@ impl Model {
 
     /// First number, rows, and whether the epoch ends.
     fn read(&self, epoch: u64, after: u64, limit: u64) -> Option<(u64, Vec<Vec<u64>>, bool)> {
-        let from = self.frames.range((epoch, after)..(epoch + 1, 0)).next().map(|((_, number), _)| *number);
+        let from = self
+            .frames
+            .range((epoch, after)..(epoch + 1, 0))
+            .next()
+            .map(|((_, number), _)| *number);
         let ended_at = self.ended.get(&epoch).copied();
         let first = match (from, ended_at) {
             (Some(first), _) => first,

@@ -6,8 +6,13 @@ use super::*;
 fn a_log_is_open_once() {
     let folder = tempfile::tempdir().unwrap();
     let (log, _) = open(folder.path());
-    let error = FrameLog::open(folder.path(), layout(), LogSettings::default()).err().unwrap();
-    assert!(matches!(&error, RecordError::LogInUse { folder: named } if named == folder.path()), "{error}");
+    let error = FrameLog::open(folder.path(), layout(), LogSettings::default())
+        .err()
+        .unwrap();
+    assert!(
+        matches!(&error, RecordError::LogInUse { folder: named } if named == folder.path()),
+        "{error}"
+    );
     drop(log);
     open(folder.path());
 }
@@ -15,7 +20,10 @@ fn a_log_is_open_once() {
 #[test]
 fn readers_see_whole_frames_while_the_log_is_written() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = LogSettings { segment_bytes: 20_000, ..LogSettings::default() };
+    let settings = LogSettings {
+        segment_bytes: 20_000,
+        ..LogSettings::default()
+    };
     let mut log = open_with(folder.path(), settings);
     let total = 4000;
     std::thread::scope(|scope| {
@@ -29,7 +37,13 @@ fn readers_see_whole_frames_while_the_log_is_written() {
                         continue;
                     };
                     let nodes = answer.nodes.clone();
-                    assert_eq!(answer, LoggedFrames { nodes, ..frames(1, after, answer.count()) });
+                    assert_eq!(
+                        answer,
+                        LoggedFrames {
+                            nodes,
+                            ..frames(1, after, answer.count())
+                        }
+                    );
                     after = answer.end();
                 }
             });
@@ -46,7 +60,10 @@ fn readers_see_whole_frames_while_the_log_is_written() {
 #[test]
 fn a_reader_survives_the_deletion_of_what_it_reads() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = LogSettings { keep_bytes: 30_000, ..short_segments() };
+    let settings = LogSettings {
+        keep_bytes: 30_000,
+        ..short_segments()
+    };
     let mut log = open_with(folder.path(), settings);
     let total = 3000;
     std::thread::scope(|scope| {
@@ -54,9 +71,17 @@ fn a_reader_survives_the_deletion_of_what_it_reads() {
         scope.spawn(move || {
             let mut after = 0;
             while after < total {
-                let Some(answer) = reader.read(1, after, 50, usize::MAX).unwrap() else { continue };
+                let Some(answer) = reader.read(1, after, 50, usize::MAX).unwrap() else {
+                    continue;
+                };
                 let nodes = answer.nodes.clone();
-                assert_eq!(answer, LoggedFrames { nodes, ..frames(1, answer.sequence, answer.count()) });
+                assert_eq!(
+                    answer,
+                    LoggedFrames {
+                        nodes,
+                        ..frames(1, answer.sequence, answer.count())
+                    }
+                );
                 after = answer.end();
             }
         });

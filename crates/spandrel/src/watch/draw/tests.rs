@@ -1,5 +1,7 @@
 use super::super::heard::{Heard, Input};
-use super::super::testing::{alert, at, damaged_tower, heard, name, node, parameter, present, status};
+use super::super::testing::{
+    alert, at, damaged_tower, heard, name, node, parameter, present, status,
+};
 use super::super::view::Around;
 use super::*;
 use ratatui::Terminal;
@@ -9,7 +11,11 @@ use ratatui::style::Color;
 use spandrel_bus::{AlertState, NodeHealth, Service, Standing};
 
 fn view(heard: Heard) -> View {
-    let mut view = View::new("below spandrel".to_owned(), Around::default(), "anna".to_owned());
+    let mut view = View::new(
+        "below spandrel".to_owned(),
+        Around::default(),
+        "anna".to_owned(),
+    );
     view.heard = heard;
     view
 }
@@ -30,15 +36,30 @@ fn drawn(view: &View, (width, height): (u16, u16)) -> Terminal<TestBackend> {
 fn rows(view: &View, size: (u16, u16)) -> Vec<String> {
     let terminal = drawn(view, size);
     let buffer = terminal.backend().buffer();
-    let row = |y: u16| (0..size.0).map(|x| buffer[(x, y)].symbol()).collect::<String>().trim_end().to_owned();
+    let row = |y: u16| {
+        (0..size.0)
+            .map(|x| buffer[(x, y)].symbol())
+            .collect::<String>()
+            .trim_end()
+            .to_owned()
+    };
     (0..size.1).map(row).collect()
 }
 
 /// The number and text of the only row that contains `part`.
 fn row_with<'r>(rows: &'r [String], part: &str) -> (usize, &'r str) {
-    let mut found = rows.iter().enumerate().filter(|(_, row)| row.contains(part));
-    let first = found.next().unwrap_or_else(|| panic!("no row with {part:?} in\n{}", rows.join("\n")));
-    assert!(found.next().is_none(), "more than one row with {part:?} in\n{}", rows.join("\n"));
+    let mut found = rows
+        .iter()
+        .enumerate()
+        .filter(|(_, row)| row.contains(part));
+    let first = found
+        .next()
+        .unwrap_or_else(|| panic!("no row with {part:?} in\n{}", rows.join("\n")));
+    assert!(
+        found.next().is_none(),
+        "more than one row with {part:?} in\n{}",
+        rows.join("\n")
+    );
     (first.0, first.1)
 }
 
@@ -60,20 +81,38 @@ fn small_terminal_shows_parameters_noise_services_alerts_and_events_from_top_to_
     assert!(text.contains("2024-02-29 12:00:59 UTC"), "{text}");
     assert_eq!(title, 0);
     let (header, text) = row_with(&rows, "parameter");
-    assert!(text.contains("mean ± std") && text.contains("P(loss > 5 %)") && text.contains("alert"), "{text}");
+    assert!(
+        text.contains("mean ± std") && text.contains("P(loss > 5 %)") && text.contains("alert"),
+        "{text}"
+    );
     let storey_2 = row_with(&rows, "0.858 ± 0.011");
     assert_eq!((header, storey_2.0), (1, 3));
     assert!(
-        storey_2.1.contains("storey-2") && storey_2.1.contains("99.7 %") && storey_2.1.contains("raised"),
+        storey_2.1.contains("storey-2")
+            && storey_2.1.contains("99.7 %")
+            && storey_2.1.contains("raised"),
         "{}",
         storey_2.1
     );
-    assert!(storey_2.1.contains('●') && storey_2.1.contains('┊'), "{}", storey_2.1);
+    assert!(
+        storey_2.1.contains('●') && storey_2.1.contains('┊'),
+        "{}",
+        storey_2.1
+    );
     let (noise, text) = row_with(&rows, "noise (std)");
-    assert!(text.contains("floors 0.00500 ± 2 % · ground 0.100 ± 2 %"), "{text}");
+    assert!(
+        text.contains("floors 0.00500 ± 2 % · ground 0.100 ± 2 %"),
+        "{text}"
+    );
     let (services, text) = row_with(&rows, "services");
-    assert!(text.contains("3 sensor nodes · ingest lag 0.12 s"), "{text}");
-    row_with(&rows[services + 1..], "identify lag 0.21 s, 3 overwritten · alert lag 0.25 s");
+    assert!(
+        text.contains("3 sensor nodes · ingest lag 0.12 s"),
+        "{text}"
+    );
+    row_with(
+        &rows[services + 1..],
+        "identify lag 0.21 s, 3 overwritten · alert lag 0.25 s",
+    );
     let (alerts, _) = row_with(&rows, " alerts · 1 raised");
     let (sentence, text) = row_with(&rows, "storey-2 has lost 14.2 %");
     assert!(text.starts_with("▶ raised"), "{text}");
@@ -81,7 +120,9 @@ fn small_terminal_shows_parameters_noise_services_alerts_and_events_from_top_to_
     let (event, text) = row_with(&rows, "floor-3 is no longer waited for");
     assert!(text.starts_with("  2024-02-29 12:00:00 UTC"), "{text}");
     let (keys, _) = row_with(&rows, "q quit");
-    let order = [storey_2.0, noise, services, alerts, sentence, events, event, keys];
+    let order = [
+        storey_2.0, noise, services, alerts, sentence, events, event, keys,
+    ];
     assert!(order.is_sorted_by(|a, b| a < b), "{order:?}");
     assert_eq!(keys, 23);
 }
@@ -90,22 +131,38 @@ fn small_terminal_shows_parameters_noise_services_alerts_and_events_from_top_to_
 fn large_terminal_shows_the_trend_and_the_interval_in_numbers_too() {
     let rows = rows(&view(damaged_tower()), (140, 40));
     let (_, header) = row_with(&rows, "mean ± std   95 % interval");
-    assert!(header.contains("last 62 s  0.80 ") && header.contains(" 1.05 "), "{header}");
+    assert!(
+        header.contains("last 62 s  0.80 ") && header.contains(" 1.05 "),
+        "{header}"
+    );
     let (_, storey_2) = row_with(&rows, "0.858 ± 0.011  0.836 to 0.880");
-    assert!(storey_2.contains("▇▇▇▂▂▂"), "0.81 and 0.23 of the axis: {storey_2}");
-    assert!(storey_2.contains("0.858 ± 0.011") && storey_2.contains("raised"), "{storey_2}");
+    assert!(
+        storey_2.contains("▇▇▇▂▂▂"),
+        "0.81 and 0.23 of the axis: {storey_2}"
+    );
+    assert!(
+        storey_2.contains("0.858 ± 0.011") && storey_2.contains("raised"),
+        "{storey_2}"
+    );
     let (sentence, text) = row_with(&rows, "storey-2 has lost");
-    assert!(text.contains("more than 5 % with probability 0.997"), "{text}");
+    assert!(
+        text.contains("more than 5 % with probability 0.997"),
+        "{text}"
+    );
     assert_eq!(rows[sentence + 1].trim_start(), "2024-02-29 12:00:40 UTC");
-    let now =
-        "now: loss 14.2 % (estimate 0.858, 95 % interval 0.836 to 0.880), more than 5.0 % with probability above 0.999";
+    let now = "now: loss 14.2 % (estimate 0.858, 95 % interval 0.836 to 0.880), more than 5.0 % with probability above 0.999";
     assert_eq!(rows[sentence + 2].trim_start(), now);
 }
 
 #[test]
 fn bars_of_all_parameters_stand_on_one_axis() {
     let rows = rows(&view(damaged_tower()), (140, 40));
-    let limit = |part: &str| row_with(&rows, part).1.chars().position(|letter| letter == '┊' || letter == '╋');
+    let limit = |part: &str| {
+        row_with(&rows, part)
+            .1
+            .chars()
+            .position(|letter| letter == '┊' || letter == '╋')
+    };
     assert!(limit("storey-1").is_some());
     assert_eq!(limit("0.858 ± 0.011  0.836 to 0.880"), limit("storey-1"));
 }
@@ -115,8 +172,11 @@ fn a_raised_alert_is_red_and_says_so() {
     let terminal = drawn(&view(damaged_tower()), (80, 24));
     let buffer = terminal.backend().buffer();
     let word = (0..80).map(|x| buffer[(x, 3)].symbol()).collect::<String>();
-    let at =
-        word.chars().collect::<Vec<_>>().windows(6).position(|letters| letters.iter().collect::<String>() == "raised");
+    let at = word
+        .chars()
+        .collect::<Vec<_>>()
+        .windows(6)
+        .position(|letters| letters.iter().collect::<String>() == "raised");
     let cell = &buffer[(u16::try_from(at.unwrap()).unwrap(), 3)];
     assert_eq!(cell.fg, Color::Red);
 }
@@ -134,8 +194,14 @@ fn stale_data_are_marked_with_their_age() {
 #[test]
 fn a_service_that_is_gone_is_marked() {
     let mut heard = damaged_tower();
-    heard.handle(present(&[(Service::Ingest, "a"), (Service::Alert, "a")]), &mut Vec::new());
-    row_with(&rows(&view(heard), (140, 40)), "identify lag 0.21 s, 3 overwritten, gone");
+    heard.handle(
+        present(&[(Service::Ingest, "a"), (Service::Alert, "a")]),
+        &mut Vec::new(),
+    );
+    row_with(
+        &rows(&view(heard), (140, 40)),
+        "identify lag 0.21 s, 3 overwritten, gone",
+    );
 }
 
 #[test]
@@ -153,8 +219,14 @@ fn two_instances_of_a_service_are_told_apart() {
 
 #[test]
 fn nothing_heard_is_said() {
-    row_with(&rows(&view(Heard::default()), (80, 24)), "nothing heard yet below spandrel");
-    row_with(&rows(&view(heard([present(&[(Service::Ingest, "a")])])), (80, 24)), "┌ tower");
+    row_with(
+        &rows(&view(Heard::default()), (80, 24)),
+        "nothing heard yet below spandrel",
+    );
+    row_with(
+        &rows(&view(heard([present(&[(Service::Ingest, "a")])])), (80, 24)),
+        "┌ tower",
+    );
 }
 
 #[test]
@@ -165,7 +237,10 @@ fn structures_without_room_are_one_line_and_the_chosen_one_is_open() {
     row_with(&small, "span-1 ");
     row_with(&small, "more (PgUp, PgDn)");
     assert!(row_with(&small, " tower · 1 raised").0 > 0);
-    assert!(!small.iter().any(|row| row.contains("0.858")), "the tower is a line only");
+    assert!(
+        !small.iter().any(|row| row.contains("0.858")),
+        "the tower is a line only"
+    );
     press(&mut view, [KeyCode::Tab]);
     let small = rows(&view, (80, 24));
     row_with(&small, "▶ tower");
@@ -189,7 +264,11 @@ fn page_keys_lead_to_parameters_that_there_is_no_room_for() {
 fn the_chosen_alert_is_in_sight() {
     let mut heard = damaged_tower();
     for number in 6..30 {
-        let raised = alert(&format!("storey-{number}"), i64::from(number), AlertState::Raised);
+        let raised = alert(
+            &format!("storey-{number}"),
+            i64::from(number),
+            AlertState::Raised,
+        );
         heard.handle(Input::Alert(raised), &mut Vec::new());
     }
     let mut view = view(heard);
@@ -204,10 +283,22 @@ fn acknowledging_asks_for_name_and_note_on_the_last_line() {
     let mut view = view(damaged_tower());
     press(&mut view, [KeyCode::Char('a')]);
     press(&mut view, "seen".chars().map(KeyCode::Char));
-    let (row, text) = (rows(&view, (80, 24)), "acknowledge tower/storey-2   who: anna   note: seen▏");
+    let (row, text) = (
+        rows(&view, (80, 24)),
+        "acknowledge tower/storey-2   who: anna   note: seen▏",
+    );
     assert_eq!(row_with(&row, text).0, 23);
-    press(&mut view, "x".repeat(150).chars().chain("!".chars()).map(KeyCode::Char));
-    assert!(rows(&view, (80, 24))[23].ends_with("x!▏"), "a long note is seen at its end");
+    press(
+        &mut view,
+        "x".repeat(150)
+            .chars()
+            .chain("!".chars())
+            .map(KeyCode::Char),
+    );
+    assert!(
+        rows(&view, (80, 24))[23].ends_with("x!▏"),
+        "a long note is seen at its end"
+    );
 }
 
 #[test]
@@ -215,7 +306,11 @@ fn help_explains_keys_signs_and_states() {
     let mut view = view(damaged_tower());
     press(&mut view, [KeyCode::Char('?')]);
     let rows = rows(&view, (80, 24));
-    for part in ["next or previous alert", "95 % interval, ratio to nominal", "acknowledged  raised, and someone"] {
+    for part in [
+        "next or previous alert",
+        "95 % interval, ratio to nominal",
+        "acknowledged  raised, and someone",
+    ] {
         row_with(&rows, part);
     }
 }
@@ -250,7 +345,10 @@ fn every_size_can_be_drawn() {
     for mode in ["", "?", "?a"] {
         press(&mut one, mode.chars().map(KeyCode::Char));
         press(&mut two, mode.chars().map(KeyCode::Char));
-        for size in (1..160).step_by(7).flat_map(|width| (1..50).step_by(3).map(move |height| (width, height))) {
+        for size in (1..160)
+            .step_by(7)
+            .flat_map(|width| (1..50).step_by(3).map(move |height| (width, height)))
+        {
             drawn(&one, size);
             drawn(&two, size);
         }
@@ -272,17 +370,26 @@ fn nodes_that_identify_for_themselves_are_a_line_each_with_those_in_trouble_firs
     let mut tower = damaged_tower();
     let mut excluded = node("floor-20", 60, NodeHealth::Excluded);
     excluded.excluded_since_ns = Some(excluded.time_ns - 60_000_000_000);
-    let (alive, silent) = (node("floor-1", 60, NodeHealth::Used), node("floor-8", 60, NodeHealth::Silent));
+    let (alive, silent) = (
+        node("floor-1", 60, NodeHealth::Used),
+        node("floor-8", 60, NodeHealth::Silent),
+    );
     for display in [alive, silent, excluded] {
         tower.handle(Input::Node(display), &mut Vec::new());
     }
     let rows = rows(&view(tower), (140, 40));
     let (counts, _) = row_with(&rows, "nodes        1 excluded · 1 silent · 1 alive");
     let (excluded, text) = row_with(&rows, "node floor-20");
-    assert!(text.contains("✕ excluded since 2024-02-29 12:00:00 UTC  distance 2.1 of 5.4"), "{text}");
+    assert!(
+        text.contains("✕ excluded since 2024-02-29 12:00:00 UTC  distance 2.1 of 5.4"),
+        "{text}"
+    );
     let (silent, text) = row_with(&rows, "node floor-8");
     assert!(text.contains("○ silent"), "{text}");
     let (alive, text) = row_with(&rows, "node floor-1 ");
     assert!(text.contains("● alive"), "{text}");
-    assert_eq!([excluded, silent, alive], [counts + 1, counts + 2, counts + 3]);
+    assert_eq!(
+        [excluded, silent, alive],
+        [counts + 1, counts + 2, counts + 3]
+    );
 }

@@ -9,12 +9,22 @@ use spandrel_bus::{AlertState, BusConfig, Keys};
 const DEADLINE: Duration = Duration::from_secs(30);
 
 async fn open() -> (Bus, Keys) {
-    open_with(BusConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() }).await
+    open_with(BusConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::default()
+    })
+    .await
 }
 
 async fn open_with(config: BusConfig) -> (Bus, Keys) {
-    let config = BusConfig { root: "watched".into(), ..config };
-    (Bus::open(&config).await.unwrap(), config.keys("tower").unwrap())
+    let config = BusConfig {
+        root: "watched".into(),
+        ..config
+    };
+    (
+        Bus::open(&config).await.unwrap(),
+        config.keys("tower").unwrap(),
+    )
 }
 
 /// An endpoint that nobody listens on yet.
@@ -41,12 +51,24 @@ async fn gather_until(listening: &mut Listening, done: impl Fn(&Heard) -> bool) 
 #[tokio::test(flavor = "multi_thread")]
 async fn alerts_raised_before_are_asked_for_and_later_ones_heard() {
     let (bus, keys) = open().await;
-    let before = bus.publish_latest(keys.alert(&name("storey-1"))).await.unwrap();
-    before.put(&alert("storey-1", 1, AlertState::Raised)).await.unwrap();
+    let before = bus
+        .publish_latest(keys.alert(&name("storey-1")))
+        .await
+        .unwrap();
+    before
+        .put(&alert("storey-1", 1, AlertState::Raised))
+        .await
+        .unwrap();
     let mut listening = Listening::start(&bus, keys.root(), None).await.unwrap();
     gather_until(&mut listening, |heard| heard.open_alerts().len() == 1).await;
-    let later = bus.publish_latest(keys.alert(&name("storey-2"))).await.unwrap();
-    later.put(&alert("storey-2", 2, AlertState::Pending)).await.unwrap();
+    let later = bus
+        .publish_latest(keys.alert(&name("storey-2")))
+        .await
+        .unwrap();
+    later
+        .put(&alert("storey-2", 2, AlertState::Pending))
+        .await
+        .unwrap();
     let heard = gather_until(&mut listening, |heard| !heard.open_alerts().is_empty()).await;
     assert_eq!(heard.open_alerts()[0].parameter, name("storey-2"));
 }
@@ -59,14 +81,27 @@ async fn values_and_tokens_of_all_structures_are_heard() {
         let keys = Keys::new(keys.root().clone(), name(structure));
         let mut value = parameter("storey-1", 0, 0.9, 0.01);
         value.structure = name(structure);
-        let values = bus.publish_display(keys.parameter(&value.parameter)).await.unwrap();
+        let values = bus
+            .publish_display(keys.parameter(&value.parameter))
+            .await
+            .unwrap();
         values.put(&value).await.unwrap();
     }
-    let _token = bus.announce(keys.live(Service::Ingest, &name("a"))).await.unwrap();
+    let _token = bus
+        .announce(keys.live(Service::Ingest, &name("a")))
+        .await
+        .unwrap();
     let is_complete = |heard: &Heard| {
         let is_there = |(service, _): &(Service, Name)| *service == Service::Ingest;
-        let has_token = heard.structure(&name("tower")).is_some_and(|tower| tower.instances.keys().any(is_there));
-        has_token && heard.structures().filter(|(_, structure)| !structure.parameters.is_empty()).count() == 2
+        let has_token = heard
+            .structure(&name("tower"))
+            .is_some_and(|tower| tower.instances.keys().any(is_there));
+        has_token
+            && heard
+                .structures()
+                .filter(|(_, structure)| !structure.parameters.is_empty())
+                .count()
+                == 2
     };
     let heard = gather_until(&mut listening, is_complete).await;
     assert_eq!(heard.left_out(), 0);
@@ -75,26 +110,56 @@ async fn values_and_tokens_of_all_structures_are_heard() {
 #[tokio::test(flavor = "multi_thread")]
 async fn one_structure_is_heard_alone() {
     let (bus, keys) = open().await;
-    let mut listening = Listening::start(&bus, keys.root(), Some(&name("tower"))).await.unwrap();
+    let mut listening = Listening::start(&bus, keys.root(), Some(&name("tower")))
+        .await
+        .unwrap();
     for structure in ["bridge", "tower"] {
         let mut value = parameter("storey-1", 0, 0.9, 0.01);
         value.structure = name(structure);
         let keys = Keys::new(keys.root().clone(), name(structure));
-        bus.publish_display(keys.parameter(&value.parameter)).await.unwrap().put(&value).await.unwrap();
+        bus.publish_display(keys.parameter(&value.parameter))
+            .await
+            .unwrap()
+            .put(&value)
+            .await
+            .unwrap();
     }
     let heard = gather_until(&mut listening, |heard| heard.structures().len() > 0).await;
-    assert_eq!(heard.structures().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["tower"]);
+    assert_eq!(
+        heard
+            .structures()
+            .map(|(name, _)| name.as_str())
+            .collect::<Vec<_>>(),
+        ["tower"]
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
     let endpoint = free_endpoint();
-    let (bus, keys) = open_with(BusConfig { listen: vec![endpoint.clone()], ..BusConfig::default() }).await;
+    let (bus, keys) = open_with(BusConfig {
+        listen: vec![endpoint.clone()],
+        ..BusConfig::default()
+    })
+    .await;
     let mut listening = Listening::start(&bus, keys.root(), None).await.unwrap();
     while listening.asked.join_next().await.is_some() {} // nobody was there to answer
-    let (other, _) = open_with(BusConfig { connect: vec![endpoint], ..BusConfig::default() }).await;
-    let latest = other.publish_latest(keys.alert(&name("storey-1"))).await.unwrap();
-    latest.put(&alert("storey-1", 1, AlertState::Raised)).await.unwrap();
-    let _token = other.announce(keys.live(Service::Alert, &name("a"))).await.unwrap();
+    let (other, _) = open_with(BusConfig {
+        connect: vec![endpoint],
+        ..BusConfig::default()
+    })
+    .await;
+    let latest = other
+        .publish_latest(keys.alert(&name("storey-1")))
+        .await
+        .unwrap();
+    latest
+        .put(&alert("storey-1", 1, AlertState::Raised))
+        .await
+        .unwrap();
+    let _token = other
+        .announce(keys.live(Service::Alert, &name("a")))
+        .await
+        .unwrap();
     gather_until(&mut listening, |heard| heard.open_alerts().len() == 1).await;
 }

@@ -29,15 +29,25 @@ fn mistakes_of_classes_are_named() {
     let has = |table: &str, parts: &[&str]| {
         let found = class_mistakes(table);
         assert!(
-            found.iter().any(|mistake| parts.iter().all(|part| mistake.contains(part))),
+            found
+                .iter()
+                .any(|mistake| parts.iter().all(|part| mistake.contains(part))),
             "{table}\n  expected {parts:?}\n  found    {found:?}"
         );
     };
     let predefined = |classes: &str| format!("[classes]\nkind = \"predefined\"\n{classes}");
-    let class = |name: &str, groups: &str| format!("[[classes.class]]\nname = \"{name}\"\ngroups = {groups}\n");
+    let class = |name: &str, groups: &str| {
+        format!("[[classes.class]]\nname = \"{name}\"\ngroups = {groups}\n")
+    };
     has("[classes]\n", &["classes.kind", "predefined"]);
-    has(&predefined(&class("one", "[[\"storey-1\"]]")), &["has 1 entry", "at least 2"]);
-    has(&predefined(&class("one", "[[\"storey-9\"]]")), &["classes.class.groups", "storey-9", "storey-1"]);
+    has(
+        &predefined(&class("one", "[[\"storey-1\"]]")),
+        &["has 1 entry", "at least 2"],
+    );
+    has(
+        &predefined(&class("one", "[[\"storey-9\"]]")),
+        &["classes.class.groups", "storey-9", "storey-1"],
+    );
     has(
         &predefined(&(class("one", "[[\"storey-1\", \"storey-1\"]]") + &class("two", "[]"))),
         &["names \"storey-1\" twice"],
@@ -45,12 +55,21 @@ fn mistakes_of_classes_are_named() {
     has(
         &predefined(
             &(class("one", "[[\"storey-1\"]]")
-                + &class("two", "[[\"storey-2\",\"storey-3\",\"storey-4\",\"storey-5\"]]")),
+                + &class(
+                    "two",
+                    "[[\"storey-2\",\"storey-3\",\"storey-4\",\"storey-5\"]]",
+                )),
         ),
         &["groups \"two\" as \"one\" does"],
     );
-    has("[classes]\nkind = \"self-calibrating\"\nfloor = 0.3\n", &["classes.floor: is 0.3", "below 1/6"]);
-    has("[classes]\nkind = \"self-calibrating\"\npersistance-s = 1\n", &["persistance-s", "persistence-s"]);
+    has(
+        "[classes]\nkind = \"self-calibrating\"\nfloor = 0.3\n",
+        &["classes.floor: is 0.3", "below 1/6"],
+    );
+    has(
+        "[classes]\nkind = \"self-calibrating\"\npersistance-s = 1\n",
+        &["persistance-s", "persistence-s"],
+    );
     has(
         "[classes]\nkind = \"self-calibrating\"\n[[classes.class]]\nname = \"baseline\"\nof = [\"storey-1\"]\n",
         &["is \"baseline\""],
@@ -62,13 +81,22 @@ fn mistakes_of_classes_are_named() {
 fn mistakes_by_line(table: &str) -> Vec<(usize, String)> {
     let error = read(&format!("{DEMO}\n{table}")).expect_err("the file should be refused");
     let before = DEMO.lines().count() + 1;
-    let told = |d: &Diagnostic| (d.line() - before, format!("{}: {}, {}", d.key(), d.found(), d.allowed()));
+    let told = |d: &Diagnostic| {
+        (
+            d.line() - before,
+            format!("{}: {}, {}", d.key(), d.found(), d.allowed()),
+        )
+    };
     error.diagnostics().iter().map(told).collect()
 }
 
 fn table(kind: &str, classes: &[(&str, &str)]) -> String {
-    let class = |(name, of): &(&str, &str)| format!("[[classes.class]]\nname = \"{name}\"\nof = {of}\n");
-    format!("[classes]\nkind = \"{kind}\"\n{}", classes.iter().map(class).collect::<String>())
+    let class =
+        |(name, of): &(&str, &str)| format!("[[classes.class]]\nname = \"{name}\"\nof = {of}\n");
+    format!(
+        "[classes]\nkind = \"{kind}\"\n{}",
+        classes.iter().map(class).collect::<String>()
+    )
 }
 
 #[test]
@@ -77,7 +105,10 @@ fn mistake_of_a_class_is_told_at_its_line() {
         r#"["storey-1", "storey-2", "storey-3", "storey-4", "storey-5"]"#,
         r#"["storey-2", "storey-3", "storey-4", "storey-5"]"#,
     );
-    let (low, high) = (r#"["storey-1", "storey-2"]"#, r#"["storey-3", "storey-4", "storey-5"]"#);
+    let (low, high) = (
+        r#"["storey-1", "storey-2"]"#,
+        r#"["storey-3", "storey-4", "storey-5"]"#,
+    );
     for (kind, classes, line, told) in [
         (
             "self-calibrating",
@@ -91,17 +122,31 @@ fn mistake_of_a_class_is_told_at_its_line() {
             9,
             "groups \"four\" as \"one\" does, must tell every class",
         ),
-        ("self-calibrating", vec![("low", low), ("none", "[]")], 8, "classes.class.of: has an empty list, must name"),
+        (
+            "self-calibrating",
+            vec![("low", low), ("none", "[]")],
+            8,
+            "classes.class.of: has an empty list, must name",
+        ),
         (
             "hierarchical",
             vec![("low", low), ("same", "[\"storey-2\"]"), ("high", high)],
             8,
             "names \"storey-2\", which \"low\" names too, must be in one substructure only",
         ),
-        ("hierarchical", vec![("low", low), ("high", high)], 1, "has 2 substructures, must have at least 3: of two"),
         (
             "hierarchical",
-            vec![("low", low), ("third", "[\"storey-3\"]"), ("fifth", "[\"storey-5\"]")],
+            vec![("low", low), ("high", high)],
+            1,
+            "has 2 substructures, must have at least 3: of two",
+        ),
+        (
+            "hierarchical",
+            vec![
+                ("low", low),
+                ("third", "[\"storey-3\"]"),
+                ("fifth", "[\"storey-5\"]"),
+            ],
             1,
             "leaves out \"storey-4\", must have each stiffness parameter in one substructure",
         ),
@@ -115,8 +160,11 @@ fn mistake_of_a_class_is_told_at_its_line() {
 
 #[test]
 fn three_substructures_are_enough() {
-    let parts =
-        [("low", r#"["storey-1", "storey-2"]"#), ("third", r#"["storey-3"]"#), ("top", r#"["storey-4", "storey-5"]"#)];
+    let parts = [
+        ("low", r#"["storey-1", "storey-2"]"#),
+        ("third", r#"["storey-3"]"#),
+        ("top", r#"["storey-4", "storey-5"]"#),
+    ];
     let structure = read(&format!("{DEMO}\n{}", table("hierarchical", &parts))).unwrap();
     assert_eq!(structure.class_bank().unwrap().unwrap().classes().len(), 4);
 }
@@ -137,11 +185,26 @@ fn numbers_beyond_memory_or_use_are_refused() {
             "persistence-s = 1e300",
             "is 1e300, must be from 0.01 to 100000, which is 1 to 10000000 samples",
         ),
-        ("self-calibrating", "persistence-s = 0.001", "is 0.001, 0 samples at 100 Hz"),
-        ("self-calibrating", "reset-std = 1e200", "is 1e200, must be a finite number from 1e-9 and up to 1e6"),
-        ("predefined", "reset-std = 0.2", "classes.reset-std: is given, must not be given for kind \"predefined\""),
+        (
+            "self-calibrating",
+            "persistence-s = 0.001",
+            "is 0.001, 0 samples at 100 Hz",
+        ),
+        (
+            "self-calibrating",
+            "reset-std = 1e200",
+            "is 1e200, must be a finite number from 1e-9 and up to 1e6",
+        ),
+        (
+            "predefined",
+            "reset-std = 0.2",
+            "classes.reset-std: is given, must not be given for kind \"predefined\"",
+        ),
     ] {
         let found = mistakes(&format!("{DEMO}\n[classes]\nkind = \"{kind}\"\n{key}\n"));
-        assert!(found.iter().any(|mistake| mistake.contains(told)), "{found:?}");
+        assert!(
+            found.iter().any(|mistake| mistake.contains(told)),
+            "{found:?}"
+        );
     }
 }

@@ -6,7 +6,10 @@ const FILE: &str = include_str!("../../../../../docs/examples/forty-storey-build
 
 /// The file with another `[fusion]`.
 fn with(fusion: &str) -> Result<Structure, String> {
-    let (start, end) = (FILE.find("[fusion]").unwrap(), FILE.find("[simulation]").unwrap());
+    let (start, end) = (
+        FILE.find("[fusion]").unwrap(),
+        FILE.find("[simulation]").unwrap(),
+    );
     let text = format!("{}[fusion]\n{fusion}\n\n{}", &FILE[..start], &FILE[end..]);
     Structure::parse(&text, Path::new("building.toml")).map_err(|error| error.to_string())
 }
@@ -27,24 +30,52 @@ fn nodes_that_tell_samples_see_the_channels_of_all() {
 fn defaults_tell_nothing_of_the_motion() {
     let structure = with("rate-hz = 2").unwrap();
     let plan = structure.fusion().unwrap();
-    assert_eq!((plan.rate_hz(), plan.feedback(), plan.passes_motion_on()), (2.0, FeedbackRule::Marginal, false));
-    assert_eq!(structure.local_filter(3).unwrap().unwrap().filter().observation_len(), 2);
+    assert_eq!(
+        (plan.rate_hz(), plan.feedback(), plan.passes_motion_on()),
+        (2.0, FeedbackRule::Marginal, false)
+    );
+    assert_eq!(
+        structure
+            .local_filter(3)
+            .unwrap()
+            .unwrap()
+            .filter()
+            .observation_len(),
+        2
+    );
 }
 
 #[test]
 fn weights_of_nodes_are_graded_where_the_file_asks_for_it() {
-    let weighting = |fusion| with(fusion).unwrap().fusion().unwrap().detector().unwrap().weighting;
+    let weighting = |fusion| {
+        with(fusion)
+            .unwrap()
+            .fusion()
+            .unwrap()
+            .detector()
+            .unwrap()
+            .weighting
+    };
     assert_eq!(weighting("rate-hz = 1"), Weighting::AllOrNothing);
     assert_eq!(weighting("weighting = \"graded\""), Weighting::Graded);
-    assert_eq!(weighting("detector = \"all-at-once\"\nweighting = \"graded\""), Weighting::Graded);
+    assert_eq!(
+        weighting("detector = \"all-at-once\"\nweighting = \"graded\""),
+        Weighting::Graded
+    );
 }
 
 #[test]
 fn a_rate_that_divides_nothing_is_one_mistake() {
     let error = with("rate-hz = 7\nmotion = \"samples\"\nsamples-per-period = 50").unwrap_err();
-    assert!(error.contains("fusion.rate-hz: is 7") && !error.contains("samples-per-period"), "{error}");
+    assert!(
+        error.contains("fusion.rate-hz: is 7") && !error.contains("samples-per-period"),
+        "{error}"
+    );
     let error = with("rate-hz = 250\nmotion = \"samples\"").unwrap_err();
-    assert!(error.contains("fusion.samples-per-period: is left at 10, must divide 1,"), "{error}");
+    assert!(
+        error.contains("fusion.samples-per-period: is left at 10, must divide 1,"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -55,20 +86,34 @@ fn responses_need_a_node_that_tells_some() {
         1,
     );
     let text = format!("{accelerations}\n[fusion]\nmotion = \"responses\"\n");
-    let error = Structure::parse(&text, Path::new("demo.toml")).unwrap_err().to_string();
-    assert!(error.contains("fusion.motion: is \"responses\", must not be given where no node measures"), "{error}");
+    let error = Structure::parse(&text, Path::new("demo.toml"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("fusion.motion: is \"responses\", must not be given where no node measures"),
+        "{error}"
+    );
 }
 
 #[test]
 fn bad_input_names_the_key_and_what_is_allowed() {
     for (fusion, expected) in [
-        ("rate-hz = 3", "fusion.rate-hz: is 3, must be the sampling rate of each node, such as 250"),
+        (
+            "rate-hz = 3",
+            "fusion.rate-hz: is 3, must be the sampling rate of each node, such as 250",
+        ),
         (
             "motion = \"samples\"\nsamples-per-period = 3",
             "fusion.samples-per-period: is 3, must divide 250, the samples of a node",
         ),
-        ("rate-hz = 1e-300", "fusion.rate-hz: is 1e-300, must be a finite number from 0.001 "),
-        ("exclusion = 0.9", "fusion.exclusion: is given, must not be given beside detector = \"one-at-a-time\""),
+        (
+            "rate-hz = 1e-300",
+            "fusion.rate-hz: is 1e-300, must be a finite number from 0.001 ",
+        ),
+        (
+            "exclusion = 0.9",
+            "fusion.exclusion: is given, must not be given beside detector = \"one-at-a-time\"",
+        ),
         (
             "detector = \"none\"\nscreening = 0.9",
             "fusion.screening: is given, must not be given beside detector = \"none\"",
@@ -81,23 +126,37 @@ fn bad_input_names_the_key_and_what_is_allowed() {
             "detector = \"none\"\nweighting = \"graded\"",
             "fusion.weighting: is given, must not be given beside detector = \"none\"",
         ),
-        ("weighting = \"half\"", "fusion.weighting: is \"half\", must be one of \"all-or-nothing\", \"graded\""),
+        (
+            "weighting = \"half\"",
+            "fusion.weighting: is \"half\", must be one of \"all-or-nothing\", \"graded\"",
+        ),
         (
             "samples-per-period = 5",
             "fusion.samples-per-period: is given, must not be given unless motion = \"samples\"",
         ),
-        ("modes = 5", "fusion.modes: is given, must not be given unless motion = \"modes\""),
+        (
+            "modes = 5",
+            "fusion.modes: is given, must not be given unless motion = \"modes\"",
+        ),
         (
             "motion = \"samples\"\nfeedback = \"none\"",
             "fusion.feedback: is \"none\", must not be \"none\" beside motion",
         ),
-        ("feedback = \"reset\"", "fusion.feedback: is \"reset\", must stand beside motion = \"modes\""),
-        ("rule = \"published\"\nsharing-factor = 2", "fusion.sharing-factor: is given, must not stand beside rule"),
+        (
+            "feedback = \"reset\"",
+            "fusion.feedback: is \"reset\", must stand beside motion = \"modes\"",
+        ),
+        (
+            "rule = \"published\"\nsharing-factor = 2",
+            "fusion.sharing-factor: is given, must not stand beside rule",
+        ),
         ("sharing-factor = 0.5", "fusion.sharing-factor: is 0.5"),
         ("motion = \"all\"", "fusion.motion: is \"all\""),
         ("screening = 1.5", "fusion.screening: is 1.5"),
     ] {
-        let error = with(fusion).err().unwrap_or_else(|| panic!("accepted: {fusion}"));
+        let error = with(fusion)
+            .err()
+            .unwrap_or_else(|| panic!("accepted: {fusion}"));
         assert!(error.contains(expected), "{fusion}: {error}");
     }
 }

@@ -78,7 +78,11 @@ fn read(text: &str) -> Result<Structure, crate::StructureError> {
 fn mistakes_after(replaced: &str, by: &str) -> Vec<String> {
     assert!(PORTAL.contains(replaced), "the portal has no {replaced:?}");
     let error = read(&PORTAL.replacen(replaced, by, 1)).expect_err("the file should be refused");
-    error.diagnostics().iter().map(|d| format!("{}: {}: {}, {}", d.line(), d.key(), d.found(), d.allowed())).collect()
+    error
+        .diagnostics()
+        .iter()
+        .map(|d| format!("{}: {}: {}, {}", d.line(), d.key(), d.found(), d.allowed()))
+        .collect()
 }
 
 #[test]
@@ -100,32 +104,61 @@ fn degrees_of_freedom_are_named_by_node_and_direction_numbers_first() {
         "node-middle-r",
     ];
     assert_eq!(portal.system.degrees_of_freedom, expected);
-    let parts: Vec<&str> = portal.system.substructures.iter().map(|part| part.name.as_str()).collect();
+    let parts: Vec<&str> = portal
+        .system
+        .substructures
+        .iter()
+        .map(|part| part.name.as_str())
+        .collect();
     assert_eq!(parts, ["columns", "beam"]);
 }
 
 #[test]
 fn the_ground_moves_translations_in_its_direction_only() {
     let portal = read(PORTAL).unwrap();
-    let [x, y] = &portal.system.ground_directions[..] else { panic!("two directions") };
+    let [x, y] = &portal.system.ground_directions[..] else {
+        panic!("two directions")
+    };
     assert_eq!((x.name, y.name), ("x", "y"));
-    assert_eq!(x.influence, [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
-    assert_eq!(y.influence, [0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    assert_eq!(
+        x.influence,
+        [
+            1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0
+        ]
+    );
+    assert_eq!(
+        y.influence,
+        [
+            0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0
+        ]
+    );
 }
 
 /// Nodes of a chain without coordinates stand where those of the same chain with coordinates do.
 #[test]
 fn nodes_of_a_chain_are_spaced_evenly() {
-    let explicit = read(&PORTAL.replace("3 = [0, 4]\n", "2 = [0, 2]\n3 = [0, 4]\nmiddle = [6, 2]\n")).unwrap();
+    let explicit =
+        read(&PORTAL.replace("3 = [0, 4]\n", "2 = [0, 2]\n3 = [0, 4]\nmiddle = [6, 2]\n")).unwrap();
     let spaced = read(PORTAL).unwrap();
     // the order of named nodes follows the file, so that rows are compared by name
     let entry = |structure: &Structure, row: &str, column: &str| {
-        let index = |name| structure.system.degrees_of_freedom.iter().position(|known| known == name).unwrap();
+        let index = |name| {
+            structure
+                .system
+                .degrees_of_freedom
+                .iter()
+                .position(|known| known == name)
+                .unwrap()
+        };
         structure.system.nominal_stiffness()[(index(row), index(column))]
     };
     for row in &spaced.system.degrees_of_freedom {
         for column in &spaced.system.degrees_of_freedom {
-            assert_eq!(entry(&explicit, row, column), entry(&spaced, row, column), "{row}, {column}");
+            assert_eq!(
+                entry(&explicit, row, column),
+                entry(&spaced, row, column),
+                "{row}, {column}"
+            );
         }
     }
 }
@@ -134,8 +167,10 @@ fn nodes_of_a_chain_are_spaced_evenly() {
 fn a_chain_that_ends_in_a_node_without_coordinates_is_refused() {
     assert_eq!(
         mistakes_after("[[1, 2, 3], ", "[[1, 2, 4], "),
-        ["25: model.group.paths: ends in node 2, which has no coordinates, \
-          must begin and end with nodes of model.nodes or of a chain before"]
+        [
+            "25: model.group.paths: ends in node 2, which has no coordinates, \
+          must begin and end with nodes of model.nodes or of a chain before"
+        ]
     );
 }
 
@@ -163,8 +198,10 @@ fn a_loop_through_a_node_without_coordinates_is_refused() {
 fn a_member_without_length_is_refused() {
     assert_eq!(
         mistakes_after("10 = [6, 4]", "10 = [0, 4]"),
-        ["6: model.group: has a member of group \"beam\" without length, from node 3 to 10, \
-          must join nodes at different places"]
+        [
+            "6: model.group: has a member of group \"beam\" without length, from node 3 to 10, \
+          must join nodes at different places"
+        ]
     );
 }
 
@@ -180,16 +217,28 @@ fn a_node_that_no_member_joins_is_refused() {
 fn a_frame_that_can_slide_away_is_refused() {
     let rollers = PORTAL.replace("fixed = [\"x\", \"y\", \"r\"]", "fixed = [\"y\"]");
     let error = read(&rollers.replace("fixed = [\"x\", \"y\"]", "fixed = [\"y\"]")).unwrap_err();
-    let [mistake] = error.diagnostics() else { panic!("{error}") };
+    let [mistake] = error.diagnostics() else {
+        panic!("{error}")
+    };
     assert_eq!(mistake.key(), "model.support");
-    assert!(mistake.found().ends_with("-x free to move"), "{}", mistake.found());
-    assert_eq!(mistake.allowed(), "must be held by its supports and members");
+    assert!(
+        mistake.found().ends_with("-x free to move"),
+        "{}",
+        mistake.found()
+    );
+    assert_eq!(
+        mistake.allowed(),
+        "must be held by its supports and members"
+    );
 }
 
 #[test]
 fn unknown_sections_directions_and_nodes_are_refused() {
     assert_eq!(
-        mistakes_after("section = \"steel\"\npaths = [[3, 10]]", "section = \"steal\"\npaths = [[3, 10]]"),
+        mistakes_after(
+            "section = \"steel\"\npaths = [[3, 10]]",
+            "section = \"steal\"\npaths = [[3, 10]]"
+        ),
         ["29: model.group.section: is \"steal\", did you mean \"steel\"?"]
     );
     assert_eq!(
@@ -208,43 +257,66 @@ fn coordinates_must_have_the_dimension_of_the_model() {
         mistakes_after("10 = [6, 4]", "10 = [6, 4, 1]"),
         ["12: model.nodes.10: has 3 coordinates, must have 2 as the nodes before"]
     );
-    let truss = PORTAL.replace("kind = \"frame\"", "kind = \"truss\"").replace("second-moment-m4 = 1e-4\n", "");
+    let truss = PORTAL
+        .replace("kind = \"frame\"", "kind = \"truss\"")
+        .replace("second-moment-m4 = 1e-4\n", "");
     let error = read(&truss.replace("1 = [0, 0]", "1 = [0, 0, 0]")).unwrap_err();
     assert_eq!(error.diagnostics()[0].found(), "has 2 coordinates");
-    assert_eq!(error.diagnostics()[0].allowed(), "must have 3 as the nodes before");
+    assert_eq!(
+        error.diagnostics()[0].allowed(),
+        "must have 3 as the nodes before"
+    );
 }
 
 #[test]
 fn the_ground_of_a_model_with_geometry_needs_a_direction() {
     assert_eq!(
         mistakes_after("direction = \"x\"\n", ""),
-        ["49: excitation.direction: is missing, must say in which direction the ground moves (or give influence)"]
+        [
+            "49: excitation.direction: is missing, must say in which direction the ground moves (or give influence)"
+        ]
     );
     assert_eq!(
         mistakes_after("direction = \"x\"", "direction = \"z\""),
         ["52: excitation.direction: is \"z\", must be one of x, y"]
     );
     let demo = include_str!("../../../../../docs/examples/demo.toml");
-    let error = read(&demo.replace("kind = \"ground\"", "kind = \"ground\"\ndirection = \"x\"")).unwrap_err();
-    assert_eq!(error.diagnostics()[0].allowed(), "must not be given for a model without directions, see influence");
+    let error = read(&demo.replace("kind = \"ground\"", "kind = \"ground\"\ndirection = \"x\""))
+        .unwrap_err();
+    assert_eq!(
+        error.diagnostics()[0].allowed(),
+        "must not be given for a model without directions, see influence"
+    );
 }
 
 #[test]
 fn missing_tables_of_a_mesh_are_reported() {
-    let (from, to) = (PORTAL.find("[model.nodes]").unwrap(), PORTAL.find("[damping]").unwrap());
+    let (from, to) = (
+        PORTAL.find("[model.nodes]").unwrap(),
+        PORTAL.find("[damping]").unwrap(),
+    );
     let mut text = PORTAL.to_owned();
     text.replace_range(from..to, "");
     let error = read(&text).unwrap_err();
-    let keys: Vec<&str> = error.diagnostics().iter().map(crate::Diagnostic::key).collect();
+    let keys: Vec<&str> = error
+        .diagnostics()
+        .iter()
+        .map(crate::Diagnostic::key)
+        .collect();
     assert_eq!(keys, ["model.section", "model.nodes", "model.group"]);
 }
 
 #[test]
 fn numbers_whose_stiffness_overflows_are_refused() {
-    let found = mistakes_after("area-m2 = 0.01\nmodulus-pa = 2.1e11", "area-m2 = 1e10\nmodulus-pa = 1e308");
+    let found = mistakes_after(
+        "area-m2 = 0.01\nmodulus-pa = 2.1e11",
+        "area-m2 = 1e10\nmodulus-pa = 1e308",
+    );
     assert_eq!(
         found,
-        ["6: model.kind: has no natural frequencies, must have masses and stiffnesses of real structures"]
+        [
+            "6: model.kind: has no natural frequencies, must have masses and stiffnesses of real structures"
+        ]
     );
 }
 

@@ -11,16 +11,30 @@ fn with_outliers(keys: &str) -> String {
 #[test]
 fn time_that_no_screening_can_have_is_refused_with_its_line() {
     for (key, told) in [
-        ("window-s = 1e12", "is 1e12, must be from 0.14 to 100000, which is 14 to 10000000 samples"),
-        ("window-s = 0.01", "is 0.01, 1 sample at 100 Hz, must be from 0.14 to 100000"),
-        ("training-s = 1e300", "is 1e300, must be from 0.03 to 10000, which is 3 to 1000000 samples"),
+        (
+            "window-s = 1e12",
+            "is 1e12, must be from 0.14 to 100000, which is 14 to 10000000 samples",
+        ),
+        (
+            "window-s = 0.01",
+            "is 0.01, 1 sample at 100 Hz, must be from 0.14 to 100000",
+        ),
+        (
+            "training-s = 1e300",
+            "is 1e300, must be from 0.03 to 10000, which is 3 to 1000000 samples",
+        ),
         ("fault-window-s = 1e9", "is 1e9, must be from 0.03 to 10000"),
     ] {
         let text = with_outliers(key);
         let error = read(&text).expect_err(key);
-        let [mistake] = error.diagnostics() else { panic!("{error}") };
+        let [mistake] = error.diagnostics() else {
+            panic!("{error}")
+        };
         let name = key.split(' ').next().unwrap();
-        assert_eq!((mistake.line(), mistake.key()), (line_of(&text, key), format!("outliers.{name}").as_str()));
+        assert_eq!(
+            (mistake.line(), mistake.key()),
+            (line_of(&text, key), format!("outliers.{name}").as_str())
+        );
         let whole = format!("{}, {}", mistake.found(), mistake.allowed());
         assert!(whole.starts_with(told), "{whole}");
     }
@@ -35,9 +49,22 @@ fn shortest_and_longest_times_make_a_filter() {
     let shortest = with_outliers("window-s = 0.14\ntraining-s = 0.03\nfault-window-s = 0.03");
     assert!(makes_a_filter(&read(&shortest).unwrap()));
     // what follows from a period of days is cut to what fits into memory
-    let slow = with_outliers("").replacen("first-frequency-hz = 1.0", "first-frequency-hz = 3e-6", 1);
-    let settings = read(&slow).unwrap().filter_settings().unwrap().outliers.unwrap();
-    assert_eq!((settings.window, settings.training_steps, settings.fault_window), (10_000_000, 1_000_000, 1_000_000));
+    let slow =
+        with_outliers("").replacen("first-frequency-hz = 1.0", "first-frequency-hz = 3e-6", 1);
+    let settings = read(&slow)
+        .unwrap()
+        .filter_settings()
+        .unwrap()
+        .outliers
+        .unwrap();
+    assert_eq!(
+        (
+            settings.window,
+            settings.training_steps,
+            settings.fault_window
+        ),
+        (10_000_000, 1_000_000, 1_000_000)
+    );
 }
 
 #[test]

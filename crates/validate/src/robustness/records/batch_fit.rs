@@ -30,7 +30,11 @@ struct Recursion {
 impl Recursion {
     fn new(structure: &Structure, theta: &[f64]) -> Self {
         let mut model = structure.model();
-        let (all, inputs, outputs) = (model.state_len(), model.excitation_len(), model.observation_len());
+        let (all, inputs, outputs) = (
+            model.state_len(),
+            model.excitation_len(),
+            model.observation_len(),
+        );
         let n = all - theta.len();
         let mut rest = vec![0.0; n];
         rest.extend_from_slice(theta);
@@ -47,9 +51,15 @@ impl Recursion {
         // (C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Autom. Control 23 (1978), 395-404)
         let step_s = structure.step_s();
         let mut block = DMatrix::zeros(n + 2 * inputs, n + 2 * inputs);
-        block.view_mut((0, 0), (n, n)).copy_from(&(jacobian.rows(0, n) * step_s));
-        block.view_mut((0, n), (n, inputs)).copy_from(&(input.rows(0, n) * step_s));
-        block.view_mut((n, n + inputs), (inputs, inputs)).fill_with_identity();
+        block
+            .view_mut((0, 0), (n, n))
+            .copy_from(&(jacobian.rows(0, n) * step_s));
+        block
+            .view_mut((0, n), (n, inputs))
+            .copy_from(&(input.rows(0, n) * step_s));
+        block
+            .view_mut((n, n + inputs), (inputs, inputs))
+            .fill_with_identity();
         let exponential = block.exp();
         Self {
             transition: exponential.view((0, 0), (n, n)).into_owned(),
@@ -97,7 +107,9 @@ impl<'s> Replay<'s> {
         for row in rows {
             let now = self.excitation(row);
             if let Some(before) = before {
-                state = &recursion.transition * state + &recursion.held * &before + &recursion.ramp * (&now - &before);
+                state = &recursion.transition * state
+                    + &recursion.held * &before
+                    + &recursion.ramp * (&now - &before);
             }
             responses.push(&recursion.observation * &state + &recursion.direct * &now);
             before = Some(now);
@@ -111,8 +123,18 @@ impl<'s> Replay<'s> {
         let rows = &self.limited(rows);
         let parameters = self.structure.parameters().len();
         let observed = self.structure.observation_channels();
-        let squares = |row: &Row| observed.iter().map(|channel| row.values[*channel].powi(2)).sum::<f64>();
-        let whole: f64 = rows.iter().skip(from).map(squares).filter(|square| square.is_finite()).sum();
+        let squares = |row: &Row| {
+            observed
+                .iter()
+                .map(|channel| row.values[*channel].powi(2))
+                .sum::<f64>()
+        };
+        let whole: f64 = rows
+            .iter()
+            .skip(from)
+            .map(squares)
+            .filter(|square| square.is_finite())
+            .sum();
         let mut misfit = |ratio: f64| self.misfit(rows, &vec![ratio; parameters], from) / whole;
         let ratio = least(RANGE, TOLERANCE, &mut misfit);
         (ratio, misfit(ratio))
@@ -121,10 +143,21 @@ impl<'s> Replay<'s> {
     fn misfit(&self, rows: &[Row], theta: &[f64], from: usize) -> f64 {
         let responses = self.response(rows, theta);
         let of_row = |(row, response): (&Row, &DVector<f64>)| -> f64 {
-            let channels = self.structure.observation_channels().iter().zip(response.iter());
-            channels.map(|(channel, value)| (row.values[*channel] - value).powi(2)).sum()
+            let channels = self
+                .structure
+                .observation_channels()
+                .iter()
+                .zip(response.iter());
+            channels
+                .map(|(channel, value)| (row.values[*channel] - value).powi(2))
+                .sum()
         };
-        rows.iter().zip(&responses).skip(from).map(of_row).filter(|square| square.is_finite()).sum()
+        rows.iter()
+            .zip(&responses)
+            .skip(from)
+            .map(of_row)
+            .filter(|square| square.is_finite())
+            .sum()
     }
 
     /// The rows in the declared band. A linear structure filtered alike in input and output obeys the same equation.
@@ -133,18 +166,32 @@ impl<'s> Replay<'s> {
         let rate_hz = self.structure.sampling_rate_hz();
         let declared = self.structure.band_limit();
         let filter = declared.and_then(|declared| {
-            BandLimit::low_pass(declared.order, declared.frequency_hz, rate_hz, rows.first()?.values.len()).ok()
+            BandLimit::low_pass(
+                declared.order,
+                declared.frequency_hz,
+                rate_hz,
+                rows.first()?.values.len(),
+            )
+            .ok()
         });
         if let Some(mut filter) = filter {
-            rows.iter_mut().for_each(|row| filter.apply(&mut row.values));
+            rows.iter_mut()
+                .for_each(|row| filter.apply(&mut row.values));
         }
         rows
     }
 
     fn excitation(&self, row: &Row) -> DVector<f64> {
         let channels = self.structure.excitation_channels();
-        let value = |channel: &Option<usize>| channel.and_then(|c| row.values.get(c).copied()).unwrap_or(0.0);
-        let values = channels.iter().map(value).map(|value| if value.is_finite() { value } else { 0.0 });
+        let value = |channel: &Option<usize>| {
+            channel
+                .and_then(|c| row.values.get(c).copied())
+                .unwrap_or(0.0)
+        };
+        let values = channels
+            .iter()
+            .map(value)
+            .map(|value| if value.is_finite() { value } else { 0.0 });
         DVector::from_iterator(channels.len(), values)
     }
 }
@@ -155,8 +202,13 @@ fn least((low, high): (f64, f64), tolerance: f64, of: &mut impl FnMut(f64) -> f6
     let width = (high - low) / (COARSE - 1) as f64;
     let place = |index: usize| low + width * index as f64;
     let values: Vec<f64> = (0..COARSE).map(|index| of(place(index))).collect();
-    let best = (0..COARSE).min_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-    let (mut a, mut b) = ((place(best) - width).max(low), (place(best) + width).min(high));
+    let best = (0..COARSE)
+        .min_by(|a, b| values[*a].total_cmp(&values[*b]))
+        .unwrap_or(0);
+    let (mut a, mut b) = (
+        (place(best) - width).max(low),
+        (place(best) + width).min(high),
+    );
     let golden = (5f64.sqrt() - 1.0) / 2.0;
     while b - a > tolerance {
         let (left, right) = (b - golden * (b - a), a + golden * (b - a));
@@ -177,26 +229,42 @@ mod tests {
     /// Rows of the bridge's file by the simulator of `spandrel-structure`, which is another recursion.
     fn simulated(structure: &Structure) -> Vec<Row> {
         let frames = structure.clean_simulator(1).take(3000);
-        frames.map(|frame| Row { time_ns: frame.index as i64 * 10_000_000, values: frame.values }).collect()
+        frames
+            .map(|frame| Row {
+                time_ns: frame.index as i64 * 10_000_000,
+                values: frame.values,
+            })
+            .collect()
     }
 
     #[test]
     fn fit_of_a_simulated_record_is_what_was_simulated() {
-        let structure = Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
+        let structure =
+            Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
         let (ratio, left) = Replay::new(&structure).fit(&simulated(&structure), 0);
         // the low-pass takes the first value of a channel as if it had always been there, which the structure at rest does not
-        assert!((ratio - 1.0).abs() < 1e-3 && left < 1e-3, "{ratio}, leaves {left}");
+        assert!(
+            (ratio - 1.0).abs() < 1e-3 && left < 1e-3,
+            "{ratio}, leaves {left}"
+        );
     }
 
     #[test]
     fn response_is_that_of_the_simulator() {
-        let structure = Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
+        let structure =
+            Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
         let rows = simulated(&structure);
         let responses = Replay::new(&structure).response(&rows, &[1.0]);
         let observed = structure.observation_channels();
-        let largest = rows.iter().map(|row| row.values[observed[1]].abs()).fold(0.0, f64::max);
+        let largest = rows
+            .iter()
+            .map(|row| row.values[observed[1]].abs())
+            .fold(0.0, f64::max);
         for (row, response) in rows.iter().zip(&responses).skip(1) {
-            assert!((row.values[observed[1]] - response[1]).abs() < 1e-6 * largest, "{row:?} {response}");
+            assert!(
+                (row.values[observed[1]] - response[1]).abs() < 1e-6 * largest,
+                "{row:?} {response}"
+            );
         }
     }
 }

@@ -70,16 +70,34 @@ struct Event {
 pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     let folder = data.join("painter-street-bridge");
     if !folder.is_dir() {
-        return Ok(vec![Row::skipped("highway bridge", "", format!("no records in {}", folder.display()))]);
+        return Ok(vec![Row::skipped(
+            "highway bridge",
+            "",
+            format!("no records in {}", folder.display()),
+        )]);
     }
     let structure = Structure::parse(FILE, Path::new("bridge.toml"))?;
-    let screened =
-        Structure::parse(&replaced(FILE, &[("[filter]", "[outliers]\n\n[filter]")])?, Path::new("bridge.toml"))?;
+    let screened = Structure::parse(
+        &replaced(FILE, &[("[filter]", "[outliers]\n\n[filter]")])?,
+        Path::new("bridge.toml"),
+    )?;
     let events = events(&structure, &folder)?;
-    let baselines = (0..events.len()).map(|own| baseline(&structure, &events, own)).collect::<Result<Vec<_>, _>>()?;
+    let baselines = (0..events.len())
+        .map(|own| baseline(&structure, &events, own))
+        .collect::<Result<Vec<_>, _>>()?;
     Ok(vec![
-        pairs("highway bridge: pairs of weak events, at the end", &events, &baselines, Course::end),
-        pairs("highway bridge: pairs of weak events, last moment in motion", &events, &baselines, Course::last_moving),
+        pairs(
+            "highway bridge: pairs of weak events, at the end",
+            &events,
+            &baselines,
+            Course::end,
+        ),
+        pairs(
+            "highway bridge: pairs of weak events, last moment in motion",
+            &events,
+            &baselines,
+            Course::last_moving,
+        ),
         batch(&events),
         sound(&structure, &events, &baselines)?,
         strong(&structure, &events, &baselines)?,
@@ -89,8 +107,16 @@ pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
 }
 
 fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsError> {
-    let ground = structure.excitation_channels().first().copied().flatten().unwrap_or(0);
-    let strong_from = EVENTS.iter().position(|name| *name == FIRST_STRONG).unwrap_or(EVENTS.len());
+    let ground = structure
+        .excitation_channels()
+        .first()
+        .copied()
+        .flatten()
+        .unwrap_or(0);
+    let strong_from = EVENTS
+        .iter()
+        .position(|name| *name == FIRST_STRONG)
+        .unwrap_or(EVENTS.len());
     let replay = Replay::new(structure);
     let mut events = Vec::new();
     for (number, name) in EVENTS.iter().enumerate() {
@@ -98,33 +124,69 @@ fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsErr
         let course = Course::run(structure, &record.rows, None, MOTION)?;
         let batch = replay.fit(&record.rows, 0);
         let is_weak = record.peak(ground) < WEAK;
-        events.push(Event { is_weak, is_early: number < strong_from, course, batch, record });
+        events.push(Event {
+            is_weak,
+            is_early: number < strong_from,
+            course,
+            batch,
+            record,
+        });
     }
     Ok(events)
 }
 
 /// The baseline for an event: all other weak events before the strong earthquake of 2022.
 fn baseline(structure: &Structure, events: &[Event], own: usize) -> Result<Baseline, RecordsError> {
-    let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
-    let used = events.iter().enumerate().filter(|(index, event)| *index != own && event.is_weak && event.is_early);
+    let names: Vec<&str> = structure
+        .parameters()
+        .iter()
+        .map(|parameter| parameter.name())
+        .collect();
+    let used = events
+        .iter()
+        .enumerate()
+        .filter(|(index, event)| *index != own && event.is_weak && event.is_early);
     let records = used.map(|(_, event)| {
-        let nothing = || RecordsError::NothingLearnt { record: event.record.name.clone() };
+        let nothing = || RecordsError::NothingLearnt {
+            record: event.record.name.clone(),
+        };
         event.course.summary(SKIP_S).ok_or_else(nothing)
     });
     let records = records.collect::<Result<Vec<_>, _>>()?;
-    Ok(Baseline::from_records(structure.name(), &names, &records, BetweenRecords::Estimated)?)
+    Ok(Baseline::from_records(
+        structure.name(),
+        &names,
+        &records,
+        BetweenRecords::Estimated,
+    )?)
 }
 
 /// Pairs of weak events, with the scatter between records from the other events.
-fn pairs(condition: &str, events: &[Event], baselines: &[Baseline], at: impl Fn(&Course) -> Option<&Point>) -> Row {
-    let mut row = Row::new(condition, "at least 90 % of the pairs within two deviations for this structure");
+fn pairs(
+    condition: &str,
+    events: &[Event],
+    baselines: &[Baseline],
+    at: impl Fn(&Course) -> Option<&Point>,
+) -> Row {
+    let mut row = Row::new(
+        condition,
+        "at least 90 % of the pairs within two deviations for this structure",
+    );
     let (mut within, mut levels) = (Vec::new(), Vec::new());
-    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| event.is_weak) {
-        let Some(point) = at(&event.course) else { continue };
+    for (event, baseline) in events
+        .iter()
+        .zip(baselines)
+        .filter(|(event, _)| event.is_weak)
+    {
+        let Some(point) = at(&event.course) else {
+            continue;
+        };
         let level = Level::within(point, 0);
         let wide = level.for_structure(baseline, PARAMETER);
-        row.seen +=
-            &format!("{}: {:.3}±{:.4}, for the structure ±{:.3}; ", event.record.name, level.mean, level.std, wide.std);
+        row.seen += &format!(
+            "{}: {:.3}±{:.4}, for the structure ±{:.3}; ",
+            event.record.name, level.mean, level.std, wide.std
+        );
         within.push(level);
         levels.push(wide);
     }
@@ -142,13 +204,21 @@ fn pairs(condition: &str, events: &[Event], baselines: &[Baseline], at: impl Fn(
 
 /// The estimate at the last moment in motion against the batch fit.
 fn batch(events: &[Event]) -> Row {
-    let mut row = Row::new("highway bridge: weak events against a batch fit, last moment in motion", "");
+    let mut row = Row::new(
+        "highway bridge: weak events against a batch fit, last moment in motion",
+        "",
+    );
     let mut found = Vec::new();
     for event in events.iter().filter(|event| event.is_weak) {
-        let Some(point) = event.course.last_moving() else { continue };
+        let Some(point) = event.course.last_moving() else {
+            continue;
+        };
         let (ratio, left) = event.batch;
         found.push((point.mean[0] - ratio).abs() / point.std[0]);
-        row.seen += &format!("{}: batch {ratio:.3} leaves {left:.2}, found {:.3}; ", event.record.name, point.mean[0]);
+        row.seen += &format!(
+            "{}: batch {ratio:.3} leaves {left:.2}, found {:.3}; ",
+            event.record.name, point.mean[0]
+        );
     }
     row.runs = found.len();
     row.coverage = share_up_to(2.0, &found);
@@ -156,28 +226,49 @@ fn batch(events: &[Event]) -> Row {
 }
 
 /// Weak events against the baseline of the others.
-fn sound(structure: &Structure, events: &[Event], baselines: &[Baseline]) -> Result<Row, RecordsError> {
+fn sound(
+    structure: &Structure,
+    events: &[Event],
+    baselines: &[Baseline],
+) -> Result<Row, RecordsError> {
     let required = "no alert; a decision in at least 70 % of the motion";
     let mut row = Row::new("highway bridge: weak events against the others", required);
     let mut courses = Vec::new();
-    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| event.is_weak) {
+    for (event, baseline) in events
+        .iter()
+        .zip(baselines)
+        .filter(|(event, _)| event.is_weak)
+    {
         let course = Course::run(structure, &event.record.rows, Some(baseline), MOTION)?;
         row.seen += &told(event, &course);
         courses.push(course);
     }
     summarise(&mut row, &courses);
-    row.false_alerts = Some(courses.iter().filter(|course| course.raised().next().is_some()).count());
+    row.false_alerts = Some(
+        courses
+            .iter()
+            .filter(|course| course.raised().next().is_some())
+            .count(),
+    );
     row.passed = Some(row.false_alerts == Some(0) && row.decided_share >= Some(0.7));
     Ok(row)
 }
 
 /// Strong events: what is raised must be cleared where the coda shows the stiffness of before.
-fn strong(structure: &Structure, events: &[Event], baselines: &[Baseline]) -> Result<Row, RecordsError> {
+fn strong(
+    structure: &Structure,
+    events: &[Event],
+    baselines: &[Baseline],
+) -> Result<Row, RecordsError> {
     let required = "no alert that stands at the end of a record that recovers";
     let mut row = Row::new("highway bridge: strong events", required);
     let (mut courses, mut lasting) = (Vec::new(), 0);
     let replay = Replay::new(structure);
-    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| !event.is_weak) {
+    for (event, baseline) in events
+        .iter()
+        .zip(baselines)
+        .filter(|(event, _)| !event.is_weak)
+    {
         let course = Course::run(structure, &event.record.rows, Some(baseline), MOTION)?;
         let (ratio, left) = replay.fit(&event.record.rows, coda(&course));
         row.seen += &format!("{}coda {ratio:.2} leaves {left:.2}; ", told(event, &course));
@@ -198,20 +289,42 @@ const CODA_S: f64 = 15.0;
 
 /// Number of the first frame of the coda.
 fn coda(course: &Course) -> usize {
-    let end_s = course.points.iter().rev().find(|point| point.moves).map_or(0.0, |point| point.time_s);
-    course.points.iter().position(|point| point.time_s >= end_s - CODA_S).unwrap_or(0)
+    let end_s = course
+        .points
+        .iter()
+        .rev()
+        .find(|point| point.moves)
+        .map_or(0.0, |point| point.time_s);
+    course
+        .points
+        .iter()
+        .position(|point| point.time_s >= end_s - CODA_S)
+        .unwrap_or(0)
 }
 
 /// Weak events of a bridge whose supports have lost 40 %, with what the model does not explain of the real record.
-fn damaged(what: &str, structure: &Structure, events: &[Event], baselines: &[Baseline]) -> Result<Row, RecordsError> {
+fn damaged(
+    what: &str,
+    structure: &Structure,
+    events: &[Event],
+    baselines: &[Baseline],
+) -> Result<Row, RecordsError> {
     let mut row = Row::new(
-        format!("highway bridge: simulated loss of 40 % with the residual of each weak event{what}"),
+        format!(
+            "highway bridge: simulated loss of 40 % with the residual of each weak event{what}"
+        ),
         "raised in every weak event; the interval at the raise holds 40 %",
     );
     let replay = Replay::new(structure);
     let (mut courses, mut held) = (Vec::new(), 0);
-    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| event.is_weak) {
-        let sound = baseline.parameter(PARAMETER).map_or(1.0, |parameter| parameter.mean);
+    for (event, baseline) in events
+        .iter()
+        .zip(baselines)
+        .filter(|(event, _)| event.is_weak)
+    {
+        let sound = baseline
+            .parameter(PARAMETER)
+            .map_or(1.0, |parameter| parameter.mean);
         let rows = with_loss(&replay, structure, event, sound);
         let course = Course::run(structure, &rows, Some(baseline), MOTION)?;
         let interval = course.raised().next().and_then(|(_, alert)| alert.loss);
@@ -220,7 +333,10 @@ fn damaged(what: &str, structure: &Structure, events: &[Event], baselines: &[Bas
         courses.push(course);
     }
     summarise(&mut row, &courses);
-    let raised = courses.iter().filter(|course| course.raised().next().is_some()).count();
+    let raised = courses
+        .iter()
+        .filter(|course| course.raised().next().is_some())
+        .count();
     row.seen += &format!("raised {raised} of {}", courses.len());
     row.coverage = Some(held as f64 / raised.max(1) as f64);
     row.passed = Some(raised == courses.len());
@@ -231,13 +347,23 @@ fn damaged(what: &str, structure: &Structure, events: &[Event], baselines: &[Bas
 ///
 /// The residual is the record less the response at its own batch fit. So the loss against the sound value is 40 % in each
 /// event, and the event adds only what the model has wrong.
-fn with_loss(replay: &Replay<'_>, structure: &Structure, event: &Event, sound: f64) -> Vec<spandrel_sensor::Row> {
+fn with_loss(
+    replay: &Replay<'_>,
+    structure: &Structure,
+    event: &Event,
+    sound: f64,
+) -> Vec<spandrel_sensor::Row> {
     let parameters = structure.parameters().len();
     let own = replay.response(&event.record.rows, &vec![event.batch.0; parameters]);
     let soft = replay.response(&event.record.rows, &vec![sound * (1.0 - LOSS); parameters]);
     let mut rows = event.record.rows.clone();
     for ((row, own), soft) in rows.iter_mut().zip(&own).zip(&soft) {
-        for ((channel, own), soft) in structure.observation_channels().iter().zip(own.iter()).zip(soft.iter()) {
+        for ((channel, own), soft) in structure
+            .observation_channels()
+            .iter()
+            .zip(own.iter())
+            .zip(soft.iter())
+        {
             row.values[*channel] += soft - own;
         }
     }
@@ -246,7 +372,11 @@ fn with_loss(replay: &Replay<'_>, structure: &Structure, event: &Event, sound: f
 
 /// An event in words: the estimates, and what was raised and cleared when.
 fn told(event: &Event, course: &Course) -> String {
-    let level = |point: Option<&Point>| point.map_or("-".to_owned(), |p| format!("{:.3}±{:.4}", p.mean[0], p.std[0]));
+    let level = |point: Option<&Point>| {
+        point.map_or("-".to_owned(), |p| {
+            format!("{:.3}±{:.4}", p.mean[0], p.std[0])
+        })
+    };
     let alerts: Vec<String> = course
         .alerts
         .iter()
@@ -256,5 +386,10 @@ fn told(event: &Event, course: &Course) -> String {
         })
         .collect();
     let (moving, end) = (level(course.last_moving()), level(course.end()));
-    format!("{}: batch {:.3} moving {moving} end {end} [{}]; ", event.record.name, event.batch.0, alerts.join(", "))
+    format!(
+        "{}: batch {:.3} moving {moving} end {end} [{}]; ",
+        event.record.name,
+        event.batch.0,
+        alerts.join(", ")
+    )
 }

@@ -29,14 +29,21 @@ pub(super) struct Recorded {
 impl Recorded {
     /// Reads a record with the structure file's columns, units and rate.
     pub(super) fn read(structure: &Structure, path: &Path) -> Result<Self, RecordsError> {
-        let name = path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let rows = recorded_rows(open_record(structure, path)?, 0).collect::<Result<Vec<_>, _>>()?;
+        let name = path
+            .file_stem()
+            .map(|name| name.to_string_lossy().into_owned())
+            .unwrap_or_default();
+        let rows =
+            recorded_rows(open_record(structure, path)?, 0).collect::<Result<Vec<_>, _>>()?;
         Ok(Self { name, rows })
     }
 
     /// Largest absolute value of a channel (SI).
     pub(super) fn peak(&self, channel: usize) -> f64 {
-        self.rows.iter().filter_map(|row| row.values.get(channel)).fold(0.0, |peak, value| peak.max(value.abs()))
+        self.rows
+            .iter()
+            .filter_map(|row| row.values.get(channel))
+            .fold(0.0, |peak, value| peak.max(value.abs()))
     }
 }
 
@@ -69,7 +76,12 @@ pub(super) struct Hindrance {
 
 impl std::fmt::Display for Hindrance {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} of {}", self.because.map_or("learning", UndecidedBecause::as_str), self.parameter)
+        write!(
+            f,
+            "{} of {}",
+            self.because.map_or("learning", UndecidedBecause::as_str),
+            self.parameter
+        )
     }
 }
 
@@ -114,7 +126,9 @@ impl Course {
 
     /// Alerts that were raised, by parameter and time (s).
     pub(super) fn raised(&self) -> impl Iterator<Item = &(f64, Alert)> {
-        self.alerts.iter().filter(|(_, alert)| alert.state == AlertState::Raised)
+        self.alerts
+            .iter()
+            .filter(|(_, alert)| alert.state == AlertState::Raised)
     }
 
     /// The last point; `None` of an empty record.
@@ -124,13 +138,21 @@ impl Course {
 
     /// The last point in motion.
     pub(super) fn last_moving(&self) -> Option<&Point> {
-        self.points.iter().rev().find(|point| point.moves && point.works)
+        self.points
+            .iter()
+            .rev()
+            .find(|point| point.moves && point.works)
     }
 
     /// Shares of the moving points with a verdict of supported, doubtful and contradicted.
     pub(super) fn verdict_shares(&self) -> [f64; 3] {
         let share = |verdict| self.moving_share(|point| point.verdict == Some(verdict));
-        [FitVerdict::Supported, FitVerdict::Doubtful, FitVerdict::Contradicted].map(share)
+        [
+            FitVerdict::Supported,
+            FitVerdict::Doubtful,
+            FitVerdict::Contradicted,
+        ]
+        .map(share)
     }
 
     /// Share of the moving points with a decision on every parameter.
@@ -140,9 +162,17 @@ impl Course {
 
     /// Share of the moving points without a decision, for each hindrance.
     pub(super) fn hindrance_shares(&self) -> BTreeMap<Hindrance, f64> {
-        let found: BTreeSet<Hindrance> = self.moving().filter_map(|point| point.hindrance.clone()).collect();
-        let share = |one: &Hindrance| self.moving_share(|point| point.hindrance.as_ref() == Some(one));
-        found.into_iter().map(|one| (share(&one), one)).map(|(share, one)| (one, share)).collect()
+        let found: BTreeSet<Hindrance> = self
+            .moving()
+            .filter_map(|point| point.hindrance.clone())
+            .collect();
+        let share =
+            |one: &Hindrance| self.moving_share(|point| point.hindrance.as_ref() == Some(one));
+        found
+            .into_iter()
+            .map(|one| (share(&one), one))
+            .map(|(share, one)| (one, share))
+            .collect()
     }
 
     fn moving(&self) -> impl Iterator<Item = &Point> {
@@ -151,15 +181,24 @@ impl Course {
 
     /// Share of the moving points that fulfil a condition; 0 without motion.
     fn moving_share(&self, condition: impl Fn(&Point) -> bool) -> f64 {
-        self.moving().filter(|point| condition(point)).count() as f64 / self.moving().count().max(1) as f64
+        self.moving().filter(|point| condition(point)).count() as f64
+            / self.moving().count().max(1) as f64
     }
 
     /// What `spandrel baseline --skip` learns from this record.
     pub(super) fn summary(&self, skip_s: f64) -> Option<RecordSummary> {
-        let learnt = self.points.iter().filter(|point| point.works && point.time_s >= skip_s);
-        RecordSummary::from_estimates(
-            learnt.map(|point| point.mean.iter().copied().zip(point.std.iter().copied()).collect::<Vec<_>>()),
-        )
+        let learnt = self
+            .points
+            .iter()
+            .filter(|point| point.works && point.time_s >= skip_s);
+        RecordSummary::from_estimates(learnt.map(|point| {
+            point
+                .mean
+                .iter()
+                .copied()
+                .zip(point.std.iter().copied())
+                .collect::<Vec<_>>()
+        }))
     }
 }
 
@@ -179,7 +218,11 @@ struct Chain {
 }
 
 impl Chain {
-    fn new(structure: &Structure, baseline: Option<&Baseline>, motion: f64) -> Result<Self, RecordsError> {
+    fn new(
+        structure: &Structure,
+        baseline: Option<&Baseline>,
+        motion: f64,
+    ) -> Result<Self, RecordsError> {
         Ok(Self {
             identification: Identification::new(structure, "identify")?,
             watch: Watch::new(structure, baseline)?,
@@ -197,13 +240,23 @@ impl Chain {
     fn handle(&mut self, block: FrameBlock) -> Result<(), RecordsError> {
         self.start_ns.get_or_insert(block.t0_ns);
         for (_, values) in block.iter() {
-            let is_large = self.observed.iter().any(|channel| values[*channel].abs() > self.motion);
-            self.since_motion = if is_large { Some(0) } else { self.since_motion.map(|frames| frames + 1) };
-            let moves = self.since_motion.is_some_and(|frames| (frames as f64) < STILL_MOVING_S * self.rate_hz);
+            let is_large = self
+                .observed
+                .iter()
+                .any(|channel| values[*channel].abs() > self.motion);
+            self.since_motion = if is_large {
+                Some(0)
+            } else {
+                self.since_motion.map(|frames| frames + 1)
+            };
+            let moves = self
+                .since_motion
+                .is_some_and(|frames| (frames as f64) < STILL_MOVING_S * self.rate_hz);
             self.moves.push_back(moves);
         }
         let mut outputs = Vec::new();
-        self.identification.handle(Input::Frames(block), &mut outputs);
+        self.identification
+            .handle(Input::Frames(block), &mut outputs);
         for output in outputs {
             if let Output::Estimates(estimates) = output {
                 for piece in pieces(&estimates) {
@@ -219,12 +272,20 @@ impl Chain {
         let since_start_s = |time_ns: i64| time_ns.saturating_sub(start_ns) as f64 / 1e9;
         let mut alerts = Vec::new();
         self.watch.handle_block(block, &mut alerts)?;
-        let tells = |state| matches!(state, AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared);
+        let tells = |state| {
+            matches!(
+                state,
+                AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared
+            )
+        };
         let told = alerts.into_iter().filter(|alert| tells(alert.state));
-        self.alerts.extend(told.map(|alert| (since_start_s(alert.estimate.time_ns), alert)));
+        self.alerts
+            .extend(told.map(|alert| (since_start_s(alert.estimate.time_ns), alert)));
         let hindrance = self.watch.decisions().iter().find_map(hindrance);
         let in_training = || self.watch.decisions().first().map(without_levels);
-        let Some(grid) = block.grid() else { return Ok(()) };
+        let Some(grid) = block.grid() else {
+            return Ok(());
+        };
         for (number, estimate) in block.iter() {
             let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
             let works = estimate.flags.phase == Phase::Working;
@@ -235,7 +296,9 @@ impl Chain {
                 verdict: estimate.flags.fit,
                 moves: self.moves.pop_front().unwrap_or(false),
                 works,
-                hindrance: hindrance.clone().or_else(|| in_training().filter(|_| !works)),
+                hindrance: hindrance
+                    .clone()
+                    .or_else(|| in_training().filter(|_| !works)),
             });
         }
         Ok(())
@@ -247,7 +310,11 @@ impl Chain {
             matches!(state, Some(AlertState::Raised | AlertState::Acknowledged))
         };
         let standing = self.watch.decisions().iter().filter(stands).count();
-        Course { points: self.points, alerts: self.alerts, standing }
+        Course {
+            points: self.points,
+            alerts: self.alerts,
+            standing,
+        }
     }
 }
 
@@ -259,25 +326,39 @@ fn hindrance(decision: &spandrel_alert::Decision) -> Option<Hindrance> {
         None => matches!(decision.rule().reference(), ReferenceRule::Learnt { .. }),
     };
     let because = decision.undecided_because();
-    (is_learning || because.is_some()).then(|| Hindrance { because, parameter: decision.subject().name.clone() })
+    (is_learning || because.is_some()).then(|| Hindrance {
+        because,
+        parameter: decision.subject().name.clone(),
+    })
 }
 
 /// Returns the hindrance of a frame in training, which the decision states only once it has lasted.
 fn without_levels(decision: &spandrel_alert::Decision) -> Hindrance {
-    Hindrance { because: Some(UndecidedBecause::NoiseTraining), parameter: decision.subject().name.clone() }
+    Hindrance {
+        because: Some(UndecidedBecause::NoiseTraining),
+        parameter: decision.subject().name.clone(),
+    }
 }
 
 /// Cuts a block so that the state of a decision can be read in between.
 fn pieces(block: &EstimateBlock) -> impl Iterator<Item = EstimateBlock> + '_ {
     let sequence = block.header.sequence;
-    block.estimates.chunks(DECIDED_AT_ONCE).enumerate().map(move |(piece, estimates)| {
-        let mut header = block.header.clone();
-        header.sequence = sequence + (piece * DECIDED_AT_ONCE) as u64;
-        if let Some(grid) = block.grid() {
-            header.time_ns = grid.time_ns(header.sequence);
-        }
-        EstimateBlock { header, estimates: estimates.to_vec(), ..without_estimates(block) }
-    })
+    block
+        .estimates
+        .chunks(DECIDED_AT_ONCE)
+        .enumerate()
+        .map(move |(piece, estimates)| {
+            let mut header = block.header.clone();
+            header.sequence = sequence + (piece * DECIDED_AT_ONCE) as u64;
+            if let Some(grid) = block.grid() {
+                header.time_ns = grid.time_ns(header.sequence);
+            }
+            EstimateBlock {
+                header,
+                estimates: estimates.to_vec(),
+                ..without_estimates(block)
+            }
+        })
 }
 
 fn without_estimates(block: &EstimateBlock) -> EstimateBlock {

@@ -27,12 +27,19 @@ enum Shows {
 const MISTAKES: [Mistake; 5] = [
     Mistake {
         what: "floors 1 and 3 swapped",
-        changes: &[("floor1_mps2", "floor?"), ("floor3_mps2", "floor1_mps2"), ("floor?", "floor3_mps2")],
+        changes: &[
+            ("floor1_mps2", "floor?"),
+            ("floor3_mps2", "floor1_mps2"),
+            ("floor?", "floor3_mps2"),
+        ],
         shows: Shows::Contradiction,
     },
     Mistake {
         what: "stiffnesses ten times too high",
-        changes: &[("stiffnesses-n-per-m = [2720, 2300, 2360]", "stiffnesses-n-per-m = [27200, 23000, 23600]")],
+        changes: &[(
+            "stiffnesses-n-per-m = [2720, 2300, 2360]",
+            "stiffnesses-n-per-m = [27200, 23000, 23600]",
+        )],
         shows: Shows::Doubt,
     },
     Mistake {
@@ -42,12 +49,18 @@ const MISTAKES: [Mistake; 5] = [
     },
     Mistake {
         what: "the table in g taken for m/s2",
-        changes: &[("ground_mps2\", unit = \"m/s2\" }", "ground_mps2\", unit = \"m/s2\", scale = 0.10197 }")],
+        changes: &[(
+            "ground_mps2\", unit = \"m/s2\" }",
+            "ground_mps2\", unit = \"m/s2\", scale = 0.10197 }",
+        )],
         shows: Shows::Contradiction,
     },
     Mistake {
         what: "floor 2 in g taken for m/s2",
-        changes: &[("floor2_mps2\", unit = \"m/s2\" }", "floor2_mps2\", unit = \"m/s2\", scale = 0.10197 }")],
+        changes: &[(
+            "floor2_mps2\", unit = \"m/s2\" }",
+            "floor2_mps2\", unit = \"m/s2\", scale = 0.10197 }",
+        )],
         shows: Shows::Contradiction,
     },
 ];
@@ -58,31 +71,61 @@ const TOLD: f64 = 0.8;
 /// The rows of the mistakes.
 pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     if !folder(data).is_dir() {
-        return Ok(vec![Row::skipped("mistakes", "", format!("no records in {}", folder(data).display()))]);
+        return Ok(vec![Row::skipped(
+            "mistakes",
+            "",
+            format!("no records in {}", folder(data).display()),
+        )]);
     }
     let right = stiff(&[])?;
     let records = records(&right, data, "stiff")?;
     let right = courses(&right, &records, None)?;
-    MISTAKES.iter().map(|mistake| row(mistake, data, &right)).collect()
+    MISTAKES
+        .iter()
+        .map(|mistake| row(mistake, data, &right))
+        .collect()
 }
 
 fn row(mistake: &Mistake, data: &Path, right: &[Course]) -> Result<Row, RecordsError> {
     let required = match mistake.shows {
-        Shows::Contradiction => "contradicted, or nothing decided, in at least 80 % of the motion; no alert",
-        Shows::Doubt => "doubtful, contradicted or undecided in at least 80 % of the motion; no alert",
-        Shows::Nothing => "no alert; the values at the end as without the mistake, within two deviations",
+        Shows::Contradiction => {
+            "contradicted, or nothing decided, in at least 80 % of the motion; no alert"
+        }
+        Shows::Doubt => {
+            "doubtful, contradicted or undecided in at least 80 % of the motion; no alert"
+        }
+        Shows::Nothing => {
+            "no alert; the values at the end as without the mistake, within two deviations"
+        }
     };
     let mut row = Row::new(format!("mistake: {} (stiff frame)", mistake.what), required);
     let structure = stiff(mistake.changes)?;
     let courses = courses(&structure, &records(&structure, data, "stiff")?, None)?;
     summarise(&mut row, &courses);
-    row.false_alerts = Some(courses.iter().filter(|course| course.raised().next().is_some()).count());
+    row.false_alerts = Some(
+        courses
+            .iter()
+            .filter(|course| course.raised().next().is_some())
+            .count(),
+    );
     let mut apart = Vec::new();
     for (course, right) in courses.iter().zip(right) {
-        let (Some(end), Some(right)) = (course.end(), right.end()) else { continue };
-        let told: Vec<String> = end.mean.iter().zip(&end.std).map(|(m, s)| format!("{m:.3}±{s:.3}")).collect();
+        let (Some(end), Some(right)) = (course.end(), right.end()) else {
+            continue;
+        };
+        let told: Vec<String> = end
+            .mean
+            .iter()
+            .zip(&end.std)
+            .map(|(m, s)| format!("{m:.3}±{s:.3}"))
+            .collect();
         row.seen += &format!("end {}; ", told.join(" "));
-        let levels = |parameter| [Level::within(end, parameter), Level::within(right, parameter)];
+        let levels = |parameter| {
+            [
+                Level::within(end, parameter),
+                Level::within(right, parameter),
+            ]
+        };
         apart.extend((0..end.mean.len()).flat_map(|parameter| differences(&levels(parameter))));
     }
     let [_, doubtful, contradicted] = row.verdicts.unwrap_or_default();

@@ -44,7 +44,9 @@ fn replaced(file: &str, changes: &[(&str, &str)]) -> Result<String, RecordsError
     let mut text = file.to_owned();
     for (from, to) in changes {
         if !text.contains(from) {
-            return Err(RecordsError::NoSuchText { expected: (*from).to_owned() });
+            return Err(RecordsError::NoSuchText {
+                expected: (*from).to_owned(),
+            });
         }
         text = text.replace(from, to);
     }

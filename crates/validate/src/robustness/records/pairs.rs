@@ -13,16 +13,25 @@ pub(super) struct Level {
 impl Level {
     /// What is known of a parameter within a record.
     pub(super) fn within(point: &Point, parameter: usize) -> Self {
-        Self { mean: point.mean[parameter], std: point.std[parameter] }
+        Self {
+            mean: point.mean[parameter],
+            std: point.std[parameter],
+        }
     }
 
     /// What is known of it for the structure, by the scatter between the records of `baseline`: the deviation whose 1.96-fold
     /// is half the interval of 95 %. Infinite where the scatter is unknown.
     pub(super) fn for_structure(self, baseline: &Baseline, name: &str) -> Self {
-        let estimate = ParameterEstimate { time_ns: 0, mean: self.mean, std: self.std };
+        let estimate = ParameterEstimate {
+            time_ns: 0,
+            mean: self.mean,
+            std: self.std,
+        };
         let interval = baseline.for_structure(name, &estimate);
         Self {
-            std: interval.map_or(f64::INFINITY, |interval| (interval.high - interval.low) / (2.0 * QUANTILE)),
+            std: interval.map_or(f64::INFINITY, |interval| {
+                (interval.high - interval.low) / (2.0 * QUANTILE)
+            }),
             ..self
         }
     }
@@ -33,13 +42,20 @@ const QUANTILE: f64 = 1.96;
 
 /// Returns |difference| / combined deviation of each pair.
 pub(super) fn differences(levels: &[Level]) -> Vec<f64> {
-    let pairs = levels.iter().enumerate().flat_map(|(i, a)| levels[..i].iter().map(move |b| (a, b)));
-    pairs.map(|(a, b)| (a.mean - b.mean).abs() / a.std.hypot(b.std)).collect()
+    let pairs = levels
+        .iter()
+        .enumerate()
+        .flat_map(|(i, a)| levels[..i].iter().map(move |b| (a, b)));
+    pairs
+        .map(|(a, b)| (a.mean - b.mean).abs() / a.std.hypot(b.std))
+        .collect()
 }
 
 /// Share of values up to a limit; `None` without values.
 pub(super) fn share_up_to(limit: f64, values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| values.iter().filter(|value| **value <= limit).count() as f64 / values.len() as f64)
+    (!values.is_empty()).then(|| {
+        values.iter().filter(|value| **value <= limit).count() as f64 / values.len() as f64
+    })
 }
 
 /// The median; not a number without values.
@@ -58,7 +74,13 @@ mod tests {
         let level = |mean: f64, std: f64| Level { mean, std };
         let found = differences(&[level(1.0, 0.03), level(1.1, 0.04), level(0.9, 0.04)]);
         let expected = [0.1 / 0.05, 0.1 / 0.05, 0.2 / 0.04_f64.hypot(0.04)];
-        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+        assert!(
+            found
+                .iter()
+                .zip(expected)
+                .all(|(a, b)| (a - b).abs() < 1e-12),
+            "{found:?}"
+        );
         assert_eq!(share_up_to(2.5, &found), Some(2.0 / 3.0));
         assert_eq!(share_up_to(2.0, &[]), None);
     }

@@ -46,14 +46,23 @@ impl Row {
     }
 
     /// Makes a row that was skipped, with the reason.
-    pub(super) fn skipped(condition: impl Into<String>, required: impl Into<String>, why: impl Into<String>) -> Self {
-        Self { seen: format!("skipped: {}", why.into()), ..Self::new(condition, required) }
+    pub(super) fn skipped(
+        condition: impl Into<String>,
+        required: impl Into<String>,
+        why: impl Into<String>,
+    ) -> Self {
+        Self {
+            seen: format!("skipped: {}", why.into()),
+            ..Self::new(condition, required)
+        }
     }
 }
 
 impl std::fmt::Display for Row {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let percent = |share: Option<f64>| share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+        let percent = |share: Option<f64>| {
+            share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share))
+        };
         let result = match self.passed {
             Some(true) => "as required",
             Some(false) => "MISSED",
@@ -78,8 +87,11 @@ impl std::fmt::Display for Row {
             percent(self.decided_share)
         )?;
         if !self.undecided.is_empty() {
-            let shares: Vec<String> =
-                self.undecided.iter().map(|(why, share)| format!("{why} {:.0} %", 100.0 * share)).collect();
+            let shares: Vec<String> = self
+                .undecided
+                .iter()
+                .map(|(why, share)| format!("{why} {:.0} %", 100.0 * share))
+                .collect();
             writeln!(f, "    without a decision: {}", shares.join(", "))?;
         }
         write!(f, "    {}", self.seen.trim_end().replace("; ", "\n    "))

@@ -29,7 +29,11 @@ fn absolute_acceleration(state: &[f64], out: &mut [f64]) {
     let (v, rest) = rest.split_at(STOREYS);
     let mut above = 0.0;
     for i in (0..STOREYS).rev() {
-        let (below_x, below_v) = if i > 0 { (x[i - 1], v[i - 1]) } else { (0.0, 0.0) };
+        let (below_x, below_v) = if i > 0 {
+            (x[i - 1], v[i - 1])
+        } else {
+            (0.0, 0.0)
+        };
         // kN: MN/m · m · 1000, kN·s/m · m/s
         let force = 1000.0 * rest[i] * (x[i] - below_x) + rest[STOREYS + i] * (v[i] - below_v);
         out[i] = (above - force) / MASS;
@@ -90,9 +94,13 @@ impl Record {
                 return path;
             }
         };
-        let mut parameters: Vec<Vec<f64>> = (0..STOREYS).map(|_| path(INITIAL_STIFFNESS, 100.0, 600.0)).collect();
+        let mut parameters: Vec<Vec<f64>> = (0..STOREYS)
+            .map(|_| path(INITIAL_STIFFNESS, 100.0, 600.0))
+            .collect();
         parameters[1] = (0..=steps)
-            .map(|k| INITIAL_STIFFNESS * (1.0 - 0.5 * ((k as f64 * STEP_S - 8.0) / 2.0).clamp(0.0, 1.0)))
+            .map(|k| {
+                INITIAL_STIFFNESS * (1.0 - 0.5 * ((k as f64 * STEP_S - 8.0) / 2.0).clamp(0.0, 1.0))
+            })
             .collect();
         parameters.extend((0..STOREYS).map(|_| path(INITIAL_DAMPING, 100.0, 1500.0)));
         let mut input: Vec<f64> = (0..=steps).map(|_| 2.0 * normal.draw()).collect();
@@ -117,12 +125,21 @@ impl Record {
                 out
             })
             .collect();
-        let noise_std: [f64; STOREYS] = std::array::from_fn(|j| 0.1 * rms(clean.iter().map(|y| y[j])));
+        let noise_std: [f64; STOREYS] =
+            std::array::from_fn(|j| 0.1 * rms(clean.iter().map(|y| y[j])));
         for state in &mut truth {
             state[NOISE..].copy_from_slice(&noise_std);
         }
-        let data = clean.iter().map(|y| std::array::from_fn(|j| y[j] + noise_std[j] * normal.draw())).collect();
-        Self { input, truth, data, noise_std }
+        let data = clean
+            .iter()
+            .map(|y| std::array::from_fn(|j| y[j] + noise_std[j] * normal.draw()))
+            .collect();
+        Self {
+            input,
+            truth,
+            data,
+            noise_std,
+        }
     }
 
     fn initial(&self) -> [f64; 3 * STOREYS] {
@@ -144,7 +161,13 @@ impl Record {
     /// The prior: mean, and covariance with deviations of 30 % (stiffness), 50 % (damping, noise) and the RMS response.
     pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
-        let mean = DVector::from_fn(STATE, |j, _| if j < STIFFNESS { 0.0 } else { initial[j - STIFFNESS] });
+        let mean = DVector::from_fn(STATE, |j, _| {
+            if j < STIFFNESS {
+                0.0
+            } else {
+                initial[j - STIFFNESS]
+            }
+        });
         let std = DVector::from_fn(STATE, |j, _| match j / STOREYS {
             0 | 1 => rms(self.truth.iter().map(|state| state[j])),
             2 => 0.3 * mean[j],

@@ -6,7 +6,13 @@ use nalgebra::DVector;
 use spandrel_filter::ContinuousSystem;
 
 /// Integrates the mechanical states of a system over one step with held input, by classical Runge-Kutta substeps.
-pub fn integrate(system: &impl ContinuousSystem, state: &mut [f64], input: &[f64], step_s: f64, substeps: usize) {
+pub fn integrate(
+    system: &impl ContinuousSystem,
+    state: &mut [f64],
+    input: &[f64],
+    step_s: f64,
+    substeps: usize,
+) {
     let mechanical = system.mechanical_len();
     let h = step_s / substeps as f64;
     let slope_at = |start: &[f64], slope: &DVector<f64>, reach: f64| {
@@ -21,6 +27,7 @@ pub fn integrate(system: &impl ContinuousSystem, state: &mut [f64], input: &[f64
         let k2 = slope_at(state, &k1, 0.5 * h);
         let k3 = slope_at(state, &k2, 0.5 * h);
         let k4 = slope_at(state, &k3, h);
-        (0..mechanical).for_each(|i| state[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]));
+        (0..mechanical)
+            .for_each(|i| state[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]));
     }
 }

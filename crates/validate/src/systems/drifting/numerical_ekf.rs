@@ -17,13 +17,22 @@ pub struct NumericalEkf<M> {
 impl<M: ParticleModel> NumericalEkf<M> {
     pub fn new(model: M, mean: DVector<f64>, covariance: DMatrix<f64>) -> Self {
         let steps = covariance.diagonal().map(|variance| 1e-5 * variance.sqrt());
-        Self { model, mean, covariance, steps }
+        Self {
+            model,
+            mean,
+            covariance,
+            steps,
+        }
     }
 
     /// Takes one frame without gaps; `previous` is the input one step before, `None` at the instant of the prior.
     pub fn step(&mut self, previous: Option<&[f64]>, current: &[f64], datum: &[f64]) {
         let (n, l) = (self.model.state_len(), self.model.disturbance_len());
-        let interval = Interval { previous, current, mean_square: &[0.0] };
+        let interval = Interval {
+            previous,
+            current,
+            mean_square: &[0.0],
+        };
         let still = vec![0.0; l];
         let mut model = self.model.clone();
         let mut move_from = |state: &DVector<f64>, disturbance: &[f64]| {
@@ -89,7 +98,8 @@ impl<M: ParticleModel> NumericalEkf<M> {
         let gain = factor.solve(&(&c * &self.covariance)).transpose();
         self.mean += &gain * innovation;
         let rest = DMatrix::identity(n, n) - &gain * c;
-        self.covariance = &rest * &self.covariance * rest.transpose() + &gain * r * gain.transpose();
+        self.covariance =
+            &rest * &self.covariance * rest.transpose() + &gain * r * gain.transpose();
         self.covariance = (&self.covariance + self.covariance.transpose()) * 0.5;
     }
 }

@@ -65,12 +65,15 @@ impl Record {
             let path: Vec<[f64; 4]> = (0..=steps)
                 .map(|k| {
                     if k > 0 {
-                        value = std::array::from_fn(|j| value[j] + DRIFT * INITIAL[j].abs() * normal.draw());
+                        value = std::array::from_fn(|j| {
+                            value[j] + DRIFT * INITIAL[j].abs() * normal.draw()
+                        });
                     }
                     value
                 })
                 .collect();
-            let inside = |value: &[f64; 4]| (0..4).all(|j| value[j] > RANGES[j].0 && value[j] < RANGES[j].1);
+            let inside =
+                |value: &[f64; 4]| (0..4).all(|j| value[j] > RANGES[j].0 && value[j] < RANGES[j].1);
             if path.iter().all(inside) {
                 break path;
             }
@@ -90,8 +93,17 @@ impl Record {
         for state in &mut truth {
             state[7] = noise_std;
         }
-        let data = truth.iter().enumerate().map(|(k, state)| clean(k, state) + noise_std * normal.draw()).collect();
-        Self { input, truth, data, noise_std }
+        let data = truth
+            .iter()
+            .enumerate()
+            .map(|(k, state)| clean(k, state) + noise_std * normal.draw())
+            .collect();
+        Self {
+            input,
+            truth,
+            data,
+            noise_std,
+        }
     }
 
     fn initial(&self) -> [f64; 5] {
@@ -103,7 +115,13 @@ impl Record {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value.abs()).collect();
         // an exponent of 5 % is the least at which the restoring force still means anything; θ₃ may have either sign
-        let lower = vec![0.02 * initial[0], 0.02 * initial[1], f64::NEG_INFINITY, 0.05, 0.02 * initial[4]];
+        let lower = vec![
+            0.02 * initial[0],
+            0.02 * initial[1],
+            f64::NEG_INFINITY,
+            0.05,
+            0.02 * initial[4],
+        ];
         Drifting::new(Oscillator, STEP_S, 10, IncrementTime::Start, drift, lower)
     }
 

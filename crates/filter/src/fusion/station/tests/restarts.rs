@@ -20,7 +20,11 @@ fn found(is_restarted: impl Fn(u64) -> bool) -> Vec<Fused> {
     let (mut begun, mut found) = (0, Vec::new());
     for step in 0..12 * PERIOD {
         for (k, node) in nodes.iter_mut().enumerate() {
-            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+            node.step(Frame {
+                observations: &[datum(k, step, ROWS[k])],
+                excitation: &[],
+            })
+            .unwrap();
         }
         if !(step + 1).is_multiple_of(PERIOD) {
             continue;
@@ -56,9 +60,15 @@ fn a_station_that_is_restored_after_any_fusion_goes_on_to_the_bit() {
 fn a_state_of_other_sizes_is_refused_and_changes_nothing() {
     let mut central = independent(4, FeedbackRule::Marginal);
     let before = central.state();
-    let refused = |result: Result<(), FilterError>| matches!(result, Err(FilterError::Dimension { .. }));
-    assert!(refused(central.restore(independent(3, FeedbackRule::Marginal).state())));
-    let longer = Gaussian { mean: DVector::zeros(3), covariance: DMatrix::identity(3, 3) };
+    let refused =
+        |result: Result<(), FilterError>| matches!(result, Err(FilterError::Dimension { .. }));
+    assert!(refused(
+        central.restore(independent(3, FeedbackRule::Marginal).state())
+    ));
+    let longer = Gaussian {
+        mean: DVector::zeros(3),
+        covariance: DMatrix::identity(3, 3),
+    };
     let mut of_three = before.clone();
     of_three.fused = longer.information().unwrap();
     assert!(refused(central.restore(of_three)));
@@ -105,7 +115,11 @@ fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMa
                 anew.restore(states.as_ref().unwrap()[k].clone()).unwrap();
                 // what its sensor still has is filtered again, and nothing told of it
                 for missed in lives.node_kept..step {
-                    anew.step(Frame { observations: &[datum(k, missed, ROWS[k])], excitation: &[] }).unwrap();
+                    anew.step(Frame {
+                        observations: &[datum(k, missed, ROWS[k])],
+                        excitation: &[],
+                    })
+                    .unwrap();
                     if anew.is_due() {
                         drop(anew.report());
                     }
@@ -114,7 +128,12 @@ fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMa
                 nodes[k] = anew;
             }
             if !is_away(away, step) {
-                nodes[k].step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+                nodes[k]
+                    .step(Frame {
+                        observations: &[datum(k, step, ROWS[k])],
+                        excitation: &[],
+                    })
+                    .unwrap();
             }
         }
         if step == lives.station.1 {
@@ -152,7 +171,11 @@ fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMa
         if period == lives.station_kept {
             station_state = Some(kept(&central.state()));
         }
-        found.push((period, fused.parameters.covariance, centralised.0.gaussian().unwrap().covariance));
+        found.push((
+            period,
+            fused.parameters.covariance,
+            centralised.0.gaussian().unwrap().covariance,
+        ));
     }
     found
 }
@@ -163,11 +186,17 @@ fn assert_sound(case: &str, kept: u64, found: &[(u64, DMatrix<f64>, DMatrix<f64>
     let (_, known, _) = found.iter().find(|(period, ..)| *period == kept).unwrap();
     for (period, fused, all) in found {
         let least = (fused - all).symmetric_eigen().eigenvalues.min();
-        assert!(least > -1e-9, "{case}, period {period}: counted twice, {least:e}");
+        assert!(
+            least > -1e-9,
+            "{case}, period {period}: counted twice, {least:e}"
+        );
         if *period > kept {
             let faded = fading().value().powf(((period - kept) * PERIOD) as f64);
             let share = fused.diagonal().component_div(&known.diagonal()).mean() / faded;
-            assert!(share < 1.0 + 1e-9, "{case}, period {period}: variances are {share:.3} times what they were");
+            assert!(
+                share < 1.0 + 1e-9,
+                "{case}, period {period}: variances are {share:.3} times what they were"
+            );
         }
     }
 }
@@ -177,20 +206,45 @@ const BACK: u64 = 25 * PERIOD + 1;
 
 #[test]
 fn a_node_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
-    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+    for feedback in [
+        FeedbackRule::Marginal,
+        FeedbackRule::Federated,
+        FeedbackRule::None,
+        FeedbackRule::Mean,
+    ] {
         for node_kept in [AFTER, 22 * PERIOD, 20 * PERIOD + 3] {
-            let lives = Lives { node_kept, station_kept: 0, second: (AFTER, BACK), first: NEVER, station: NEVER };
-            assert_sound(&format!("{feedback:?}, state of step {node_kept}"), 24, &survived(feedback, lives));
+            let lives = Lives {
+                node_kept,
+                station_kept: 0,
+                second: (AFTER, BACK),
+                first: NEVER,
+                station: NEVER,
+            };
+            assert_sound(
+                &format!("{feedback:?}, state of step {node_kept}"),
+                24,
+                &survived(feedback, lives),
+            );
         }
     }
 }
 
 #[test]
 fn a_station_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
-    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+    for feedback in [
+        FeedbackRule::Marginal,
+        FeedbackRule::Federated,
+        FeedbackRule::None,
+        FeedbackRule::Mean,
+    ] {
         for station_kept in [24, 20] {
-            let lives =
-                Lives { node_kept: u64::MAX, station_kept, second: NEVER, first: NEVER, station: (AFTER, BACK) };
+            let lives = Lives {
+                node_kept: u64::MAX,
+                station_kept,
+                second: NEVER,
+                first: NEVER,
+                station: (AFTER, BACK),
+            };
             assert_sound(
                 &format!("{feedback:?}, state of period {station_kept}"),
                 station_kept,
@@ -202,11 +256,23 @@ fn a_station_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
 
 #[test]
 fn a_station_and_nodes_that_die_together_go_on_from_what_they_knew() {
-    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+    for feedback in [
+        FeedbackRule::Marginal,
+        FeedbackRule::Federated,
+        FeedbackRule::None,
+        FeedbackRule::Mean,
+    ] {
         for (node_kept, station_kept) in [(20 * PERIOD + 3, 24), (AFTER, 20), (22 * PERIOD, 22)] {
             let away = (AFTER, BACK);
-            let lives = Lives { node_kept, station_kept, second: away, first: away, station: away };
-            let case = format!("{feedback:?}, states of step {node_kept} and period {station_kept}");
+            let lives = Lives {
+                node_kept,
+                station_kept,
+                second: away,
+                first: away,
+                station: away,
+            };
+            let case =
+                format!("{feedback:?}, states of step {node_kept} and period {station_kept}");
             assert_sound(&case, station_kept, &survived(feedback, lives));
         }
     }
@@ -216,17 +282,30 @@ fn a_station_and_nodes_that_die_together_go_on_from_what_they_knew() {
 fn a_node_whose_messages_were_never_answered_tells_nothing_as_learnt_in_its_next_life() {
     let mut first = node(ROWS[0], FeedbackRule::Marginal);
     for step in 0..PERIOD {
-        first.step(Frame { observations: &[datum(0, step, ROWS[0])], excitation: &[] }).unwrap();
+        first
+            .step(Frame {
+                observations: &[datum(0, step, ROWS[0])],
+                excitation: &[],
+            })
+            .unwrap();
     }
     assert_eq!(
         first.report().lineage,
-        Some(Lineage { own: 0, answers: Vec::new() }),
+        Some(Lineage {
+            own: 0,
+            answers: Vec::new()
+        }),
         "since the prior, which all share"
     );
     let mut second = node(ROWS[0], FeedbackRule::Marginal);
     second.restore(kept(&first.state())).unwrap();
     for step in PERIOD..2 * PERIOD {
-        second.step(Frame { observations: &[datum(0, step, ROWS[0])], excitation: &[] }).unwrap();
+        second
+            .step(Frame {
+                observations: &[datum(0, step, ROWS[0])],
+                excitation: &[],
+            })
+            .unwrap();
     }
     let message = second.report();
     assert_eq!((message.index, message.lineage), (2, None));
