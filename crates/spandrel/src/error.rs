@@ -236,6 +236,12 @@ pub enum AppError {
         /// Seconds left out at its start.
         skip_s: f64,
     },
+    /// The data of a recording contradict the model throughout.
+    #[error("{}: the data contradict the model in every frame, nothing can be learnt from it; check the sensors, the units and the model", path.display())]
+    BaselineContradicted {
+        /// The recording.
+        path: PathBuf,
+    },
     /// A structure without parameters has no sound values.
     #[error("{}: has no [[parameter]], must have one whose sound value can be learnt", path.display())]
     NoParameters {

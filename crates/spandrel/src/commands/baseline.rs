@@ -5,7 +5,7 @@ use crate::cli::BaselineArguments;
 use crate::error::AppError;
 use crate::offline;
 use spandrel_alert::{Baseline, BetweenRecords, RecordSummary};
-use spandrel_bus::Phase;
+use spandrel_bus::{FitVerdict, Phase};
 use spandrel_identify::Identification;
 use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Reference, Structure};
@@ -26,9 +26,11 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     }
     let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
     let mut records = Vec::new();
+    let mut left_out = String::new();
     for path in &arguments.record {
         let recording = open_record(&structure, path)?;
         let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
+        let mut contradicted = 0_usize;
         let identification = Identification::new(&structure, "identify")?;
         offline::identify(
             &structure,
@@ -37,7 +39,12 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
             None,
             |block, _| {
                 for (number, estimate) in block.iter() {
-                    if number >= skipped && estimate.flags.phase == Phase::Working {
+                    if number < skipped || estimate.flags.phase != Phase::Working {
+                        continue;
+                    }
+                    if estimate.flags.fit == Some(FitVerdict::Contradicted) {
+                        contradicted += 1; // such an estimate has no meaning
+                    } else {
                         let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
                         frames.push(
                             estimate
@@ -52,10 +59,22 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
                 Ok(())
             },
         )?;
-        let nothing = || AppError::NothingLearnt {
-            path: path.clone(),
-            skip_s: arguments.skip,
+        let nothing = || match contradicted {
+            0 => AppError::NothingLearnt {
+                path: path.clone(),
+                skip_s: arguments.skip,
+            },
+            _ => AppError::BaselineContradicted { path: path.clone() },
         };
+        if contradicted > 0 {
+            let share = contradicted as f64 / (contradicted + frames.len()) as f64;
+            let _ = writeln!(
+                left_out,
+                "{}: the data contradict the model in {:.0} % of the frames, which are left out",
+                path.display(),
+                100.0 * share
+            );
+        }
         records.push(RecordSummary::from_estimates(frames).ok_or_else(nothing)?);
     }
     let names: Vec<&str> = structure
@@ -68,7 +87,7 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
         .map_or(BetweenRecords::Estimated, BetweenRecords::Stated);
     let baseline = Baseline::from_records(structure.name(), &names, &records, between)?;
     baseline.write(&arguments.output)?;
-    print(&report(&structure, &baseline))
+    print(&(left_out + &report(&structure, &baseline)))
 }
 
 /// What the baseline holds, and which losses the rules can raise against it.
