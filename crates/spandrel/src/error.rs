@@ -264,6 +264,7 @@ impl AppError {
             | Self::SameStructure { .. }
             | Self::BaselineOfNone { .. }
             | Self::NothingLearnt { .. }
+            | Self::BaselineContradicted { .. }
             | Self::NoParameters { .. }
             | Self::NoSuchNode { .. }
             | Self::NoStandbyOfNodes { .. }
