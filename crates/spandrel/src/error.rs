@@ -236,11 +236,19 @@ pub enum AppError {
         /// Seconds left out at its start.
         skip_s: f64,
     },
-    /// The data of a recording contradict the model throughout.
-    #[error("{}: the data contradict the model in every frame, nothing can be learnt from it; check the sensors, the units and the model", path.display())]
+    /// The data of a recording contradict the model for most of the time.
+    #[error(
+        "{}: the data contradict the model in {:.0} % of the frames, at most {:.0} % are allowed; \
+         check sensors, units and model with spandrel estimate",
+        path.display(), 100.0 * share, 100.0 * largest
+    )]
     BaselineContradicted {
         /// The recording.
         path: PathBuf,
+        /// Share of its frames.
+        share: f64,
+        /// Largest allowed share.
+        largest: f64,
     },
     /// A structure without parameters has no sound values.
     #[error("{}: has no [[parameter]], must have one whose sound value can be learnt", path.display())]

@@ -442,6 +442,32 @@ fn a_structure_without_parameters_has_no_baseline() {
 }
 
 #[test]
+fn baseline_is_not_learnt_from_data_that_contradict_the_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = folder.path().join("building.csv");
+    simulate(&example("demo.toml"), &record, "59");
+    let file = std::fs::read_to_string(example("demo.toml")).unwrap();
+    let swapped = file
+        .replace("dof = \"floor-1\"", "dof = \"floor-?\"")
+        .replace("dof = \"floor-5\"", "dof = \"floor-1\"")
+        .replace("dof = \"floor-?\"", "dof = \"floor-5\"");
+    let structure = folder.path().join("swapped.toml");
+    std::fs::write(&structure, swapped).unwrap();
+    let output = folder.path().join("baseline.json");
+    let paths = [&structure, &record, &output].map(|path| path.to_str().unwrap());
+    let told = spandrel(&[
+        "baseline", paths[0], "--record", paths[1], "--output", paths[2],
+    ]);
+    assert_eq!(told.status.code(), Some(2), "{told:?}");
+    let error = String::from_utf8_lossy(&told.stderr);
+    assert!(
+        error.contains("building.csv: the data contradict the model in 98 % of the frames"),
+        "{error}"
+    );
+    assert!(!output.exists());
+}
+
+#[test]
 fn particles_follow_a_linear_structure_without_parameters_too() {
     let folder = tempfile::tempdir().unwrap();
     let file = std::fs::read_to_string(example("sixty-storeys.toml")).unwrap();

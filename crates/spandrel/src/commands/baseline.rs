@@ -11,6 +11,10 @@ use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Reference, Structure};
 use std::fmt::Write as _;
 
+/// Largest share of the frames of a recording in which the data may contradict the model. Beyond it, hardly more than the first
+/// moments remain, in which the filter has not found out yet.
+const LARGEST_CONTRADICTED: f64 = 0.95;
+
 /// Identifies each recording from its start and writes mean and spread of each parameter.
 ///
 /// # Errors
@@ -59,15 +63,19 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
                 Ok(())
             },
         )?;
-        let nothing = || match contradicted {
-            0 => AppError::NothingLearnt {
-                path: path.clone(),
-                skip_s: arguments.skip,
-            },
-            _ => AppError::BaselineContradicted { path: path.clone() },
+        let nothing = || AppError::NothingLearnt {
+            path: path.clone(),
+            skip_s: arguments.skip,
         };
         if contradicted > 0 {
             let share = contradicted as f64 / (contradicted + frames.len()) as f64;
+            if share > LARGEST_CONTRADICTED {
+                return Err(AppError::BaselineContradicted {
+                    path: path.clone(),
+                    share,
+                    largest: LARGEST_CONTRADICTED,
+                });
+            }
             let _ = writeln!(
                 left_out,
                 "{}: the data contradict the model in {:.0} % of the frames, which are left out",
