@@ -2,8 +2,11 @@
 //! table and draws a plot on request.
 //!
 //! ```sh
-//! cargo bench -p spandrel-bench --bench peers                                     # Rust alone
-//! cargo bench -p spandrel-bench --bench peers -- --python venv/bin/python         # and what python/requirements.txt names
+//! # Rust only
+//! cargo bench -p spandrel-bench --bench peers
+//! # with the Python peers, which need the packages of python/requirements.txt
+//! cargo bench -p spandrel-bench --bench peers -- --python venv/bin/python
+//! # other sizes, and a plot
 //! cargo bench -p spandrel-bench --bench peers -- --storeys 40,100 --plot scaling.svg
 //! ```
 //!

@@ -1,4 +1,4 @@
-// Alerts of all structures: what stands, what was, and who has seen it.
+// Alerts of all structures: current alerts, past changes and acknowledgements.
 
 import { h, keyed, setText } from "./dom.js";
 import { STATES, canBeSeen, levelOf, place, time } from "./words.js";
@@ -50,7 +50,7 @@ export class AlertsPage {
       if (!response.ok) return;
       this.answer = await response.json();
     } catch {
-      return; // the line on top says that there is no connection
+      return; // the line at the top reports the lost connection
     }
     const known = [...new Set(this.answer.standing.map((alert) => alert.structure))];
     for (const name of known) {
@@ -172,7 +172,7 @@ export class AcknowledgeDialog {
         const { error, allowed } = await response.json();
         return this.#failed(`${error}; ${allowed}`);
       }
-      if (response.status === 200) { // the alert service has taken it
+      if (response.status === 200) { // the alert service has accepted it
         this.element.close();
         return this.sent();
       }

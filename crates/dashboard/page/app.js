@@ -1,4 +1,4 @@
-// Starts the page, and shows what the address names: all structures, one structure, or the alerts.
+// Starts the page and shows the view in the address: all structures, one structure, or the alerts.
 
 import { AlertsPage } from "./alerts.js";
 import { Connection } from "./connection.js";

@@ -1,4 +1,5 @@
-// The WebSocket: tells what comes, opens itself again, and knows how old everything is.
+// The WebSocket connection. It passes messages to its listeners, reconnects, and records when the
+// last message arrived.
 
 /** Pauses between attempts (s): they grow, and never become long for somebody who waits. */
 const PAUSES_S = [0.5, 1, 2, 4, 8];
@@ -81,7 +82,7 @@ export class Connection {
     this.#attempts = attempts + 1;
     const pause_s = PAUSES_S[Math.min(attempts, PAUSES_S.length - 1)];
     clearTimeout(this.#timer);
-    // not all browsers at the same moment
+    // The random factor prevents all browsers from reconnecting at the same moment.
     this.#timer = setTimeout(() => this.#open(), 1000 * pause_s * (0.75 + Math.random() / 2));
     this.#tell("state");
   }

@@ -1,4 +1,4 @@
-// Makes elements. Text is always set as text: names and sentences come from elsewhere.
+// Creates elements. Text is always set as text, because names and sentences come from outside.
 
 const SVG = "http://www.w3.org/2000/svg";
 

@@ -1,4 +1,5 @@
-// The structure as its file describes it, coloured by probability of loss, with its sensors.
+// The structure and its sensors as described by the structure file, coloured by probability of
+// loss.
 
 import { h, s, setAttribute, setText } from "./dom.js";
 import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
@@ -73,7 +74,7 @@ export class Drawing {
     const most = Math.max(...[...found.values()].map(({ worst }) => worst ?? 0));
     const shown = this.#callouts.filter((callout) => worstOf(callout) >= Math.min(0.5, Math.max(most, WORTH_NAMING)));
     for (const callout of this.#callouts) setAttribute(callout.element, "visibility", shown.includes(callout) ? null : "hidden");
-    // from the lowest one upwards, each at its part or at the next free height
+    // Places callouts from the lowest part upwards, each at its part or at the next free height.
     const taken = [...this.#named];
     for (const { names, text, value, leader, y, edge } of shown.toSorted((a, b) => b.y - a.y)) {
       const isFree = (height) => taken.every((other) => Math.abs(other - height) >= CALLOUT_ROW);
@@ -103,18 +104,18 @@ export class Drawing {
         continue;
       }
       const text = s("text", { x: left - CALLOUT_FROM, class: "callout", "dominant-baseline": "central" }, first.parts[0]);
-      // beyond the sensors
+      // To the right of the sensors.
       const value = s("text", { x: left + width + 14 + 15 * abreast, class: "callout beside", "dominant-baseline": "central" });
       const leader = s("path", { class: "leader" });
       const element = s("g", { visibility: "hidden", "data-callout": first.parts[0] }, leader, text, value);
       this.#callouts.push({ element, text, value, leader, y, edge: left, names: together.map((member) => member.parts.join(", ")) });
     }
-    // from the top, so that the lowest of a group, which has its name, lies in front
+    // From the top, so that the lowest storey of a group, which shows the name, is drawn in front.
     for (const member of members.toReversed()) {
       const [y0, y1] = member.ends.map(level);
       const shape = { x: left, y: Math.min(y0, y1), width, height: Math.abs(y0 - y1) };
       const together = group(member);
-      // storeys that are scaled together are named once, in their middle
+      // Storeys that are scaled together have one name, in their middle.
       const isNamed = together[0] === member && member.parameters.length > 0 && together.length * storey >= NAMED_FROM;
       const middle = (y0 + level(together.at(-1).ends[1])) / 2;
       const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;

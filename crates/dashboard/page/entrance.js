@@ -1,4 +1,4 @@
-// Asks for a token where the server wants one. The token is sent once, and kept nowhere on this page.
+// Requests a token if the server requires one. The page sends the token once and does not store it.
 
 import { h, setText } from "./dom.js";
 

@@ -1,4 +1,4 @@
-// Where the words of moments stand above a plot: each at its own line, and at no other.
+// Places the labels of marks above a plot, each at its own line.
 
 /** Most rows of words. */
 const ROWS = 3;

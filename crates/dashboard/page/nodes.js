@@ -1,4 +1,5 @@
-// The nodes that identify for themselves, each in a row as its station sees it.
+// The nodes that identify their own part of the structure, one row per node, as the station reports
+// them.
 
 import { h, keyed, setText } from "./dom.js";
 import { NODES, bytes, number, percent, time } from "./words.js";
@@ -9,7 +10,7 @@ export class NodeTable {
   constructor() {
     this.rows = h("tbody");
     const heads = h("tr", {}, HEADS.map((text) => h("th", { scope: "col" }, text)));
-    // what scrolls can be reached by keyboard
+    // Makes the scrollable area accessible by keyboard.
     const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": "Nodes" };
     this.element = h("div", { class: "card" }, h("div", scroll, h("table", { class: "nodes" }, h("thead", {}, heads), this.rows)));
   }

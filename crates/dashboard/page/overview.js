@@ -1,4 +1,4 @@
-// All structures, what needs attention first.
+// All structures, the most urgent first.
 
 import { h, keyed, setText } from "./dom.js";
 import { LEVELS, STATES, duration, fitWord, lag, percent, place, probability, ratio, time } from "./words.js";
@@ -90,7 +90,7 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
   setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
-  // of a record the time says more than the age
+  // For a record, the time is more informative than the age.
   setText(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
   const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
   setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");

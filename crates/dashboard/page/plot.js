@@ -1,4 +1,5 @@
-// One plot over time: uPlot with the colours of the page, a shared crosshair, marks, and a file of what is seen.
+// One plot over time, drawn with uPlot: the page's colours, a shared crosshair, marks, and export
+// to a file.
 
 import { h, s, setText } from "./dom.js";
 import { flags } from "./marks.js";
@@ -45,7 +46,7 @@ export class Plot {
     const keys = "arrow keys move the crosshair, with shift the span, plus and minus zoom, home goes back to the newest data";
     this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
     const legend = (plot.legend ?? []).map(({ name, colour, dash }) => {
-      // an area, or a line with its dashes
+      // An area, or a line with its dashes.
       const drawn = () => s("svg", { class: "key-line", width: 32, height: 8, "aria-hidden": "true" }, s("line", { x1: 0, y1: 4, x2: 32, y2: 4, "stroke-dasharray": dash.join(" ") }));
       const key = dash ? drawn() : h("span", { class: "key", "aria-hidden": "true" });
       key.style.setProperty("--key", `var(${colour})`);
@@ -105,7 +106,7 @@ export class Plot {
     if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
     else this.#uplot.setData(data, false);
     this.#uplot.setScale("x", this.span.shown);
-    // a mark that is new in the same span changes the room above
+    // A new mark in the same span changes the room above the plot.
     const { room } = this;
     if (this.#room(this.#uplot) !== room) this.#uplot.redraw(false, true);
     this.#read(this.#uplot.cursor.idx ?? null);
@@ -141,7 +142,7 @@ export class Plot {
     const { min, max } = u.scales.x;
     let index = u.cursor.idx ?? null;
     if (index === null) index = direction > 0 ? times.findIndex((time) => time >= min) : times.findLastIndex((time) => time <= max);
-    else index = Math.min(index, times.length) + direction; // what was fetched anew may be shorter
+    else index = Math.min(index, times.length) + direction; // refetched data may have fewer rows
     const time = times[index];
     if (time === undefined || time < min || time > max) return;
     u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, true, true);
@@ -171,7 +172,7 @@ export class Plot {
   #read(index) {
     const data = this.#uplot.data;
     const last = lastOf(data);
-    // what was fetched anew may have fewer rows than lay under the crosshair
+    // Refetched data may have fewer rows than the crosshair's index.
     const at = last === null ? null : Math.min(index ?? last, last);
     const text = at === null ? "" : `${clock(data[0][at])} · ${this.plot.readout(data, at)}`;
     setText(this.readout, text);
@@ -224,7 +225,7 @@ export class Plot {
   /** The marks of moments that are seen, with the places of their words. */
   #flags(u) {
     const { ctx } = u;
-    ctx.save(); // uPlot does not set again what it has set before
+    ctx.save(); // uPlot caches its settings and does not set them again
     ctx.font = `${WORD_SIZE}px system-ui, sans-serif`;
     const width = u.bbox.width / devicePixelRatio || this.holder.clientWidth;
     const all = flags(this.plot.marks?.() ?? [], u.scales.x, width, (text) => ctx.measureText(text).width);
@@ -247,7 +248,7 @@ export class Plot {
       ctx.lineTo(...to);
       ctx.stroke();
     };
-    // with a rim, so that it is read across lines and bands
+    // With an outline, so that the text is legible on lines and bands.
     const write = (text, x, y, colour) => {
       ctx.setLineDash([]);
       [ctx.strokeStyle, ctx.lineWidth] = [css("--card"), 4 * size];
@@ -265,7 +266,7 @@ export class Plot {
       const isHigh = y < bbox.top + 16 * size;
       write(mark.text, left + 6 * size, isHigh ? y + 14 * size : y - 4 * size, colour);
     }
-    // a line goes up to its word
+    // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);
     for (const { text, colour, row, from } of flags.filter(({ row }) => row >= 0)) write(text, left + from * size, bbox.top - (row * WORD_ROW + 4) * size, css(colour));
     ctx.restore();

@@ -1,4 +1,4 @@
-// What is plotted of a structure.
+// The plots of a structure.
 
 import { COLOURS, Plot, css, look } from "./plot.js";
 import { STATES, number, percent, probability, ratio, unit } from "./words.js";
@@ -56,7 +56,8 @@ export function parameterPlot(parameter, standing, points, span, id) {
       rows: (columns) => [...meanWithBands(columns.get(name)), columns.get(name)[3]],
       series: () => [...bandSeries(), { show: false }],
       bands: bandFills,
-      // the threshold stays in sight, and the wide bands of the first seconds do not make all else flat
+      // Keeps the threshold in view, and prevents the wide bands of the first seconds from
+      // flattening the rest.
       range: (u) => {
         const { min, max } = span.shown;
         const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= min && u.data[0][row] <= max);
@@ -175,7 +176,7 @@ export function classPlot(classes, points, span) {
       unit: "plausibility (1)",
       names,
       rows: (columns) => stacked(names.map((name) => columns.get(name))),
-      // drawn from the top: the first one lies in front
+      // Drawn from the top, so that the first class is in front.
       series: () => names.map((_, index) => line(index, { width: 1, fill: () => css(`${COLOURS[index % COLOURS.length]}-fill`) })).toReversed(),
       range: () => [0, 1],
       readout: (data, at) => {

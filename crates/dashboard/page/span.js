@@ -1,4 +1,4 @@
-// The span of time that all plots of a page share, and the points in it.
+// The time span that all plots of a page share, and the points within it.
 
 /** Points asked for per series: about as many as a plot has columns. */
 const POINTS = 1000;
@@ -115,7 +115,7 @@ export class Points {
     for (const [name, { generation, data }] of Object.entries(series)) {
       const entry = this.#series.get(name);
       const newest = data[0].at(-1);
-      // measurement that begins anew may lie before what was there
+      // A new run of measurement may start before the points already shown.
       if (entry && entry.generation !== null && entry.generation !== generation) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
       else this.span.newest_s = Math.max(newest, this.span.newest_s ?? -Infinity);
       if (!entry?.columns || !this.span.isLive) continue;
@@ -146,7 +146,7 @@ export class Points {
   #trim(name, entry) {
     const times = entry.columns[0];
     const first = times.findIndex((time) => time >= this.span.from_s);
-    // now and then many, instead of one at every message
+    // Removes many points at once instead of one per message.
     if (first > 200) entry.columns = entry.columns.map((column) => column.slice(first - 1));
     if (times.length > MOST_POINTS && !entry.refetching) {
       entry.refetching = true;

@@ -1,4 +1,4 @@
-// One structure: why it needs attention, its drawing, its parameters, and everything over time.
+// One structure: why it needs attention, its drawing, its parameters, and all series over time.
 
 import { AcknowledgeDialog } from "./alerts.js";
 import { h, keyed, setText } from "./dom.js";
@@ -34,7 +34,7 @@ export class StructurePage {
     this.#leave = [
       connection.on("structure", ({ standing }) => this.#show(standing)),
       connection.on("points", ({ series }) => this.#take(series)),
-      // what came while nothing was heard, or belongs to another life of the server
+      // Fetches points that were published while disconnected or by an earlier run of the server.
       connection.on("opened", () => this.#respan()),
       connection.on("overview", ({ structures }) => structures.filter((structure) => structure.name === name).forEach((own) => this.#attend(own))),
     ];
@@ -141,7 +141,7 @@ export class StructurePage {
   /** Puts the course of the part that has most probably lost stiffness where it is seen first. */
   #showWorst({ worst }) {
     const { parameters } = this.about;
-    // among sound parts the order changes all the time and means nothing
+    // Among sound parts the order changes constantly and means nothing.
     const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (this.worstPlot?.name ?? parameters[0]?.name);
     const parameter = parameters.find((parameter) => parameter.name === name);
     if (!parameter || this.worstPlot?.name === name) return;
@@ -277,7 +277,7 @@ export class StructurePage {
       this.classes ??= [];
       if (this.classes.includes(of)) return;
       this.classes.push(of);
-      // another class changes the whole stack
+      // A new class changes the whole stack.
       const old = this.#made.get("classes/all");
       if (old) {
         this.#drop(old);

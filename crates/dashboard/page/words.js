@@ -1,4 +1,4 @@
-// How things are called and numbers are written.
+// Names of states and formats of numbers.
 
 /** What a level of attention is called, and its sign: shape and word tell it without colour. */
 export const LEVELS = {
