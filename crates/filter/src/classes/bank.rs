@@ -317,7 +317,8 @@ impl<S: ComponentSystem> ClassBank<S> {
         &self.work.motion
     }
 
-    /// Returns the parameters of the full model (N_θ, ratios to nominal), weighted by the plausibilities, (5.33).
+    /// Returns the parameters of the full model (N_θ, ratios to nominal), weighted by the
+    /// plausibilities, (5.33).
     #[must_use]
     pub fn parameter_mean(&self) -> &DVector<f64> {
         &self.work.mean
