@@ -650,7 +650,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             }
         }
         for (mean, increment) in work.mean.iter_mut().zip(&work.inputs.as_slice()[..n]) {
-            *mean += increment; // y ← y + Γ g                                      (2.67)
+            *mean += increment; // y ← y + Γ g (2.67)
         }
         work.input_matrix
             .as_mut_slice()

@@ -147,7 +147,7 @@ impl KalmanFilter {
     /// (N_f).
     pub fn predict(&mut self, input: &[f64]) {
         self.next_mean
-            .gemv(1.0, &self.model.transition, &self.mean, 0.0); // A u           (2.17)
+            .gemv(1.0, &self.model.transition, &self.mean, 0.0); // A u (2.17)
         for (b, known) in input.iter().enumerate() {
             self.next_mean
                 .axpy(*known, &self.model.input.column(b), 1.0);
@@ -158,7 +158,7 @@ impl KalmanFilter {
         self.product.transpose_mut();
         self.covariance
             .gemm(1.0, &self.model.transition, &self.product, 0.0); // A Σ Aᵀ
-        self.covariance += &self.process_noise; // + B Σ_f Bᵀ                               (2.21)
+        self.covariance += &self.process_noise; // + B Σ_f Bᵀ (2.21)
         symmetrise_mut(&mut self.covariance);
     }
 
@@ -176,7 +176,7 @@ impl KalmanFilter {
             .gemm(1.0, &model.observation, &self.covariance, 0.0);
         self.factor.copy_from(&model.sensor_covariance);
         self.factor
-            .gemm(1.0, &self.h_p, &model.observation.transpose(), 1.0); // S         (2.34)
+            .gemm(1.0, &self.h_p, &model.observation.transpose(), 1.0); // S (2.34)
         symmetrise_mut(&mut self.factor);
         cholesky_mut(&mut self.factor)
             .map_err(|pivot| FilterError::InnovationCovariance { pivot })?;

@@ -39,7 +39,7 @@ const JUMP_SCALES: usize = 2;
 /// Largest ratio of long-run variance to information that the error of its own estimate explains.
 const EXPLAINED_BY_CHANCE: f64 = 1.3;
 
-/// Factor on any ratio above 1, for correlation over times longer than the longest sum.
+/// Factor on a ratio above [`EXPLAINED_BY_CHANCE`], for correlation beyond the longest sum.
 ///
 /// It was chosen in simulations with three times the stated damping, where misfit lasts as long as
 /// the decay of a mode. Without the factor, only 84 % of the 95 % intervals contain the true value.

@@ -34,7 +34,7 @@ pub enum NoiseTarget {
 /// One identified noise level `ψ`. The target covariance contains `ψ · pattern`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseParameter {
-    /// Its name.
+    /// Name of the level.
     pub name: String,
     /// The covariance that it scales.
     pub target: NoiseTarget,
@@ -268,8 +268,7 @@ pub enum NoisePhase {
 pub struct NoiseEvents {
     /// `true` if training ended at this step.
     pub training_ended: bool,
-    /// `true` if training reached its limit at this step but could not end, because a level is
-    /// still uncertain.
+    /// `true` if training reached its limit at this step without ending.
     pub training_overdue: bool,
     /// `true` if training restarted, because the innovations had disagreed with their covariance
     /// for too long.
@@ -283,7 +282,7 @@ pub struct NoiseState {
     pub mean: DVector<f64>,
     /// `Σ_ψ` (N_ψ × N_ψ).
     pub covariance: DMatrix<f64>,
-    /// The phase.
+    /// Current phase of the identification.
     pub phase: NoisePhase,
     /// Number of training steps at which the Hessian was not positive definite and `Σ_ψ` remained
     /// unchanged.

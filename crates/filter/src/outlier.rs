@@ -66,8 +66,9 @@ pub struct OutlierSettings {
     ///
     /// This is more than a shortcut. With 0, half of a clean stream is rejected.
     pub lower: f64,
-    /// `ε_u`: residuals of at least this many scales are outliers, (4.27). Infinite disables the
-    /// screening.
+    /// `ε_u`: residuals of at least this many scales are outliers, (4.27).
+    ///
+    /// If it is infinite, the screening rejects nothing after training.
     pub upper: f64,
     /// Share of rejected samples among the recent ones above which a channel is examined.
     pub fault_share: f64,
