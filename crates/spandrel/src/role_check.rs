@@ -1,11 +1,13 @@
-//! Whether the certificate of a process lets it do what its subcommand has to: a router drops what a role may not, and tells nobody.
+//! Check that a process's certificate grants the rights that its subcommand needs.
+//!
+//! Without this check, a router would drop forbidden messages silently.
 
 use crate::error::AppError;
 use spandrel_access::{Party, Right, Role, rights};
 use spandrel_bus::{Bus, BusConfig, KeyFamily, Service};
 use tracing::warn;
 
-/// Something that a subcommand has to do, and its words.
+/// A right that a subcommand needs, and its description.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Need {
     words: &'static str,
@@ -47,21 +49,23 @@ impl Need {
         Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
 }
 
-/// What a subcommand is about to do.
+/// Task of a subcommand.
 #[derive(Debug, Clone)]
 pub struct Work<'w> {
-    /// Its name.
+    /// Name of the subcommand.
     pub subcommand: &'static str,
-    /// What it has to be allowed.
+    /// Rights that the task needs.
     pub needs: &'w [Need],
-    /// The structures that it does it for; none: those that there are.
+    /// Structures of the task. If empty, the task concerns all existing structures.
     pub structures: Vec<&'w str>,
-    /// The nodes that it does it for, of a subcommand that speaks for nodes.
+    /// Nodes of the task, if the subcommand acts for nodes.
     pub nodes: Vec<&'w str>,
 }
 
-/// Refuses a certificate that does not allow the work where a router is reached, which would drop what is not allowed. Between peers
-/// roles do not hold: there it is a warning.
+/// Rejects a certificate that does not allow the task, if a router is reachable.
+///
+/// A router would drop forbidden messages. Peers do not enforce roles, so without a router this
+/// function only logs a warning.
 ///
 /// # Errors
 /// [`AppError::WrongRole`], or the certificate cannot be read.
@@ -83,8 +87,11 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
     Ok(())
 }
 
-/// Why acknowledgements of this process would not come through, where a router is reached; `None` if they do. A page or a view may be
-/// without them: it is told when somebody wants to acknowledge, as nothing else would tell.
+/// Returns the reason why a reachable router would drop acknowledgements of this process, or `None`
+/// if it would not.
+///
+/// A page or view can work without this right. It reports the reason when a user tries to
+/// acknowledge an alert, because nothing else would.
 ///
 /// # Errors
 /// The certificate cannot be read.
@@ -103,7 +110,8 @@ pub async fn cannot_acknowledge(bus: &Bus, config: &BusConfig) -> Result<Option<
     })
 }
 
-/// What a party may not do of what is needed `for_what`, and which roles may; `None` if it may all.
+/// Returns the missing right of a party for `for_what` and the roles that have it, or `None` if no
+/// right is missing.
 fn lack(party: &Party, needs: &[Need], for_what: &str) -> Option<String> {
     let lacks = |role: Role| {
         let allowed = rights(role);
@@ -126,7 +134,8 @@ fn lack(party: &Party, needs: &[Need], for_what: &str) -> Option<String> {
     ))
 }
 
-/// Why a party may not do some work, and who may; `None` if it may.
+/// Returns the reason why a party may not perform a task and the roles that may, or `None` if it
+/// may.
 fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
     let subcommand = work.subcommand;
     if let Some(lack) = lack(

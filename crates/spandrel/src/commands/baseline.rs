@@ -1,4 +1,4 @@
-//! `spandrel baseline`: the sound values of the parameters, learnt from recordings.
+//! `spandrel baseline`: learns the baseline values of the parameters from recordings.
 
 use super::{counted, print, refuse_overwriting};
 use crate::cli::BaselineArguments;
@@ -11,10 +11,10 @@ use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Reference, Structure};
 use std::fmt::Write as _;
 
-/// Identifies each recording from its start and writes mean and spread of each parameter.
+/// Identifies each recording from its start and writes the mean and scatter of each parameter.
 ///
 /// # Errors
-/// When a file is wrong or has nothing to learn from.
+/// A file is not valid, or a recording is too short to learn from.
 pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     let inputs = std::iter::once(&arguments.structure).chain(&arguments.record);
     refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
@@ -71,13 +71,13 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     print(&report(&structure, &baseline))
 }
 
-/// What the baseline holds, and which losses the rules can raise against it.
+/// Returns the contents of the baseline and the losses that the rules can detect with it, as text.
 fn report(structure: &Structure, baseline: &Baseline) -> String {
     let recordings = counted(baseline.records(), "recording", "recordings");
     let mut text = format!("sound values of {} from {recordings}\n", structure.name());
     for (index, parameter) in structure.parameters().iter().enumerate() {
         let name = parameter.name();
-        // writing to a String does not fail
+        // Writing to a string cannot fail.
         let _ = match (baseline.claim(name), baseline.parameter(name)) {
             (Some(Ok(reference)), _) => {
                 let support = reference.scatter().map_or(
@@ -111,7 +111,8 @@ fn report(structure: &Structure, baseline: &Baseline) -> String {
     text
 }
 
-/// From which loss on each rule that learns its reference can raise a parameter, in words.
+/// Returns the smallest loss that each rule with a learnt reference can raise for a parameter, in
+/// words.
 fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<String> {
     let Some(parameter) = structure.parameters().get(index) else {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! `spandrel token`: a token for the web page.
+//! `spandrel token`: creates a token for the web page.
 
 use super::print;
 use crate::cli::{TokenArguments, TokenRole};
@@ -7,10 +7,10 @@ use spandrel_bus::Name;
 use spandrel_dashboard::{PageRole, Tokens};
 use tracing::info;
 
-/// Makes a token, prints it, and keeps its hash.
+/// Creates a token, prints it, and stores its hash.
 ///
 /// # Errors
-/// When the name has one, or the file cannot be read or written.
+/// The name already has a token, or the file cannot be read or written.
 pub fn run(arguments: &TokenArguments) -> Result<(), AppError> {
     let role = match arguments.role {
         TokenRole::Viewer => PageRole::Viewer,
