@@ -2,16 +2,16 @@
 //! measurement.
 //!
 //! The innovations `ν` of a Kalman filter are independent and normal with covariance `S`. The data
-//! of `N` frames therefore contain the Fisher information `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹
-//! ∂S)` about all quantities on which the filter depends. The derivatives are central differences
-//! between filters that run on the same simulated data.
+//! of `N` frames therefore contain the Fisher information
+//! `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹ ∂S)` about all quantities on which the filter depends. The
+//! derivatives are central differences between filters that run on the same simulated data.
 //!
 //! The extended filter does not use all of this information. It differentiates the innovations with
 //! constant gain, `ψ = ∂ν|_K`, and counts the information `J_θ = Σ ψᵀ S⁻¹ ψ`. An error `δ` of
 //! parameters and levels pulls its parameters by `ψᵀ S⁻¹ ∂ν δ` (Ljung 1979, *IEEE Trans. Automatic
-//! Control* 24, 36). A noise level uses only its own part `U` of `S`. It counts `J_ψ = N/2 tr(S⁻¹ U
-//! S⁻¹ U)` and is pulled by `N/2 tr(S⁻¹ U S⁻¹ ∂S) δ`. If the pull is much smaller than the counted
-//! information, the filter underestimates its uncertainty.
+//! Control* 24, 36). A noise level uses only its own part `U` of `S`. It counts
+//! `J_ψ = N/2 tr(S⁻¹ U S⁻¹ U)` and is pulled by `N/2 tr(S⁻¹ U S⁻¹ ∂S) δ`. If the pull is much
+//! smaller than the counted information, the filter underestimates its uncertainty.
 
 use crate::linear_form::LinearForm;
 use crate::noise_level::NoiseSource;

@@ -59,8 +59,8 @@ impl LinearForm {
         }
     }
 
-    /// Returns the equilibrium state (2 N_d) under a constant `excitation` (N_f): `A_u u + B_u f =
-    /// 0`.
+    /// Returns the equilibrium state (2 N_d) under a constant `excitation` (N_f):
+    /// `A_u u + B_u f = 0`.
     pub(crate) fn rest(&self, excitation: &DVector<f64>) -> DVector<f64> {
         let pushed = -(&self.input * excitation);
         // The stiffness is positive definite, as checked when the file was read.

@@ -1,10 +1,10 @@
 //! A structure: mass, damping and the stiffness matrices of its substructures, with or without
 //! hysteresis.
 //!
-//! Notation: Huang & Yuen (2023), §2.2 and §2.4. `M ẍ + C ẋ + K x = T f` (2.1) with `K = Σ θ⁽ⁿ⁾
-//! K⁽ⁿ⁾` over the substructures. `C` is `α M + β K`, a sum of dashpots, or a given matrix. Every
-//! model kind of the structure file is converted to this form. With hysteresis, the spring forces
-//! are `k r` instead of `k x`, and the matrices are those of the springs.
+//! Notation: Huang & Yuen (2023), §2.2 and §2.4. `M ẍ + C ẋ + K x = T f` (2.1) with
+//! `K = Σ θ⁽ⁿ⁾ K⁽ⁿ⁾` over the substructures. `C` is `α M + β K`, a sum of dashpots, or a given
+//! matrix. Every model kind of the structure file is converted to this form. With hysteresis, the
+//! spring forces are `k r` instead of `k x`, and the matrices are those of the springs.
 
 use crate::hysteresis::{Drive, Hysteresis};
 use crate::skeleton::Skeleton;

@@ -4,13 +4,13 @@
 //! relative to the ground (m, m/s), and the parameters as ratios to nominal. Accelerations have the
 //! unit m/s². `R(x, ẋ; θ) = C ẋ + K x`, with `C = α M + β K(θ)`. The stiffness-proportional part of
 //! the damping therefore scales with the stiffness: `∂R/∂θ = K_θ (x + β ẋ)`. The Jacobian is
-//! applied to the parts `X`, `V`, `Θ` of given columns as `A_y X = [V; −M⁻¹ K (X + β V) − α V + W
-//! Θ; 0]`, with `W = −M⁻¹ ∂R/∂θ` (2.50).
+//! applied to the parts `X`, `V`, `Θ` of given columns as
+//! `A_y X = [V; −M⁻¹ K (X + β V) − α V + W Θ; 0]`, with `W = −M⁻¹ ∂R/∂θ` (2.50).
 //!
 //! With hysteretic springs, the hysteretic displacements `r` replace `x`, which then occurs in no
 //! equation: `y = [r, ẋ, θ]`, `R = C ẋ + S r` with the spring forces `S r`. The Bouc-Wen law gives
-//! `ṙ` from the velocities `w = D ẋ` that drive the springs, (2.87) to (2.94). The damping uses `S
-//! w` instead of `K ẋ`. For a linear structure, `ṙ = w = ẋ` and `S = K`.
+//! `ṙ` from the velocities `w = D ẋ` that drive the springs, (2.87) to (2.94). The damping uses
+//! `S w` instead of `K ẋ`. For a linear structure, `ṙ = w = ẋ` and `S = K`.
 
 mod point;
 mod proportional;
@@ -272,10 +272,10 @@ impl ProcessModel for StructureModel {
 
     /// Bounds the eigenvalues `s` of the process.
     ///
-    /// In a linear structure, `s² + c s + k = 0`, where `c` and `k` are Rayleigh quotients of `M⁻¹
-    /// C` and `M⁻¹ K`. With Rayleigh damping, `c = α + β k`. Then `|s|` is `√k` unless the mode is
-    /// overdamped, and at most `α` or the `|s|` of the highest mode. With a given damping matrix,
-    /// `|s| ≤ max(√k, c)`, both at their maximum.
+    /// In a linear structure, `s² + c s + k = 0`, where `c` and `k` are Rayleigh quotients of
+    /// `M⁻¹ C` and `M⁻¹ K`. With Rayleigh damping, `c = α + β k`. Then `|s|` is `√k` unless the
+    /// mode is overdamped, and at most `α` or the `|s|` of the highest mode. With a given damping
+    /// matrix, `|s| ≤ max(√k, c)`, both at their maximum.
     ///
     /// For hysteretic springs, `|s| ≤ max(|∂ṙ/∂r|, c) + √(|∂ṙ/∂w| k)`. This is the norm of a block
     /// matrix in which the root of the mass weights velocities and the root of the stiffness

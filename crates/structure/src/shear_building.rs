@@ -19,8 +19,8 @@ pub(crate) struct ShearBuilding {
 impl ShearBuilding {
     /// Creates `storeys` equal storeys with the first natural frequency `first_frequency_hz`.
     ///
-    /// A uniform chain, fixed at the bottom and free at the top, has `ω₁ = 2 √(k/m) sin(π / (4N +
-    /// 2))`.
+    /// A uniform chain, fixed at the bottom and free at the top, has
+    /// `ω₁ = 2 √(k/m) sin(π / (4N + 2))`.
     pub(crate) fn uniform(storeys: usize, mass_kg: f64, first_frequency_hz: f64) -> Self {
         let first = 2.0 * std::f64::consts::PI * first_frequency_hz;
         let of_unit_chain = 2.0 * (std::f64::consts::PI / (4 * storeys + 2) as f64).sin();

@@ -40,7 +40,8 @@ pub(crate) enum FaultKind {
 }
 
 impl Fault {
-    /// Returns the faulty value of a sample of the node at a time; NaN for a missing sample.
+    /// Returns a sample of the node with the effect of the fault at a time; NaN if the node is
+    /// silent.
     pub(crate) fn apply(&self, sample: f64, noise_std: f64, time_s: f64) -> f64 {
         if !(self.from_s..self.until_s).contains(&time_s) {
             return sample;

@@ -8,8 +8,8 @@
 //!
 //! `I_ij = Σ_ω Re tr(Σ_k ∂_iGᴴ Φ⁻¹ ∂_jG) + ½ Re tr(Φ⁻¹ ∂_iΦ Φ⁻¹ ∂_jΦ)`
 //!
-//! (Whittle 1953, *Arkiv för Matematik* 2, 423). If the truth is `G_t` and `Φ_t`, with `ΔG = G_t −
-//! G`, the expected slope of the log-likelihood is
+//! (Whittle 1953, *Arkiv för Matematik* 2, 423). If the truth is `G_t` and `Φ_t`, with
+//! `ΔG = G_t − G`, the expected slope of the log-likelihood is
 //!
 //! `s_i = Σ_ω Re tr(Σ_k ∂_iGᴴ Φ⁻¹ ΔG) + ½ Re tr(Φ⁻¹ ∂_iΦ Φ⁻¹ (Φ_t + ΔG Σ_k ΔGᴴ − Φ))`.
 //!
