@@ -89,9 +89,10 @@ pub struct LogSettings {
     pub segment_bytes: u64,
     /// Time span at which a segment is full, in s, based on the times of its frames.
     pub segment_s: u64,
-    /// The oldest segments are deleted while all of them have more bytes than this.
+    /// Maximum total size of all segments, in bytes. The oldest segments beyond it are deleted.
     pub keep_bytes: u64,
-    /// The oldest segments are deleted whose frames are all older than this, in s, by the time of the newest frame.
+    /// Maximum age of frames, in s, relative to the newest frame. Segments that contain only older
+    /// frames are deleted.
     pub keep_s: u64,
 }
 

@@ -8,7 +8,7 @@ use super::layout::{StatedLayout, TOPIC};
 use super::{LoggedFrames, payload};
 use crate::mcap_record::parse_record;
 
-/// Opcode and length before the body of a record.
+/// Size of opcode and length before the body of a record, in bytes.
 pub(super) const RECORD_HEAD_BYTES: u64 = 9;
 /// Size of the head of an uncompressed chunk, before its records, in bytes.
 pub(super) const CHUNK_HEAD_BYTES: usize = 40;
