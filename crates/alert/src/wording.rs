@@ -1,11 +1,11 @@
-//! Says in words what an alert is about: what, how much, how sure, since when.
+//! Describes an alert in words: parameter, loss, probability and start.
 
 use jiff::Timestamp;
 use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words};
 
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
-/// The decision in words; `alert.why` is not read. `before`: what was said last.
+/// Returns the decision in words. Ignores `alert.why`. `before` is the last announced alert.
 pub(crate) fn describe(
     subject: &Subject,
     rule: &Rule,
@@ -36,7 +36,7 @@ pub(crate) fn describe(
         "more than {} with probability {told}",
         percent(alert.rule_loss)
     );
-    // where it is too little, so that one need not know the rule
+    // If the probability is too low, the text contains the rule's value.
     let of_rule = if found < rule.credibility() {
         format!("{how_sure} ({} is asked for)", asked(rule.credibility()))
     } else {
@@ -111,7 +111,7 @@ pub(crate) fn describe(
     }
 }
 
-/// Why nothing is decided, with the reasons of a fit that is contradicted.
+/// Returns the reason why nothing is decided, including the reasons for a contradicted fit.
 fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
     match because {
         UndecidedBecause::FitContradicted => {
@@ -127,7 +127,9 @@ fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
     }
 }
 
-/// What is too uncertain: the estimate, or a reference that hides the loss from the best estimate too.
+/// Returns whether the estimate or the reference is too uncertain.
+///
+/// The reference is the cause if it would hide the loss even from an exact estimate.
 fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     let ParameterEstimate { mean, std, .. } = alert.estimate;
     let Some(reference) = &alert.reference else {
@@ -148,7 +150,7 @@ fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     )
 }
 
-/// A loss that is still moving: what is gone at least.
+/// Returns the words for a loss that is still moving, with its lower limit.
 fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&Alert>) -> String {
     let has_risen = before
         .is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
@@ -160,26 +162,26 @@ fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&
     )
 }
 
-/// Why an alert is over although nothing new has been measured.
+/// The reason why an alert ends without a new measurement.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum End {
-    /// The structure file has no such parameter.
+    /// The structure file does not contain the parameter.
     NoSuchParameter,
     /// No rule watches the parameter.
     Unwatched,
-    /// The rule is another, and the last estimate does not reach it.
+    /// The rule has changed, and the last estimate does not satisfy it.
     RuleChanged {
         from: Rule,
         to: Rule,
         probability: f64,
     },
-    /// The rule is another, and so is the model: there is no estimate that it could be held against.
+    /// The rule and the model have changed, so no estimate exists that the rule could apply to.
     RuleAndModelChanged,
-    /// What the loss counts from is not known any more.
+    /// The reference of the loss is unknown, because it is learnt again.
     ReferenceLearntAnew,
 }
 
-/// The end of an alert in words.
+/// Returns the end of an alert in words.
 pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
     let name = &subject.name;
     let why = match end {
@@ -208,7 +210,7 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
     format!("alert of {name} has ended: {why}")
 }
 
-/// What a loss counts from, to go behind it.
+/// Returns the reference of a loss as a suffix to the loss.
 fn counted_from(reference: ReferenceRule) -> String {
     match reference {
         ReferenceRule::Given(given) if given.std() == 0.0 => format!(" below {:.3}", given.mean()),
@@ -219,7 +221,7 @@ fn counted_from(reference: ReferenceRule) -> String {
     }
 }
 
-/// Longest part of a name or note that is repeated in the words, in characters.
+/// Maximum length of a quoted name or note, in characters.
 const LONGEST_QUOTE: usize = 400;
 
 fn acknowledged(alert: &Alert) -> String {
@@ -237,7 +239,7 @@ fn acknowledged(alert: &Alert) -> String {
     )
 }
 
-/// A share in per cent with one decimal, without one where it is whole: `14.2 %`, `5 %`.
+/// Formats a share in per cent, with one decimal unless it is whole: `14.2 %`, `5 %`.
 fn percent(share: f64) -> String {
     format!("{} %", per_cent(share))
 }
@@ -251,7 +253,8 @@ fn per_cent(share: f64) -> String {
     }
 }
 
-/// The interval of the loss; also the one within this record where the scatter between records is known.
+/// Returns the interval of the loss, and the interval within this record if the reference has an
+/// estimated scatter.
 fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
     let range =
         |loss: &LossEstimate| format!("{} to {} %", per_cent(loss.low), per_cent(loss.high));
@@ -270,7 +273,7 @@ fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
     }
 }
 
-/// A probability that a rule asks for: as it stands in the rule, with three decimals at least.
+/// Formats a probability as specified in the rule, with at least three decimals.
 fn asked(probability: f64) -> String {
     let rounded = format!("{probability:.3}");
     if rounded.parse() == Ok(probability) {
@@ -284,9 +287,9 @@ fn duration(span_ns: i64) -> String {
     format!("{} s", span_ns as f64 / 1e9)
 }
 
-/// A time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
+/// Formats a time: in seconds for a record that starts at 0, otherwise as a UTC date.
 fn time(time_ns: i64) -> String {
-    /// Three years: no record from 0 is longer, and no clock is so far behind.
+    /// Three years. No record that starts at 0 is longer, and no clock is so far behind.
     const RECORD_NS: i64 = 100_000_000_000_000_000;
     match Timestamp::from_nanosecond(i128::from(time_ns)) {
         Ok(calendar) if time_ns.abs() >= RECORD_NS => {
