@@ -13,8 +13,8 @@
 //!
 //! ```text
 //! Φ = exp(A_s t) = [[I − Gs, q], [−Gq, I − Gs − (α + βG) q]]     (2.54)
-//! ∫ Φ dt         = [[q + (α + βG) s, s], [−Gs, q]]                Γ of (2.55), (2.56); its right half is Ψ
-//! A_i            = [[Φ, ΨW], [0, I]]
+//! Γ = ∫ Φ dt     = [[q + (α + βG) s, s], [−Gs, q]]               (2.55), (2.56)
+//! A_i            = [[Φ, ΨW], [0, I]], where Ψ is the right half of Γ
 //! ```
 //!
 //! `q` and `s` are the Taylor series that [`discretise`](crate::discretise) applies to columns.

@@ -209,7 +209,8 @@ impl Accelerations {
                     .zip(pushed.as_slice())
                     .zip(turned.as_slice());
                 for (entry, ((moved, pushed), turned)) in velocity.iter_mut().zip(terms) {
-                    *entry = *h * (moved - rest * pushed - slope_of_z * turned); // (q + (α + βG) s) ẋ
+                    // (q + (α + βG) s) ẋ
+                    *entry = *h * (moved - rest * pushed - slope_of_z * turned);
                 }
             }
             x.copy_from(acceleration);

@@ -307,7 +307,8 @@ impl Blocks {
                 let moved = times(impulse, row, velocity) - rest * pushed - slope_of_z * turned;
                 // (q + (α + βG) s) ẋ + s ẍ
                 column[row] = *h * (moved + *h * times(step, row, acceleration));
-                column[free + row] = turned + *h * times(impulse, row, acceleration); // −G s ẋ + q ẍ
+                // −G s ẋ + q ẍ
+                column[free + row] = turned + *h * times(impulse, row, acceleration);
             }
         }
         if let Some(slope) = slope {
