@@ -170,7 +170,7 @@ pub struct BusArguments {
     /// Endpoint to connect to; may be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// Certificate (PEM) for endpoints quic/….
+    /// Certificate (PEM) for QUIC endpoints.
     ///
     /// Its key and the authority.pem of the site must be in the same folder. Peers must present a
     /// certificate of that authority. Without --listen, the session is a client of a router.
