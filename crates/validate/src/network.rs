@@ -168,7 +168,7 @@ impl Network<'_> {
         let mut settings = structure
             .filter_settings()
             .map_err(ValidateError::setting)?;
-        settings.misfit = None; // the method as it was published
+        settings.misfit = None; // the published method
         self.set_noise(0, &mut settings);
         settings.outliers = None;
         let mut filter = ExtendedKalmanFilter::new(structure.model(), settings)

@@ -134,7 +134,7 @@ impl Scene {
             .structure
             .filter_settings()
             .map_err(ValidateError::setting)?;
-        settings.misfit = None; // the method as it was published
+        settings.misfit = None; // the published method
         settings.noise.sensors.fill(0.0);
         for (channel, std) in self.noise_std.iter().enumerate() {
             settings.noise.sensors[(channel, channel)] = std * std;

@@ -139,7 +139,7 @@ fn track(
     let mut settings = structure
         .filter_settings()
         .map_err(ValidateError::setting)?;
-    settings.misfit = None; // the method as it was published
+    settings.misfit = None; // the published method
     settings.noise.sensors[(0, 0)] = record.noise_std.powi(2);
     settings.noise.excitation[(0, 0)] = 2.0 * PI * 1.5e-6 / STEP_S;
     (settings.prior_std[0], settings.prior_std[1]) = (1e-4, 1e-5_f64.sqrt());

@@ -229,7 +229,7 @@ pub fn discrete_model(
 /// every filter starts.
 pub fn static_displacement(case: Case) -> DVector<f64> {
     if case != Case::Wind {
-        return DVector::zeros(FLOORS); // the known part is zero
+        return DVector::zeros(FLOORS); // no known excitation
     }
     // The building is statically determinate: the shear of each storey is the total wind force
     // above it.

@@ -94,7 +94,7 @@ impl<M: ParticleModel> NumericalEkf<M> {
         self.model.sensor_covariance(self.mean.as_slice(), &mut r);
         let s = &c * &self.covariance * c.transpose() + &r;
         let Some(factor) = s.cholesky() else {
-            self.mean.fill(f64::NAN); // seen in every figure
+            self.mean.fill(f64::NAN); // visible in every figure
             return;
         };
         let gain = factor.solve(&(&c * &self.covariance)).transpose();
