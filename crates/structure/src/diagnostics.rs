@@ -97,7 +97,7 @@ pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + C
 
 /// Returns `true` if two names differ only in their digits.
 ///
-/// Such a name refers to a missing storey, for example, and is not a misspelling of another storey.
+/// An unknown storey number, for example, is not a misspelling of another storey.
 fn differs_by_number(a: &str, b: &str) -> bool {
     let letters = |name: &str| {
         name.chars()

@@ -189,7 +189,7 @@ mod tests {
         );
     }
 
-    /// A rigid motion has no strain energy, and its kinetic energy is that of the whole mass.
+    /// A rigid motion has no strain energy, and its kinetic energy includes the whole mass.
     #[test]
     fn a_rigid_motion_moves_the_whole_mass_without_force() {
         let along = Vector3::new(3.0, -4.0, 0.0);

@@ -124,7 +124,7 @@ impl Structure {
         };
         let make = || {
             let mut settings = own.filter_settings()?;
-            // the station replaces the parameters, so their corrections are not scores
+            // The station replaces the parameters, so their corrections are not scores.
             settings.misfit = None;
             change(&mut settings);
             let filter = ExtendedKalmanFilter::new(own.model(), settings)?;

@@ -76,7 +76,7 @@ fn power(r: f64, exponent: f64) -> f64 {
     }
 }
 
-/// Returns the sign, and 0 for 0, so that the law at rest is that of a linear spring.
+/// Returns the sign, and 0 for 0, so that at rest the law is linear.
 fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }

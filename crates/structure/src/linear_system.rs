@@ -70,7 +70,7 @@ pub(crate) enum Damping {
 }
 
 impl Damping {
-    /// No damping, as long as the `[damping]` table has not been read.
+    /// No damping, the value before the `[damping]` table is read.
     pub(crate) const NONE: Self = Self::Rayleigh {
         alpha_per_s: 0.0,
         beta_s: 0.0,

@@ -250,7 +250,7 @@ impl ProcessModel for StructureModel {
         let (out_x, rest) = out.split_at_mut(free);
         let (out_v, out_theta) = rest.split_at_mut(free);
         out_x.copy_from_slice(&self.process.rate);
-        out_v.copy_from_slice(&self.process.acceleration); // ẍ = −M⁻¹ R + M⁻¹ T f               (2.45)
+        out_v.copy_from_slice(&self.process.acceleration); // ẍ = −M⁻¹ R + M⁻¹ T f (2.45)
         out_theta.fill(0.0);
     }
 

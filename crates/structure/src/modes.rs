@@ -74,7 +74,7 @@ impl Modes {
                     },
                     _,
                 ) => {
-                    // β K uses the stiffness of the springs
+                    // β K uses the stiffness of the springs.
                     alpha_per_s + beta_s * omega * omega / system.initial_slope()
                 }
                 (_, Some(matrix)) => self.quadratic(mode, matrix),

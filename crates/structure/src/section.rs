@@ -38,7 +38,7 @@ impl Allowed {
         low: Bound::Included(1.0),
         high: Bound::Included(1000.0),
     };
-    /// Above 0 and below 1.
+    /// Range above 0 and below 1.
     pub(crate) const INSIDE_UNIT: Self = Self {
         low: Bound::Excluded(0.0),
         high: Bound::Excluded(1.0),
@@ -63,7 +63,7 @@ impl Allowed {
         low: Bound::Included(-10_000.0),
         high: Bound::Included(10_000.0),
     };
-    /// From 0 and below 1.
+    /// Range from 0 to below 1.
     pub(crate) const SHARE: Self = Self {
         low: Bound::Included(0.0),
         high: Bound::Excluded(1.0),

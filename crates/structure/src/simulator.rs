@@ -2,8 +2,8 @@
 //!
 //! For a linear structure, the recursion is exact for an excitation that is constant or linear over
 //! a step. A change of a parameter creates a new recursion. Hysteretic springs are integrated in
-//! substeps. Between two frames, the parameters of the older frame apply. The seed determines the
-//! whole result.
+//! substeps. Between two frames, the parameters of the older frame apply. The seed determines
+//! every random value.
 
 mod motion;
 

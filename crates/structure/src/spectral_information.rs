@@ -13,8 +13,8 @@
 //!
 //! `s_i = Σ_ω Re tr(Σ_k ∂_iGᴴ Φ⁻¹ ΔG) + ½ Re tr(Φ⁻¹ ∂_iΦ Φ⁻¹ (Φ_t + ΔG Σ_k ΔGᴴ − Φ))`.
 //!
-//! The estimates converge to the point where this slope vanishes (White 1982, *Econometrica* 50,
-//! 1). No data are simulated.
+//! The estimates converge to the point where this slope vanishes (White 1982, *Econometrica*
+//! 50, 1). No data are simulated.
 
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::spectrum::{Complexes, Frequency, Linearised, Response, frequencies};

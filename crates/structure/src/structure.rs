@@ -59,8 +59,8 @@ pub struct Structure {
     pub(crate) simulation: SimulationPlan,
 }
 
-/// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than 1
-/// MiB.
+/// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than
+/// 1 MiB.
 const MAX_BYTES: u64 = 16 << 20;
 
 impl Structure {
@@ -129,7 +129,7 @@ impl Structure {
     /// followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
-        // parsed successfully before
+        // The text has been parsed successfully before.
         let mut table: toml::Table = self.text.parse().unwrap_or_default();
         for of_others in ["alert", "simulation", "record"] {
             table.remove(of_others);

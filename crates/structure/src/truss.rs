@@ -83,8 +83,8 @@ mod tests {
         assert!((found[52] - 39.657).abs() < 1e-3, "{}", found[52]);
     }
 
-    /// The publication did not use consistent mass, which gives 0.427, 1.467, 2.104, 2.980, 4.664
-    /// Hz.
+    /// The publication did not use consistent mass, which gives 0.427, 1.467, 2.104, 2.980,
+    /// 4.664 Hz.
     #[test]
     fn consistent_masses_raise_the_frequencies_of_the_truss() {
         let found = frequencies(&BRIDGE.replace(

@@ -1,10 +1,10 @@
 //! Compares whole runs of the filter with the plainest form of its equations.
 //!
-//! The reference uses dense matrices, one exponential per step, and explicit gains. Notation: Huang
-//! & Yuen (2023), §2.4, with the joint vector `[y, w]` of the state and the unknown excitation of
-//! the same frame. Before a frame, `w` is white and independent of `y`. A frame is a datum of both,
-//! `[H, D]`. The next state is `A y + B w`, for means and covariances. If `D = 0`, the frame
-//! contains no information about `w`.
+//! The reference uses dense matrices, one exponential per step, and explicit gains. Notation:
+//! Huang & Yuen (2023), §2.4, with the joint vector `[y, w]` of the state and the unknown
+//! excitation of the same frame. Before a frame, `w` is white and independent of `y`. A frame is a
+//! datum of both, `[H, D]`. The next state is `A y + B w`, for means and covariances. If `D = 0`,
+//! the frame contains no information about `w`.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -78,7 +78,7 @@ impl Exact {
             self.state[j] = self.state[j].clamp(self.settings.lower[j], self.settings.upper[j]);
             let (variance, bound) = (self.covariance[(j, j)], self.settings.variance_bound[j]);
             if variance > bound {
-                // The covariance with the excitation is that of the update, before any bound.
+                // The covariance with the excitation remains that of the update, without the bound.
                 let n = self.state.len();
                 let shrink = (bound / variance).sqrt();
                 self.covariance.view_mut((0, j), (n, 1)).scale_mut(shrink);

@@ -414,7 +414,7 @@ fn follow_sixty_storeys(structure: Structure, seed: u64, seconds: f64) -> Follow
 #[track_caller]
 fn assert_follows(followed: &Followed) {
     let (low, high) = followed.velocity;
-    // within the printed digits
+    // The limits are those of the printed digits.
     assert!(low >= 2.05e-4 && high < 2.85e-4, "{low:e} to {high:e} m/s");
     assert!(followed.inside >= 0.995, "{}", followed.inside);
     assert!((followed.misfit - 1.0).abs() <= 0.02, "{}", followed.misfit);

@@ -129,8 +129,8 @@ fn the_mast_of_matrices_is_identified() {
     assert_identified(&run(&example("matrices.toml"), 60.0, 2), &[1.0; 2], 0.02);
 }
 
-/// Asserts that the filter finds the first parameters, the stiffnesses, from an initial error of 10
-/// %.
+/// Asserts that the filter finds the first parameters, the stiffnesses, from an initial error of
+/// 10 %.
 ///
 /// The error must be halved and within the reported uncertainty.
 #[track_caller]
@@ -274,8 +274,8 @@ fn negative_variance_ends_the_step_with_its_place() {
     );
 }
 
-/// A negative variance is rounding if its magnitude is below 1e-12 times the largest variance, which
-/// far exceeds 1e-6 here.
+/// A negative variance is rounding if its magnitude is below 1e-12 times the largest variance,
+/// which far exceeds 1e-6 here.
 #[test]
 fn variance_below_zero_by_rounding_is_zero() {
     assert_eq!(step_with_variance(-1e-20), Ok(0.0));

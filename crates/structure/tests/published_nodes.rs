@@ -131,8 +131,8 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
             "{name}"
         );
     }
-    // Chapter 7: 128 bytes with variances and 352 with a full covariance, up and down; 0.8 and 3.2
-    // % of the raw samples.
+    // Chapter 7: 128 bytes with variances and 352 with a full covariance, up and down; 0.8 and
+    // 3.2 % of the raw samples.
     for (name, seconds, rate_hz, share) in [
         ("sixteen-bay-truss", 200.0, 1000.0, 0.008),
         ("forty-storey-spikes", 500.0, 250.0, 0.032),

@@ -57,8 +57,8 @@ impl Structure {
             self.settling(information, &unknown, memory_frames, noise_memory_frames)?;
         let step_s = self.step_s();
         let shifts = |parameter: usize| {
-            // θ̂ moves by −P I_{θ,ln ψ} if ln ψ is stated too high; 10 % in deviation is 2 ln 1.1
-            // in ln ψ.
+            // θ̂ moves by −P I_{θ,ln ψ} if ln ψ is stated too high. An error of 10 % in the
+            // standard deviation is 2 ln 1.1 in ln ψ.
             let shift = |level| {
                 let pull = held.column(level).rows(0, theta) * frames as f64;
                 -known.column(parameter).dot(&pull) * 2.0 * 1.1_f64.ln()
@@ -143,7 +143,7 @@ impl Structure {
     /// An error of these quantities decays as `exp(−k G)`. `G = J⁻¹ F` divided by the memory of
     /// each quantity (frames): `F` is the information that moves the filter, `J` the information it
     /// counts. The prior is part of `J`, because the variance is bounded. The result is infinite
-    /// for a quantity without any pull, which does not affect the other quantities.
+    /// for a quantity without any pull; such a quantity does not affect the other quantities.
     fn settling(
         &self,
         information: &Information,

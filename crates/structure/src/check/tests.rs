@@ -91,8 +91,8 @@ fn the_demo_is_identifiable() {
             parameter.name,
             parameter.std_after
         );
-        // The reported deviation equals the steady one, and the filter forgets with its memory: λ =
-        // 2^(2/1000) at 100 Hz, 10 ms/(λ − 1) = 7.2 s.
+        // The reported deviation equals the steady one, and the filter forgets with its memory:
+        // λ = 2^(2/1000) at 100 Hz, 10 ms/(λ − 1) = 7.2 s.
         assert!((parameter.std_reported / parameter.std_steady - 1.0).abs() < 0.01);
         assert!(
             (parameter.settling_s - 7.21).abs() < 0.1,
@@ -392,8 +392,8 @@ fn the_same_seed_gives_the_same_report() {
 
 #[test]
 fn dynamic_sensitivity_is_the_information_of_one_frame() {
-    // With the parameter alone unknown and no prior, its standard deviation after N frames is 0.01
-    // / (sensitivity √N).
+    // With the parameter alone unknown and no prior, its standard deviation after N frames is
+    // 0.01 / (sensitivity √N).
     let text = DEMO.replace("std = 0.2", "std = 1000.0");
     let report = parse(&text).check(20.0, 1).identification.unwrap();
     for parameter in &report.parameters {

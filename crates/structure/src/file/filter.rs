@@ -1,4 +1,4 @@
-//! Reads `[filter]`, `[band-limit]` and `[ingest]`; every key has a default.
+//! Reads the optional tables `[filter]`, `[band-limit]` and `[ingest]`.
 
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::section::{Allowed, Section};

@@ -42,7 +42,7 @@ impl StiffnessByMass {
             .chunks_exact_mut(free)
             .enumerate()
         {
-            // the row equals the column, because K is symmetric
+            // The row equals the column, because K is symmetric.
             let (places, rows) = fixed.assembly.row(index);
             let entries = rows.iter().zip(&point.stiffness[places]);
             if fixed.mass_factor.is_none() {

@@ -203,7 +203,7 @@ impl Acceleration {
                 }
             }
             Some(by_mass) => {
-                // row of M⁻¹K = K times the column of M⁻¹, because both are symmetric
+                // A row of M⁻¹K is K times a column of M⁻¹, because both are symmetric.
                 fixed
                     .assembly
                     .mul_to(&point.stiffness, by_mass, &mut self.stiffness);
