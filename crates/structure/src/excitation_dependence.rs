@@ -155,7 +155,7 @@ impl Structure {
         2.0 * PI / (BELOW_FIRST * self.fundamental_period_s().max(2.0 * self.step_s()))
     }
 
-    /// Returns the number of octaves. The last octave ends at half the sampling rate.
+    /// Returns the number of octaves. The centre of the last one is above half the sampling rate.
     fn octaves(&self) -> usize {
         2 + (PI / self.step_s() / self.lowest_octave()).log2().floor() as usize
     }
