@@ -8,22 +8,30 @@ import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
 const WIDTH = 420;
 const HEIGHT = 360;
 const MARGIN = 34;
-/** Heights of parts (in units of the drawing) from which there is room for their names. */
+/** Minimum height of a part for a name inside (in units of the drawing). */
 const NAMED_FROM = 13;
-/** Distance of the names beside parts that are too small for them, and how far from the part they begin. */
+/**
+ * Distance between the names beside parts that are too small, and distance of the names from the
+ * part.
+ */
 const CALLOUT_ROW = 13;
 const CALLOUT_FROM = 20;
-/** Probability of loss from which on the worst part has a name however small it is; among sound parts the order means nothing. */
+/**
+ * Probability of loss from which the worst part has a name even if it is too small. The order of
+ * sound parts means nothing.
+ */
 const WORTH_NAMING = 0.05;
-/** What is flatter is drawn higher than it is. */
+/** Minimum height of the drawing. Flatter structures are drawn with exaggerated heights. */
 const FLATTEST = 110;
-/** More parameters than this are named only where something is found. */
+/**
+ * Maximum number of parameters that are all named. With more, only parts with a finding are named.
+ */
 const MOST_NAMES = 12;
 
 export class Drawing {
   #parts = [];
   #sensors = [];
-  /** Names beside parts that are too small for them, and the heights at which others stand. */
+  /** Names beside parts that are too small, and the heights of the other names. */
   #callouts = [];
   #named = [];
 
@@ -68,7 +76,10 @@ export class Drawing {
     }
   }
 
-  /** Names the parts that have probably lost, and the worst one, where they are too small for a name of their own. */
+  /**
+   * Names the parts with a probable loss, and the worst part, if they are too small for a name
+   * inside.
+   */
   #callOut(found) {
     const worstOf = ({ names }) => Math.max(...names.map((name) => found.get(name)?.worst ?? 0));
     const most = Math.max(...[...found.values()].map(({ worst }) => worst ?? 0));
@@ -209,7 +220,7 @@ export class Drawing {
   }
 }
 
-/** Lines across what has probably lost: it is told without colour as well. */
+/** Creates the hatching of parts with a probable loss, which shows the loss without colour. */
 function hatches() {
   const pattern = (id, distance) =>
     s("pattern", { id, width: distance, height: distance, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, s("path", { d: `M0 0V${distance}`, class: "hatch-line" }));

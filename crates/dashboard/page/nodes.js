@@ -15,7 +15,10 @@ export class NodeTable {
     this.element = h("div", { class: "card" }, h("div", scroll, h("table", { class: "nodes" }, h("thead", {}, heads), this.rows)));
   }
 
-  /** `nodes` by name, as the station tells of them; in the order of the structure file. */
+  /**
+   * Shows `nodes` (by name, as the station reports them) in the order of `names` in the structure
+   * file.
+   */
   update(names, nodes) {
     const make = () => {
       const cells = HEADS.map((text, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", column >= 2 ? { class: "number" } : {})));

@@ -9,11 +9,11 @@ import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlie
 import { LENGTHS, Points, Span } from "./span.js";
 import { FITS, HEALTH, LEVELS, STATES, canBeSeen, duration, fitWord, lag, levelOf, number, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
 
-/** How often plots are drawn (ms), however often points come. */
+/** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
-/** Probability of loss from which on the course of a part is put on top. */
+/** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
-/** Seconds shown on each side of a moment that a link leads to. */
+/** Time shown on each side of a moment that a link leads to (s). */
 const AROUND_S = 60;
 
 export class StructurePage {
@@ -55,7 +55,7 @@ export class StructurePage {
     this.#plots.forEach((plot) => plot.close());
   }
 
-  /** Another moment or parameter of the same structure. */
+  /** Shows another moment or parameter of the same structure. */
   takes([kind, name], parameters) {
     if (kind !== "structure" || name !== this.name || !this.about) return false;
     this.#goto(parameters);
@@ -127,7 +127,7 @@ export class StructurePage {
     for (const parameter of about.parameters) this.#plot("parameters", parameter.name, () => parameterPlot(parameter, standing, this.points, this.span));
   }
 
-  /** Makes a plot once there is something to plot. */
+  /** Creates a plot as soon as it has data. */
   #plot(group, key, make) {
     const id = `${group}/${key}`;
     if (this.#made.has(id)) return;
@@ -138,7 +138,7 @@ export class StructurePage {
     this.groups[group].holder.append(plot.element);
   }
 
-  /** Puts the course of the part that has most probably lost stiffness where it is seen first. */
+  /** Shows the plot of the part with the highest probability of loss at the top. */
   #showWorst({ worst }) {
     const { parameters } = this.about;
     // Among sound parts the order changes constantly and means nothing.
@@ -265,7 +265,7 @@ export class StructurePage {
     }
   }
 
-  /** A series that was not there before may need a plot of its own. */
+  /** Creates plots for new series. */
   #discover(name) {
     const [kind, of] = [name.slice(0, name.indexOf("/")), name.slice(name.indexOf("/") + 1)];
     if (kind === "innovation") {
@@ -299,7 +299,7 @@ export class StructurePage {
     this.#plots.forEach((plot) => plot.restart());
   }
 
-  /** Goes to the parameter, and the moment, that the address names. */
+  /** Scrolls to the parameter in the address and shows its moment. */
   #goto(parameters) {
     const at = Number(parameters.get("at"));
     if (at > 0) this.span.fix(at - AROUND_S, at + AROUND_S);
@@ -313,7 +313,7 @@ export class StructurePage {
   }
 }
 
-/** Chooses the span of all plots. */
+/** Buttons that select the span of all plots. */
 class RangeBar {
   constructor(span) {
     this.span = span;

@@ -61,7 +61,7 @@ impl StatedLevel {
         }
     }
 
-    /// Returns the possible causes if the identified level is far above the stated one.
+    /// Returns a warning with possible causes if the identified level is far above the stated one.
     pub fn warning(&self, found: &NoiseLevelSummary) -> Option<String> {
         let causes = match self.is_excitation {
             true => {
