@@ -174,7 +174,8 @@ mod tests {
 
     #[test]
     fn normal_distribution_has_its_tabled_values_also_far_out() {
-        // Abramowitz & Stegun (1964), tables 26.1 and 26.2: Φ(1), Φ(1.96), and -log10 of 1 − Φ(x) for x = 5 and 10.
+        // Abramowitz & Stegun (1964), tables 26.1 and 26.2: Φ(1), Φ(1.96), and -log10 of 1 − Φ(x)
+        // for x = 5 and 10.
         assert!((normal_cdf(1.0) - 0.841_344_746_068_543).abs() < 1e-14);
         assert!((normal_cdf(-1.96) - 0.024_997_895_148_220).abs() < 1e-14);
         assert!((normal_cdf(-5.0).log10() + 6.542_65).abs() < 1e-5);

@@ -47,7 +47,7 @@ pub enum AlertError {
         /// Number of identified parameters.
         count: usize,
     },
-    /// The number of parameters of estimates or records differs from that of the structure.
+    /// Estimates or records have a different number of parameters than the structure.
     #[error("found {found} parameters, must be {expected}")]
     ParameterCount {
         /// Number of parameters found.

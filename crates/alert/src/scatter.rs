@@ -62,15 +62,16 @@ impl NormalPlusStudent {
         let (low, high) = (-reach, reach.ln_1p());
         let step = (high - low) / f64::from(NODES - 1);
         let (known, estimated) = (self.normal_std.powi(2), self.student_scale.powi(2));
+        // τ²/(2c²)
         let excess =
-            0.5 * (self.student_scale / self.largest_usual.max(self.student_scale)).powi(2); // τ²/(2c²)
+            0.5 * (self.student_scale / self.largest_usual.max(self.student_scale)).powi(2);
         let excess = if excess.is_finite() { excess } else { 0.0 }; // without scatter
         let (mut sum, mut total) = (0.0, 0.0);
         for node in 0..NODES {
             let u = low + step * f64::from(node);
             let w = u.exp();
-            let density = (half_nu * (u - w + 1.0) - excess / w).exp(); //                     p(u), to a factor
-            let std = (known + estimated / w).sqrt(); //                        √(s² + τ²/w)
+            let density = (half_nu * (u - w + 1.0) - excess / w).exp(); // p(u), to a factor
+            let std = (known + estimated / w).sqrt(); //                   √(s² + τ²/w)
             sum += density * normal_cdf(x / std);
             total += density;
         }

@@ -195,7 +195,7 @@ impl Jump {
     }
 }
 
-/// Returns `true` if `time_ns` is after `since_ns` by less than `span_ns`, or equal to it.
+/// Returns `true` if `time_ns` lies within `span_ns` from `since_ns`, end excluded.
 fn is_within(span_ns: i64, since_ns: i64, time_ns: i64) -> bool {
     (0..span_ns).contains(&time_ns.saturating_sub(since_ns))
 }
@@ -290,7 +290,8 @@ mod tests {
 
     #[test]
     fn loss_shows_where_twice_the_rule_would_be_raised() {
-        // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s = 0.05/1.644854 = 0.030398.
+        // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s =
+        // 0.05/1.644854 = 0.030398.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
         let shows = |support: &Support, std: f64| {
             support.shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule)
@@ -305,7 +306,8 @@ mod tests {
             !shows(&undecided, 0.0303) && shows(&undecided, 0.0303 / 1.1),
             "what was not learnt has to be learnt well"
         );
-        // (1 − L)·s_r = 0.95·0.03 = 0.0285; with s = 0.0105 the hypotenuse is 0.03037, with 0.0110 it is 0.03055.
+        // (1 − L)·s_r = 0.95·0.03 = 0.0285; with s = 0.0105 the hypotenuse is 0.03037, with 0.0110
+        // it is 0.03055.
         let learnt = Reference::new(1.0, 0.03).unwrap();
         let shows = |std: f64| decided.shows_losses(&estimate(1.0, std), &learnt, &rule);
         assert!(shows(0.0105) && !shows(0.0110));

@@ -15,11 +15,11 @@ const DAY_S: u64 = 86_400;
 pub struct Keep {
     /// Display values.
     pub display_s: Option<u64>,
-    /// Minutes.
+    /// Values aggregated per minute.
     pub minute_s: Option<u64>,
-    /// Hours.
+    /// Values aggregated per hour.
     pub hour_s: Option<u64>,
-    /// Days.
+    /// Values aggregated per day.
     pub day_s: Option<u64>,
     /// Alerts, acknowledgements and events.
     pub log_s: Option<u64>,
@@ -50,7 +50,7 @@ impl Address {
     /// Parses the configured address.
     ///
     /// # Errors
-    /// The text is not a file, `sqlite:FILE` or `postgres://…`.
+    /// Fails if the text is not a file, `sqlite:FILE` or `postgres://…`.
     pub fn parse(text: &str) -> Result<Self, HistoryError> {
         if text.starts_with("postgres://") || text.starts_with("postgresql://") {
             return Ok(Self::Postgres(text.to_owned()));

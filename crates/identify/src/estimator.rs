@@ -172,7 +172,7 @@ impl Estimator {
     /// Returns mean and standard deviation of a linear combination of entries (from 0) of the
     /// physical state.
     ///
-    /// With several model classes, the result is that of the most plausible class.
+    /// With several model classes, it uses the most plausible class.
     #[must_use]
     pub fn response(&self, terms: &[(usize, f64)]) -> (f64, f64) {
         let (mean, covariance) = match self {

@@ -100,7 +100,8 @@ impl Health {
         self.share
     }
 
-    /// Returns the mean normalised innovation squared per channel, 1 while the particles follow the data.
+    /// Returns the mean normalised innovation squared per channel, 1 while the particles follow the
+    /// data.
     #[must_use]
     pub fn misfit(&self) -> f64 {
         self.misfit

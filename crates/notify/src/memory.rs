@@ -142,7 +142,7 @@ mod tests {
     /// Notices that Spandrel 0.1.0 left on disk for a webhook (receiver 0) and for e-mail (receiver
     /// 1).
     ///
-    /// The webhook had received the raised alert of storey 1, but not the one of storey 2. The
+    /// The webhook had received the raised alert of storey 1, but not the alert of storey 2. The
     /// e-mail receiver had received the acknowledged alert of storey 2.
     fn kept_by_0_1_0() -> Outbox {
         let folder = tempfile::tempdir().unwrap();

@@ -131,7 +131,7 @@ impl Receiver {
     /// Sends a notice.
     ///
     /// # Errors
-    /// The reason for the failure, without secrets.
+    /// Returns the reason for the failure, without secrets.
     pub(crate) fn send(&self, notice: &Notice) -> Result<(), String> {
         match self {
             Self::Webhook {

@@ -109,7 +109,7 @@ impl NotifySettings {
     /// Checks the values that the types do not restrict, and that files with secrets are readable.
     ///
     /// # Errors
-    /// The first invalid setting.
+    /// Returns the first invalid setting.
     pub fn check(&self) -> Result<(), NotifyError> {
         for (index, webhook) in self.webhook.iter().enumerate() {
             let place = |what: &str| format!("webhook[{index}].{what}");

@@ -230,7 +230,8 @@ fn two_records_cannot_raise_what_ten_can() {
 
 #[test]
 fn interval_for_the_structure_holds_the_scatter_between_records() {
-    // b = 0.001 with two degrees of freedom: 0.975 point of Student 4.303 (Abramowitz & Stegun 1964, table 26.10)
+    // b = 0.001 with two degrees of freedom: 0.975 point of Student 4.303 (Abramowitz & Stegun
+    // 1964, table 26.10)
     let baseline =
         estimated(&[record(0.999, 1e-5), record(1.0, 1e-5), record(1.001, 1e-5)]).unwrap();
     let interval = baseline

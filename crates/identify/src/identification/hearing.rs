@@ -55,7 +55,7 @@ impl Hearing {
     /// Processes the measured sample of a frame, NaN if missing. `moves` states whether any
     /// response has changed.
     ///
-    /// Returns `None` for `value` equal to `None`, which denotes an unmeasured excitation.
+    /// An unmeasured excitation has the `value` `None` and never changes.
     pub(super) fn take(&mut self, value: Option<f64>, moves: bool, spans: Spans) -> Option<Heard> {
         let value = value?;
         self.count_repeats(value, moves);
