@@ -111,8 +111,6 @@ impl Checkpoints {
     ///
     /// `F` is the state as laid out in version `former`. Otherwise this function works like
     /// [`Checkpoints::load_latest`].
-    ///
-    /// `F` is the state as that version laid it out.
     #[must_use]
     pub fn load_latest_or_former<T, F>(&self, former: u16) -> Loaded<T>
     where

@@ -23,7 +23,7 @@ struct Arrivals {
 }
 
 impl Lateness {
-    /// Creates the state for `nodes` nodes, each of which may be late by `allowed`.
+    /// Creates the state for `nodes` nodes. Samples may be late by `allowed`.
     #[must_use]
     pub fn new(allowed: Duration, nodes: usize) -> Self {
         Self {

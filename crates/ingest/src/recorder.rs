@@ -126,7 +126,6 @@ impl Recorder {
     ///
     /// # Errors
     /// The thread has panicked.
-    /// The thread has panicked.
     pub(crate) async fn record(
         mut self: Box<Self>,
         blocks: Vec<FrameBlock>,

@@ -1,7 +1,7 @@
 //! Units that a column may have, and their factors to SI.
 //!
-//! Factors: BIPM, *The International System of Units* (9th edition, 2019), table 8 and section 2.3; standard gravity
-//! g = 9.80665 m/s² by the 3rd CGPM (1901).
+//! Source: BIPM, *The International System of Units* (9th edition, 2019), table 8 and section 2.3.
+//! Standard gravity is g = 9.80665 m/s², as defined by the 3rd CGPM (1901).
 
 use std::f64::consts::PI;
 

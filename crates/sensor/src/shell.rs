@@ -480,11 +480,11 @@ fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result
     // Rows before an error are valid, and their stream ends normally.
     let mut blocks = Vec::new();
     cutter.end(&mut blocks);
+    // Ignore the error: no receiver is left after a stop.
     let _ = out.send(Batch {
         time_ns,
         rows: rows_cut,
         blocks,
-    // No receiver is left after a stop.
     });
     failure.map_or(Ok(()), Err)
 }

@@ -1,8 +1,12 @@
 //! PEER records (AT2, VT2, DT2): four header lines, then the numbers of one channel.
 //!
 //! The header lines are the title; earthquake, station and component; quantity and unit; number of
-//! points and time step. The fourth line is either `NPTS=  4000, DT= .01000 SEC` or `4000  0.0100
-//! NPTS, DT`. The numbers have fields of 15 characters, mostly five per line.
+//! points and time step. The fourth line has one of two forms:
+//!
+//! - `NPTS=  4000, DT= .01000 SEC`
+//! - `4000  0.0100  NPTS, DT`
+//!
+//! The numbers have fields of 15 characters, mostly five per line.
 //!
 //! Source: Pacific Earthquake Engineering Research Center, *NGA strong motion database*, file
 //! format.

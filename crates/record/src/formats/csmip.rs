@@ -1,10 +1,13 @@
 //! CSMIP volume 2: a sequence of channels, each with acceleration, velocity and displacement.
 //!
-//! Each channel has 25 lines of text, integers and reals, and three blocks of samples. A line
-//! precedes each block, such as `10100 points of accel data equally spaced at 0.010 sec, in
-//! cm/sec2. (8f10.5)`. Older files have `3000 POINTS OF ACCEL DATA EQUALLY SPACED AT .020 SEC.
-//! (UNITS: CM/SEC/SEC)` instead. This module reads the lines of text only, because the integers and
-//! reals repeat them with fewer digits.
+//! Each channel has 25 lines of text, integers and reals, and three blocks of samples. A line such
+//! as one of these precedes each block, the second one in older files:
+//!
+//! - `10100 points of accel data equally spaced at 0.010 sec, in cm/sec2. (8f10.5)`
+//! - `3000 POINTS OF ACCEL DATA EQUALLY SPACED AT .020 SEC. (UNITS: CM/SEC/SEC)`
+//!
+//! This module reads the lines of text only, because the integers and reals repeat them with fewer
+//! digits.
 //!
 //! Source: California Strong Motion Instrumentation Program, *Standard tape format for processed
 //! strong-motion data* (Shakal and Huang 1985, report OSMS 85-03).

@@ -1,8 +1,8 @@
 //! miniSEED 2 and 3: records of one channel each, in any order, joined to series.
 //!
-//! No crate is used. The crates that are not C bindings have three defects: they loop forever on a
-//! blockette that points to itself, read only one byte order of headers, and ignore the
-//! microseconds of blockette 1001.
+//! No crate is used. The crates that are not C bindings loop forever on a blockette that points to
+//! itself. They also read only one byte order of headers, and ignore the microseconds of blockette
+//! 1001.
 //!
 //! Source: FDSN, *SEED reference manual* v2.4 (2012), chapter 8 and appendix B (Steim compression),
 //! and *miniSEED 3* (2023).

@@ -1,15 +1,18 @@
 //! Universal file format, datasets 58 and 58b: functions at nodal degrees of freedom. Only time
 //! responses are read.
 //!
-//! A dataset is enclosed by two lines `    -1`. Its first line is the dataset number; for binary
-//! data, it contains `b` and the number of bytes. Eleven lines of text follow: 1 to 5
-//! identification (3 is the date), 6 function type and degrees of freedom, 7 data type, number of
-//! values, spacing, first abscissa and increment, 8 to 11 axes with type, label and unit. Text data
-//! have fields of 13 characters in single precision, and 20 in double precision.
+//! A dataset is enclosed by two lines `    -1`. Its first line is the dataset number. For binary
+//! data, this line also contains `b` and the number of bytes. Eleven lines of text follow:
+//!
+//! - 1 to 5: identification (3 is the date)
+//! - 6: function type and degrees of freedom
+//! - 7: data type, number of values, spacing, first abscissa and increment
+//! - 8 to 11: axes with type, label and unit
+//!
+//! Text data have fields of 13 characters in single precision, and 20 in double precision.
 //!
 //! Source: University of Cincinnati, Structural Dynamics Research Laboratory, *Universal file
 //! formats*, number 58.
-//! single precision, 20 for double.
 
 use super::text_lines::{NumberColumns, TextLines, decimal};
 use crate::bytes::{ByteOrder, Bytes, text};
