@@ -258,8 +258,7 @@ pub struct ClassSettings {
 impl ClassSettings {
     /// The floor for plans that calibrate.
     ///
-    /// Its value is small, because a small floor allows the calibration of healthy components in
-    /// error.
+    /// A smaller floor allows the calibration of healthy components in error.
     pub const FLOOR: f64 = 1e-4;
 
     /// Returns the settings of the source, with its rule of persistence.

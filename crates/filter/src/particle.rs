@@ -264,6 +264,8 @@ impl<M: ParticleModel> ParticleFilter<M> {
     /// Processes one frame; its excitation is the measured input of the model.
     ///
     /// # Errors
+    /// Returns an error in these cases:
+    ///
     /// - The frame does not fit the model. The filter is then unchanged.
     /// - No particle has any weight, or the estimate is not finite. The caller must then restart
     ///   the filter.

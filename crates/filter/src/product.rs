@@ -289,8 +289,8 @@ impl Multiplier {
         });
     }
 
-    /// Computes the product of `left` (m × k) and `right` (k × c) in the first columns of `out` (m
-    /// rows).
+    /// Computes the product of `left` (m × k) and `right` (k × c) in the first columns of `out`
+    /// (m rows).
     pub(crate) fn multiply_to(
         self,
         left: Left<'_>,

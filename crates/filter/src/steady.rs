@@ -60,8 +60,8 @@ pub fn stationary_gain(model: &LinearModel) -> Result<StationaryGain, FilterErro
     })
 }
 
-/// Returns the stationary error covariance of the filtered state (n × n) for a constant gain `G` (n
-/// × N_0).
+/// Returns the stationary error covariance of the filtered state (n × n) for a constant gain `G`
+/// (n × N_0).
 ///
 /// The noise covariances are those of `model`; the gain may be designed with others. The error
 /// obeys `e_{i+1} = (I − G H)(A e_i − B f_i) + G n_{i+1}`, so its covariance solves a Lyapunov

@@ -214,8 +214,8 @@ pub(crate) fn correct(
     diagonal_to(covariance, variances);
 }
 
-/// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` already contains `Vᵀ` (n ×
-/// N_0).
+/// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` already contains `Vᵀ`
+/// (n × N_0).
 fn subtract_by_strips(
     covariance: &mut DMatrix<f64>,
     spread: Option<ExcitationSpread<'_>>,

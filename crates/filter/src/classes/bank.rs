@@ -192,6 +192,8 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// The result is that of the most plausible class, with `ln p(z | D)` over all classes.
     ///
     /// # Errors
+    /// Returns an error in these cases:
+    ///
     /// - The frame does not fit the models. The bank is then unchanged.
     /// - All filters have diverged. The caller must then restart the bank.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
@@ -790,8 +792,8 @@ impl<S: ComponentSystem> ClassBank<S> {
         let entry = |of: &DVector<f64>, component: usize| of[motion + components[component]];
         let least_bound = match self.settings.plan {
             ClassPlan::Predefined { .. } => 0.0,
-            // A calibration sets the multipliers to `reset_std`, even if the prior variance bound
-            // is smaller.
+            // A calibration resets the variance of a multiplier to `reset_std`², so the variance
+            // bound must be at least as large.
             ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => {
                 self.settings.reset_std.powi(2)
             }

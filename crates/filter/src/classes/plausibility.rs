@@ -46,10 +46,10 @@ impl Plausibilities {
         if largest == f64::NEG_INFINITY {
             return largest;
         }
-        // The subtraction of the largest value comes before the sum. An outlier of hundreds of
-        // standard deviations has an evidence of about 10⁵ nats. Added to such a value, the
-        // logarithm of the sum would keep only ten digits, and the plausibilities would sum to 1
-        // only to ten digits.
+        // Each term first loses the largest value, and only then the logarithm of the sum. The log
+        // evidence of an outlier of hundreds of standard deviations is about −10⁵ nats. In the
+        // other order, this magnitude would limit the sum of the plausibilities to ten correct
+        // digits.
         let rest = joint.map(|l| (l - largest).exp()).sum::<f64>().ln();
         let mut least = f64::INFINITY;
         for (prior, evidence) in self.logarithms.iter_mut().zip(log_evidences) {
@@ -179,7 +179,7 @@ mod tests {
 
     /// Returns the number of steps until the second class leads.
     ///
-    /// Before, the first class was better by `gap` nats for `steps` steps.
+    /// The first class was better by `gap` nats in the preceding `steps` steps.
     fn switching_delay(steps: usize, gap: f64, floor: f64) -> usize {
         let mut plausibilities = Plausibilities::uniform(2);
         for _ in 0..steps {

@@ -1,8 +1,8 @@
 //! The filter of a sensor node: it uses its own channels and the station's feedback.
 //!
-//! Sources: Huang & Yuen (2023), §6.2, §6.3 and §7.3. A node knows only its own sample counter. A
-//! clock offset between nodes does no harm, because a node never combines its samples with samples
-//! of other nodes, (7.20).
+//! Sources: Huang & Yuen (2023), §6.2, §6.3 and §7.3. A node knows only its own sample counter. If
+//! nodes send only parameters, a clock offset does no harm, because no sample of a node meets
+//! samples of other nodes, (7.20). An exchange of motion requires synchronised clocks.
 
 use super::compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange};
 use super::gaussian::{Gaussian, Information};
@@ -99,8 +99,8 @@ pub struct LocalEstimate {
     pub parameters: Gaussian,
     /// The density from which the node started.
     ///
-    /// `None` if the station does not know this density. The station then counts nothing as learnt.
-    /// This applies after a restart or skipped samples, until the next answer.
+    /// `None` if the node cannot name this density: after a restart or skipped samples, until the
+    /// next answer. The station then counts nothing as learnt.
     pub lineage: Option<Lineage>,
     /// The node's motion in modes, as its own responses or as samples, if nodes exchange motion.
     pub motion: Option<CompressedMotion>,

@@ -157,8 +157,8 @@ pub struct Fused {
     pub feedback: Vec<Option<Feedback>>,
     /// The fused means were out of range, and the station restarted from the prior.
     pub started_anew: bool,
-    /// The nodes knew more than the station from a past that it does not know, and the station
-    /// adopted their information.
+    /// The station adopted the information of its nodes, because they knew more from a past that it
+    /// does not know.
     pub adopted: bool,
 }
 

@@ -532,7 +532,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
 }
 
 /// Replaces a symmetric positive semidefinite matrix by a lower triangular `L` with `L Lᵀ`; known
-/// inputs become zero columns.
+/// inputs have zero rows.
 fn semidefinite_cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), FilterError> {
     let n = matrix.nrows();
     for j in 0..n {

@@ -123,6 +123,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Only the step in which the particle filter takes over allocates.
     ///
     /// # Errors
+    /// Returns an error in these cases:
+    ///
     /// - The frame does not fit the model. The filter is then unchanged.
     /// - The filter has diverged. The caller must then restart it.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<ParticleStep, FilterError> {

@@ -2,8 +2,8 @@
 //!
 //! Source: Ching, Beck, Porter & Shaikhutdinov (2006), weights of equation (10), written for `w`
 //! instead of `x_k`. The Jacobian of `w ↦ x_k` cancels, because it occurs in numerator and
-//! denominator. All quantities are whitened by `L Lᵀ = R`: `r = L⁻¹ (ŷ − y₀)`, `J̃ = L⁻¹ J` (q ×
-//! l), `S̃ = I + J̃ J̃ᵀ`. Hence `|S̃| = |S|/|R|` and `P⁻¹ = I + J̃ᵀ J̃`.
+//! denominator. All quantities are whitened by `L Lᵀ = R`: `r = L⁻¹ (ŷ − y₀)`, `J̃ = L⁻¹ J`
+//! (q × l), `S̃ = I + J̃ J̃ᵀ`. Hence `|S̃| = |S|/|R|` and `P⁻¹ = I + J̃ᵀ J̃`.
 
 use super::model::{DifferenceWorkspace, Interval, ParticleModel};
 use super::settings::ImportanceDensity;

@@ -328,7 +328,7 @@ impl<const N: usize> Terms<'_, '_, N> {
     /// Computes `R` registers of rows of the next power and adds them to the sums.
     ///
     /// `(Z P)_{i, i+d} = Σ_e Z_{i, i+e} P_{i+e, i+d}`. The zero diagonals around all bands make
-    /// bounds checks unnecessary.
+    /// special cases at the edges unnecessary.
     #[inline(always)]
     fn add<S: Simd, const R: usize>(&mut self, simd: S) {
         let Self {

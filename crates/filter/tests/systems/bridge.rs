@@ -1,4 +1,5 @@
-//! Three-pier bridge: plane Euler-Bernoulli frame with consistent mass, 59 degrees of freedom (ch2 §4.4).
+//! Three-pier bridge with 59 degrees of freedom: a plane Euler-Bernoulli frame with consistent mass
+//! (ch2 §4.4).
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 use spandrel_filter::{ObservationModel, ProcessModel};

@@ -571,9 +571,9 @@ fn noise_levels_lost_with_their_filter_start_anew() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// Checks the invariants of a bank and a checkpoint at any step, for all plans, with and
-    /// without unknown noise levels and outliers.
+    /// Checks the invariants of a bank and a checkpoint at any step.
     ///
+    /// The cases cover all plans, with and without unknown noise levels and outliers.
     /// Plausibilities sum to one at every step. The combined covariance is positive semidefinite. A
     /// bank restored from a serialised checkpoint continues bit-identically.
     #[test]
