@@ -12,9 +12,9 @@
 //! m̄ = Σ m_i/n,  b² = Σ (m_i − m̄)²/(n − 1),  v̄ = Σ v_i/n
 //!
 //! b² has the expectation σ_b² + v̄ and n − 1 degrees of freedom. The difference between a further
-//! record and m̄ has two parts: a Student variable with the scale b·√(1 + 1/n), and the uncertainty
-//! of that record. b² includes v̄, which the further record counts again. This errs on the safe
-//! side.
+//! record and m̄ has two parts. The first is a Student variable with the scale b·√(1 + 1/n), and
+//! the second is the uncertainty of that record. b² includes v̄, which the further record counts
+//! again. This errs on the safe side.
 //!
 //! A sound structure rarely scatters by more than a quarter between records. With few degrees of
 //! freedom, this limits the tail of the Student variable (`scatter`).

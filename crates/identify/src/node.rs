@@ -109,7 +109,8 @@ struct Stream {
     last_ns: i64,
     /// Number of the last sample on the grid of the sampling rate since 1970.
     number: i64,
-    /// Number of the message whose feedback replayed samples wait for. Valid within one run only.
+    /// Number of the message whose feedback must arrive before replayed samples continue. Valid
+    /// within one run only.
     #[serde(skip)]
     awaits: Option<u64>,
 }
@@ -241,7 +242,8 @@ impl NodeIdentification {
         self.stream.map(|stream| (stream.epoch, stream.next))
     }
 
-    /// Returns the number of the message whose feedback replayed samples wait for.
+    /// Returns the number of the message whose feedback must arrive before replayed samples
+    /// continue.
     #[must_use]
     pub fn awaits(&self) -> Option<u64> {
         self.stream.and_then(|stream| stream.awaits)

@@ -58,7 +58,7 @@ impl Seat {
         }
     }
 
-    /// Processes the progress of alert, which no longer needs earlier estimates in memory.
+    /// Releases estimates in memory that alert, according to its progress, no longer needs.
     pub(crate) fn release(&mut self, decided: &Progress) {
         let (epoch, first) = (decided.header.epoch, decided.kept);
         match self {

@@ -139,8 +139,8 @@ mod tests {
     use crate::outbox::{Outbox, Wish};
     use spandrel_bus::{AlertMessage, AlertState};
 
-    /// Notices that Spandrel 0.1.0 left on disk for a webhook (receiver 0) and for e-mail (receiver
-    /// 1).
+    /// Returns the notices that Spandrel 0.1.0 left on disk for a webhook (receiver 0) and for
+    /// e-mail (receiver 1).
     ///
     /// The webhook had received the raised alert of storey 1, but not the alert of storey 2. The
     /// e-mail receiver had received the acknowledged alert of storey 2.

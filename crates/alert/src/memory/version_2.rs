@@ -64,7 +64,8 @@ mod tests {
     use std::path::{Path, PathBuf};
     use std::time::Duration;
 
-    /// Returns the checkpoint that 0.1.0 left on disk, and its last published messages.
+    /// Returns the folder with the checkpoint that 0.1.0 left on disk, and its last published
+    /// messages.
     fn kept() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/kept/0.1.0")
     }
@@ -103,7 +104,7 @@ mod tests {
         alerts.into_iter().map(|alert| alert.state).collect()
     }
 
-    /// Returns the last alert of storey 2 published by 0.1.0, field by field.
+    /// Asserts that an alert equals the last alert of storey 2 published by 0.1.0, field by field.
     fn assert_is_known(alert: &crate::Alert) {
         let message = alert.to_message(
             &Name::new("house").unwrap(),
