@@ -14,9 +14,10 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Number of kept answers per node, in addition to those named in its last message.
+/// Maximum number of kept answers per node.
 ///
-/// The next message may refer to these answers.
+/// Answers named in the last message of the node are kept beyond this limit, because its next
+/// message may name them again.
 const ANSWERS_KEPT: usize = 16;
 
 /// The rule that fuses densities.
@@ -180,7 +181,7 @@ struct Known {
     lineage: Option<Lineage>,
     /// Answered messages, and the densities that may have replaced them.
     answered: VecDeque<Answered>,
-    /// Messages since the one from which the node last started: index and learnt information.
+    /// Index and learnt information of the messages after the node's last start message.
     counted: VecDeque<(u64, Information)>,
     /// Message received since the last fusion. Not saved, because the station's clock restarts with
     /// each run.
@@ -424,7 +425,7 @@ impl Station {
         Ok(())
     }
 
-    /// Forgets a node that has restarted, because its message indices restart.
+    /// Deletes all knowledge of a node that has restarted, because its message indices restart.
     pub fn forget(&mut self, node: usize) {
         if let Some(known) = self.known.get_mut(node) {
             *known = Known::default();
