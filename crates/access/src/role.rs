@@ -31,7 +31,7 @@ pub enum Role {
     Viewer,
     /// All sensor nodes of one structure, for example a logger, a simulation or a replay.
     Gateway,
-    /// A node that identifies its own part of the structure.
+    /// A node that identifies the structure from its own samples.
     NodeWorker,
     /// One sensor node.
     Sensor,

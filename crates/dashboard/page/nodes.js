@@ -1,5 +1,4 @@
-// The nodes that identify their own part of the structure, one row per node, as the station reports
-// them.
+// The nodes in distributed identification, one row per node, as the station reports them.
 
 import { h, keyed, setText } from "./dom.js";
 import { NODES, bytes, number, percent, time } from "./words.js";

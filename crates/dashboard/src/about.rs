@@ -10,7 +10,7 @@ pub(crate) struct About {
     pub(crate) description: String,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
-    /// Whether nodes identify their own part of the structure and a station fuses the results.
+    /// Whether nodes identify the structure from their own samples and a station fuses the results.
     pub(crate) distributed: bool,
     pub(crate) parameters: Vec<AboutParameter>,
     pub(crate) noise: Vec<AboutNoise>,

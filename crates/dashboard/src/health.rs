@@ -38,7 +38,7 @@ pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
 
 /// Returns `true` if all required services are present.
 ///
-/// Estimates come from ingest and identify, or from the station if the nodes identify.
+/// Estimates come from ingest and identify, or in distributed identification from the station.
 fn has_all(store: &Store) -> bool {
     let has = |wanted: Service| store.present.iter().any(|(service, _)| *service == wanted);
     let estimates = has(Service::Fuse) || (has(Service::Ingest) && has(Service::Identify));

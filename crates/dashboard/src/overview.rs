@@ -163,7 +163,7 @@ fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMes
 
 /// Returns the lag of the service that publishes the estimates.
 ///
-/// This is the station if nodes identify, and the leader if there are standbys.
+/// This is the station in distributed identification, and the leader if there are standbys.
 fn lag_s(store: &Store) -> Option<f64> {
     let source = if store.about.distributed {
         Service::Fuse

@@ -186,7 +186,7 @@ impl Store {
     /// Updates the progress of ingest. Of the earlier uses of channels, keeps only those that
     /// ingest has not yet recorded.
     fn take_ingested(&mut self, progress: &Progress) {
-        // Samples of nodes that identify are not replayed from a recording.
+        // In distributed identification, samples are not replayed from a recording.
         if self.about.distributed
             || !self
                 .arrivals

@@ -20,8 +20,8 @@ pub(crate) enum Kind {
     Outlier,
     /// Plausibility of a model class.
     Class,
-    /// A node that identifies: its distance from the other nodes, and the distance at which it is
-    /// suspicious.
+    /// A node in distributed identification: its distance from the other nodes, and the distance at
+    /// which it is suspicious.
     Node,
 }
 

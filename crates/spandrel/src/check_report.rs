@@ -24,9 +24,10 @@
 //!   - `verdict`: the most serious finding for the parameter, in words
 //!   - `shifts`: shift of the estimate if a stated noise level is 10 % too high, in the order of
 //!     `noise_levels`
-//! - `noise_levels`: `name`, `std` as the file states it in `unit`, whether `adapted`,
-//!   `relative_std_after` (relative deviation of the level after the data, if it were adapted), and
-//!   `haste` (ratio of its speed of change to that of its half-life)
+//! - `noise_levels`: list of objects with these fields:
+//!   - `name`, `std` as the file states it in `unit`, and whether `adapted`
+//!   - `relative_std_after`: relative deviation of the level after the data, if it were adapted
+//!   - `haste`: ratio of its speed of change to that of its half-life
 //! - `correlations`: correlations of the parameters, then of the noise levels, row by row, if no
 //!   level were known
 //! - `assumptions`: assumptions that no check can verify, as words: `masses`, `damping`,

@@ -227,7 +227,9 @@ pub enum SiteCommand {
         /// Validity period in days.
         #[arg(long, default_value_t = 3650)]
         days: u32,
-        /// Replace an existing authority. All certificates that it has issued become invalid.
+        /// Replace an existing authority.
+        ///
+        /// All certificates that it has issued become invalid.
         #[arg(long)]
         replace: bool,
     },
@@ -278,7 +280,9 @@ pub enum SiteCommand {
 pub struct SiteRouterArguments {
     /// Folder of the site.
     pub folder: PathBuf,
-    /// Structure files. Certificates of other structures or nodes are an error.
+    /// Structure files.
+    ///
+    /// Certificates of other structures or nodes are an error.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structures: Vec<PathBuf>,
     /// Endpoint to listen on, such as quic/10.0.0.5:7447; may be repeated.
@@ -392,14 +396,16 @@ pub struct DemoArguments {
     /// Show no view and no page, only alerts and the result, for scripts.
     #[arg(long, conflicts_with_all = ["http", "open", "stay"])]
     pub headless: bool,
-    /// Keep serving the page after the end, until Ctrl-C; always on in a terminal.
+    /// Keep serving the page after the end, until Ctrl-C.
+    ///
+    /// In a terminal, this is always so.
     #[arg(long)]
     pub stay: bool,
     /// Print the result as one JSON object.
     #[arg(long)]
     pub json: bool,
-    /// Use distributed identification: nodes that identify, and a station that fuses their
-    /// estimates.
+    /// Demonstrate distributed identification, with a filter in each node and a station that fuses
+    /// the estimates.
     ///
     /// The structure has forty storeys and sixteen nodes. One node has a permanent offset, one is
     /// silent for a while, and all have spikes.
@@ -425,7 +431,9 @@ pub struct BenchArguments {
     /// Add structures until the machine is overloaded, and report the largest sustained number.
     #[arg(long)]
     pub largest: bool,
-    /// Length of each measurement (s). The first 5 s are not counted.
+    /// Length of each measurement (s).
+    ///
+    /// The first 5 s are not counted.
     #[arg(long, default_value_t = 20.0, value_name = "SECONDS", value_parser = seconds)]
     pub duration: f64,
     /// Run the services in one process and the sensors in another.
@@ -478,7 +486,9 @@ pub struct SimulateArguments {
 pub struct ReplayArguments {
     /// The recording.
     pub record: PathBuf,
-    /// Structure file. Its record table maps columns to channels.
+    /// Structure file.
+    ///
+    /// Its record table maps columns to channels.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
     /// Multiple of real time, or max.
@@ -533,7 +543,9 @@ pub struct InfoArguments {
 pub struct ConvertArguments {
     /// Recording: a file of any known format, or a zip archive or folder of such files.
     pub record: PathBuf,
-    /// Output file. Its extension determines the format.
+    /// Output file.
+    ///
+    /// Its extension determines the format.
     #[arg(value_name = "OUT.csv|OUT.mcap")]
     pub output: PathBuf,
     /// Resample all channels to this rate (Hz), with an anti-aliasing filter.
@@ -576,8 +588,8 @@ pub enum FilterChoice {
     /// The adaptive extended Kalman filter or the bank of model classes, even if the file specifies
     /// particles.
     Kalman,
-    /// A particle filter for the model with all parameters. It is slow but assumes no Gaussian
-    /// distribution.
+    /// A particle filter for the model with all parameters, slow but without the assumption of
+    /// Gaussian distributions.
     Particle,
 }
 

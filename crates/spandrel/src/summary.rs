@@ -55,7 +55,7 @@ pub struct Summary {
     /// Final state and changes of the model classes. `None` if there is a single model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<ClassSummary>,
-    /// Summary of each node in file order. Empty if the nodes do not identify.
+    /// Summary of each node in file order. Empty without distributed identification.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
     /// Problems with the samples of a record. `None` if there were none, or if the status of the

@@ -220,7 +220,7 @@ async fn collect(
     Ok(collector.finish())
 }
 
-/// Subscriptions to messages about nodes that identify.
+/// Subscriptions to messages about nodes in distributed identification.
 struct NodeNews {
     nodes: Subscription<NodeDisplay>,
     outliers: Subscription<OutlierDisplay>,

@@ -78,7 +78,8 @@ fn told(issued: &Issued) -> String {
     )
 }
 
-/// Returns the parties of a structure's nodes: sensors, and also workers if the nodes identify.
+/// Returns the parties of a structure's nodes: sensors, and also workers in distributed
+/// identification.
 fn nodes_of(structure: &Structure) -> Result<Vec<Party>, AppError> {
     let roles: &[Role] = if structure.fusion().is_some() {
         &[Role::Sensor, Role::NodeWorker]

@@ -101,7 +101,7 @@ struct NodeSeen {
 }
 
 impl NodeCollector {
-    /// Creates an empty collector. It stays empty if the nodes do not identify.
+    /// Creates an empty collector. It stays empty without distributed identification.
     pub(super) fn new(structure: &Structure) -> Self {
         let nodes = structure.nodes().iter().map(|node| NodeSeen {
             name: node.name().to_owned(),

@@ -17,8 +17,8 @@ use tracing::warn;
 const VALUES_WAITING: usize = 8192;
 /// Queue length for alerts and events. They are rare, and none must be lost.
 const ALERTS_WAITING: usize = 8192;
-/// Queue length for statuses, model classes and progress of ingest, of which each structure
-/// publishes a few per second.
+/// Queue length for statuses, model classes and progress of ingest. Each structure publishes a few
+/// of them per second.
 const STATUSES_WAITING: usize = 1024;
 /// Time limit for the alert services to reply with their current alerts.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);

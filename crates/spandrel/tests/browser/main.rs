@@ -1,7 +1,7 @@
-//! Tests of the page in a real browser: the damage of the demo is visible, the alert can be
-//! acknowledged, a lost connection is restored, and the page fits a phone.
+//! Tests of the page in a real browser.
 //!
-//! The tests save screenshots in `target/screenshots`.
+//! The damage of the demo is visible, the alert can be acknowledged, a lost connection is restored,
+//! and the page fits a phone. The tests save screenshots in `target/screenshots`.
 
 #![allow(
     clippy::unwrap_used,
