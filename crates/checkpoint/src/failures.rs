@@ -27,7 +27,7 @@ impl Failures {
         (ended > 0).then_some(ended)
     }
 
-    /// Number of failures since the last success.
+    /// Returns the number of failures since the last success.
     #[must_use]
     pub fn in_a_row(&self) -> u64 {
         self.in_a_row

@@ -22,7 +22,7 @@ pub fn moment_within(period: Duration) -> Instant {
         .unwrap_or_else(Instant::now)
 }
 
-/// Saves the states of a service, one at a time, on a blocking thread.
+/// A background task that saves the states of a service, one at a time, on a blocking thread.
 ///
 /// [`Failures`] limits how often failures are logged. After a failure, the next call of `keep`
 /// tries again with a newer state.

@@ -8,13 +8,13 @@ const DEFAULT_TIME_COLUMN: &str = "time";
 /// The unit of numeric times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeUnit {
-    /// s
+    /// Times in seconds.
     Seconds,
-    /// ms
+    /// Times in milliseconds.
     Milliseconds,
-    /// µs
+    /// Times in microseconds.
     Microseconds,
-    /// ns
+    /// Times in nanoseconds.
     Nanoseconds,
 }
 

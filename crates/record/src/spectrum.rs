@@ -10,7 +10,8 @@ use realfft::RealFftPlanner;
 use crate::RecordedChannel;
 use crate::resample::runs;
 
-/// Maximum number of samples per window, which gives a spectrum of readable size.
+/// Maximum and minimum number of samples per window. The maximum gives a spectrum of readable size,
+/// and the minimum is required for a useful spectrum.
 const LONGEST_WINDOW: usize = 8192;
 const SHORTEST_WINDOW: usize = 64;
 /// Number of half-overlapping windows to average if the record is long enough.

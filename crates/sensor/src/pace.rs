@@ -76,7 +76,7 @@ impl RowsPut {
         self.batches.back().map(|(time_ns, _)| *time_ns)
     }
 
-    /// Number of rows in batches whose last row is later than `time_ns` (ns).
+    /// Returns the number of rows in batches whose last row is later than `time_ns` (ns).
     fn after(&self, time_ns: i64) -> u64 {
         self.batches
             .iter()
