@@ -20,8 +20,8 @@ pub struct NodePlan {
     pub channels: u16,
     /// Sampling rate, Hz.
     pub sampling_rate_hz: f64,
-    /// Sampling of the node in relation to the rows. If the node is slower, a row without its values
-    /// is not a missing sample.
+    /// Sampling of the node in relation to the rows. If the node is slower, a row without its
+    /// values is not a missing sample.
     pub pace: NodePace,
     /// Clock offset at the first row, ns; positive if the clock is ahead.
     pub clock_offset_ns: i64,
