@@ -76,7 +76,7 @@ impl Filter {
     fn new(from_hz: f64, to_hz: f64) -> Self {
         // Kaiser's formulas for the filter length (from attenuation and transition width) and the
         // window shape.
-        let lower = (to_hz / from_hz).min(1.0); // lower rate in cycles per input sample
+        let lower = (to_hz / from_hz).min(1.0); // lower rate as a fraction of the input rate
         let length = (ATTENUATION_DB - 7.95) / (2.285 * 2.0 * PI * TRANSITION * lower);
         let beta = 0.1102 * (ATTENUATION_DB - 8.7);
         let half = length / 2.0;
