@@ -398,7 +398,7 @@ pub struct DemoArguments {
     pub headless: bool,
     /// Keep serving the page after the end, until Ctrl-C.
     ///
-    /// In a terminal, this is always so.
+    /// In a terminal this is the default, except with --json.
     #[arg(long)]
     pub stay: bool,
     /// Print the result as one JSON object.
