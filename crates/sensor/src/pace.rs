@@ -13,8 +13,8 @@ pub enum Speed {
     Factor(f64),
     /// As fast as the downstream services process the rows.
     Max,
-    /// Real time: a row is due when the wall clock reaches its timestamp. It does not wait for
-    /// other services.
+    /// Real time: a row is due when the wall clock reaches its timestamp. Live nodes must not wait
+    /// for other services, so [`wait_for`](crate::SensorSettings::wait_for) should be empty.
     Live,
 }
 
