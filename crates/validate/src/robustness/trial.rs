@@ -27,9 +27,9 @@ pub(super) struct Trial {
     /// Whether the loss interval contained the truth when the alert was raised, and 5, 20 and 60 s
     /// later.
     pub(super) alert_inside: [Option<bool>; 4],
-    /// Number of frames with each verdict.
+    /// Number of blocks of estimates with each verdict.
     pub(super) verdicts: [u64; 3],
-    /// Number of decisions, and the number of possible decisions.
+    /// Number of frames with a decision, and of all frames, summed over the rules.
     pub(super) decided: (u64, u64),
     /// References learnt from the first estimates, whether the alerts use them or not.
     learnt: [Learning; STOREYS],
