@@ -29,7 +29,7 @@ pub(super) struct Trial {
     pub(super) alert_inside: [Option<bool>; 4],
     /// Number of blocks of estimates with each verdict.
     pub(super) verdicts: [u64; 3],
-    /// Number of frames with a decision, and of all frames, summed over the rules.
+    /// Number of frames with a decision, and of all frames, summed over the parameters.
     pub(super) decided: (u64, u64),
     /// References learnt from the first estimates, whether the alerts use them or not.
     learnt: [Learning; STOREYS],
