@@ -50,7 +50,7 @@ pub enum TlsError {
         what: &'static str,
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error from the operating system.
         source: std::io::Error,
     },
     /// A file has no section of the kind that is needed.
