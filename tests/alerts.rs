@@ -322,7 +322,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
     assert_says(
         &undecided,
         &[
-            "no alert of storey-2 is decided",
+            "no decision on storey-2",
             "the filter still learns its noise levels",
         ],
     );
@@ -346,7 +346,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
         .filter_map(|warning| warning.as_str());
     assert_eq!(
         warned
-            .filter(|warning| warning.starts_with("no alert of storey-2 is decided"))
+            .filter(|warning| warning.starts_with("no decision on storey-2"))
             .count(),
         1,
         "{summary}"

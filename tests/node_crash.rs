@@ -267,7 +267,7 @@ async fn station_goes_on(town: &mut Town, what: &str) {
     assert!(next.epoch > last.epoch);
     assert_goes_on(what, (&before.mean, &before.std), (&next.mean, &next.std));
     assert!(
-        town.log("station").contains("goes on from its checkpoint"),
+        town.log("station").contains("resumed from its checkpoint"),
         "{}",
         town.log("station")
     );
@@ -307,7 +307,7 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
         "of the past nothing is told"
     );
     assert!(
-        town.log("worker").contains("goes on from its checkpoint"),
+        town.log("worker").contains("resumed from its checkpoint"),
         "{}",
         town.log("worker")
     );
@@ -362,7 +362,7 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
             refused.contains(file.as_str()) && refused.contains("damaged"),
             "{refused}"
         );
-        assert!(log.contains("goes on from its checkpoint"), "{log}");
+        assert!(log.contains("resumed from its checkpoint"), "{log}");
     }
     let aside = town.checkpoints().join(format!("{}.refused", damaged[0]));
     assert!(aside.is_file(), "{}", aside.display());

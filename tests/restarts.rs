@@ -219,7 +219,8 @@ async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_r
     std::fs::write(site.structure_file(), with(0.3)).unwrap();
     services.hang_up();
     let ended = within("its end", until(AlertState::Cleared)).await;
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % with probability 0.990 for 3 s to more than 30 %";
+    let why = "alert of storey-2 has ended: its rule changed from more than 5 % with probability \
+               0.990 for 3 s to more than 30 %";
     assert!(ended.why.starts_with(why), "{}", ended.why);
     services.wait_for_log("alert of storey-2 has ended");
     services.stop().expect_code(0);

@@ -364,7 +364,8 @@ async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
     assert_as_known(&changes[2], &kept.known["alert"]);
     assert_eq!(
         changes[3].why,
-        "alert of storey-2 has ended: what the loss counts from is learnt anew, because its rule or the model has changed"
+        "alert of storey-2 has ended: its reference is being learnt again because the rule or the \
+         model changed"
     );
     // A client that was absent finds the end of the alert in the history.
     let keys = kept.site.keys();

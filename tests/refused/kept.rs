@@ -140,7 +140,7 @@ pub async fn all(table: &mut Table) {
             given,
             &expected,
             &observed,
-            is_aside && observed.contains(told) && log.contains("goes on from its checkpoint"),
+            is_aside && observed.contains(told) && log.contains("resumed from its checkpoint"),
         );
     }
     let name = format!("alert-{:020}-{:020}.checkpoint", last.epoch, last.sequence);

@@ -62,8 +62,8 @@ pub enum AlertError {
     OneRecord,
     /// The scatter between records is too large for an estimate from so few of them.
     #[error(
-        "{} records of mean {mean:.4} that scatter by {std:.4} do not exclude a sound value of zero; use more records, or \
-         state the scatter with --between-std",
+        "{} records with mean {mean:.4} and scatter {std:.4} do not exclude a baseline of zero; \
+         use more records, or state the scatter with --between-std",
         degrees_of_freedom + 1.0
     )]
     FewRecords {
@@ -76,8 +76,8 @@ pub enum AlertError {
     },
     /// The records differ by more than the stated scatter permits.
     #[error(
-        "records scatter by {found:.4}, a stated scatter of {stated:.4} between records allows {allowed:.4} at most \
-         (probability 0.999)"
+        "the scatter between records is {found:.4}, must be at most {allowed:.4} for a stated \
+         scatter of {stated:.4} (probability 0.999)"
     )]
     StatedScatter {
         /// Scatter of the records, as a ratio to nominal.
@@ -99,7 +99,7 @@ pub enum AlertError {
         source: std::io::Error,
     },
     /// A file does not contain the JSON of a baseline.
-    #[error("{}: is no baseline file", path.display())]
+    #[error("{}: is not a baseline file", path.display())]
     BaselineSyntax {
         /// Path of the file.
         path: PathBuf,
@@ -117,7 +117,7 @@ pub enum AlertError {
         expected: &'static str,
     },
     /// A baseline belongs to another structure.
-    #[error("baseline is that of structure `{found}`, must be that of `{expected}`")]
+    #[error("baseline is for structure `{found}`, must be for `{expected}`")]
     BaselineStructure {
         /// Name of the baseline's structure.
         found: String,

@@ -191,14 +191,14 @@ impl Memory {
                 info!(
                     epoch = place.epoch,
                     estimate = place.sequence,
-                    "goes on from its checkpoint"
+                    "resumed from its checkpoint"
                 );
                 self.kept = Some(place);
                 return Some(state);
             }
             drop(self.checkpoints.refuse(
                 place,
-                "it tells of parameters that it does not name".to_owned(),
+                "it contains decisions on parameters that it does not name".to_owned(),
             ));
         }
     }
@@ -231,7 +231,7 @@ impl Memory {
             Ok(()) => {
                 self.kept = Some(place);
                 if let Some(failures) = self.failures.succeeded() {
-                    info!(failures, "decisions are kept again");
+                    info!(failures, "decisions are saved again");
                 }
             }
             Err(error) => self.failed(&error),
@@ -241,7 +241,7 @@ impl Memory {
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.in_a_row();
-            warn!(%error, failures, "decisions not kept: alerts may be put again after a crash");
+            warn!(%error, failures, "cannot save decisions; alerts may be published again after a crash");
         }
     }
 

@@ -422,7 +422,7 @@ impl AlertService {
         let count = self.refused.entry(reason).or_default();
         *count += 1;
         if count.is_power_of_two() {
-            warn!(structure = self.keys.structure().as_str(), %error, reason, count = *count, "estimates refused");
+            warn!(structure = self.keys.structure().as_str(), %error, reason, count = *count, "estimates rejected");
         }
     }
 
@@ -496,7 +496,7 @@ fn begin(
         let ended = ended.count();
         info!(
             structure = structure.name(),
-            ended, "what alerts rest on has changed: decisions go on by the rules of now"
+            ended, "rules, model or baseline changed; decisions continue under the new rules"
         );
         memory.keep(&state);
     }

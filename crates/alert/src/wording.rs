@@ -14,10 +14,7 @@ pub(crate) fn describe(
 ) -> String {
     let Subject { name, quantity, .. } = subject;
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
-        return format!(
-            "no alert of {name} is decided: {}",
-            undecided(because, alert)
-        );
+        return format!("no decision on {name}: {}", undecided(because, alert));
     }
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
@@ -38,7 +35,7 @@ pub(crate) fn describe(
     );
     // If the probability is too low, the text contains the rule's value.
     let of_rule = if found < rule.credibility() {
-        format!("{how_sure} ({} is asked for)", asked(rule.credibility()))
+        format!("{how_sure} ({} required)", asked(rule.credibility()))
     } else {
         how_sure.clone()
     };
@@ -47,7 +44,10 @@ pub(crate) fn describe(
         .map(|time_ns| format!(", since {}", time(time_ns)))
         .unwrap_or_default();
     let ends = match found < rule.clear_credibility() {
-        true => format!("; is cleared after {}", duration(rule.sustain_ns())),
+        true => format!(
+            "; the alert will clear after {}",
+            duration(rule.sustain_ns())
+        ),
         false => String::new(),
     };
     match alert.state {
@@ -57,7 +57,8 @@ pub(crate) fn describe(
             reference.std()
         ),
         AlertState::Pending => format!(
-            "{name} seems to have lost {how_much}, {of_rule}{since}; is raised after {}{}",
+            "{name} seems to have lost {how_much}, {of_rule}{since}; the alert will be raised \
+             after {}{}",
             duration(rule.sustain_ns()),
             if alert.follows_jump {
                 "; a sudden change is still being followed"
@@ -77,8 +78,8 @@ pub(crate) fn describe(
                     undecided(because, alert)
                 ),
                 None => format!(
-                    "{name} had an alert{since} that the data do not confirm: loss now {how_much}, {of_rule}{seen}; is \
-                     cleared after {}",
+                    "{name} had an alert{since} that the data do not confirm: loss now {how_much}, \
+                     {of_rule}{seen}; the alert will clear after {}",
                     duration(rule.sustain_ns())
                 ),
             }
@@ -91,19 +92,21 @@ pub(crate) fn describe(
             )
         }
         AlertState::Cleared if alert.undecided_because.is_some() => format!(
-            "the alert of {name} was cleared; no new one is decided: {}",
+            "the alert of {name} was cleared; no new decision: {}",
             alert
                 .undecided_because
                 .map(|because| undecided(because, alert))
                 .unwrap_or_default()
         ),
         AlertState::Cleared if found >= rule.clear_credibility() => format!(
-            "that {name} has lost more than {} was credible again, but not for {}: loss {how_much}, {of_rule}",
+            "a loss of more than {} in {name} was credible again, but for less than {}: loss \
+             {how_much}, {of_rule}",
             percent(alert.rule_loss),
             duration(rule.sustain_ns())
         ),
         AlertState::Cleared => format!(
-            "that {name} has lost more than {} is no longer credible: loss {how_much}, {how_sure}, below {} for {}",
+            "a loss of more than {} in {name} is no longer credible: loss {how_much}, {how_sure}, \
+             below {} for {}",
             percent(alert.rule_loss),
             asked(rule.clear_credibility()),
             duration(rule.sustain_ns())
@@ -185,26 +188,39 @@ pub(crate) enum End {
 pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
     let name = &subject.name;
     let why = match end {
-        End::NoSuchParameter => "the structure file has no such parameter any more".to_owned(),
-        End::Unwatched => "no rule of the structure file watches it any more".to_owned(),
-        End::RuleChanged { from, to, probability: found } => {
+        End::NoSuchParameter => "the structure file no longer contains the parameter".to_owned(),
+        End::Unwatched => "the structure file no longer contains a rule for it".to_owned(),
+        End::RuleChanged {
+            from,
+            to,
+            probability: found,
+        } => {
             let found = RoundedProbability::new(*found, &[from.credibility(), to.credibility()]);
             let is_counted_anew = from.reference() != to.reference();
             let asked_by = |rule: &Rule| {
-                let counted = if is_counted_anew { counted_from(rule.reference()) } else { String::new() };
+                let counted = if is_counted_anew {
+                    counted_from(rule.reference())
+                } else {
+                    String::new()
+                };
                 let (loss, credibility) = (percent(rule.loss()), asked(rule.credibility()));
-                format!("more than {loss}{counted} with probability {credibility} for {}", duration(rule.sustain_ns()))
+                format!(
+                    "more than {loss}{counted} with probability {credibility} for {}",
+                    duration(rule.sustain_ns())
+                )
             };
             let (from, to) = (asked_by(from), asked_by(to));
             format!(
-                "its rule was changed from {from} to {to}, and the last estimate gives that loss probability {found}"
+                "its rule changed from {from} to {to}; the probability of that loss by the last \
+                 estimate is {found}"
             )
         }
         End::RuleAndModelChanged => {
-            "its rule and the model of the structure file were changed, and identification begins anew".to_owned()
+            "its rule and the model in the structure file changed, and identification restarts"
+                .to_owned()
         }
         End::ReferenceLearntAnew => {
-            "what the loss counts from is learnt anew, because its rule or the model has changed".to_owned()
+            "its reference is being learnt again because the rule or the model changed".to_owned()
         }
     };
     format!("alert of {name} has ended: {why}")
@@ -216,7 +232,7 @@ fn counted_from(reference: ReferenceRule) -> String {
         ReferenceRule::Given(given) if given.std() == 0.0 => format!(" below {:.3}", given.mean()),
         ReferenceRule::Given(given) => format!(" below {:.3} ± {:.3}", given.mean(), given.std()),
         ReferenceRule::Learnt { span_ns } => {
-            format!(" below what is learnt in {}", duration(span_ns))
+            format!(" below a reference learnt in {}", duration(span_ns))
         }
     }
 }

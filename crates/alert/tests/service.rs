@@ -239,7 +239,7 @@ async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it
     assert!(
         ended
             .why
-            .starts_with("alert of storey-1 has ended: its rule was changed from more than 5 %"),
+            .starts_with("alert of storey-1 has ended: its rule changed from more than 5 %"),
         "{}",
         ended.why
     );

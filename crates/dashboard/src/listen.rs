@@ -161,8 +161,8 @@ impl Listening {
                         .into_iter()
                         .map(|(_, alert)| Input::StandingAlert(alert)),
                 ),
-                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
-                Err(error) => warn!(%error, "question for the last alerts is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
+                Err(error) => warn!(%error, "query for recent alerts failed"),
             }
         }
         while let Some(answer) = self.past.try_join_next() {

@@ -383,7 +383,7 @@ fn recall(
             structure = structure.name(),
             epoch = place.epoch,
             fusion = place.sequence,
-            "goes on from its checkpoint"
+            "resumed from its checkpoint"
         );
     }
     Ok(Keeper::new(checkpoints, remembering.every))

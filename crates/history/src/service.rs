@@ -291,8 +291,8 @@ impl HistoryService {
                         }
                     }
                 }
-                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
-                Err(error) => warn!(%error, "question for the last alerts is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
+                Err(error) => warn!(%error, "query for recent alerts failed"),
             }
         }
         for alert in self.logged.1.try_iter() {
@@ -541,7 +541,7 @@ async fn ask_for_alerts(
                         }
                     }
                 }
-                Err(error) => warn!(%error, "cannot ask for the last changes of alerts"),
+                Err(error) => warn!(%error, "cannot query recent changes of alerts"),
             }
         }
     }

@@ -114,7 +114,7 @@ impl Memory {
                     info!(
                         epoch = place.epoch,
                         frame = place.sequence,
-                        "goes on from its checkpoint"
+                        "resumed from its checkpoint"
                     );
                     return Ok(core);
                 }

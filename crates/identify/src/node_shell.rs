@@ -403,7 +403,7 @@ fn recall(
             node,
             epoch = place.epoch,
             samples = place.sequence,
-            "goes on from its checkpoint"
+            "resumed from its checkpoint"
         );
     }
     Ok(Keeper::new(checkpoints, remembering.every))

@@ -76,7 +76,7 @@ impl Memory {
             info!(
                 structure = structure.as_str(),
                 waiting = notices.waiting(),
-                "goes on from its checkpoint"
+                "resumed from its checkpoint"
             );
             (
                 notices,

@@ -389,7 +389,7 @@ async fn ask(bus: Bus, keys: Keys) -> Result<Told, BusError> {
         .ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN)
         .await
         .unwrap_or_else(|error| {
-            warn!(%error, "cannot ask for the last changes of alerts");
+            warn!(%error, "cannot query recent changes of alerts");
             Vec::new()
         });
     let standing = bus

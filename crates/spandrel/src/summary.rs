@@ -324,8 +324,7 @@ impl Collector {
     /// Returns one sentence for each reason why alerts are undecided at the end.
     fn undecided_warnings(&self) -> Vec<String> {
         let none_of = |names: &[&str], why: &str| {
-            (!names.is_empty())
-                .then(|| format!("no alert of {} is decided: {why}", names.join(", ")))
+            (!names.is_empty()).then(|| format!("no decision on {}: {why}", names.join(", ")))
         };
         let contradicted = self.parameters.iter().map(String::as_str);
         let contradicted: Vec<&str> = contradicted

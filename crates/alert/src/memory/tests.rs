@@ -120,8 +120,9 @@ fn a_rule_beside_it_or_before_it_costs_no_acknowledgement() {
 fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
     let changed = tower(&RULE.replace("0.05", "0.2"));
     let state = new(&changed).succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % with probability 0.950 for 0.5 s to more \
-               than 20 % with probability 0.950 for 0.5 s, and the last estimate gives that loss probability below 0.001";
+    let why = "alert of storey-2 has ended: its rule changed from more than 5 % with probability \
+               0.950 for 0.5 s to more than 20 % with probability 0.950 for 0.5 s; the probability \
+               of that loss by the last estimate is below 0.001";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
     assert_eq!(stands(&state), Some((Cleared, 0.2)));
     assert_eq!(state.log.back().map(|alert| alert.state), Some(Cleared));
@@ -142,9 +143,10 @@ fn an_alert_that_ends_by_another_reference_says_what_the_loss_counts_from() {
         ))
     };
     let state = new(&counted_from(0.87, 0.02)).succeed(raised(&counted_from(1.045, 0.046), false));
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.045 ± 0.046 with probability 0.950 \
-               for 0.5 s to more than 5 % below 0.870 ± 0.020 with probability 0.950 for 0.5 s, and the last estimate gives that \
-               loss probability 0.059";
+    let why = "alert of storey-2 has ended: its rule changed from more than 5 % below 1.045 ± \
+               0.046 with probability 0.950 for 0.5 s to more than 5 % below 0.870 ± 0.020 with \
+               probability 0.950 for 0.5 s; the probability of that loss by the last estimate is \
+               0.059";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
 }
 
@@ -159,7 +161,7 @@ fn an_alert_that_the_changed_rule_raises_too_stands_with_its_acknowledgement() {
 fn an_alert_that_no_rule_watches_ends_with_a_reason() {
     let rule = RULE.replace("\"all\"", "[\"storey-1\"]");
     let state = new(&tower(&rule)).succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: no rule of the structure file watches it any more";
+    let why = "alert of storey-2 has ended: the structure file no longer contains a rule for it";
     assert_eq!(
         (told(&state), stands(&state)),
         (vec![(Cleared, "storey-2", why)], None)
@@ -169,7 +171,7 @@ fn an_alert_that_no_rule_watches_ends_with_a_reason() {
 #[test]
 fn an_alert_of_a_parameter_that_is_gone_ends_under_its_name() {
     let state = new(TOWER).succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: the structure file has no such parameter any more";
+    let why = "alert of storey-2 has ended: the structure file no longer contains the parameter";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
     assert!(state.is_consistent() && state.watch.parameter_count() == 1);
     // The name disappears with the last alert that mentions it.
@@ -244,6 +246,6 @@ fn a_reference_that_was_learnt_ends_with_its_model() {
     assert!(
         told(&state)[0]
             .2
-            .contains("is learnt anew, because its rule or the model has changed")
+            .contains("is being learnt again because the rule or the model changed")
     );
 }

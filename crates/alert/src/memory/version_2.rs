@@ -167,7 +167,7 @@ mod tests {
         assert_eq!(states(told.clone()), [Cleared, Learning]);
         let why = &told[0].why;
         assert!(
-            why.contains("alert of storey-2 has ended: what the loss counts from is learnt anew"),
+            why.contains("alert of storey-2 has ended: its reference is being learnt again"),
             "{why}"
         );
         let seen = state

@@ -360,7 +360,7 @@ fn baseline_of_another_structure_is_refused() {
     let error = Watch::new(&tower(""), Some(&tower_baseline("bridge"))).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "baseline is that of structure `bridge`, must be that of `tower`"
+        "baseline is for structure `bridge`, must be for `tower`"
     );
 }
 

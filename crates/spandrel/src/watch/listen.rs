@@ -124,8 +124,8 @@ impl Listening {
                         .into_iter()
                         .map(|(key, alert)| standing(&self.root, &key, alert)),
                 ),
-                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
-                Err(error) => warn!(%error, "question for the last alerts is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
+                Err(error) => warn!(%error, "query for recent alerts failed"),
             }
         }
         inputs

@@ -17,8 +17,8 @@ fn nothing_is_decided_while_the_data_contradict_the_model() {
     );
     assert_eq!(
         told.why,
-        "no alert of storey-2 is decided: the data contradict the model: the noise found is much larger than the noise \
-         stated"
+        "no decision on storey-2: the data contradict the model: the noise found is much larger \
+         than the noise stated"
     );
     drive.estimates(40..60, SOUND, SURE);
     assert_eq!(drive.states()[1..], [(Normal, 41)]);
@@ -90,8 +90,8 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
     let known = Reference::new(1.0, 0.01).unwrap();
     assert_eq!(
         told(known, 0.98, 0.08),
-        "no alert of storey-2 is decided: the estimate is too uncertain to show a loss of 10 % (estimate 0.980 ± 0.080, \
-         reference 1.000 ± 0.010)"
+        "no decision on storey-2: the estimate is too uncertain to show a loss of 10 % (estimate \
+         0.980 ± 0.080, reference 1.000 ± 0.010)"
     );
     // With one degree of freedom, 95 % of the scatter is below 6.3 standard deviations.
     let few = Reference::new(1.0, 0.0)
@@ -103,8 +103,8 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
         .unwrap();
     assert_eq!(
         told(few, 0.98, 0.001),
-        "no alert of storey-2 is decided: the reference, from few records, is too uncertain to show a loss of 10 % \
-         (estimate 0.980 ± 0.001, reference 1.000 ± 0.030)"
+        "no decision on storey-2: the reference, from few records, is too uncertain to show a loss \
+         of 10 % (estimate 0.980 ± 0.001, reference 1.000 ± 0.030)"
     );
 }
 
@@ -315,7 +315,9 @@ fn no_new_alert_is_raised_in_the_first_seconds_of_a_jump() {
     );
     let pending = &drive.alerts[0].why;
     assert!(
-        pending.ends_with("is raised after 0 s; a sudden change is still being followed"),
+        pending.ends_with(
+            "the alert will be raised after 0 s; a sudden change is still being followed"
+        ),
         "{pending}"
     );
     let mut drive = Drive::new(at_once);
@@ -390,7 +392,8 @@ fn raised_alert_whose_loss_goes_says_that_it_is_about_to_be_cleared() {
     assert_eq!(drive.revisions(Raised), [(1, 11)]);
     let why = &drive.alerts.last().unwrap().why;
     assert!(
-        why.starts_with("storey-2 has lost 0 % of its") && why.ends_with("; is cleared after 10 s"),
+        why.starts_with("storey-2 has lost 0 % of its")
+            && why.ends_with("; the alert will clear after 10 s"),
         "{why}"
     );
 }
