@@ -11,7 +11,7 @@ use crate::name::Name;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClassPlausibility {
     /// Name of the class: from the structure file, `baseline`, or the parameter that the class
-    /// varies.
+    /// singles out.
     pub class: String,
     /// Probability among the competing classes.
     pub plausibility: f64,
@@ -24,7 +24,7 @@ pub struct ClassCalibration {
     pub time_ns: i64,
     /// Class whose estimates became the nominal model.
     pub class: String,
-    /// Relative change of the stiffness that the class varies: −0.049 for a loss of 4.9 %.
+    /// Relative change of the stiffness that the class singles out: −0.049 for a loss of 4.9 %.
     pub change: f64,
 }
 
