@@ -228,7 +228,7 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
             .arg(&configuration)
             .args(["--http", "none"]),
     );
-    services.wait_for_log("history waits for its database");
+    services.wait_for_log("history is waiting for its database");
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let drops = Drops::watch(&bus, &site.keys()).await;
@@ -293,7 +293,7 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let record = site.simulate(LENGTH_S);
     site.replay(&record, "max").wait().expect_code(0);
     drops.expect(Service::History, "failed-writes", 2).await;
-    services.wait_for_log("history not written, it is tried again");
+    services.wait_for_log("history write failed; retrying");
     drop(file); // an open file keeps its space
     std::fs::remove_file(&filling).unwrap();
     let whole = span(&bus, &site, "points=20000", |span| {

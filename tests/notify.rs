@@ -218,9 +218,7 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
         );
     }
     assert!(
-        finished
-            .stderr
-            .contains("alert not told, it is tried again"),
+        finished.stderr.contains("notice not sent; retrying"),
         "{}",
         finished.stderr
     );

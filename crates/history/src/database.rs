@@ -180,7 +180,7 @@ impl Database {
                 if let Some(reason) = reason.filter(|_| has_doubled) {
                     warn!(
                         rows = total,
-                        reason, "the history database can never take some rows, they are left out"
+                        reason, "history database permanently rejects some rows; skipping them"
                     );
                 }
                 Ok(())

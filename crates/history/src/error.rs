@@ -17,7 +17,7 @@ pub enum HistoryError {
         found: String,
     },
     /// The folder of the file cannot be created.
-    #[error("{}: cannot make the folder of the history", path.display())]
+    #[error("{}: cannot create the history folder", path.display())]
     Folder {
         /// Path of the folder.
         path: PathBuf,
@@ -25,7 +25,7 @@ pub enum HistoryError {
         source: std::io::Error,
     },
     /// The file cannot be created or opened.
-    #[error("{}: cannot be opened as the file of the history", path.display())]
+    #[error("{}: cannot be opened as the history file", path.display())]
     File {
         /// Path of the file.
         path: PathBuf,
@@ -42,7 +42,8 @@ pub enum HistoryError {
     },
     /// The tables cannot be migrated to the version of this program.
     #[error(
-        "history database {database} cannot be brought to the version of this program; one written by a later version cannot be read by an earlier one"
+        "history database {database} cannot be migrated to the version of this program; a program \
+         cannot read a database that a later version has written"
     )]
     Version {
         /// Address of the database, without a password.
@@ -51,7 +52,7 @@ pub enum HistoryError {
         source: sqlx::migrate::MigrateError,
     },
     /// A message cannot be converted to or from JSON.
-    #[error("cannot write a message to the history")]
+    #[error("cannot convert a message of the history to or from JSON")]
     Message(#[from] serde_json::Error),
     /// The bus rejected a declaration or is closed.
     #[error(transparent)]

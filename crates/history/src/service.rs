@@ -118,7 +118,7 @@ impl HistoryService {
                     return Err(error);
                 }
                 waiting.failures.fetch_add(1, Ordering::Relaxed);
-                warn!(%error, reason = reason(&error), "history waits for its database");
+                warn!(%error, reason = reason(&error), "history is waiting for its database");
             }
             let mut service = Self {
                 sources: Vec::new(),
@@ -136,7 +136,7 @@ impl HistoryService {
                 service.listen(structure, keys, bus).await?;
             }
             if address.believes_the_network() {
-                warn!(database = %address, "the server need not show who it is: sslmode=verify-full asks it to");
+                warn!(database = %address, "the identity of the database server is not verified; set sslmode=verify-full to verify it");
             }
             info!(database = %address, structures = structures.len(), "history ready");
             Ok(service)
@@ -231,7 +231,7 @@ impl HistoryService {
                 writing.abort_all();
                 warn!(
                     rows = self.waiting.backlog().rows(),
-                    "the database does not take the last values, they are lost"
+                    "history write failed at shutdown; the last values are lost"
                 );
             }
             self.answering.shutdown().await;
@@ -468,10 +468,7 @@ async fn write(
             Ok(()) => {
                 waiting.backlog().written(last);
                 if in_a_row > 0 {
-                    info!(
-                        failures = in_a_row,
-                        "the database of the history takes what is written again"
-                    );
+                    info!(failures = in_a_row, "history writes succeed again");
                 }
                 (retry_after, in_a_row) = (RETRY_AFTER.0, 0);
             }
@@ -480,7 +477,7 @@ async fn write(
                 in_a_row += 1;
                 if in_a_row.is_power_of_two() {
                     let rows = waiting.backlog().rows();
-                    warn!(%error, reason = reason(&error), rows_waiting = rows, "history not written, it is tried again");
+                    warn!(%error, reason = reason(&error), rows_waiting = rows, "history write failed; retrying");
                 }
                 tokio::time::sleep(retry_after).await;
                 retry_after = (2 * retry_after).min(RETRY_AFTER.1);
@@ -507,7 +504,7 @@ async fn share_panic_of<T>(tasks: &mut JoinSet<()>) -> T {
 async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) {
     for (structure, newest_ns) in newest {
         if let Err(error) = database.prune(&structure, newest_ns, &keep).await {
-            warn!(structure, %error, reason = reason(&error), "old values of the history cannot be removed");
+            warn!(structure, %error, reason = reason(&error), "cannot remove old values from the history");
         }
     }
 }
@@ -610,7 +607,7 @@ fn unknown(named: &BTreeSet<Series>, series: &Series) -> String {
         known.join(", ")
     };
     format!(
-        "no {kind} is called {:?}, and nothing of it was kept; of kind {kind} there are: {known}",
+        "unknown {kind} {:?} without stored values, must be one of: {known}",
         series.name
     )
 }
@@ -645,7 +642,7 @@ async fn answer<M: spandrel_bus::Message>(question: &Question, key: &str, messag
 }
 
 async fn refuse(question: &Question, error: &HistoryError) {
-    warn!(%error, reason = reason(error), "history cannot answer");
+    warn!(%error, reason = reason(error), "history query failed");
     question.refuse(&error.to_string()).await;
 }
 
@@ -706,7 +703,8 @@ mod tests {
             may_come(&named, &series(Kind::Class, "baseline")),
             "classes come and go"
         );
-        let told = "no parameter is called \"story-1\", and nothing of it was kept; of kind parameter there are: storey-1, storey-2";
+        let told = "unknown parameter \"story-1\" without stored values, must be one of: storey-1, \
+                    storey-2";
         assert_eq!(unknown(&named, &misspelt), told);
     }
 }

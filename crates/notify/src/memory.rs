@@ -103,7 +103,7 @@ impl Memory {
             Ok(()) => {
                 self.next.sequence += 1;
                 if let Some(failures) = self.failures.succeeded() {
-                    info!(failures, "notices are kept again");
+                    info!(failures, "notices are saved again");
                 }
             }
             Err(error) => self.failed(&error),
@@ -113,7 +113,7 @@ impl Memory {
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.in_a_row();
-            warn!(%error, failures, "notices not kept: after a crash some may be missing, or come twice");
+            warn!(%error, failures, "cannot save notices; after a crash, notices may be missing or be sent twice");
         }
     }
 

@@ -96,7 +96,7 @@ fn figures(alert: &AlertMessage) -> String {
     }
     let (loss, asked) = (percent(alert.rule_loss), percent(alert.rule_credibility));
     lines.push(format!(
-        "Rule:        more than {loss} gone with {asked} credibility; found {}",
+        "Rule:        more than {loss} lost with {asked} credibility; found {}",
         percent(alert.credibility)
     ));
     if let Some(verdict) = alert.fit {
@@ -193,7 +193,7 @@ pub(crate) mod tests {
             "1970-01-01T00:00:20Z",
             "0.8760 of nominal, standard deviation 0.0123",
             "12.4 %, between 9.0 % and 15.0 % with 99.0 % credibility",
-            "more than 5.0 % gone with 99.0 % credibility; found 99.7 %",
+            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
         }

@@ -152,14 +152,14 @@ impl Receiver {
                 }
                 match request.send(body.to_string()) {
                     Ok(answer) if answer.status().is_success() => Ok(()),
-                    Ok(answer) => Err(format!("answered {}", answer.status())),
+                    Ok(answer) => Err(format!("replied with {}", answer.status())),
                     // The messages of other errors could contain the whole URL.
-                    Err(ureq::Error::StatusCode(code)) => Err(format!("answered {code}")),
+                    Err(ureq::Error::StatusCode(code)) => Err(format!("replied with {code}")),
                     Err(ureq::Error::Timeout(_)) => {
-                        Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs()))
+                        Err(format!("no reply within {} s", ANSWER_WITHIN.as_secs()))
                     }
                     Err(ureq::Error::Io(error)) => Err(error.to_string()),
-                    Err(ureq::Error::HostNotFound) => Err("no such host".to_owned()),
+                    Err(ureq::Error::HostNotFound) => Err("unknown host".to_owned()),
                     Err(ureq::Error::ConnectionFailed) => Err("cannot connect".to_owned()),
                     Err(ureq::Error::Tls(reason)) => Err(format!("TLS: {reason}")),
                     Err(ureq::Error::Rustls(error)) => Err(format!("TLS: {error}")),

@@ -161,7 +161,7 @@ impl NotifyService {
             warn!(
                 structure,
                 notices = lost,
-                "given up: their receivers are not in the configuration any more"
+                "dropped notices whose receivers are no longer in the configuration"
             );
         }
     }
@@ -194,7 +194,7 @@ impl NotifyService {
             if is_late || self.outbox.waiting() > 0 {
                 warn!(
                     waiting = self.outbox.waiting(),
-                    "not all notices have been sent; what is remembered is sent later"
+                    "some notices were not sent; saved notices will be sent after the next start"
                 );
             }
             for source in self.sources {
@@ -244,12 +244,9 @@ impl NotifyService {
             .map(|receiver| receiver.shown())
             .unwrap_or_default();
         match &result {
-            Ok(()) => info!(receiver = shown, "alert told"),
+            Ok(()) => info!(receiver = shown, "notice sent"),
             Err(reason) if (self.outbox.failures + 1).is_power_of_two() => {
-                warn!(
-                    receiver = shown,
-                    reason, "alert not told, it is tried again"
-                );
+                warn!(receiver = shown, reason, "notice not sent; retrying");
             }
             Err(_) => {}
         }
@@ -280,8 +277,8 @@ impl NotifyService {
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
                 Ok(Ok(told)) => self.catch_up(&told, now),
-                Ok(Err(error)) => warn!(%error, "cannot ask how the alerts stand"),
-                Err(error) => warn!(%error, "question how the alerts stand is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query current alerts"),
+                Err(error) => warn!(%error, "query for current alerts failed"),
             }
         }
     }

@@ -117,7 +117,7 @@ impl NotifySettings {
                 .iter()
                 .any(|scheme| webhook.url.starts_with(scheme));
             if !is_http || host(&webhook.url).is_empty() {
-                let found = format!("no such address: {:?}", shown(&webhook.url));
+                let found = format!("{:?}", shown(&webhook.url));
                 return Err(NotifyError::Setting {
                     place: place("url"),
                     found,
@@ -142,7 +142,7 @@ impl NotifySettings {
                 }
             }
             if email.to.is_empty() {
-                let (found, allowed) = ("empty".to_owned(), "one address or more");
+                let (found, allowed) = ("empty".to_owned(), "at least one address");
                 return Err(NotifyError::Setting {
                     place: place("to"),
                     found,
@@ -151,8 +151,8 @@ impl NotifySettings {
             }
             if email.user.is_some() != email.password_file.is_some() {
                 let (found, allowed) = (
-                    "one of user and password-file".to_owned(),
-                    "both or neither",
+                    "only one of user and password-file".to_owned(),
+                    "both or none",
                 );
                 return Err(NotifyError::Setting {
                     place: place("user"),
@@ -163,7 +163,7 @@ impl NotifySettings {
             if email.encryption == Encryption::None && email.user.is_some() {
                 let (found, allowed) = (
                     "none, with a password".to_owned(),
-                    "tls or starttls where somebody logs in",
+                    "tls or starttls if user is set",
                 );
                 return Err(NotifyError::Setting {
                     place: place("encryption"),
@@ -184,7 +184,8 @@ fn check_states(states: &[AlertState], place: &str) -> Result<(), NotifyError> {
     }
     let (found, allowed) = (
         "empty".to_owned(),
-        "one or more of learning, normal, pending, raised, acknowledged, cleared",
+        "one or more of learning, undecided, normal, pending, raised, unconfirmed, acknowledged, \
+         cleared",
     );
     Err(NotifyError::Setting {
         place: place.to_owned(),

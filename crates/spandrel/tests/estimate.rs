@@ -246,9 +246,8 @@ fn record_that_ends_before_the_reference_is_known_is_warned_of() {
     simulate(&structure, &record, "40");
     let told = summary(&structure, &record, &[]);
     let storeys = "storey-1, storey-2, storey-3, storey-4, storey-5";
-    let warning = format!(
-        "no decision on {storeys}: the reference was still being learnt at the end"
-    );
+    let warning =
+        format!("no decision on {storeys}: the reference was still being learnt at the end");
     assert_eq!(told["warnings"], serde_json::json!([warning]));
 }
 
