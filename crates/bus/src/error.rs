@@ -18,7 +18,7 @@ pub enum BusError {
     /// The Zenoh configuration file cannot be read.
     #[error("zenoh configuration file {} cannot be read", path.display())]
     ConfigFile {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Error from Zenoh.
         source: ZenohError,
@@ -66,7 +66,7 @@ pub enum BusError {
     /// A configuration file does not configure a router.
     #[error("{}: is no router file: its mode is {found}, must be router", path.display())]
     NotARouter {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Mode in the file.
         found: Mode,

@@ -50,7 +50,7 @@ pub enum TlsError {
     File {
         /// Kind of the file.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Error from the operating system.
         source: std::io::Error,
@@ -60,7 +60,7 @@ pub enum TlsError {
     Empty {
         /// Kind of the file.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
     /// A file is damaged or of another kind.
@@ -68,7 +68,7 @@ pub enum TlsError {
     Damaged {
         /// Kind of the file.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
     /// The key does not belong to the certificate.

@@ -73,10 +73,10 @@ pub struct AlertMessage {
     pub time_ns: i64,
     /// State after the decision.
     pub state: AlertState,
-    /// Time since which the loss has been credible, ns since the Unix epoch, UTC. `None` if it is not
-    /// credible.
+    /// Time since which the loss has been credible, ns since the Unix epoch, UTC. `None` if it is
+    /// not credible.
     pub since_ns: Option<i64>,
-    /// Loss in the rule, a share of the reference (0.1 = 10 %).
+    /// Loss threshold of the rule, a share of the reference (0.1 = 10 %).
     pub rule_loss: f64,
     /// Credibility that the rule requires (0.95 = 95 %).
     pub rule_credibility: f64,
@@ -165,8 +165,8 @@ impl AlertMessage {
     /// Describes the loss of this alert according to a later value.
     ///
     /// The text states the loss, the estimate with its interval, and the probability that the loss
-    /// exceeds the loss in the rule. Estimate and reference are independent normal variables, as in
-    /// the decision itself.
+    /// exceeds the threshold of the rule. Estimate and reference are independent normal variables,
+    /// as in the decision itself.
     ///
     /// Returns `None` if there is no alert, or if the reference is not positive or is being learnt.
     /// Also returns `None` if the value belongs to another parameter or is not newer than the

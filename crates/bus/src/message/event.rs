@@ -38,7 +38,7 @@ pub enum EventKind {
     CaughtUp,
 }
 
-/// One event.
+/// One event with its reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
     /// The structure.

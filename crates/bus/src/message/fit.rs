@@ -212,7 +212,7 @@ pub enum UndecidedBecause {
     FitContradicted,
     /// The estimate is at a bound of the parameter.
     ParameterAtBound,
-    /// The estimate or its reference is too uncertain. Even twice the loss in the rule would not
+    /// The estimate or its reference is too uncertain. Even twice the loss of the rule would not
     /// raise an alert.
     NothingLearnt,
 }

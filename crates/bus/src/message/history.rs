@@ -50,7 +50,7 @@ pub struct HistoryRows {
 pub struct HistorySpan {
     /// The structure.
     pub structure: Name,
-    /// `parameter`, `noise`, `outlier`, `class` or `node`.
+    /// Kind of the quantity: `parameter`, `noise`, `outlier`, `class` or `node`.
     pub kind: String,
     /// Name of the quantity.
     pub name: String,

@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 use super::{Format, Malformed, Message, check_finite, check_range};
 use crate::name::Name;
 
-/// An equal-tailed credible interval.
+/// An equal-tailed credible interval of a parameter or a loss.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CredibleInterval {
-    /// Probability that the interval contains the parameter, such as 0.95.
+    /// Probability that the interval contains the quantity, such as 0.95.
     pub level: f64,
-    /// Lower end, ratio to nominal.
+    /// Lower end: ratio to nominal for a parameter, share of the reference for a loss.
     pub low: f64,
-    /// Upper end, ratio to nominal.
+    /// Upper end, in the same unit.
     pub high: f64,
 }
 

@@ -10,8 +10,10 @@ use super::{Format, Header, Malformed, Message};
 /// dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Source: id of the service; epoch: of the counted frames; sequence: same as `done`; time: of
-    /// the last processed frame, ns since the Unix epoch (`i64::MIN` if there is none).
+    /// Source: id of the service; epoch: of the counted frames; sequence: same as `done`.
+    ///
+    /// Time: of the last processed frame, ns since the Unix epoch, UTC (`i64::MIN` if there is
+    /// none).
     pub header: Header,
     /// Number of the first unprocessed frame.
     pub done: u64,
