@@ -546,7 +546,7 @@ async fn why_there_is_no_session_is_told() {
     config.tls = Some(TlsConfig::beside(other.certificate("viewer.ada")));
     let text = told(&config).await;
     assert!(
-        text.contains(site.endpoint()) && text.contains("the authority has not issued it"),
+        text.contains(site.endpoint()) && text.contains("the authority did not issue it"),
         "{text}"
     );
 
@@ -558,7 +558,7 @@ async fn why_there_is_no_session_is_told() {
     };
     let error = TlsConfig::check(&mixed).unwrap_err().to_string();
     assert!(
-        error.contains("foreign.pem") && error.contains("has not issued it"),
+        error.contains("foreign.pem") && error.contains("did not issue it"),
         "{error}"
     );
 
@@ -783,19 +783,19 @@ fn a_certificate_of_another_role_ends_a_subcommand_with_the_roles_that_may() {
         (
             "viewer.ada",
             "simulate",
-            "role viewer may not put samples",
+            "role viewer may not publish samples",
             "gateway, sensor",
         ),
         (
             "gateway.demo",
             "run",
-            "role gateway may not put frames",
+            "role gateway may not publish frames",
             "server",
         ),
         (
             "worker.main",
             "alert",
-            "role worker may not put alerts",
+            "role worker may not publish alerts",
             "server, alert",
         ),
         (
@@ -941,7 +941,7 @@ fn services_refuse_to_listen_beyond_this_machine_without_certificates() {
         "--certificate",
         certificate.to_str().unwrap(),
     ])
-    .expect_told(&["worker.main.key", "is not that of certificate"]);
+    .expect_told(&["worker.main.key", "does not match certificate"]);
     assert!(!told.stderr.contains("PRIVATE"), "{}", told.stderr);
 }
 

@@ -360,7 +360,7 @@ fn record_of_no_known_format_is_told_the_known_ones() {
     assert_record_refused(
         &site,
         &path,
-        &["record.xyz", "no known format", "CSV", "miniSEED"],
+        &["record.xyz", "unknown format", "CSV", "miniSEED"],
     );
 }
 
@@ -582,7 +582,7 @@ fn nobody_at_the_endpoint_to_connect_to_ends_the_program() {
             .args(["--connect", &endpoint]),
     )
     .expect_code(FAILED);
-    finished.expect_told(&[&endpoint, "nobody answers"]);
+    finished.expect_told(&[&endpoint, "no reply from"]);
 }
 
 #[test]
@@ -753,7 +753,7 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
     for finished in refused {
         let finished = finished.expect_code(2);
         assert!(
-            finished.stderr.contains("would be written over"),
+            finished.stderr.contains("would be overwritten"),
             "{}",
             finished.stderr
         );

@@ -412,7 +412,7 @@ fn settings_that_cannot_be_used_are_named() {
             &["notify.email[0].to", "\"somebody\""],
         ),
         ("[[notify.pager]]\nnumber = 1\n", &["pager", "webhook"]),
-        ("", &["nobody to tell"]),
+        ("", &["no recipients of notices"]),
     ] {
         std::fs::write(&configuration, text).unwrap();
         let mut command = spandrel("notify");

@@ -142,7 +142,7 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     reader.read_frames(1000).await;
     std::fs::write(site.structure_file(), two_storeys(&rule(0.2))).unwrap();
     services.hang_up();
-    services.wait_for_log("services begin anew");
+    services.wait_for_log("restarting the services");
     replay.wait().expect_code(0);
     let found = reader.read_to_end(1).await;
     assert_same_bits(

@@ -237,7 +237,7 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 18] = [
     (
         "a negative time to connect",
         "[bus]\nconnect_timeout_s = -1\n",
-        &["bus.connect_timeout_s", "-1", "from 0 s"],
+        &["bus.connect_timeout_s", "-1", "at least 0 s"],
     ),
     (
         "no endpoint",
@@ -342,7 +342,7 @@ const MISUSED: [(&[&str], &[&str]); 9] = [
     (&["simulate", "house.toml", "--duration", "-1"], &["-1"]),
     (
         &["simulate", "house.toml", "--record", "house.toml"],
-        &["house.toml", "would be written over"],
+        &["house.toml", "would be overwritten"],
     ),
     (
         &[
@@ -475,7 +475,7 @@ pub fn records(table: &mut Table) {
         (
             "an empty file",
             String::new(),
-            &["rec.csv", "no known format", "miniSEED"],
+            &["rec.csv", "unknown format", "miniSEED"],
         ),
     ];
     for (given, text, told) in tables {
@@ -594,7 +594,7 @@ fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'stati
             "random bytes",
             "random.bin".into(),
             random,
-            &["no known format", "miniSEED"],
+            &["unknown format", "miniSEED"],
         ),
     ]
 }

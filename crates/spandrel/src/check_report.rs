@@ -264,43 +264,47 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
 /// Returns the remedy for a finding, or `None` if the text of the finding states it.
 fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
     match finding {
-        Finding::NotObservable => Some("give the model damping, or put a sensor where that mode moves".to_owned()),
+        Finding::NotObservable => Some("add damping to the model, or place a sensor where that mode moves".to_owned()),
         Finding::Uninformed { parameter, .. } => Some(format!(
-            "put a sensor next to what {parameter} scales, measure for longer, or take it as known and leave it out"
+            "place a sensor next to the part that {parameter} scales, measure for longer, or \
+             remove the parameter and treat its value as known"
         )),
         Finding::ParametersConfounded { first, second, .. } => {
-            Some(format!("put a sensor between what {first} and {second} scale, or let one parameter scale both"))
+            Some(format!("place a sensor between the parts that {first} and {second} scale, or use one parameter for both"))
         }
         Finding::LevelConfounded { parameter, level, .. } => {
             let is_excitation = |source: &NoiseSource| matches!(source, NoiseSource::Excitation(_));
             let excites = structure.noise_levels().iter().any(|l| l.name() == level && is_excitation(l.source()));
             Some(if excites {
                 format!(
-                    "measure {level} on a channel (measured-on), or keep in mind that {parameter} is as right as that level"
+                    "measure {level} on a channel (measured-on), or note that {parameter} is only \
+                     as accurate as that level"
                 )
             } else {
-                format!("calibrate the noise of {level}, or keep in mind that {parameter} is as right as that level")
+                format!("calibrate the noise of {level}, or note that {parameter} is only as accurate as that level")
             })
         }
         Finding::SlowToSettle { parameter, .. } => {
-            Some(format!("put a sensor that tells more of {parameter}, or ask its alert rule for a longer sustain-s"))
+            Some(format!("add a sensor that is more sensitive to {parameter}, or increase sustain-s of its alert rule"))
         }
         Finding::RestsOnExcitation { parameter, excitations, .. } => Some(format!(
-            "measure {excitations} on a channel (measured-on), or judge {parameter} by nothing smaller than that"
+            "measure {excitations} on a channel (measured-on), or do not interpret smaller changes \
+             of {parameter}"
         )),
         Finding::LevelAssumed { .. } => {
-            Some("let the level be identified (leave out adapt), or state that it is known (level-factor = 1)".to_owned())
+            Some("identify the level (omit adapt), or declare it known (level-factor = 1)".to_owned())
         }
         Finding::DampingAssumed { .. } => Some(
-            "identify it by a [[parameter]] with scales = \"damping\" and of = \"all\", or state that it is known (known = \
-             true in [damping])"
+            "identify it by a [[parameter]] with scales = \"damping\" and of = \"all\", or declare \
+             it known (known = true in [damping])"
                 .to_owned(),
         ),
         Finding::HoldMatters { delay_s, .. } if *delay_s > 0.0 => Some(
-            "leave out input-hold unless something really holds the excitation, as a simulation does; or sample faster"
+            "omit input-hold unless the excitation is constant between samples, as in a \
+             simulation; or sample faster"
                 .to_owned(),
         ),
-        Finding::HoldMatters { .. } => Some("sample faster, or limit the band that is used ([band-limit])".to_owned()),
+        Finding::HoldMatters { .. } => Some("sample faster, or limit the frequency band ([band-limit])".to_owned()),
         Finding::HastyLevel { .. }
         | Finding::ImplausiblePeriod { .. }
         | Finding::UnequalStoreys { .. }
@@ -436,8 +440,9 @@ impl CheckPage {
         }
         writeln!(
             f,
-            "\n  standard deviations after {after_s:.0} s and in the long run: what the data hold; reported: what the filter will\n  \
-             claim in the long run; settles: time in which an error of the estimate falls to a third"
+            "\n  standard deviations after {after_s:.0} s and in the long run: information in the \
+             data; reported: value that the filter will\n  report in the long run; settles: time \
+             in which an error of the estimate falls to a third"
         )?;
         self.write_sensitivities(f, width)
     }
@@ -519,16 +524,17 @@ impl CheckPage {
             }
         }
         if self.findings.is_empty() {
-            f.write_str("nothing to warn of")?;
+            f.write_str("no warnings")?;
             f.write_str(if self.parameters.is_empty() {
                 "\n"
             } else {
-                ": these sensors tell all parameters apart\n"
+                ": these sensors distinguish all parameters\n"
             })?;
         }
         writeln!(
             f,
-            "\nall this holds if the model is right; what no check can know:\n"
+            "\nthese results hold only if the model is right; a check cannot verify these \
+             assumptions:\n"
         )?;
         self.assumptions
             .iter()
@@ -611,7 +617,7 @@ mod tests {
         let text = page(OUTPUT_ONLY).to_string();
         let mut lines = text.lines();
         let finding = lines
-            .find(|line| line.contains("storey-1 rests on the level and the colour of ground"));
+            .find(|line| line.contains("storey-1 depends on the level and the spectrum of ground"));
         assert!(finding.is_some(), "{text}");
         assert!(
             lines
@@ -621,7 +627,7 @@ mod tests {
         );
         assert!(text.contains("  rests on ground"), "{text}");
         assert!(
-            text.contains("all this holds if the model is right"),
+            text.contains("these results hold only if the model is right"),
             "{text}"
         );
     }

@@ -777,7 +777,7 @@ fn time_unit(text: &str) -> Result<TimeUnit, String> {
 fn share(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
-        Ok(_) | Err(_) => Err("must be above 0, up to 1".to_owned()),
+        Ok(_) | Err(_) => Err("must be above 0 and at most 1".to_owned()),
     }
 }
 

@@ -100,7 +100,7 @@ pub fn refuse_overwriting<'p>(
 /// Returns the message suffix for an output file that already exists.
 pub fn in_place_of(output: &Path) -> &'static str {
     if output.exists() {
-        ", in place of the file that was there"
+        ", replacing the existing file"
     } else {
         ""
     }

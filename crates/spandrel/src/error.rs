@@ -63,7 +63,7 @@ pub enum AppError {
         second: PathBuf,
     },
     /// The configuration has a baseline for an unknown structure.
-    #[error("{} is the baseline of `{name}`, which is none of the structures: {known}", path.display())]
+    #[error("{} is the baseline of unknown structure `{name}`, must be one of: {known}", path.display())]
     BaselineOfNone {
         /// Name of the unknown structure.
         name: String,
@@ -74,7 +74,8 @@ pub enum AppError {
     },
     /// No distributed node has this name.
     #[error(
-        "no node `{name}` identifies for itself; those that do (identification = \"distributed\"): {known}"
+        "unknown distributed node `{name}`, must be a node with identification = \"distributed\": \
+         {known}"
     )]
     NoSuchNode {
         /// The unknown name.
@@ -84,7 +85,8 @@ pub enum AppError {
     },
     /// A standby was requested for a distributed structure, whose nodes have no standby.
     #[error(
-        "structure {structure} is identified by its nodes (identification = \"distributed\"), which have no standby; leave --standby out"
+        "structure {structure} is identified by its nodes (identification = \"distributed\"), \
+         which have no standby; omit --standby"
     )]
     NoStandbyOfNodes {
         /// Name of the structure.
@@ -109,7 +111,7 @@ pub enum AppError {
         known: String,
     },
     /// The certificate does not grant the rights that the subcommand needs.
-    #[error("certificate {} does not fit: {why}; the router would drop what it does not allow, and tell nobody", certificate.display())]
+    #[error("certificate {} does not permit this: {why}; the router would silently drop forbidden messages", certificate.display())]
     WrongRole {
         /// Path of the certificate.
         certificate: PathBuf,
@@ -153,7 +155,9 @@ pub enum AppError {
     NoHistory,
     /// The system defines no folder for persistent state.
     #[error(
-        "no place for what is kept: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; set state.folder to a folder and history.database to a file or a postgres:// address, or both to none"
+        "no folder for persistent state: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; \
+         set state.folder to a folder and history.database to a file or a postgres:// address, or \
+         both to none"
     )]
     NoStateFolder,
     /// The interval for flushing the recording to disk is not a valid time.
@@ -166,10 +170,13 @@ pub enum AppError {
     #[error(transparent)]
     Notify(#[from] NotifyError),
     /// Notifications were requested, but no recipient is configured.
-    #[error("nobody to tell: the configuration has no [[notify.webhook]] and no [[notify.email]]")]
+    #[error(
+        "no recipients of notices: the configuration must have at least one [[notify.webhook]] or \
+         [[notify.email]]"
+    )]
     NobodyToTell,
     /// No estimate arrived during a measurement.
-    #[error("nothing was measured: no estimate has come; is the measurement longer than 5 s?")]
+    #[error("no estimate was received; check that the measurement is longer than 5 s")]
     NothingMeasured,
     /// A page was requested, but the configuration switches it off.
     #[error(
@@ -199,7 +206,7 @@ pub enum AppError {
     #[error(transparent)]
     Validate(#[from] ValidateError),
     /// The validation ran, but not all results meet the requirements.
-    #[error("{missed} figures are not as required, {failed} runs failed")]
+    #[error("{missed} figures miss their requirements, {failed} runs failed")]
     FiguresMissed {
         /// Number of figures outside their limits.
         missed: usize,
@@ -207,20 +214,21 @@ pub enum AppError {
         failed: usize,
     },
     /// The output file is also an input.
-    #[error("{}: is read by this command and would be written over; name another file", path.display())]
+    #[error("{}: is an input of this command and would be overwritten; use another output file", path.display())]
     WouldOverwrite {
         /// Path of the file.
         path: PathBuf,
     },
     /// An option of the particle filter was given for another filter.
-    #[error("{option} is of use only with --filter particle")]
+    #[error("{option} requires --filter particle")]
     ParticlesOnly {
         /// Name of the option.
         option: &'static str,
     },
     /// The record ended before any particle was drawn.
     #[error(
-        "--warm-up is {warm_up_s} s and the record has {record_s} s: no particle was drawn, it must be shorter than the record"
+        "--warm-up is {warm_up_s} s, must be shorter than the record of {record_s} s; no particle \
+         was drawn"
     )]
     WarmUpTooLong {
         /// Time for which a Kalman filter runs first (s).
@@ -229,7 +237,7 @@ pub enum AppError {
         record_s: f64,
     },
     /// A recording has no frame to learn a baseline from.
-    #[error("{}: has no frame after the first {skip_s} s, nothing can be learnt from it", path.display())]
+    #[error("{}: contains no frame to learn from after the first {skip_s} s", path.display())]
     NothingLearnt {
         /// Path of the recording.
         path: PathBuf,
@@ -237,7 +245,7 @@ pub enum AppError {
         skip_s: f64,
     },
     /// A structure without parameters cannot have a baseline.
-    #[error("{}: has no [[parameter]], must have one whose sound value can be learnt", path.display())]
+    #[error("{}: has no [[parameter]], must have at least one", path.display())]
     NoParameters {
         /// Path of the structure file.
         path: PathBuf,

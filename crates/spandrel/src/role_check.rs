@@ -24,16 +24,20 @@ impl Need {
         }
     }
 
-    pub const PUT_SAMPLES: Self = Self::new("put samples", Right::Put, KeyFamily::Samples);
-    pub const PUT_FRAMES: Self = Self::new("put frames", Right::Put, KeyFamily::Frames);
-    pub const PUT_ESTIMATES: Self = Self::new("put estimates", Right::Put, KeyFamily::Estimates);
-    pub const PUT_LOCAL: Self =
-        Self::new("put the estimates of a node", Right::Put, KeyFamily::Local);
+    pub const PUT_SAMPLES: Self = Self::new("publish samples", Right::Put, KeyFamily::Samples);
+    pub const PUT_FRAMES: Self = Self::new("publish frames", Right::Put, KeyFamily::Frames);
+    pub const PUT_ESTIMATES: Self =
+        Self::new("publish estimates", Right::Put, KeyFamily::Estimates);
+    pub const PUT_LOCAL: Self = Self::new(
+        "publish the estimates of a node",
+        Right::Put,
+        KeyFamily::Local,
+    );
     pub const PUT_FEEDBACK: Self =
-        Self::new("put feedback to nodes", Right::Put, KeyFamily::Feedback);
-    pub const PUT_ALERTS: Self = Self::new("put alerts", Right::Put, KeyFamily::Alert);
+        Self::new("publish feedback to nodes", Right::Put, KeyFamily::Feedback);
+    pub const PUT_ALERTS: Self = Self::new("publish alerts", Right::Put, KeyFamily::Alert);
     pub const ANSWER_HISTORY: Self =
-        Self::new("answer for the history", Right::Answer, KeyFamily::History);
+        Self::new("answer history queries", Right::Answer, KeyFamily::History);
     pub const NOTIFY: Self = Self::new(
         "announce notify",
         Right::Announce,
@@ -45,8 +49,11 @@ impl Need {
         KeyFamily::Live(Service::Dashboard),
     );
     pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
-    pub const SEE_PARAMETERS: Self =
-        Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
+    pub const SEE_PARAMETERS: Self = Self::new(
+        "subscribe to parameters",
+        Right::Subscribe,
+        KeyFamily::Parameter,
+    );
 }
 
 /// Task of a subcommand.
@@ -83,7 +90,7 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
     if bus.reaches_a_router().await {
         return Err(AppError::WrongRole { certificate, why });
     }
-    warn!(certificate = %certificate.display(), why, "a router of the site would drop what this puts");
+    warn!(certificate = %certificate.display(), why, "a router of the site would drop the messages of this process");
     Ok(())
 }
 
@@ -141,14 +148,14 @@ fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
     if let Some(lack) = lack(
         party,
         work.needs,
-        &format!(", as spandrel {subcommand} has to"),
+        &format!(", which spandrel {subcommand} requires"),
     ) {
-        return Some(format!("it is that of {}, and {lack}", party.common_name()));
+        return Some(format!("it belongs to {}, and {lack}", party.common_name()));
     }
     let own = party.structure()?.as_str();
     if let Some(other) = work.structures.iter().find(|structure| **structure != own) {
         return Some(format!(
-            "it is for structure {own} only, and spandrel {subcommand} is to be for {other}"
+            "it is for structure {own} only, but spandrel {subcommand} is for {other}"
         ));
     }
     let node = party.node()?.as_str();
@@ -160,8 +167,8 @@ fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
         .collect();
     (!others.is_empty()).then(|| {
         format!(
-            "it is for node {node} of {own} only, and spandrel {subcommand} is to speak for {} too; choose the node with \
-             --node {node}, or use a certificate of role gateway",
+            "it is for node {node} of {own} only, but spandrel {subcommand} also publishes for {}; \
+             choose the node with --node {node}, or use a certificate of role gateway",
             others.join(", ")
         )
     })
@@ -184,8 +191,8 @@ mod tests {
     #[test]
     fn a_role_that_may_not_is_told_which_ones_may() {
         let samples = [Need::PUT_SAMPLES];
-        let why = "it is that of viewer.ada, and role viewer may not put samples, as spandrel simulate has to; roles that may: \
-                   gateway, sensor";
+        let why = "it belongs to viewer.ada, and role viewer may not publish samples, which \
+                   spandrel simulate requires; roles that may: gateway, sensor";
         assert_eq!(
             told("viewer.ada", &samples, &["ground", "roof"]).as_deref(),
             Some(why)
@@ -226,7 +233,7 @@ mod tests {
         assert_eq!(told("sensor.tower.roof", &samples, &["roof"]), None);
         let why = told("sensor.tower.roof", &samples, &["ground", "roof"]).unwrap();
         assert!(
-            why.contains("is to speak for ground too; choose the node with --node roof"),
+            why.contains("also publishes for ground; choose the node with --node roof"),
             "{why}"
         );
     }

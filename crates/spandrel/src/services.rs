@@ -110,7 +110,8 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     if learning.is_empty() {
         let structure = structure.name();
         warn!(
-            "{path}: not used, no alert rule of {structure} has a reference to be learnt: reference = {{ learn-s = … }}"
+            "{path}: not used; no alert rule of {structure} learns its reference (reference = {{ \
+             learn-s = … }})"
         );
         return;
     }
@@ -121,7 +122,7 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     if !unknown.is_empty() {
         let known: Vec<&str> = names().collect();
         warn!(
-            "{path}: has no parameters of {}: {}; it has {}",
+            "{path}: unknown parameters of {}: {}, must be among {}",
             structure.name(),
             unknown.join(", "),
             known.join(", ")
@@ -130,7 +131,8 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     if baseline.is_old_file() {
         let records = baseline.records();
         warn!(
-            "{path}: of version 1; its scatter between records is taken as estimated from {records}"
+            "{path}: has version 1; assuming that its scatter between records was estimated from \
+             {records} records"
         );
     }
     for name in learning {
@@ -775,7 +777,7 @@ impl StopSignals {
             [SignalKind::interrupt(), SignalKind::terminate()].map(|kind| match signal(kind) {
                 Ok(signal) => Some(signal),
                 Err(error) => {
-                    warn!(%error, signal = kind.as_raw_value(), "a signal to stop cannot be heard");
+                    warn!(%error, signal = kind.as_raw_value(), "cannot handle a stop signal");
                     None
                 }
             }),

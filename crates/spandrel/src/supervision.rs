@@ -64,7 +64,7 @@ where
         }
         error!(
             service,
-            structure, "panicked: it is started anew from what it remembers"
+            structure, "panicked; restarting from the last checkpoint"
         );
         tokio::time::sleep(PAUSE).await;
         life.spawn(next());
@@ -80,7 +80,7 @@ impl Hangups {
         match signal(SignalKind::hangup()) {
             Ok(signal) => Self(Some(signal)),
             Err(error) => {
-                warn!(%error, "SIGHUP cannot be heard");
+                warn!(%error, "cannot handle SIGHUP");
                 Self(None)
             }
         }
@@ -99,11 +99,11 @@ impl Hangups {
             }
             match read() {
                 Ok(read) => {
-                    info!("configuration and structure files are read again: services begin anew");
+                    info!("configuration and structure files reloaded; restarting the services");
                     return read;
                 }
                 Err(error) => error!(
-                    "configuration not read again, nothing changes: {}",
+                    "configuration reload failed; nothing changed: {}",
                     error.report()
                 ),
             }
@@ -114,7 +114,7 @@ impl Hangups {
 /// Reports the state of the process to systemd, if systemd requests it.
 pub fn tell_systemd(state: NotifyState<'_>) {
     if let Err(error) = sd_notify::notify(&[state]) {
-        debug!(%error, "systemd cannot be told");
+        debug!(%error, "cannot notify systemd");
     }
 }
 
@@ -137,7 +137,7 @@ pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
         };
         match works {
             true => tell_systemd(NotifyState::Watchdog),
-            false => warn!("the threads of the filters do not answer"),
+            false => warn!("the filter threads do not respond"),
         }
     }
 }

@@ -322,7 +322,7 @@ fn options_that_would_do_nothing_are_refused() {
     for (options, told) in [
         (
             vec!["--particles", "50"],
-            "--particles is of use only with --filter particle",
+            "--particles requires --filter particle",
         ),
         (
             vec![
@@ -333,7 +333,7 @@ fn options_that_would_do_nothing_are_refused() {
                 "--warm-up",
                 "5",
             ],
-            "--warm-up is 5 s and the record has 2 s",
+            "--warm-up is 5 s, must be shorter than the record of 2 s",
         ),
     ] {
         let output = spandrel(&[&paths[..], &options].concat());

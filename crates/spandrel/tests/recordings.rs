@@ -158,7 +158,7 @@ fn wrong_recordings_and_outputs_are_bad_input() {
         "{told}"
     );
     let told = refused(&["convert", &record, &record]);
-    assert!(told.contains("would be written over"), "{told}");
+    assert!(told.contains("would be overwritten"), "{told}");
     let damaged = folder.path().join("damaged.mseed");
     std::fs::write(&damaged, b"MS\x03\0too short").unwrap();
     let told = refused(&["info", damaged.to_str().unwrap()]);

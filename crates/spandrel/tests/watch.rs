@@ -205,10 +205,10 @@ async fn a_structure_is_told_every_second_with_its_values() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_silent_bus_is_told_once() {
     let site = Site::open().await;
-    let line = site.watch(&[]).line("nothing heard yet", async || {}).await;
+    let line = site.watch(&[]).line("no messages yet", async || {}).await;
     assert_eq!(
         line,
-        "nothing heard yet below site: neither a service nor a sensor is there"
+        "no messages yet below site: no service or sensor is running"
     );
 }
 
@@ -223,7 +223,7 @@ fn nobody_there_ends_with_1_and_says_what_to_do() {
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(
-        message.contains(&format!("nobody answers at {endpoint}")),
+        message.contains(&format!("no reply from {endpoint}")),
         "{message}"
     );
 }

@@ -74,7 +74,7 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
 /// Returns the contents of the baseline and the losses that the rules can detect with it, as text.
 fn report(structure: &Structure, baseline: &Baseline) -> String {
     let recordings = counted(baseline.records(), "recording", "recordings");
-    let mut text = format!("sound values of {} from {recordings}\n", structure.name());
+    let mut text = format!("baseline of {} from {recordings}\n", structure.name());
     for (index, parameter) in structure.parameters().iter().enumerate() {
         let name = parameter.name();
         // Writing to a string cannot fail.
@@ -131,9 +131,9 @@ fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<Strin
         match reference.largest_credible(rule.loss, rule.credibility) {
             Some(estimate) => {
                 let loss = 100.0 * (1.0 - estimate / reference.mean());
-                format!("{asked}: raised from a loss of {loss:.0} % on")
+                format!("{asked}: raised for a loss of at least {loss:.0} %")
             }
-            None => format!("{asked}: never raised, because these records are too few"),
+            None => format!("{asked}: never raised, because there are too few records"),
         }
     };
     learning

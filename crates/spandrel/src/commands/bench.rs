@@ -130,7 +130,7 @@ fn tell(load: Load, arguments: &BenchArguments) -> Result<Load, AppError> {
     let _ = writeln!(text, "  block to alert       {}", ms(load.alert_latency_s));
     let _ = writeln!(
         text,
-        "  estimates heard      {:.2} %",
+        "  estimates received   {:.2} %",
         100.0 * load.complete
     );
     let per_structure = load.cpu_ms_per_structure;
@@ -222,7 +222,7 @@ fn measure(
         source,
     };
     std::fs::create_dir_all(&folder)
-        .map_err(|source| in_folder("cannot make the folder", source))?;
+        .map_err(|source| in_folder("cannot create the folder", source))?;
     let result = measure_apart(&settings, structures, duration, &folder);
     // The temporary files may remain.
     let _ = std::fs::remove_dir_all(&folder);

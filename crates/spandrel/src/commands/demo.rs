@@ -89,8 +89,11 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         if let (Ok(Some(_)), Some(address)) = (&finished, address)
             && (arguments.stay || (shown && !arguments.json))
         {
-            told =
-                told.and_then(|()| print(&format!("the page stays at {address} until Ctrl-C\n")));
+            told = told.and_then(|()| {
+                print(&format!(
+                    "the page remains available at {address} until Ctrl-C\n"
+                ))
+            });
             let failed = tokio::select! {
                 failed = running.failed() => failed,
                 () = interrupted() => Ok(()),

@@ -125,14 +125,16 @@ fn identification(
         FilterChoice::Particle => {
             if structure.has_classes() || structure.screens_outliers() {
                 warn!(
-                    "particles take all parameters singly and every sample: [classes] and [outliers] are not used"
+                    "the particle filter identifies each parameter separately and uses every \
+                     sample; ignoring [classes] and [outliers]"
                 );
             }
             let states = 2 * structure.degrees_of_freedom().len() + structure.parameters().len();
             if states > MOST_STATES {
                 warn!(
-                    "{states} states and parameters: the particles needed grow exponentially with them, and with too few the \
-                     intervals are much too narrow; compare several --seed, and see docs/theory/particle-filter.md"
+                    "{states} states and parameters: the required number of particles grows \
+                     exponentially with them, and with too few particles the intervals are much \
+                     too narrow; compare several --seed, and see docs/theory/particle-filter.md"
                 );
             }
             let plan = arguments.particle.plan();

@@ -21,7 +21,7 @@ pub fn run(arguments: &RouterArguments) -> Result<(), AppError> {
         // A router that is still trying to reach another router cannot be closed in time. This
         // loses no data.
         if let Err(error) = bus.close().await {
-            warn!(%error, "not all links were closed in order");
+            warn!(%error, "some links were not closed properly");
         }
         Ok(())
     })

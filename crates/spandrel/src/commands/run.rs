@@ -324,7 +324,7 @@ pub fn run(
                     stopped?;
                     if next.settings.bus != plan.settings.bus {
                         warn!(
-                            "settings of the bus have changed: they count from the next start of the process on"
+                            "bus settings changed; they apply from the next start of the process"
                         );
                     }
                     plan = *next;
@@ -385,6 +385,6 @@ fn open_in_browser(page: &str) {
         .stderr(quiet())
         .spawn();
     if let Err(error) = opened {
-        warn!(opener, page, %error, "no browser can be opened");
+        warn!(opener, page, %error, "cannot open a browser");
     }
 }

@@ -31,9 +31,7 @@ pub fn run(command: SiteCommand) -> Result<(), AppError> {
             let (_, authority) =
                 SiteFolder::create(&folder, name.as_str(), days, existing(replace))?;
             print(&told(&authority))?;
-            print(
-                "keep the key of the authority off the machines that are connected to each other\n",
-            )
+            print("keep the key of the authority on a machine outside the site network\n")
         }
         SiteCommand::Issue {
             folder,
@@ -72,7 +70,7 @@ fn told(issued: &Issued) -> String {
         expires,
     } = issued;
     format!(
-        "{}, {}: until {expires}\n",
+        "{}, {}: valid until {expires}\n",
         certificate.display(),
         key.display()
     )
@@ -124,7 +122,10 @@ fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
     let folder = match &arguments.installed_in {
         Some(folder) => folder.clone(),
         None => std::path::absolute(&arguments.folder).map_err(|source| AppError::Io {
-            what: format!("{}: has no absolute path", arguments.folder.display()),
+            what: format!(
+                "{}: cannot determine the absolute path",
+                arguments.folder.display()
+            ),
             source,
         })?,
     };
@@ -221,5 +222,5 @@ fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result
             );
         }
     }
-    Ok(text + "a router that runs takes it when it is started again\n")
+    Ok(text + "restart a running router to apply the file\n")
 }

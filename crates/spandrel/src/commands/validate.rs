@@ -184,10 +184,10 @@ impl Watch for Bars {
         }
         match result {
             Ok(_) if kept => {
-                tracing::info!(case = case.name, seed, "taken from the report's directory")
+                tracing::info!(case = case.name, seed, "reused from the report directory")
             }
             Ok(_) => tracing::info!(case = case.name, seed, "done"),
-            Err(error) => tracing::warn!(case = case.name, seed, %error, "has no outcome"),
+            Err(error) => tracing::warn!(case = case.name, seed, %error, "run failed"),
         }
     }
 }

@@ -90,7 +90,7 @@ mod tests {
         assert_eq!(
             summary.words(),
             "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: the estimate or its \
-             reference is too uncertain to show twice the loss of the rule"
+             reference is too uncertain to reveal even twice the loss of the rule"
         );
         assert_eq!(DecidedSummary::of(&DecidedFrames::default()), None);
     }
@@ -106,7 +106,8 @@ mod tests {
         assert_eq!(
             DecidedSummary::words_of(&alike).as_deref(),
             Some(
-                "decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter still learns its noise levels"
+                "decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter is still \
+                 learning its noise levels"
             )
         );
         let differing = [

@@ -119,8 +119,8 @@ mod tests {
         let summary = collector.finish().unwrap();
         assert_eq!(
             summary.words(),
-            "contradicted at the end (the data contradict the model: the noise found is much larger than the noise \
-             stated); supported 75 %, contradicted 25 % of the time"
+            "contradicted at the end (the data contradict the model: the estimated noise is much \
+             larger than the stated noise); supported 75 %, contradicted 25 % of the time"
         );
         let warning = "the data contradict the model; the estimates have no meaning";
         assert_eq!(summary.warning().as_deref(), Some(warning));

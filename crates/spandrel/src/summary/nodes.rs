@@ -43,12 +43,12 @@ impl NodeSummary {
         match (self.excluded, self.excluded_since_s) {
             (0, _) => {}
             (excluded, None) => words.push(format!(
-                "left out of {excluded} of {} fusions",
+                "excluded from {excluded} of {} fusions",
                 self.fusions
             )),
             (excluded, Some(since_s)) => {
                 words.push(format!(
-                    "left out of {excluded} of {} fusions, at the end since {since_s:.0} s",
+                    "excluded from {excluded} of {} fusions, and at the end since {since_s:.0} s",
                     self.fusions
                 ));
             }
@@ -72,7 +72,7 @@ impl NodeSummary {
             ));
         }
         if words.is_empty() {
-            "heard in all fusions".to_owned()
+            "present in all fusions".to_owned()
         } else {
             words.join("; ")
         }

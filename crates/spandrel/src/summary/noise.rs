@@ -65,9 +65,13 @@ impl StatedLevel {
     pub fn warning(&self, found: &NoiseLevelSummary) -> Option<String> {
         let causes = match self.is_excitation {
             true => {
-                "an excitation stronger than stated, a channel of wrong sign or unit, or a model that does not fit"
+                "an excitation stronger than stated, a channel with a wrong sign or unit, or a \
+                 model that does not fit"
             }
-            false => "a channel swapped, of wrong sign or unit, or a model that does not fit",
+            false => {
+                "a swapped channel, a channel with a wrong sign or unit, or a model that does not \
+                 fit"
+            }
         };
         let Self { name, .. } = self;
         let told = || {
@@ -100,8 +104,8 @@ mod tests {
     #[test]
     fn noise_far_above_the_stated_one_is_warned_of() {
         assert_eq!(floors(0.02), None);
-        let told = "noise of floors is 28 times what the file states: a channel swapped, of wrong sign or unit, or a model \
-                    that does not fit";
+        let told = "noise of floors is 28 times what the file states: a swapped channel, a channel \
+                    with a wrong sign or unit, or a model that does not fit";
         assert_eq!(floors(0.14).as_deref(), Some(told));
     }
 }

@@ -66,7 +66,7 @@ impl Summary {
         }
         if self.alerts.is_empty() {
             text.push_str(match self.ends_undecided {
-                true => "no alert; some are not decided, see the warnings\n",
+                true => "no alert; some parameters are undecided, see the warnings\n",
                 false => "no alert\n",
             });
         }
@@ -81,7 +81,7 @@ impl Summary {
             match loss_at_first(alert) {
                 Some(loss) => writeln!(
                     text,
-                    " (the sentence was revised since; the loss at that time was {})",
+                    " (revised since; the loss at that time was {})",
                     percent(loss)
                 )?,
                 None => writeln!(text)?,

@@ -30,21 +30,21 @@ const KEYS: &str = "q quit   Tab structure   ↑↓ alert   a acknowledge   ? he
 const HELP: &str = "\
 Tab, ← →      next or previous structure
 ↑ ↓           next or previous alert
-PgUp, PgDn    parameters that there is no room for
+PgUp, PgDn    scroll the parameters
 a             acknowledge the chosen alert: name and note
 q, Esc        quit
 
 ━━●━━  estimate with its 95 % interval, ratio to nominal
-┊ ╋    below it a loss is worth an alert
-│      what a loss is counted from
-▁▄█    the last minutes on the axis of the bars
+┊ ╋    threshold of the alert
+│      reference of the loss
+▁▄█    the last minutes, on the axis of the bars
 
-–             no rule has decided on it yet
-stale         the alert service that said so is gone
-learning      the sound value is being learnt
-normal        no loss with the credibility asked for
-pending       a loss, not yet for as long as asked for
-raised        a loss, for as long as asked for
+–             no decision yet
+stale         the alert service is gone
+learning      the reference is being learnt
+normal        no loss with the required credibility
+pending       a loss, but not yet for the required time
+raised        a loss for the required time
 acknowledged  raised, and someone has seen it
 cleared       was raised, the loss is gone
 
@@ -68,7 +68,7 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
         Mode::Help => {
             draw_help(frame, main);
             frame.render_widget(
-                Line::from("any key goes on, q quits").style(Modifier::DIM),
+                Line::from("any key to continue, q to quit").style(Modifier::DIM),
                 last,
             );
         }

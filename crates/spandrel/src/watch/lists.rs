@@ -76,7 +76,7 @@ fn alert_entry(
     width: usize,
 ) -> Vec<Line<'static>> {
     let stale = if heard.is_stale(alert) {
-        "stale, the alert service that said so is gone: "
+        "stale (the alert service is gone): "
     } else {
         ""
     };

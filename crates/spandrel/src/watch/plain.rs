@@ -243,7 +243,7 @@ mod tests {
         let told = line(&heard([present(&[(Service::Alert, "a")]), raised]));
         assert_eq!(
             told,
-            "tower no data since this began to watch: storey-2 raised; alert/a"
+            "tower no data since this view was started: storey-2 raised; alert/a"
         );
     }
 
@@ -257,7 +257,7 @@ mod tests {
         let told = line(&tower);
         assert!(
             told.contains(
-                "; class storey-2 leads with 98.2 %, baseline before it, 3 calibrations; ingest/a"
+                "; class storey-2 leads with 98.2 %, previously baseline, 3 calibrations; ingest/a"
             ),
             "{told}"
         );

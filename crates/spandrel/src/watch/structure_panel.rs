@@ -402,7 +402,7 @@ pub fn leading_class(display: &ModelClassDisplay) -> String {
         probability(plausibility, None)
     );
     if believed != leading {
-        text.push_str(&format!(", {} before it", printable(believed)));
+        text.push_str(&format!(", previously {}", printable(believed)));
     }
     match calibrations {
         0 => {}
@@ -437,7 +437,7 @@ fn service_item(
     let mut text = who;
     if let Some(status) = &instance.status {
         match status.lag_s {
-            None => text.push_str(" waits for data"),
+            None => text.push_str(" waiting for data"),
             // the times are those of a record, or no service has published their origin
             Some(_) if !structure.has_lag() => {}
             Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
@@ -451,7 +451,7 @@ fn service_item(
         }
         match status.state {
             None | Some(Standing::Leading) => {} // normal operation
-            Some(Standing::StandingBy) => text.push_str(", stands by"),
+            Some(Standing::StandingBy) => text.push_str(", standby"),
             Some(Standing::Joining) => text.push_str(", joining"),
         }
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {

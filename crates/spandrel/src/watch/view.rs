@@ -180,25 +180,23 @@ impl View {
 
     fn acknowledge(&mut self) {
         let Some(alert) = self.selected_alert() else {
-            self.notify("there is no alert to acknowledge".to_owned());
+            self.notify("no alert to acknowledge".to_owned());
             return;
         };
         let (structure, parameter) = (alert.structure.clone(), alert.parameter.clone());
         if self.heard.is_stale(alert) {
             self.notify(format!(
-                "the alert service of {structure}/{parameter} is gone, nobody would hear it"
+                "cannot acknowledge {structure}/{parameter}: its alert service is gone"
             ));
             return;
         }
         if let Some(why) = &self.around.cannot_acknowledge {
-            self.notify(format!("not possible: {why}"));
+            self.notify(format!("cannot acknowledge: {why}"));
             return;
         }
         match alert.state {
             AlertState::Unconfirmed if !alert.is_unseen() => {
-                self.notify(format!(
-                    "{structure}/{parameter} is acknowledged, there is nothing to acknowledge"
-                ));
+                self.notify(format!("{structure}/{parameter} is already acknowledged"));
             }
             AlertState::Raised
             | AlertState::Unconfirmed
@@ -216,7 +214,7 @@ impl View {
             | AlertState::Undecided => {
                 let state = alert.state.as_str();
                 self.notify(format!(
-                    "{structure}/{parameter} is {state}, there is nothing to acknowledge"
+                    "{structure}/{parameter} is {state}; nothing to acknowledge"
                 ));
             }
         }
@@ -276,7 +274,8 @@ impl View {
             Some(_) | None if self.heard.now() < *until => return,
             Some(_) | None => {
                 format!(
-                    "nobody took the acknowledgement of {structure}/{parameter}; is the alert service there?"
+                    "no reply to the acknowledgement of {structure}/{parameter}; is the alert \
+                     service running?"
                 )
             }
         };
@@ -449,7 +448,7 @@ mod tests {
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(
             view.notice(),
-            Some("tower/storey-2 is acknowledged, there is nothing to acknowledge")
+            Some("tower/storey-2 is acknowledged; nothing to acknowledge")
         );
     }
 
@@ -461,7 +460,7 @@ mod tests {
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(
             view.notice(),
-            Some("the alert service of tower/storey-2 is gone, nobody would hear it")
+            Some("cannot acknowledge tower/storey-2: its alert service is gone")
         );
     }
 
@@ -479,7 +478,7 @@ mod tests {
         };
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
-        assert_eq!(view.notice().unwrap(), format!("not possible: {why}"));
+        assert_eq!(view.notice().unwrap(), format!("cannot acknowledge: {why}"));
     }
 
     /// Regression test: an acknowledgement that no service accepted was reported as sent, without
@@ -507,7 +506,8 @@ mod tests {
         let mut lost = sent();
         lost.heard.handle(at(105), &mut Vec::new());
         lost.look_for_answer();
-        let told = "nobody took the acknowledgement of tower/storey-2; is the alert service there?";
+        let told =
+            "no reply to the acknowledgement of tower/storey-2; is the alert service running?";
         assert_eq!(lost.notice(), Some(told));
     }
 
@@ -515,7 +515,7 @@ mod tests {
     fn a_notice_goes_after_a_while() {
         let mut view = view(heard([at(100)]));
         press(&mut view, [KeyCode::Char('a')]);
-        assert_eq!(view.notice(), Some("there is no alert to acknowledge"));
+        assert_eq!(view.notice(), Some("no alert to acknowledge"));
         view.heard.handle(at(109), &mut Vec::new());
         assert_eq!(view.notice(), None);
     }

@@ -48,7 +48,7 @@ pub fn state_counts<'a>(
 
 /// Returns the text for a view without any messages.
 pub fn nothing_heard(place: &str) -> String {
-    format!("nothing heard yet {place}: neither a service nor a sensor is there")
+    format!("no messages yet {place}: no service or sensor is running")
 }
 
 /// Formats a mean and standard deviation: `0.858 ± 0.011`.
@@ -144,7 +144,7 @@ pub fn nothing_measured(structure: &StructureHeard) -> &'static str {
     if structure.alerts.is_empty() {
         "no data yet"
     } else {
-        "no data since this began to watch"
+        "no data since this view was started"
     }
 }
 

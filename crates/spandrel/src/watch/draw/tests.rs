@@ -214,14 +214,14 @@ fn two_instances_of_a_service_are_told_apart() {
     heard.handle(Input::Status(second), &mut Vec::new());
     let rows = rows(&view(heard), (140, 40));
     row_with(&rows, "identify/a lag 0.21 s");
-    row_with(&rows, "identify/b lag 4 s, stands by, 2 restarts, gone");
+    row_with(&rows, "identify/b lag 4 s, standby, 2 restarts, gone");
 }
 
 #[test]
 fn nothing_heard_is_said() {
     row_with(
         &rows(&view(Heard::default()), (80, 24)),
-        "nothing heard yet below spandrel",
+        "no messages yet below spandrel",
     );
     row_with(
         &rows(&view(heard([present(&[(Service::Ingest, "a")])])), (80, 24)),
