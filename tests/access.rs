@@ -1,6 +1,8 @@
-//! Who may do what: every role against every key, through a real router with the configuration that `spandrel site` writes.
+//! Access rights: every role against every key, through a real router with the configuration that
+//! `spandrel site` writes.
 //!
-//! The table of docs/access.md is what this test has seen; `UPDATE_DOCS=1 cargo test --workspace --test access` writes it anew.
+//! The test compares its results with the table of docs/access.md. To rewrite the table, run
+//! `UPDATE_DOCS=1 cargo test --workspace --test access`.
 
 #![allow(
     clippy::unwrap_used,
@@ -23,7 +25,8 @@ use support::{DEADLINE, Process, Secured, five_storeys, within};
 use zenoh::Session;
 use zenoh::sample::{Sample, SampleKind};
 
-/// One party of each role; those of one structure or node are of structure `demo` and node `ground`.
+/// One party of each role. Parties of a structure or node belong to structure `demo` and node
+/// `ground`.
 const PARTIES: [&str; 11] = [
     "sensor.demo.ground",
     "gateway.demo",
@@ -37,21 +40,21 @@ const PARTIES: [&str; 11] = [
     "operator.grace",
     "server.main",
 ];
-/// Sees what comes through: a rule of its own is added to the file for it.
+/// Party that observes the effect of every attempt. Its own rule is added to the router file.
 const PROBE: &str = "viewer.probe";
 
-/// Whose key it is.
+/// Owner of a key, relative to the party.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Place {
-    /// Of the structure and node of the party.
+    /// Structure and node of the party.
     Own,
-    /// Of another node of that structure.
+    /// Another node of that structure.
     OtherNode,
-    /// Of another structure.
+    /// Another structure.
     OtherStructure,
 }
 
-/// A key that is tried.
+/// A key that a party tries to use.
 type Key = (Place, KeyFamily);
 
 fn key((place, family): Key) -> String {
@@ -69,7 +72,7 @@ fn key((place, family): Key) -> String {
     family.expression(&name("spandrel"), Some(&name(structure)), Some(&name(node)))
 }
 
-/// Whether a name in the keys of this family can be that of a node.
+/// Returns `true` if a name in the keys of this family can be a node.
 fn has_node(family: KeyFamily) -> bool {
     Right::ALL
         .into_iter()
@@ -86,7 +89,7 @@ fn keys() -> Vec<Key> {
     keys
 }
 
-/// What the roles are meant to be able to do.
+/// Returns `true` if the role of a party is meant to have this right.
 fn is_meant(party: &Party, right: Right, (place, family): Key) -> bool {
     let in_reach = match place {
         Place::Own => true,
@@ -96,7 +99,8 @@ fn is_meant(party: &Party, right: Right, (place, family): Key) -> bool {
     in_reach && rights(party.role()).contains(&(right, family))
 }
 
-/// Adds a party that may do everything to the file of the router; the rules of all others stay as they were written.
+/// Adds a party with all rights to the router file. The rules of all others stay as `spandrel site`
+/// wrote them.
 fn admit_probe(site: &Secured) {
     let text = std::fs::read_to_string(site.router_file()).unwrap();
     let json: String = text
@@ -118,8 +122,8 @@ fn admit_probe(site: &Secured) {
     std::fs::write(site.router_file(), config.to_string()).unwrap();
 }
 
-/// Waits until the router has taken all data that this session has sent, and this session all that was sent to it: queries are
-/// answered in their order, also those that are refused.
+/// Waits until the router has processed all data from this session, and this session all data sent
+/// to it. Zenoh answers queries in order, including rejected ones.
 async fn data_settled(session: &Session) {
     let end = session
         .get("spandrel/nobody/answers")
@@ -132,7 +136,7 @@ async fn data_settled(session: &Session) {
     .await;
 }
 
-/// As [`data_settled`], for declarations.
+/// Waits as [`data_settled`] does, for declarations.
 async fn declarations_settled(session: &Session) {
     let end = session
         .liveliness()
@@ -146,10 +150,10 @@ async fn declarations_settled(session: &Session) {
     .await;
 }
 
-/// What a party was seen to be able to do.
+/// Rights that a party has shown in the test.
 type Seen = BTreeSet<(Right, Key)>;
 
-/// Tries everything as one party, beside one that may do everything.
+/// Tries every operation as one party, while a party with all rights observes.
 async fn try_everything(party: &Session, probe: &Session) -> Seen {
     let mut seen = Seen::new();
     let keys: BTreeMap<String, Key> = keys().into_iter().map(|key_| (key(key_), key_)).collect();
@@ -158,11 +162,11 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
         declarations_settled(probe).await;
         data_settled(party).await;
         data_settled(probe).await;
-        // what the other session had on its way meanwhile
+        // Data that the other session still had in transit.
         data_settled(party).await;
     };
 
-    // put, and delete, which nobody may
+    // Put, and delete, which no role may do.
     let (heard, hearing) = flume::unbounded::<Sample>();
     let mut subscribers = Vec::new();
     for key in keys.keys() {
@@ -192,7 +196,7 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     }
     drop(subscribers);
 
-    // subscribe
+    // Subscribe.
     let (heard, hearing) = flume::unbounded::<Sample>();
     let mut subscribers = Vec::new();
     for key in keys.keys() {
@@ -217,7 +221,7 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     );
     drop(subscribers);
 
-    // query
+    // Query.
     let mut queryables = Vec::new();
     for key in keys.keys() {
         let answer = move |query: zenoh::query::Query| {
@@ -235,7 +239,7 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     );
     drop(queryables);
 
-    // answer
+    // Reply.
     settled().await;
     let mut queryables = Vec::new();
     for key in keys.keys() {
@@ -254,7 +258,7 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     );
     drop(queryables);
 
-    // announce
+    // Declare liveliness tokens.
     let mut tokens = Vec::new();
     for key in keys.keys() {
         tokens.push(party.liveliness().declare_token(key).await.unwrap());
@@ -270,7 +274,7 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     drop(tokens);
     settled().await;
 
-    // watch: those that are there, and those that come
+    // Watch liveliness tokens: existing ones and new ones.
     let mut tokens = Vec::new();
     for key in keys.keys().step_by(2) {
         tokens.push(probe.liveliness().declare_token(key).await.unwrap());
@@ -301,7 +305,7 @@ async fn try_everything(party: &Session, probe: &Session) -> Seen {
     seen
 }
 
-/// The keys on which a query of this session is answered.
+/// Returns the keys on which a query of this session receives a reply.
 async fn answered(session: &Session, keys: &BTreeMap<String, Key>) -> Vec<Key> {
     let mut answered = Vec::new();
     for (key, tried) in keys {
@@ -361,7 +365,7 @@ fn may(may: bool) -> &'static str {
     if may { "may" } else { "may not" }
 }
 
-/// The table as it stands in the page: keys down, roles across.
+/// Formats the table as in the page: keys in rows, roles in columns.
 fn written(table: &BTreeMap<&str, Seen>) -> String {
     let shown = |name: &str| name.split('.').next().unwrap_or_default().to_owned();
     let mut text = format!("| key | {} |\n", PARTIES.map(shown).join(" | "));
@@ -414,7 +418,8 @@ fn compare_with_the_page(table: &str) {
     );
 }
 
-/// A session of Zenoh alone that tries to connect: what Spandrel itself refuses before it connects is not in the way.
+/// Returns `true` if a plain Zenoh session can connect. Spandrel's own checks before a connection
+/// would get in the way.
 async fn connects(endpoint: &str, tls: Option<&TlsConfig>, authority: &Path) -> bool {
     let mut config = zenoh::Config::default();
     let mut set =
@@ -448,7 +453,7 @@ async fn connects(endpoint: &str, tls: Option<&TlsConfig>, authority: &Path) -> 
     }
 }
 
-/// A certificate of the site's own authority for `viewer.late` that ended long ago.
+/// Creates a certificate for `viewer.late` from the site's own authority that expired long ago.
 fn expired(site: &Secured) -> TlsConfig {
     let read = |file: &str| std::fs::read_to_string(site.folder().join(file)).unwrap();
     let authority_key = KeyPair::from_pem(&read("authority.key")).unwrap();
@@ -466,7 +471,7 @@ fn expired(site: &Secured) -> TlsConfig {
     tls
 }
 
-/// A certificate for `viewer.ada` of an authority that made itself.
+/// Creates a certificate for `viewer.ada` from a self-made authority.
 fn of_another_authority(site: &Secured) -> TlsConfig {
     let authority_key = KeyPair::generate().unwrap();
     let mut params = CertificateParams::default();
@@ -512,7 +517,7 @@ async fn the_router_takes_valid_certificates_of_its_authority_only() {
         !connects(&plain, None, &authority).await,
         "plain TCP is taken"
     );
-    // and it still works for those that it is for
+    // The certificate still works for its own parties.
     assert!(connects(site.endpoint(), Some(&valid), &authority).await);
 }
 
@@ -541,18 +546,19 @@ async fn why_there_is_no_session_is_told() {
     config.tls = Some(TlsConfig::beside(other.certificate("viewer.ada")));
     let text = told(&config).await;
     assert!(
-        text.contains(site.endpoint()) && text.contains("the authority has not issued it"),
+        text.contains(site.endpoint()) && text.contains("the authority did not issue it"),
         "{text}"
     );
 
-    // the authority of the router, and a certificate of another: what the router says of it is heard
+    // The authority of the router with a certificate of another authority: the error comes from the
+    // router.
     let mixed = TlsConfig {
         authority: Some(site.folder().join("authority.pem")),
         ..of_another_authority(&site)
     };
     let error = TlsConfig::check(&mixed).unwrap_err().to_string();
     assert!(
-        error.contains("foreign.pem") && error.contains("has not issued it"),
+        error.contains("foreign.pem") && error.contains("did not issue it"),
         "{error}"
     );
 
@@ -563,7 +569,7 @@ async fn why_there_is_no_session_is_told() {
         Err(BusError::NoCertificates { .. })
     ));
 
-    // an address that is not in the certificate of the router
+    // An address that is missing in the certificate of the router.
     let mut config = hurried("viewer.ada");
     config.connect = vec![site.endpoint().replace("127.0.0.1", "127.0.0.2")];
     let text = told(&config).await;
@@ -660,11 +666,13 @@ async fn an_alert_arrives_over_the_router() {
     let raised = within("alert", next(&alerts, AlertState::Raised)).await;
     assert_eq!(raised.parameter.as_str(), "storey-2");
 
-    // a page that only shows says that it cannot acknowledge; the router would say nothing
+    // A read-only page must report that it cannot acknowledge, because the router would stay
+    // silent.
     let refused = within("an answer on a raised alert", async {
         loop {
             match acknowledge_on(&page) {
-                (409, _) => tokio::time::sleep(Duration::from_millis(200)).await, // the page has not heard of it yet
+                // The page has not received the alert yet.
+                (409, _) => tokio::time::sleep(Duration::from_millis(200)).await,
                 answer => return answer,
             }
         }
@@ -676,7 +684,7 @@ async fn an_alert_arrives_over_the_router() {
         "{told}"
     );
 
-    // an operator is heard
+    // An operator's acknowledgement is accepted.
     let operator = site.join("operator.grace").await;
     let publisher = operator
         .publish_display(viewer_keys().acknowledge(&raised.parameter))
@@ -705,7 +713,7 @@ async fn an_alert_arrives_over_the_router() {
     operator.close().await.unwrap();
 }
 
-/// Acknowledges the alert of storey 2 on a page; the status and the body of the answer.
+/// Acknowledges the alert of storey 2 on a page. Returns the status and the body of the reply.
 fn acknowledge_on(page: &Process) -> (u16, String) {
     page.wait_for_output("the address of the page", |said| {
         said.contains("page: http://") && said.contains('\n')
@@ -775,19 +783,19 @@ fn a_certificate_of_another_role_ends_a_subcommand_with_the_roles_that_may() {
         (
             "viewer.ada",
             "simulate",
-            "role viewer may not put samples",
+            "role viewer may not publish samples",
             "gateway, sensor",
         ),
         (
             "gateway.demo",
             "run",
-            "role gateway may not put frames",
+            "role gateway may not publish frames",
             "server",
         ),
         (
             "worker.main",
             "alert",
-            "role worker may not put alerts",
+            "role worker may not publish alerts",
             "server, alert",
         ),
         (
@@ -933,7 +941,7 @@ fn services_refuse_to_listen_beyond_this_machine_without_certificates() {
         "--certificate",
         certificate.to_str().unwrap(),
     ])
-    .expect_told(&["worker.main.key", "is not that of certificate"]);
+    .expect_told(&["worker.main.key", "does not match certificate"]);
     assert!(!told.stderr.contains("PRIVATE"), "{}", told.stderr);
 }
 
@@ -1028,7 +1036,7 @@ async fn what_a_party_may_not_do_at_its_router_reaches_nobody_at_another() {
         {}
     })
     .await;
-    // one link keeps the order: what is refused would be heard before what is allowed
+    // One link keeps the order: rejected data would arrive before permitted data.
     sensor
         .session()
         .put("spandrel/demo/sensor/floor-1/samples", "message")

@@ -1,4 +1,4 @@
-//! From damage to an acknowledged alert, through the services: the life of an alert as people see it.
+//! The life of an alert through the services, from the damage to the acknowledgement.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,16 +12,17 @@ mod support;
 use spandrel_bus::{AlertMessage, AlertState, Bus, Name, Subscription, UndecidedBecause};
 use support::{DEADLINE, Process, Record, Site, put_raw, spandrel, two_storeys, within};
 
-/// Damage of storey 2 at 20 s; a rule against the design.
+/// Damage of storey 2 at 20 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
-/// Storey 2 has 90 % of its design stiffness when it is built, and is damaged at 40 s; a rule against what was learnt.
+/// Storey 2 with 90 % of its design stiffness from the start and damage at 40 s, and a rule
+/// relative to the learnt reference.
 const WEAK_FROM_THE_START: &str = "[[alert]]\nparameters = [\"storey-2\"]\nloss = 0.05\nsustain-s = 5\n\
                                    reference = { learn-s = 25 }\n\
                                    [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.10\n\
                                    [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\nloss = 0.18\n";
 
-/// Services that run, and all that they say of alerts.
+/// Running services and all their alert messages.
 struct Watched {
     site: Site,
     _services: Process,
@@ -50,7 +51,7 @@ impl Watched {
         }
     }
 
-    /// Replays a record, and listens until storey 2 reaches a state.
+    /// Replays a record, and waits until storey 2 reaches a state.
     async fn replay_until(&mut self, record: &Record, state: AlertState) -> AlertMessage {
         let replay = self.site.replay(record, "max");
         let alert = self.heard_of_storey_2(state).await;
@@ -87,7 +88,7 @@ impl Watched {
     }
 }
 
-/// Seconds of measurement time.
+/// Converts nanoseconds to seconds of measurement time.
 fn seconds(time_ns: i64) -> f64 {
     time_ns as f64 * 1e-9
 }
@@ -120,7 +121,7 @@ async fn damage_is_pending_for_the_sustain_time_and_then_raised() {
         "credible since {since_s} s, damaged at 20 s"
     );
     let sustained_s = seconds(raised.time_ns) - since_s;
-    // the loss is a jump, and no new alert is raised in its first 8 s
+    // The loss is sudden, and no new alert is raised in its first 8 s.
     assert!(
         (4.989..8.011).contains(&sustained_s),
         "raised {sustained_s} s after the loss was credible"
@@ -186,7 +187,7 @@ async fn whoever_asks_later_gets_the_last_alert() {
     let [(key, last)] = &of_storey_2[..] else {
         panic!("answers: {of_storey_2:?}")
     };
-    // the loss may have been revised since
+    // The loss may have been revised since.
     assert_eq!(
         (key, last.state, last.since_ns),
         (
@@ -210,7 +211,7 @@ async fn a_rule_with_a_learnt_reference_finds_damage_of_what_was_weak_from_the_s
     let mut watched = Watched::start(WEAK_FROM_THE_START).await;
     let record = watched.site.simulate(80.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
-    // nothing is learnt from while the noise levels are in training
+    // No reference is learnt while the noise levels are in training.
     let mut states = watched.states_of("storey-2");
     states.retain(|state| *state != AlertState::Undecided);
     states.dedup();
@@ -243,7 +244,8 @@ async fn sound_values_from_recordings_take_the_place_of_learning() {
         .arg(sound.path())
         .arg("--output")
         .arg(&baseline);
-    learn.args(["--between-std", "0"]); // a simulated building does not differ from record to record
+    // A simulated building does not differ between records.
+    learn.args(["--between-std", "0"]);
     Process::start(&mut learn).wait().expect_code(0);
     let configuration = site.folder().join("spandrel.toml");
     std::fs::write(
@@ -290,7 +292,7 @@ async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
     );
 }
 
-/// Alerts that could not be decided were said to be normal, or not spoken of at all.
+/// Undecided alerts must not appear as normal, and must be published.
 #[tokio::test(flavor = "multi_thread")]
 async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
     let mut watched = Watched::start(DAMAGED).await;
@@ -312,7 +314,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
     });
     std::fs::write(record.path(), without.collect::<String>()).unwrap();
     let undecided = watched.replay_until(&record, AlertState::Undecided).await;
-    // the noise levels come first
+    // The noise levels come first.
     assert_eq!(
         undecided.undecided_because,
         Some(UndecidedBecause::NoiseTraining)
@@ -320,7 +322,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
     assert_says(
         &undecided,
         &[
-            "no alert of storey-2 is decided",
+            "no decision on storey-2",
             "the filter still learns its noise levels",
         ],
     );
@@ -344,7 +346,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
         .filter_map(|warning| warning.as_str());
     assert_eq!(
         warned
-            .filter(|warning| warning.starts_with("no alert of storey-2 is decided"))
+            .filter(|warning| warning.starts_with("no decision on storey-2"))
             .count(),
         1,
         "{summary}"
@@ -378,7 +380,8 @@ fn log_in_json_is_one_object_a_line() {
     }
 }
 
-/// Nothing was put of a parameter before it changed, so that a fresh view showed a dash and a script got no reply.
+/// A sound parameter must be published even before its first change, so that new views and queries
+/// receive its state.
 #[tokio::test(flavor = "multi_thread")]
 async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
     let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference.design-std = 1e-9\n";
@@ -412,7 +415,7 @@ async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
     drop(live);
 }
 
-/// The view kept on showing what an alert service had said that was there no more.
+/// A view must mark the alerts of a terminated alert service as stale.
 #[tokio::test(flavor = "multi_thread")]
 async fn alerts_of_an_alert_service_that_was_killed_are_stale_until_its_next_life_speaks() {
     let site = Site::with(&two_storeys(DAMAGED));

@@ -1,4 +1,5 @@
-//! What the command line says of bad input, and with which exit code: 2 for files and usage, 1 for all else.
+//! Error messages and exit codes of the command line for bad input: 2 for files and usage, 1 for
+//! all other errors.
 
 #![allow(
     clippy::unwrap_used,
@@ -46,7 +47,7 @@ fn finish(command: &mut Command) -> Finished {
     Process::start(command).wait()
 }
 
-/// Writes a file in a folder that lasts as long as the test.
+/// Writes a file into a folder that exists as long as the test.
 fn write(folder: &TempDir, name: &str, text: &str) -> PathBuf {
     let path = folder.path().join(name);
     std::fs::File::create(&path)
@@ -56,12 +57,13 @@ fn write(folder: &TempDir, name: &str, text: &str) -> PathBuf {
     path
 }
 
-/// The line of a text, counted from 1, on which `part` is.
+/// Returns the number of the line that contains `part`, counted from 1.
 fn line_of(text: &str, part: &str) -> usize {
     1 + text.lines().position(|line| line.contains(part)).unwrap()
 }
 
-/// Lets `simulate` and `run` read a structure file; both must refuse it with `told` at the line of `part`.
+/// Checks that `simulate` and `run` reject a structure file with the messages `told` at the line of
+/// `part`.
 #[track_caller]
 fn assert_refused(structure: &str, part: &str, told: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
@@ -85,7 +87,7 @@ fn assert_refused(structure: &str, part: &str, told: &[&str]) {
         .expect_told(&told);
 }
 
-/// The two-storey building with one text replaced.
+/// Returns the two-storey building with one text replaced.
 fn building_with(old: &str, new: &str) -> String {
     let structure = two_storeys("");
     assert!(structure.contains(old), "the building has no {old}");
@@ -167,7 +169,8 @@ fn all_mistakes_of_a_structure_are_told_at_once() {
     assert_refused(&structure, "storeys = 0", &["model.storeys", &ratio]);
 }
 
-/// A structure of two degrees of freedom from matrices; `stiffness` are the entries of its second substructure.
+/// Returns a structure of two degrees of freedom from matrices. `stiffness` are the entries of its
+/// second substructure.
 fn matrices(folder: &TempDir, mass: &str, stiffness: &str) -> String {
     let matrix =
         |entries: &str| format!("%%MatrixMarket matrix array real general\n2 2\n{entries}\n");
@@ -182,7 +185,8 @@ fn matrices(folder: &TempDir, mass: &str, stiffness: &str) -> String {
     )
 }
 
-/// Lets `simulate` read a structure of matrices, which it must refuse with `told` at the line of `part`.
+/// Checks that `simulate` rejects a structure of matrices with the messages `told` at the line of
+/// `part`.
 #[track_caller]
 fn assert_matrices_refused(mass: &str, stiffness: &str, part: &str, told: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
@@ -264,7 +268,7 @@ fn every_command_that_reads_a_structure_names_one_that_is_not_there() {
         .expect_told(&["nowhere.toml"]);
 }
 
-/// Lets `estimate` and `replay` read a record, which both must refuse with `told`.
+/// Checks that `estimate` and `replay` reject a record with the messages `told`.
 #[track_caller]
 fn assert_record_refused(site: &Site, record: &Path, told: &[&str]) {
     let mut estimate = spandrel("estimate");
@@ -284,7 +288,7 @@ fn assert_record_refused(site: &Site, record: &Path, told: &[&str]) {
     finish(&mut replay).expect_code(BAD_INPUT).expect_told(told);
 }
 
-/// A site with a record whose text is changed.
+/// Creates a site with a record whose text is changed.
 fn record_with(change: impl FnOnce(String) -> String) -> (Site, Record, String) {
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(5.0);
@@ -294,7 +298,7 @@ fn record_with(change: impl FnOnce(String) -> String) -> (Site, Record, String) 
     (site, record, name)
 }
 
-/// A text with one line changed, counted from 1.
+/// Returns a text with one line changed, counted from 1.
 fn with_line(text: &str, number: usize, change: impl Fn(&str) -> String) -> String {
     let lines = (1..).zip(text.lines()).map(|(at, line)| {
         if at == number {
@@ -356,7 +360,7 @@ fn record_of_no_known_format_is_told_the_known_ones() {
     assert_record_refused(
         &site,
         &path,
-        &["record.xyz", "no known format", "CSV", "miniSEED"],
+        &["record.xyz", "unknown format", "CSV", "miniSEED"],
     );
 }
 
@@ -370,7 +374,7 @@ fn record_that_is_not_there_is_named() {
     );
 }
 
-// What is looked at before anything is put are the first 1000 rows.
+// The commands check only the first 1000 rows before they publish data.
 #[test]
 fn mistake_far_down_a_record_is_bad_input_on_both_routes() {
     let site = Site::with(&two_storeys(""));
@@ -527,7 +531,7 @@ fn baseline_that_is_of_no_use_is_told() {
     };
     estimate(site.structure_file(), &baseline)
         .expect_told(&["house.baseline.json: not used", "learn-s"]);
-    // a rule that learns, and a baseline of the building before its storeys were renamed
+    // A rule that learns, with a baseline of the building from before its storeys were renamed.
     let learning =
         two_storeys("[[alert]]\nparameters = \"all\"\nloss = 0.1\nreference = { learn-s = 5 }\n");
     let folder = tempfile::tempdir().unwrap();
@@ -538,7 +542,7 @@ fn baseline_that_is_of_no_use_is_told() {
     let renamed = write(&folder, "house.baseline.json", &text);
     estimate(&structure, &renamed)
         .expect_told(&["storey-two; it has storey-1, storey-2", "lacks storey-2"]);
-    // a configuration that has sound values of a structure that it does not name
+    // A configuration with a baseline for a structure that it does not name.
     let text = format!(
         "structures = [{:?}]\n[baselines]\ntower = {:?}\n",
         site.structure_file().display().to_string(),
@@ -578,7 +582,7 @@ fn nobody_at_the_endpoint_to_connect_to_ends_the_program() {
             .args(["--connect", &endpoint]),
     )
     .expect_code(FAILED);
-    finished.expect_told(&[&endpoint, "nobody answers"]);
+    finished.expect_told(&[&endpoint, "no reply from"]);
 }
 
 #[test]
@@ -623,7 +627,7 @@ fn reader_of_the_result_may_leave() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        drop(child.stdout.take()); // as `| head -0` does
+        drop(child.stdout.take()); // like `| head -0`
         let output = child.wait_with_output().unwrap();
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
@@ -749,7 +753,7 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
     for finished in refused {
         let finished = finished.expect_code(2);
         assert!(
-            finished.stderr.contains("would be written over"),
+            finished.stderr.contains("would be overwritten"),
             "{}",
             finished.stderr
         );
@@ -758,7 +762,8 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
     assert_eq!(std::fs::read(&record).unwrap(), before);
 }
 
-// It was told by warnings of the other one only, while the standby stayed `joining` for ever.
+// The rejected standby itself must report the size, instead of staying `joining` for ever while
+// only the leader warns.
 #[test]
 fn a_structure_that_cannot_be_handed_over_is_refused_a_standby_with_its_size() {
     let site = Site::with(&storeys(400, ""));

@@ -1,7 +1,9 @@
-//! Model classes through the services: what leads changes with the damage, and the alert names the right storeys.
+//! Model classes through the services: the leading class changes with the damage, and the alert
+//! names the right storeys.
 //!
-//! The fifty-storey building of Huang & Yuen (2023), section 5.6.1, with its damages at 12 s and 32 s, and the chain of
-//! hysteretic springs of section 5.6.2, shortened.
+//! The structures are the fifty-storey building of Huang & Yuen (2023), section 5.6.1, with its
+//! damages at 12 s and 32 s, and a shortened form of the chain of hysteretic springs of section
+//! 5.6.2.
 
 #![allow(
     clippy::unwrap_used,
@@ -107,7 +109,8 @@ async fn leading_class_follows_the_damage_of_the_high_rise_and_the_alert_names_i
             .map(|display| time_s(display.time_ns) - from_s);
         found.unwrap_or(f64::INFINITY)
     };
-    // the classes that have the damaged storey singly: where the jump at the damage decides, a richer one may lead
+    // Classes that have the damaged storey on its own. A richer class may lead if the jump at the
+    // damage decides.
     let (storey_1, storey_3) = (
         ["one-single", "two-single"],
         ["three-single", "five-single"],

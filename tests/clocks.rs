@@ -1,5 +1,7 @@
-//! Clocks that are wrong: of one node, of all of them, of the machine that aligns their samples. What is identified is compared, to
-//! the bit, with the record that says what the clocks have made of it.
+//! Wrong clocks of one node, of all nodes, and of the machine that aligns their samples.
+//!
+//! The estimates are compared bit for bit with those of a record that contains the effect of the
+//! clocks.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,16 +20,16 @@ use support::{
 };
 
 const ROWS: usize = 800;
-/// The row at which clocks are set.
+/// Row at which clocks are set.
 const SET: usize = 400;
-/// Rows of a second.
+/// Number of rows per second.
 const SECOND: usize = 100;
 const SECOND_NS: i64 = 1_000_000_000;
-/// 2100-01-01, ns since 1970: far ahead of the clock of this machine.
+/// 2100-01-01 in ns since 1970, far ahead of the clock of this machine.
 const IN_2100_NS: i64 = 4_102_444_800 * SECOND_NS;
 const NODES: [&str; 3] = ["ground", "floor-1", "roof"];
 
-/// Services that run, and sound sensors.
+/// Running services and sensors with correct samples.
 struct Running {
     site: Site,
     services: Process,
@@ -61,10 +63,10 @@ impl Running {
         }
     }
 
-    /// Puts the record; from [`SET`] on the clocks of some nodes are off by so many seconds.
+    /// Publishes the record. From [`SET`] on, the clocks of some nodes are off by `seconds`.
     async fn put(&mut self, off: &[&str], seconds: i64) {
         self.sensors.put(0..SET).await;
-        // a node whose clock goes back takes back what still waits for the others
+        // A node whose clock goes back withdraws its samples that still wait for the other nodes.
         self.reader.read_frames(SET).await;
         for second in SET / SECOND..ROWS / SECOND {
             let rows = SECOND * second..SECOND * (second + 1);
@@ -76,7 +78,8 @@ impl Running {
         }
     }
 
-    /// Compares what is identified with the first frames of what `spandrel estimate` finds in a record.
+    /// Compares the estimates with the first frames of those that `spandrel estimate` finds in a
+    /// record.
     async fn assert_as_in(&mut self, what: &str, equivalent: &mut Record, frames: usize) {
         let expected = self.site.estimate(equivalent.save_as("equivalent.csv"));
         let found = self.reader.read_frames(frames).await;
@@ -122,7 +125,7 @@ async fn a_node_whose_clock_steps_back_is_late_for_as_long_and_believed_from_the
     let mut running = Running::start(|_| {}).await;
     running.put(&["floor-1"], -1).await;
     let mut equivalent = running.sensors.record().clone();
-    // the last second waits for a node that is a second behind
+    // The last second waits for a node that is a second behind.
     let whole = ROWS - SECOND;
     for row in SET..whole {
         let later = running.sensors.record().value(row + SECOND, "floor-1");
@@ -132,7 +135,7 @@ async fn a_node_whose_clock_steps_back_is_late_for_as_long_and_believed_from_the
         .assert_as_in("a second back", &mut equivalent, whole)
         .await;
     let drops = running.counted("late-samples", SECOND as u64 - 1).await;
-    // the last sample of the second is one too many for the frame that was closed last
+    // The last sample of the second duplicates one of the frame that was closed last.
     assert_eq!(
         (drops["late-samples"], drops["duplicate-samples"]),
         (SECOND as u64 - 1, 1),
@@ -202,7 +205,7 @@ async fn times_before_1970_and_across_it_are_times_like_others() {
     running.end().await;
 }
 
-// Whether it is the clock of the sensors that is ahead, or that of this machine that is behind, nobody can tell.
+// Nothing distinguishes a sensor clock that is ahead from a machine clock that is behind.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_machine_whose_clock_is_decades_behind_its_sensors_identifies_the_same() {
     let mut running = Running::start(|_| {}).await;
@@ -254,7 +257,7 @@ async fn clocks_of_all_nodes_set_back_by_a_day_begin_new_frames() {
     running.end().await;
 }
 
-// An epoch is the wall clock at a start; it has to be higher at each start nevertheless.
+// An epoch is the wall clock at a start, but must increase with each start.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_ingest_whose_clock_was_set_back_since_its_last_life_is_believed() {
     const LATER: u64 = 1 << 62; // 2116

@@ -1,4 +1,5 @@
-//! The file of the container image, without an engine: what it copies is there, and its command does what it is for with those files.
+//! The file of the container image, tested without a container engine: the files it copies exist,
+//! and its command works with them.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,7 +13,7 @@ mod support;
 use std::path::{Path, PathBuf};
 use support::{Process, spandrel};
 
-/// Where the image has its configuration.
+/// Folder of the configuration in the image.
 const CONFIGURATION: &str = "/etc/spandrel/";
 
 fn root() -> PathBuf {
@@ -22,7 +23,7 @@ fn root() -> PathBuf {
         .unwrap()
 }
 
-/// The instructions of the file: a word and what follows it.
+/// Returns the instructions of the file, each with its arguments.
 fn instructions() -> Vec<(String, String)> {
     let text = std::fs::read_to_string(root().join("deploy/Containerfile")).unwrap();
     let lines = text
@@ -42,12 +43,12 @@ fn all(word: &str) -> Vec<String> {
         .collect()
 }
 
-/// A list of words in the form of JSON.
+/// Parses a JSON list of words.
 fn words(text: &str) -> Vec<String> {
     serde_json::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"))
 }
 
-/// What is copied from the repository into a folder of the image.
+/// Returns the repository files that are copied into a folder of the image.
 fn copied_to(folder: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for copy in all("COPY").iter().filter(|copy| !copy.contains("--from=")) {
@@ -76,7 +77,7 @@ fn what_the_image_copies_is_there_and_it_runs_without_privileges() {
         last.contains("distroless") && last.ends_with(":nonroot"),
         "the image is made from {last}"
     );
-    // the compiler of the image is that of the repository
+    // The image and the repository use the same compiler.
     let toolchain = std::fs::read_to_string(root().join("rust-toolchain.toml")).unwrap();
     let compiler = all("FROM")[0]
         .split_once("rust:")
@@ -90,7 +91,7 @@ fn what_the_image_copies_is_there_and_it_runs_without_privileges() {
         toolchain.contains(&format!("channel = \"{compiler}")),
         "compiler {compiler}, {toolchain}"
     );
-    // what the engine does not see must not be what the program is made from
+    // The ignore file must not exclude sources of the program.
     let ignored = std::fs::read_to_string(root().join(".containerignore")).unwrap();
     for needed in [
         ".cargo",
@@ -129,7 +130,7 @@ fn the_command_of_the_image_starts_with_its_files_and_stops_in_order() {
     let arguments: Vec<String> = words(&all("CMD")[0]).iter().map(here).collect();
     let mut command = spandrel(&arguments[0]);
     command.args(&arguments[1..]).env("STATE_DIRECTORY", &state);
-    // other programs of this machine may have the usual ports
+    // Other programs on this machine may use the default ports.
     command
         .env("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:0")
         .env("SPANDREL_DASHBOARD__LISTEN", "127.0.0.1:0");

@@ -1,7 +1,8 @@
-//! Services and sensors that are killed at random moments: every frame is recorded, every estimate is the one of an unbroken run
-//! to the bit, every alert is there once.
+//! Services and sensors that are killed at random moments.
 //!
-//! A short form runs with the other tests; the long one, with 200 kills, by
+//! Every frame must be recorded, every estimate must be bit-identical to that of an uninterrupted
+//! run, and every alert must appear exactly once. A short form runs with the other tests. To run
+//! the long form with 200 kills, use
 //! `cargo test --workspace --test crash -- --ignored --nocapture`.
 
 #![allow(
@@ -33,7 +34,8 @@ use support::{
 };
 use tokio::time::Instant;
 
-/// Damage of storey 2 a third through, and a rule that sees it come and go through its states.
+/// Returns damage of storey 2 after a third of the record, and a rule whose alert passes through
+/// all its states.
 fn damaged(at_s: f64) -> String {
     format!(
         "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n\
@@ -41,7 +43,8 @@ fn damaged(at_s: f64) -> String {
     )
 }
 
-/// The processes of a site around a router, each of which can be killed; what they remember lies in one folder.
+/// The processes of a site around a router, each of which can be killed. One folder holds their
+/// state.
 struct Town {
     site: Site,
     record: Record,
@@ -54,7 +57,7 @@ struct Town {
 const SERVICES: [&str; 4] = ["ingest", "identify", "alert", "history"];
 
 impl Town {
-    /// A site whose state is in `state`, with all services running.
+    /// Creates a site with its state in `state` and starts all services.
     async fn start(length_s: f64, speed: &'static str, state: &str) -> Self {
         let site = Site::with(&two_storeys(&damaged(length_s / 3.0)));
         let record = site.simulate(length_s);
@@ -116,7 +119,7 @@ impl Town {
         self.running.insert(name, Process::start(&mut command));
     }
 
-    /// Kills a process and starts it again.
+    /// Kills a process and restarts it.
     fn kill(&mut self, name: &'static str) {
         self.running.remove(name).unwrap().kill();
         self.run(name);
@@ -126,7 +129,8 @@ impl Town {
         self.running.get_mut(name).is_some_and(Process::has_ended)
     }
 
-    /// Waits until all has been replayed and decided on, stops everything, and compares with a run that nothing has disturbed.
+    /// Waits until all frames are replayed and decided on, stops everything, and compares with an
+    /// uninterrupted run.
     async fn finish(mut self, bus: Bus, found: tokio::task::JoinHandle<Vec<Identified>>) {
         let expected = Expected::of(&self.site, &self.record);
         let (started, rate_hz) = (Instant::now(), self.site.structure().sampling_rate_hz());
@@ -151,7 +155,7 @@ impl Town {
             };
             alert.revision == 0 || !expected.alerts.iter().any(is_later)
         };
-        // the history keeps the first announcement and the last revision
+        // The history contains the first announcement and the last revision.
         let wanted: Vec<&AlertMessage> = expected.alerts.iter().filter(is_last).collect();
         assert!(
             wanted.iter().any(|alert| alert.state == AlertState::Raised),
@@ -168,7 +172,8 @@ impl Town {
             }
             tokio::time::sleep(Duration::from_millis(200)).await;
         };
-        // that a parameter is normal is put again by each life of the service; all else is told once
+        // Each run of the service publishes again that a parameter is normal. All other decisions
+        // are published once.
         let decided: Vec<&AlertMessage> = known
             .iter()
             .filter(|alert| alert.state != AlertState::Normal)
@@ -262,7 +267,7 @@ impl Town {
     }
 }
 
-/// What an unbroken run gives, by the cores alone.
+/// Results of an uninterrupted run, from the cores alone.
 struct Expected {
     values: Vec<f64>,
     alerts: Vec<AlertMessage>,
@@ -316,7 +321,7 @@ impl Expected {
     }
 }
 
-/// Reads all estimates of a site on a session of its own, whatever happens to those who put them.
+/// Reads all estimates of a site on a separate session, whatever happens to their publishers.
 async fn read_all(site: &Site) -> (Bus, tokio::task::JoinHandle<Vec<Identified>>) {
     let bus = site.join().await;
     let mut reader = EstimateReader::join(&bus, &site.keys()).await;
@@ -387,7 +392,7 @@ async fn a_router_that_is_started_again_and_a_recording_that_is_torn_cost_nothin
     town.finish(bus, found).await;
 }
 
-/// The file of a recording that was written last.
+/// Returns the most recently written file of a recording.
 fn newest(folder: &Path) -> PathBuf {
     let found = Command::new("find")
         .arg(folder)
@@ -426,7 +431,8 @@ async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
     town.finish(bus, found).await;
 }
 
-/// Listens to frames until as many are known, by epoch and number; one that comes again must be the same to the bit.
+/// Receives frames until `count` are known, by epoch and sequence number. A repeated frame must be
+/// bit-identical.
 async fn hear(
     frames: &Subscription<FrameBlock>,
     heard: &mut BTreeMap<(u64, u64), Vec<u64>>,
@@ -451,8 +457,8 @@ async fn hear(
     within(&format!("{count} frames"), listening).await;
 }
 
-/// Samples that were heard of as frames, and are gone with the process before the disk took them: their numbers belong to those who have
-/// heard them.
+/// Subscribers may have received frames that a killed process never wrote to disk. The sequence
+/// numbers of these frames must not be reused.
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_samples() {
     let disk = tempfile::tempdir().unwrap();
@@ -490,7 +496,7 @@ async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_
     drop((sensors, file));
     std::fs::remove_file(&filling).unwrap();
 
-    // the nodes have been started anew as well, and know nothing of what they sent before
+    // The nodes have restarted as well and no longer have their earlier samples.
     ingest = run();
     let mut nodes = Vec::new();
     for node in site.structure().nodes() {

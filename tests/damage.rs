@@ -1,4 +1,4 @@
-//! The demo's building: what is found, how soon, and that nothing else is.
+//! Damage of the demo's building: it must be found in time, without false alarms.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,7 +20,7 @@ fn example(name: &str) -> PathBuf {
         .join(name)
 }
 
-/// The text of an example with another damage.
+/// Returns the text of an example with another damage.
 fn with_damage(name: &str, parameter: &str, loss: f64, over_s: f64) -> String {
     let text = std::fs::read_to_string(example(name)).unwrap();
     let (before, _) = text.split_once("[[simulation.damage]]").unwrap();
@@ -29,7 +29,7 @@ fn with_damage(name: &str, parameter: &str, loss: f64, over_s: f64) -> String {
     )
 }
 
-/// Runs the demo as a user would and returns its last line.
+/// Runs the demo as a user would, and returns its last line.
 fn demo(structure: Option<&Path>, seed: u64) -> Value {
     let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
     command.args([
@@ -55,7 +55,7 @@ fn demo(structure: Option<&Path>, seed: u64) -> Value {
     serde_json::from_str(text.lines().last().unwrap()).unwrap()
 }
 
-/// What must come of a damage at 60 s.
+/// Expected result of a damage at 60 s.
 struct Expected {
     parameter: &'static str,
     end: f64,
@@ -180,7 +180,8 @@ fn slow_loss_of_storey_3_is_raised() {
 
 #[test]
 fn storey_2_is_found_without_the_motion_of_the_ground() {
-    // storey 1 rests on the level and the colour of the excitation, and its interval says so
+    // The estimate of storey 1 depends on the level and the colour of the excitation, which its
+    // interval reflects.
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("output-only.toml");
     std::fs::write(
@@ -217,7 +218,7 @@ fn storey_2_is_found_without_the_motion_of_the_ground() {
     }
 }
 
-/// An hour of the sound building, frame by frame through the core of the identification.
+/// Runs an hour of the sound building, frame by frame through the core of the identification.
 fn sound_hour(seed: u64) {
     let text = std::fs::read_to_string(example("demo.toml")).unwrap();
     let (sound, _) = text.split_once("[[simulation.damage]]").unwrap();
@@ -291,7 +292,7 @@ fn sound_hour(seed: u64) {
 #[test]
 fn sound_building_raises_nothing_in_an_hour_and_its_intervals_hold() {
     std::thread::scope(|scope| {
-        // two at a time, as the machine has two processors; the seeds are fixed
+        // Two at a time, because the machine has two processors. The seeds are fixed.
         for seeds in [&[1, 2, 3][..], &[4, 5][..]] {
             scope.spawn(move || seeds.iter().for_each(|seed| sound_hour(*seed)));
         }

@@ -1,4 +1,5 @@
-//! The deployments of deploy/README.md: their commands run as they are printed, on computers that are network namespaces.
+//! The deployments of deploy/README.md: their commands run as printed, on computers that are
+//! network namespaces.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,14 +13,14 @@ mod support;
 use std::time::{Duration, Instant};
 use support::{Computers, DEADLINE, packaged_postgresql};
 
-/// The alert of the demo, as the log has it.
+/// Alert of the demo in the log.
 const OF_DEMO: &str = "alert raised structure=\"demo\" parameter=\"storey-2\"";
-/// That of the building with dashpots.
+/// Alert of the building with dashpots in the log.
 const OF_DASHPOTS: &str = "alert raised structure=\"dashpot-building\" parameter=\"storey-2\"";
-/// Between two looks at what cannot be waited for.
+/// Interval between checks of a condition that cannot be awaited.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
-/// Asks again and again until the answer is right.
+/// Repeats a query until the reply is correct.
 #[track_caller]
 #[expect(
     clippy::disallowed_methods,
@@ -103,7 +104,7 @@ fn remote_sensor_nodes_reach_a_server_and_people_through_its_router() {
     computers
         .process("desk", "watch")
         .wait_for_output("estimates", |said| said.contains("storey-2"));
-    // what is readable in the folders of the server is no key
+    // The readable files in the folders of the server do not include keys.
     let keys = computers.said("server", "find /etc/spandrel -name '*.key' -perm /077");
     assert_eq!(keys, "");
     for (computer, name) in [
@@ -165,7 +166,7 @@ fn workers_behind_two_routers_share_a_station_pages_and_postgresql() {
             .process("station", "spandrel@alert")
             .wait_for_log(alert);
     }
-    // the pages: each with its token, under the certificate of the site
+    // The pages, each with its token, under the certificate of the site.
     let tokens: Vec<&str> = tokens.lines().filter(|line| !line.contains(' ')).collect();
     assert_eq!(tokens.len(), 2, "{tokens:?}");
     for (address, token) in ["10.0.0.20", "10.0.0.22"].iter().zip(tokens) {
@@ -184,14 +185,14 @@ fn workers_behind_two_routers_share_a_station_pages_and_postgresql() {
             both,
         );
     }
-    // people, through the other router
+    // People, through the other router.
     computers.follow("desk");
     computers
         .process("desk", "watch")
         .wait_for_output("both", |said| {
             said.contains("demo") && said.contains("dashpot-building")
         });
-    // the database: who it has heard of, and how it was spoken to
+    // The database: its contents, and the protection of its connections.
     let kept = "sudo -u postgres psql spandrel -Atc \"SELECT structure FROM happened WHERE kind = 'alert'\"";
     let both = |said: &str| {
         ["spandrel/demo", "spandrel/dashpot-building"]

@@ -1,7 +1,8 @@
-//! Nodes that identify for themselves and a station that fuses them, as separate processes over Zenoh.
+//! Nodes that identify their own parameters and a station that fuses the results, as separate
+//! processes over Zenoh.
 //!
-//! The building of `spandrel demo --distributed`: forty storeys, sixteen nodes, one of them wrong all the time, one silent for a
-//! while.
+//! The building of `spandrel demo --distributed` has forty storeys and sixteen nodes. One node is
+//! always wrong, and one is silent for a while.
 
 #![allow(
     clippy::unwrap_used,
@@ -36,7 +37,7 @@ fn demo(pairs: &[(&str, &str)]) -> String {
 async fn nodes_in_three_processes_and_a_station_give_the_numbers_of_a_record() {
     let site = Site::with(&demo(&[]));
     let record = site.simulate(12.0);
-    // the station, then half of the nodes each; one more process alerts
+    // The station, then two processes with half of the nodes each, then one for alerts.
     let station = Process::start(&mut site.listening("fuse"));
     station.wait_for_log("ready structures=1");
     let names: Vec<String> = site
@@ -75,7 +76,7 @@ async fn nodes_in_three_processes_and_a_station_give_the_numbers_of_a_record() {
         &offline.frames,
         streamed,
     );
-    // a last message of each node says that its samples have ended
+    // A final message of each node announces the end of its samples.
     assert_eq!(local.messages().drain().count(), 16 * 13);
     for process in halves.into_iter().chain([alert, station]) {
         process.stop().expect_code(0);
@@ -160,7 +161,8 @@ async fn a_wrong_node_is_left_out_and_the_damaged_storey_named() {
             "seed {seed}: {}",
             share("floor-20")
         );
-        // single exclusions of healthy nodes cost little; an event would say that one is wrong
+        // A single exclusion of a healthy node costs little. An event would mean that a node is
+        // wrong.
         let told: Vec<String> = events
             .messages()
             .drain()
@@ -183,7 +185,7 @@ async fn a_wrong_node_is_left_out_and_the_damaged_storey_named() {
             .collect();
         println!("seed {seed}: raised {raised:?}");
         assert_eq!(raised, ["storey-1"], "seed {seed}");
-        // every number that was said is one
+        // Every published number is finite.
         for (_, message) in local.messages().drain() {
             assert!(
                 message
@@ -195,7 +197,8 @@ async fn a_wrong_node_is_left_out_and_the_damaged_storey_named() {
     }
 }
 
-/// Broke: what the filters of nodes rejected was told on no topic, and the nodes that ended last never had.
+/// Nodes must publish the samples rejected by their filters on their topics, including the nodes
+/// that end last.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_becomes_of_nodes_is_told_on_their_topics_as_offline() {
     let site = Site::with(&demo(&[]));
@@ -259,7 +262,7 @@ async fn what_becomes_of_nodes_is_told_on_their_topics_as_offline() {
         "every two-hundredth of 3000 samples of a channel is a spike: {rejected:?}"
     );
 
-    // the samples of floor 8 are lost from 30 to 45 s
+    // The samples of floor 8 are lost from 30 to 45 s.
     let of_floor_8 = events
         .messages()
         .drain()
@@ -268,7 +271,7 @@ async fn what_becomes_of_nodes_is_told_on_their_topics_as_offline() {
     assert_eq!(told, [EventKind::NodeSilent, EventKind::NodeBack]);
 }
 
-/// Broke: the demo said nothing of the nodes that it makes wrong.
+/// The demo must report the nodes whose data it falsifies.
 #[test]
 fn the_demo_ends_with_what_became_of_its_nodes() {
     let endpoint = support::free_endpoint();
@@ -308,7 +311,7 @@ fn the_demo_ends_with_what_became_of_its_nodes() {
     }
     let silence = &of("floor-8")["silent"][0];
     let [from_s, until_s] = ["from_s", "until_s"].map(|key| silence[key].as_f64().unwrap());
-    // of the fusions, which end their seconds
+    // Times of the fusions, each of which ends its second.
     assert!(
         (29.0..=31.5).contains(&from_s) && (44.0..=46.5).contains(&until_s),
         "{silence}"
@@ -329,7 +332,8 @@ fn the_demo_ends_with_what_became_of_its_nodes() {
     );
 }
 
-/// Broke: a worker that was started again learnt from all that its sensor still kept, and the station counted it twice.
+/// A restarted worker must not learn from all samples that its sensor still stores, because the
+/// station would count them twice.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_begins_with_the_live_samples_that_are_measured_when_it_starts() {
     let site = Site::with(&demo(&[]));
@@ -343,7 +347,7 @@ async fn a_worker_begins_with_the_live_samples_that_are_measured_when_it_starts(
     let buffer = site.keys().buffer(&"floor-1".parse().unwrap());
     let mut sensor = site.connecting("simulate");
     let _sensor = Process::start(sensor.args(["--live", "--node", "floor-1"]));
-    // five seconds of samples wait for whoever begins at the first
+    // Five seconds of samples are available to a reader that starts at the first one.
     let kept = async {
         while bus
             .stream_position(&buffer, DEADLINE)
@@ -367,7 +371,8 @@ async fn a_worker_begins_with_the_live_samples_that_are_measured_when_it_starts(
         .await
         .unwrap();
     let seconds = (first.header.time_ns - before_ns) as f64 * 1e-9;
-    // it ends with a whole second of the clock, the first one after the start; of the samples that were kept it would be seconds before
+    // The first message ends with the first whole second of the clock after the start. With stored
+    // samples, this would be seconds earlier.
     assert!(
         seconds > 0.0,
         "the first message is of {seconds:.2} s after the start, and should be of samples after it"

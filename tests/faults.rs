@@ -1,7 +1,9 @@
-//! What comes over the bus can be wrong in every way: the services drop it under a name and go on with the right numbers.
+//! Faulty messages on the bus: the services drop and count them, and continue with the right
+//! numbers.
 //!
-//! In each test sound sensors send a record to a running `spandrel run`, and something is wrong in the middle. What is identified
-//! must be, to the bit, what `spandrel estimate` finds in the record without the samples that were lost.
+//! In each test, sound sensors send a record to a running `spandrel run`, and a fault occurs in the
+//! middle. The estimates must be bit-identical to those of `spandrel estimate` for the record
+//! without the lost samples.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,11 +26,11 @@ use support::{
 
 /// Encoding of sample blocks.
 const SAMPLES: &str = "application/postcard;spandrel.samples.v1";
-/// Rows of the record; the fault comes after the first [`BEFORE`].
+/// Number of rows of the record. The fault comes after the first [`BEFORE`].
 const ROWS: usize = 800;
 const BEFORE: usize = 400;
 
-/// Services that run, sound sensors, and a reader of the estimates.
+/// Running services, sound sensors, and a reader of the estimates.
 struct Faulty {
     site: Site,
     keys: Keys,
@@ -37,12 +39,12 @@ struct Faulty {
     drops: Drops,
     reader: EstimateReader,
     sensors: Sensors,
-    /// The record without the samples that are lost.
+    /// The record without the lost samples.
     equivalent: Record,
 }
 
 impl Faulty {
-    /// Services that have identified the first [`BEFORE`] rows of the record.
+    /// Starts services that have identified the first [`BEFORE`] rows of the record.
     async fn start() -> Self {
         let mut faulty = Self::start_without_samples().await;
         faulty.put(0..BEFORE).await;
@@ -71,12 +73,12 @@ impl Faulty {
         }
     }
 
-    /// All nodes send these rows.
+    /// Sends these rows from all nodes.
     async fn put(&mut self, rows: Range<usize>) {
         self.sensors.put(rows).await;
     }
 
-    /// Puts bytes where the samples of `floor-1` are put.
+    /// Publishes bytes on the sample topic of `floor-1`.
     async fn put_raw(&self, encoding: &str, payload: Vec<u8>) {
         put_raw(&self.bus, &self.floor_1(), encoding, payload).await;
     }
@@ -85,7 +87,7 @@ impl Faulty {
         self.keys.samples(&Name::new("floor-1").unwrap())
     }
 
-    /// The block that `floor-1` will put next.
+    /// Returns the block that `floor-1` will publish next.
     fn next_block(&mut self) -> SampleBlock {
         let record = self.sensors.record().clone();
         self.sensors
@@ -93,12 +95,12 @@ impl Faulty {
             .block(&record, BEFORE..BEFORE + 100)
     }
 
-    /// Waits until as many frames have been identified.
+    /// Waits until `count` frames have been identified.
     async fn identified(&mut self, count: usize) {
         self.reader.read_frames(count).await;
     }
 
-    /// Waits until alert has decided on the whole record.
+    /// Waits until `alert` has decided on the whole record.
     async fn wait_for_decisions(&self) {
         let mut decided = self
             .bus
@@ -112,13 +114,15 @@ impl Faulty {
         .await;
     }
 
-    /// Sends the rest of the record, and compares all estimates with the numbers of the equivalent record.
+    /// Sends the rest of the record, and compares all estimates with those of the equivalent
+    /// record.
     async fn assert_goes_on(mut self, fault: &str) {
         self.put(BEFORE..ROWS).await;
         self.assert_sound(fault).await;
     }
 
-    /// Compares all estimates with the numbers of the equivalent record, and waits until they have been decided on.
+    /// Compares all estimates with those of the equivalent record, and waits until they have been
+    /// decided on.
     async fn assert_sound(mut self, fault: &str) {
         let expected = self
             .site
@@ -195,7 +199,8 @@ async fn random_bytes_are_refused() {
     let faulty = Faulty::start().await;
     let mut state = 20_061_u32;
     let mut random = || {
-        // Numerical Recipes' linear congruence: its upper bits are random enough to be rubbish.
+        // The linear congruential generator of Numerical Recipes. Its upper bits are random enough
+        // for this purpose.
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 24) as u8
     };
@@ -232,7 +237,8 @@ async fn a_block_without_a_rate_is_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_of_nine_megabytes_does_not_get_past_the_link() {
     let faulty = Faulty::start().await;
-    faulty.put_raw(SAMPLES, vec![0; 9 << 20]).await; // Zenoh drops it before anybody of ours could count it
+    // Zenoh drops it before any service can count it.
+    faulty.put_raw(SAMPLES, vec![0; 9 << 20]).await;
     faulty.assert_goes_on("message of 9 MiB").await;
 }
 
@@ -300,7 +306,7 @@ async fn a_block_of_a_foreign_node_is_refused() {
     faulty.assert_goes_on("foreign node").await;
 }
 
-// A higher epoch of a foreign node used to make the node itself stale for good.
+// A higher epoch in a foreign node's block must not make the node itself stale.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_block_of_a_foreign_node_that_started_later_is_refused() {
     let mut faulty = Faulty::start().await;
@@ -345,7 +351,8 @@ async fn a_block_of_a_lower_epoch_is_refused() {
     faulty.assert_goes_on("lower epoch").await;
 }
 
-// Its number used to be believed: the node was given up, and all its further blocks counted as old.
+// A node with a sequence number far ahead must not be given up, and its further blocks must not
+// count as old.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_block_numbered_far_ahead_of_its_node_is_refused() {
     let mut faulty = Faulty::start().await;
@@ -359,7 +366,7 @@ async fn a_block_numbered_far_ahead_of_its_node_is_refused() {
     faulty.assert_goes_on("block numbered far ahead").await;
 }
 
-// Frames of another structure file used to panic the filter.
+// Frames of another structure file must not cause the filter to panic.
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_of_another_structure_are_refused() {
     let faulty = Faulty::start().await;
@@ -420,7 +427,7 @@ async fn estimates_of_another_structure_are_refused() {
         .drops
         .expect(Service::Alert, "estimates-of-another-structure", 1)
         .await;
-    // The reader of this test believes every epoch: what counts is that alert does not.
+    // The reader of this test accepts every epoch. The test checks that `alert` does not.
     faulty.put(BEFORE..ROWS).await;
     faulty.wait_for_decisions().await;
 }
@@ -435,8 +442,8 @@ async fn a_sensor_that_dies_is_missing_until_it_comes_back() {
     faulty.identified(600).await;
     let node = Node::start(&faulty.bus, &faulty.keys, name, channels, 2).await;
     faulty.sensors.add(node);
-    // What it kept while it was away comes too late (the last sample counts as a second one of the frame just closed); that it
-    // has been counted says that the node is waited for again.
+    // The samples stored during the outage arrive too late. The last one counts as a duplicate in
+    // the frame just closed. Its count shows that the node is awaited again.
     faulty
         .sensors
         .put_changed("floor-1", 550..600, |_| {})
@@ -482,7 +489,7 @@ async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
         1,
     )
     .await;
-    // as a hand-written node puts its samples: nobody could ever be asked for them again
+    // A hand-written node publishes its samples in this way: lost blocks cannot be queried.
     let key = keys.samples(&name("floor-1"));
     let rows = |block: usize| 10 * block..10 * block + 10;
     let bare = |block: usize| SampleBlock {
@@ -512,7 +519,7 @@ async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
             put_raw(&bus, &key, SAMPLES, bare(block).encode().unwrap()).await;
         }
     }
-    // the last frames wait for what may still come
+    // The last frames wait for samples that may still arrive.
     let streamed = reader.read_frames(750).await;
     record.remove("floor-1", rows(LOST)).save_as("without.csv");
     let offline = site.estimate(&record);
@@ -535,7 +542,7 @@ async fn a_sensor_that_falls_silent_is_waited_for_as_long_as_declared() {
     let mut reader = EstimateReader::join(&bus, &keys).await;
     let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
     sensors.put(0..200).await;
-    sensors.put_all_but(&["floor-1"], 200..400).await; // its token is still there
+    sensors.put_all_but(&["floor-1"], 200..400).await; // its token still exists
     let mut equivalent = record.clone();
     let expected = site.estimate(
         equivalent
@@ -568,7 +575,7 @@ async fn a_sensor_whose_clock_jumps_is_missing_while_it_is_wrong() {
             .await;
         faulty.sensors.put_all_but(&["floor-1"], rows).await;
     }
-    // Once its clock is right, what it had sent of the future is taken back: from then on it is waited for again.
+    // Once its clock is right, the node withdraws its samples from the future and is awaited again.
     faulty
         .sensors
         .put_changed("floor-1", 480..ROWS, |_| {})
@@ -630,7 +637,7 @@ async fn an_acknowledgement_of_nothing_is_counted() {
         faulty.keys.acknowledge(&name("storey-1")),
         faulty.keys.acknowledge(&name("storey-9")),
     );
-    // PostgreSQL takes no text with a zero byte, and no name of kilobytes
+    // PostgreSQL rejects text with a zero byte and names of several kilobytes.
     let of_structure = |who: &str| {
         let structure = faulty.keys.structure();
         format!("{{\"structure\":\"{structure}\",\"parameter\":\"storey-1\",\"time_ns\":0,\"who\":\"{who}\"}}")
@@ -679,7 +686,7 @@ async fn an_acknowledgement_of_nothing_is_counted() {
     faulty.assert_goes_on("acknowledgement of nothing").await;
 }
 
-// By default a log line that cannot be written is a panic.
+// By default, a failed write to the log panics.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_log_that_nobody_reads_stops_no_service() {
     let site = Site::with(&two_storeys(""));

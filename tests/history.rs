@@ -1,4 +1,5 @@
-//! What was, when everything that saw it is gone: the history behind the services, the queries and the page.
+//! The stored history behind the services, the queries and the page, after all processes that
+//! observed it have ended.
 
 #![allow(
     clippy::unwrap_used,
@@ -17,12 +18,12 @@ use std::path::Path;
 use std::time::Duration;
 use support::{DEADLINE, Drops, Process, Site, SmallDisk, two_storeys, within};
 
-/// Damage of storey 2 at 40 s; a rule against the design.
+/// Damage of storey 2 at 40 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\nloss = 0.15\n";
 const LENGTH_S: f64 = 100.0;
 
-/// A configuration whose history is in this file.
+/// Returns a configuration with its history in this file.
 fn configuration(site: &Site, database: &Path) -> std::path::PathBuf {
     let path = site.folder().join("spandrel.toml");
     std::fs::write(
@@ -33,7 +34,8 @@ fn configuration(site: &Site, database: &Path) -> std::path::PathBuf {
     path
 }
 
-/// Asks until there is an answer that is accepted: what was just said is written within seconds.
+/// Repeats a query until its reply is accepted, because recent values reach the history only within
+/// seconds.
 async fn span(
     bus: &Bus,
     site: &Site,
@@ -56,7 +58,7 @@ async fn span(
     .await
 }
 
-/// One request of the page's interface.
+/// Sends one request to the interface of the page.
 fn get(address: &str, path: &str) -> Value {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(DEADLINE)).unwrap();
@@ -111,7 +113,7 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
         "a relative file lies beside the configuration"
     );
 
-    // another life, in which nothing is measured
+    // Another run, in which nothing is measured.
     let history = Process::start(
         site.listening("history")
             .arg("--config")
@@ -150,7 +152,7 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
         assert!(answers.is_empty(), "{refused}: {answers:?}");
     }
 
-    // a page that has heard nothing shows it
+    // A page that has not received any of it shows the history.
     let page = Process::start(site.connecting("dashboard").args(["--http", "127.0.0.1:0"]));
     page.wait_for_output("address of the page", |said| said.contains("page: http://"));
     let said = page.output();
@@ -194,7 +196,7 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
     .await;
 }
 
-/// Writes until not a byte is left.
+/// Writes until the file system is full.
 fn fill(path: &Path) -> std::fs::File {
     let mut file = std::fs::File::create(path).unwrap();
     for bytes in [4096, 1] {
@@ -213,7 +215,7 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
     };
     let filling = disk.join("filling");
     let file = fill(&filling);
-    // recording and checkpoints are on this disk as well
+    // Recording and checkpoints are on this disk as well.
     let configuration = site.folder().join("spandrel.toml");
     std::fs::write(
         &configuration,
@@ -226,7 +228,7 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
             .arg(&configuration)
             .args(["--http", "none"]),
     );
-    services.wait_for_log("history waits for its database");
+    services.wait_for_log("history is waiting for its database");
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let drops = Drops::watch(&bus, &site.keys()).await;
@@ -291,8 +293,8 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let record = site.simulate(LENGTH_S);
     site.replay(&record, "max").wait().expect_code(0);
     drops.expect(Service::History, "failed-writes", 2).await;
-    services.wait_for_log("history not written, it is tried again");
-    drop(file); // as long as it is open its room is not free
+    services.wait_for_log("history write failed; retrying");
+    drop(file); // an open file keeps its space
     std::fs::remove_file(&filling).unwrap();
     let whole = span(&bus, &site, "points=20000", |span| {
         span.rows
@@ -301,7 +303,7 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
             .is_some_and(|last| *last > LENGTH_S - 1.0)
     })
     .await;
-    // all of it, from the beginning on
+    // The history is complete from the beginning.
     assert!(whole.rows.time_s[0] < 1.0, "{:?}", &whole.rows.time_s[..3]);
     let longest = whole
         .rows
@@ -314,7 +316,7 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     services.stop().expect_code(0);
 }
 
-/// Connections that are opened and left alone.
+/// Idle connections must be limited in number and closed.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_that_say_nothing_are_bounded_and_closed() {
     const MANY: usize = 400;
@@ -342,7 +344,7 @@ async fn connections_that_say_nothing_are_bounded_and_closed() {
     });
     let sockets = sockets.count();
     assert!(sockets < MOST + 100, "{sockets} sockets are open");
-    // all of them end without a word, and others are answered again
+    // All idle connections end without a reply, and the page then answers others again.
     tokio::task::block_in_place(|| {
         for mut stream in silent {
             stream.set_read_timeout(Some(DEADLINE)).unwrap();

@@ -1,5 +1,8 @@
-//! Checkpoints of each service that identifies, damaged in many ways: the one before it is taken and the damaged one set aside, and not even a
-//! state behind a right checksum makes the program panic or take more memory than the file accounts for.
+//! Checkpoints of each identifying service, damaged in many ways.
+//!
+//! The service must set a damaged checkpoint aside and use the preceding one. Even an invalid state
+//! with a correct checksum must not cause a panic. It must not need more memory than the size of
+//! the file explains.
 
 #![allow(
     clippy::unwrap_used,
@@ -29,9 +32,10 @@ use spandrel_structure::Structure;
 use std::path::Path;
 use std::sync::Once;
 
-/// Damaged files for each seed and kind.
+/// Number of damaged files for each seed and kind.
 const FILES: usize = 200;
-/// What decoding may take beside the file, and times the file: as of messages.
+/// Limits of the memory for decoding: a fixed number of bytes, and bytes per byte of the file.
+/// Messages have the same limits.
 const RESERVED_BYTES: u64 = 4 << 20;
 const BYTES_PER_BYTE: u64 = 40;
 
@@ -59,7 +63,7 @@ fn distributed() -> Structure {
     Structure::read(&path).unwrap()
 }
 
-/// The state of the identification after three seconds of frames.
+/// Returns the state of the identification after three seconds of frames.
 fn of_identification(structure: &Structure) -> IdentificationState {
     let mut core = Identification::new(structure, "identify").unwrap();
     let block = FrameBlock {
@@ -84,7 +88,7 @@ fn of_identification(structure: &Structure) -> IdentificationState {
     core.state()
 }
 
-/// The state of a worker after three seconds of samples.
+/// Returns the state of a worker after three seconds of samples.
 fn of_node(structure: &Structure) -> NodeState {
     let mut core = NodeIdentification::new(structure, 0, 5).unwrap();
     let node = &structure.nodes()[0];
@@ -111,7 +115,7 @@ fn of_node(structure: &Structure) -> NodeState {
     core.state()
 }
 
-/// The state of a station after three fusions.
+/// Returns the state of a station after three fusions.
 fn of_station(structure: &Structure) -> FusionState {
     let mut core = Fusion::new(structure, "fuse", 5).unwrap();
     let parameters = structure.parameters().len();
@@ -160,7 +164,7 @@ fn of_station(structure: &Structure) -> FusionState {
     core.state()
 }
 
-/// Bytes that are written as they are.
+/// Bytes that are written unchanged.
 struct Raw(Vec<u8>);
 
 impl Serialize for Raw {
@@ -173,7 +177,8 @@ impl Serialize for Raw {
     }
 }
 
-/// A panic that is caught where a state is decoded (the sizes of a matrix overflow) prints no backtrace, which takes memory of its own.
+/// Suppresses the backtrace of panics that are caught while a state is decoded (the dimensions of a
+/// matrix can overflow). A backtrace would allocate memory.
 fn keep_silent_of_what_is_caught() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -189,7 +194,8 @@ fn keep_silent_of_what_is_caught() {
     });
 }
 
-/// Damages the newest of two checkpoints, and then a state that is sealed as if it were whole; `restore` takes a state.
+/// Damages the newer of two checkpoints, and then a state that is sealed as if it were valid.
+/// `restore` decodes a state.
 fn try_damages<T>(identity: &Identity, state: &T, restore: impl Fn(T) -> Result<(), String>)
 where
     T: Serialize + DeserializeOwned,
@@ -227,7 +233,7 @@ where
             let loaded = loaded.unwrap();
             if file == whole {
                 assert_eq!(loaded.found.unwrap().0, NEWEST, "{case}");
-                continue; // one damage has undone the other
+                continue; // the damages cancelled out
             }
             let [(path, why)] = &loaded.refused[..] else {
                 panic!("{case}: {:?}", loaded.refused)

@@ -1,9 +1,10 @@
-//! Nodes that identify for themselves and their station over a network that fails: each on a computer of its own, a network namespace,
-//! with the samples of its sensors.
+//! Nodes that identify their own parameters and their station over an unreliable network. Each is
+//! on its own computer, a network namespace, together with its sensors.
 //!
-//! Needs the right to make namespaces and TAP devices, `ip` (iproute2) and `python3`; without them the tests say that they were
-//! skipped, and fail where `REQUIRE_ALL_TESTS` is set. Packets are delayed, shuffled, lost and held up in user space
-//! ([`links.py`](support/links.py)) and not by the kernel's netem, which many kernels lack.
+//! The tests need permission to create namespaces and TAP devices, `ip` (iproute2) and `python3`.
+//! Otherwise they print that they were skipped, or fail if `REQUIRE_ALL_TESTS` is set.
+//! [`links.py`](support/links.py) delays, reorders, loses and holds packets in user space, because
+//! many kernels lack netem.
 
 #![allow(
     clippy::unwrap_used,
@@ -33,22 +34,26 @@ const LOCAL: &str = "application/postcard;spandrel.local.v2";
 
 /// Length of the record (s).
 const LENGTH_S: f64 = 76.0;
-/// Sensors get so long to start before the first sample is measured (s).
+/// Time for sensors to start before the first sample is measured (s).
 const HEAD_START_S: f64 = 10.0;
 
-/// When the link of `floor-2` is cut (s of the record).
+/// Time in the record in which the link of `floor-2` is cut (s).
 const PARTITION_S: Range<f64> = 20.0..30.0;
-/// When the worker of `floor-3` is killed, and when it is started again (s).
+/// Times in the record at which the worker of `floor-3` is killed and restarted (s).
 const OUTAGE_S: Range<f64> = 46.0..49.0;
-/// When `floor-4` sends what is no number, and when old messages come again (s).
+/// Times in the record at which `floor-4` sends non-finite numbers and at which old messages are
+/// repeated (s).
 const NOT_FINITE_S: f64 = 60.0;
 const OLD_S: f64 = 65.0;
-/// After the end of a disturbance the estimates get so long to be those of the undisturbed run again (s): a link that was cut may be
-/// tried again after 10 s only, Zenoh's lease, and then the station weighs what it missed by its half-life of 8 s.
+/// Time after a disturbance until the estimates must match the undisturbed run again (s). Zenoh may
+/// retry a cut link only after its lease of 10 s. The station then weighs the missed data with its
+/// half-life of 8 s.
 const RECOVERY_S: f64 = 12.0;
 
-/// Four storeys of which each floor identifies for itself; their stiffness is 10 % above what the filters start from, and the second
-/// loses some of it on the way. What is said of `[fusion]` and of the clocks.
+/// Returns a building of four storeys in which each floor identifies its own parameters.
+///
+/// The stiffness is 10 % above the start value of the filters, and the second storey loses some of
+/// it during the record. `fusion` and `clocks` are lines of the file.
 fn house(fusion: &str, clocks: &str) -> String {
     let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 100\nidentification = \"distributed\"\n\
          [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
@@ -72,11 +77,12 @@ fn house(fusion: &str, clocks: &str) -> String {
         + "[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 36\nloss = 0.1\n"
 }
 
-/// A station, its nodes with their sensors, and a session at the station that hears all it says.
+/// A station, its nodes with their sensors, and a session at the station that receives all its
+/// messages.
 struct Network {
     lab: Lab,
     folder: tempfile::TempDir,
-    /// Start of the record, s since 1970, UTC.
+    /// Start of the record (s since 1970, UTC).
     start_s: f64,
     station: Process,
     workers: BTreeMap<&'static str, Process>,
@@ -89,7 +95,7 @@ struct Network {
     drops: Drops,
 }
 
-/// A fused estimate: time (s of the record), means and standard deviations of the parameters.
+/// A fused estimate: time in the record (s), means and standard deviations of the parameters.
 struct Fused {
     time_s: f64,
     mean: Vec<f64>,
@@ -97,7 +103,8 @@ struct Fused {
 }
 
 impl Network {
-    /// Starts all but the sensors, on links of this kind; none where namespaces cannot be made.
+    /// Starts everything except the sensors, on links of this kind. Returns `None` if namespaces
+    /// cannot be created.
     async fn start(fusion: &str, clocks: &str, link: Link) -> Option<Self> {
         let mut lab = Lab::or_skip(&[&NODES[..], &[STATION]].concat(), 1)?;
         let folder = tempfile::tempdir().unwrap();
@@ -180,7 +187,8 @@ impl Network {
         .await;
     }
 
-    /// What was fused up to the end of the record; checks on the way that all of it is a number, and that nothing went missing.
+    /// Returns the fused estimates up to the end of the record. Checks that every number is finite
+    /// and that no message is missing.
     async fn fused(&self) -> Vec<Fused> {
         self.until(LENGTH_S).await;
         for (_, parameter) in self.parameters.messages().drain() {
@@ -216,12 +224,13 @@ impl Network {
             fused.iter().all(sound),
             "a number that is none was published"
         );
-        // what does not decode, such as numbers that are none, would have been refused by this session
+        // This session would have rejected messages that cannot be decoded, such as those with
+        // non-finite numbers.
         assert!(self.estimates.refused().is_empty() && self.parameters.refused().is_empty());
         fused
     }
 
-    /// When the station did not hear a node in time for a fusion (s of the record), by node.
+    /// Returns the times (s of the record) of fusions that a node's message missed, by node.
     fn silences(&self) -> BTreeMap<String, Vec<f64>> {
         let mut silent: BTreeMap<String, Vec<f64>> = BTreeMap::new();
         for (_, node) in self
@@ -238,7 +247,7 @@ impl Network {
         silent
     }
 
-    /// Stops everything in order; whoever stopped by itself did so with another code.
+    /// Stops all processes in order. A process that stopped by itself has another exit code.
     fn stop(self) {
         for (_, worker) in self.workers {
             worker.stop().expect_code(0);
@@ -247,10 +256,10 @@ impl Network {
     }
 }
 
-/// Where the worker of a node listens for its sensors, on its own computer.
+/// Endpoint of a node's worker for its sensors, on its own computer.
 const AT_NODE: &str = "tcp/127.0.0.1:7447";
 
-/// An authority, a certificate of the station, and one of each node.
+/// Issues an authority, a certificate of the station, and one for each node.
 fn issue_certificates(folder: &Path, station: &str) {
     let site = |arguments: &[&str]| {
         let mut command = spandrel("site");
@@ -280,7 +289,7 @@ fn worker(lab: &Lab, folder: &Path, node: &str) -> Process {
     command
         .arg("--certificate")
         .arg(folder.join(format!("site/node-worker.house.{node}.pem")));
-    // the first packets of a connection may be lost more than once
+    // The first packets of a connection may be lost more than once.
     Process::start(command.env("SPANDREL_BUS__CONNECT_TIMEOUT_S", "40"))
 }
 
@@ -295,13 +304,13 @@ fn now_s() -> f64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network() {
-    // the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
+    // The clock of floor-1 is ahead and fast, and that of floor-4 behind and slow.
     let clocks = "clock-offsets-s = { floor-1 = 0.02, floor-4 = -0.02 }\n\
                   clock-drifts-ppm = { floor-1 = 50, floor-4 = -50 }\n";
     disturb("", clocks).await;
 }
 
-/// Nodes tell one another samples, which asks for clocks within half a sample: 5 ms.
+/// Nodes exchange samples, which requires clocks within half a sample: 5 ms.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "a minute and a half, at the same time as the test above too much for two cores"]
 async fn so_are_those_of_nodes_that_tell_samples() {
@@ -367,7 +376,7 @@ async fn disturb(fusion: &str, clocks: &str) {
         .await;
 
     disturbed.until(OLD_S).await;
-    // floor-3 of its life before it was killed, floor-1 of half a minute ago
+    // A message of floor-3 from its killed run, and one of floor-1 from half a minute ago.
     let (dead, first) = heard
         .iter()
         .find(|(key, _)| key.ends_with("floor-3"))
@@ -400,7 +409,7 @@ async fn disturb(fusion: &str, clocks: &str) {
     disturbed.stop();
 }
 
-/// Messages after `last` of which single numbers are none; returns how many.
+/// Publishes messages after `last` with single non-finite numbers. Returns their number.
 async fn put_not_finite(bus: &Bus, key: &str, last: &LocalMessage) -> u64 {
     let density = last.density.clone().unwrap();
     let mut wrong = Vec::new();
@@ -421,7 +430,7 @@ async fn put_not_finite(bus: &Bus, key: &str, last: &LocalMessage) -> u64 {
     wrong.len() as u64
 }
 
-/// One fusion a second from the first to the end of the record.
+/// Checks that there is one fusion per second from the first to the end of the record.
 fn assert_never_stopped(which: &str, fused: &[Fused]) {
     let (first, last) = (fused.first().unwrap().time_s, fused.last().unwrap().time_s);
     assert!(first < 4.0, "{which}: first fusion after {first:.1} s");
@@ -436,7 +445,7 @@ fn assert_never_stopped(which: &str, fused: &[Fused]) {
     assert!(longest < 2.0, "{which}: {longest:.1} s without a fusion");
 }
 
-/// Without this the test would hold on a network on which nothing happened.
+/// Checks that the faults had an effect. Otherwise the test would pass on an undisturbed network.
 fn assert_faults_were_felt(silent: &BTreeMap<String, Vec<f64>>) {
     for (node, span, least) in [("floor-2", PARTITION_S, 8), ("floor-3", OUTAGE_S, 1)] {
         let of_node = silent.get(node).map_or(&[][..], Vec::as_slice);
@@ -449,7 +458,7 @@ fn assert_faults_were_felt(silent: &BTreeMap<String, Vec<f64>>) {
             "{node} silent in {} fusions",
             within.len()
         );
-        // a message that is lost twice comes too late for its fusion
+        // A message that is lost twice misses its fusion.
         assert!(
             outside.len() < 10,
             "{node} silent in {} fusions outside of its fault",
@@ -458,11 +467,15 @@ fn assert_faults_were_felt(silent: &BTreeMap<String, Vec<f64>>) {
     }
 }
 
-/// In the first seconds each message doubles what is known: what a fusion did without then is felt until they are over.
+/// Duration of the start (s). In this time each message doubles the information, so a missed
+/// message has a lasting effect.
 const FIRST_SECONDS_S: f64 = 10.0;
 
-/// Fusions, and when a message had not come in time for them, because it was lost on the way more than once. Such a fusion does
-/// without it, which is a deviation or more in the first seconds; after them the next one has it.
+/// Compares fusions with those of the undisturbed run.
+///
+/// A message that was lost more than once misses its fusion, and both arguments give the times of
+/// such fusions. The effect is one deviation or more in the first seconds. Later, the next fusion
+/// includes the missed data.
 fn compare((expected, late_there): (&[Fused], &[f64]), (found, late): (&[Fused], &[f64])) {
     let is_late = |fused: &Fused, late: &[f64]| {
         let felt_later = |time_s: f64| fused.time_s < FIRST_SECONDS_S && time_s < fused.time_s;

@@ -1,8 +1,9 @@
-//! What the worker of one node costs: the building of forty storeys at its 250 Hz, in real time, as it would run on the computer of
-//! a sensor. `cargo test -p spandrel --test node -- --nocapture` shows the figures of docs/distributed.md.
+//! Cost of the worker of one node: the building of forty storeys at its 250 Hz, in real time, as on
+//! the computer of a sensor.
 //!
-//! Processor time is counted by the kernel and divided by the seconds of samples that were filtered in it, so that a machine with other
-//! work gives the figure of one without but for what its caches and clock do.
+//! `cargo test -p spandrel --test node -- --nocapture` prints the figures of docs/distributed.md.
+//! The kernel counts the processor time, which is divided by the seconds of samples filtered in it.
+//! Other work on the machine therefore affects the figure only through caches and clock rate.
 
 #![allow(
     clippy::unwrap_used,
@@ -22,18 +23,19 @@ use support::{Process, free_endpoint, spandrel, within};
 const NODE: &str = "floor-1";
 const RATE_HZ: f64 = 250.0;
 
-/// Time before the processor time is counted, and for how long at least it is counted (s).
+/// Time before the processor time is counted, and the minimum time for which it is counted (s).
 const WARM_UP_S: f64 = 5.0;
 const COUNTED_S: f64 = 30.0;
 
-/// Largest resident size (MB), and processor time per second of samples.
+/// Maximum resident size (MB), and maximum processor time per second of samples.
 const MOST_MB: f64 = 30.0;
 const MOST_SHARE: f64 = 0.25;
 
-/// Processor time of a process so far (s), user and system.
+/// Returns the processor time of a process so far (s), user and system.
 fn processor_s(process: u32) -> f64 {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
-    // what follows the name in parentheses: state is field 3, utime 14, stime 15, in hundredths of a second
+    // Fields after the name in parentheses: state is field 3, utime 14, stime 15, in hundredths of
+    // a second.
     let fields: Vec<&str> = stat
         .rsplit_once(')')
         .unwrap()
@@ -43,7 +45,7 @@ fn processor_s(process: u32) -> f64 {
     (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap()) / 100.0
 }
 
-/// Largest resident size of a process so far (MB).
+/// Returns the largest resident size of a process so far (MB).
 fn peak_mb(process: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let line = status
@@ -97,7 +99,7 @@ async fn the_worker_of_a_node_stays_below_thirty_megabytes_and_a_quarter_of_a_co
         .await
         .unwrap();
 
-    // the worker says how far it is, and at that moment the kernel is asked what it has cost
+    // The kernel is queried for the cost whenever the worker reports its progress.
     let next = async || loop {
         let (_, status) = statuses.messages().recv_async().await.unwrap();
         if status.id.as_str() == NODE {

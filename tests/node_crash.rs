@@ -1,5 +1,7 @@
-//! The station of distributed identification and the workers of its nodes, killed while live sensors measure: they go on from their
-//! checkpoints, and what is found is what a run finds that nothing disturbs.
+//! The station of distributed identification and the workers of its nodes, killed while live
+//! sensors measure.
+//!
+//! They must resume from their checkpoints, and the results must match those of an undisturbed run.
 
 #![allow(
     clippy::unwrap_used,
@@ -17,18 +19,20 @@ use std::process::Command;
 use std::time::{SystemTime, UNIX_EPOCH};
 use support::{Process, Site, distributed_storeys, within};
 
-/// The node whose worker is a process of its own.
+/// Node whose worker runs in its own process.
 const NODE: &str = "floor-2";
-/// Those whose workers are another one.
+/// Nodes whose workers share another process.
 const OTHERS: [&str; 3] = ["floor-1", "floor-3", "floor-4"];
-/// Sensors get so long to start before the first sample is measured (s), and would measure for longer than the test takes.
+/// Time for sensors to start before the first sample is measured (s), and length of the record (s),
+/// which exceeds the duration of the test.
 const HEAD_START_S: f64 = 10.0;
 const LENGTH_S: f64 = 600.0;
-/// Fusions before the first one is killed, and from one to the next.
+/// Number of fusions before the first kill, and from one kill to the next.
 const LEARNT: usize = 20;
 const RECOVERED: usize = 5;
 
-/// A fused estimate: time (ns since 1970), epoch of the station, means and standard deviations of the parameters.
+/// A fused estimate: time (ns since 1970), epoch of the station, means and standard deviations of
+/// the parameters.
 #[derive(Debug, Clone)]
 struct Fused {
     time_ns: i64,
@@ -37,7 +41,7 @@ struct Fused {
     std: Vec<f64>,
 }
 
-/// A station, workers and sensors around a router, and what is heard of them.
+/// A station, workers and sensors around a router, and their received messages.
 struct Town {
     site: Site,
     configuration: PathBuf,
@@ -123,7 +127,7 @@ impl Town {
         );
     }
 
-    /// Kills processes, lets something be done to what they have left, and starts them again.
+    /// Kills processes, runs `meanwhile` on their remaining state, and restarts them.
     fn kill(&mut self, names: &[&'static str], meanwhile: impl FnOnce(&Self)) {
         names
             .iter()
@@ -132,7 +136,7 @@ impl Town {
         names.iter().for_each(|name| self.run(name));
     }
 
-    /// Reads on until there are so many fusions more.
+    /// Reads until there are `count` more fusions.
     async fn more(&mut self, count: usize) {
         let wanted = self.fused.len() + count;
         while self.fused.len() < wanted {
@@ -152,7 +156,7 @@ impl Town {
         }
     }
 
-    /// The first local estimate of the node in a later life of its worker.
+    /// Returns the first local estimate of the node from a later run of its worker.
     async fn first_after(&self, epoch: u64) -> LocalMessage {
         loop {
             let what = "a message of the worker in its new life";
@@ -165,7 +169,7 @@ impl Town {
         }
     }
 
-    /// The last local estimate of the node that has come.
+    /// Returns the last received local estimate of the node.
     fn last_local(&self) -> LocalMessage {
         let of_node = self
             .local
@@ -192,7 +196,7 @@ impl Town {
     }
 }
 
-/// The newest checkpoint in a folder.
+/// Returns the newest checkpoint in a folder.
 fn newest(folder: &Path, kind: &str) -> PathBuf {
     let entries = std::fs::read_dir(folder)
         .unwrap()
@@ -207,7 +211,7 @@ fn newest(folder: &Path, kind: &str) -> PathBuf {
         .unwrap_or_else(|| panic!("no checkpoint of {kind} in {}", folder.display()))
 }
 
-/// Changes a bit in the middle of a file, and returns its name.
+/// Changes a bit in the middle of a file, and returns the name of the file.
 fn damage(path: &Path) -> String {
     let mut bytes = std::fs::read(path).unwrap();
     let middle = bytes.len() / 2;
@@ -225,8 +229,9 @@ fn now_ns() -> i64 {
     now.duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64
 }
 
-/// What comes first after a restart is what was known last: neither far from it, nor as unsure as the prior (0.1), which is several times
-/// what is known by then.
+/// Checks that the first result after a restart continues the last one. It must be close to it, and
+/// must not be as uncertain as the prior. The deviation of the prior (0.1) is several times that of
+/// the last result.
 #[track_caller]
 fn assert_goes_on(what: &str, last: (&[f64], &[f64]), next: (&[f64], &[f64])) {
     for parameter in 0..last.0.len() {
@@ -246,13 +251,13 @@ fn assert_goes_on(what: &str, last: (&[f64], &[f64]), next: (&[f64], &[f64])) {
     }
 }
 
-/// What the station puts first after its death goes on from what it put last.
+/// Checks that the first result of the restarted station continues the last one.
 async fn station_goes_on(town: &mut Town, what: &str) {
     let last = town.fused.last().unwrap().clone();
     while town.fused.last().unwrap().epoch == last.epoch {
         town.more(1).await;
     }
-    // what it had put before its death may have come after it
+    // Messages sent before the kill may arrive after it.
     let before = town
         .fused
         .iter()
@@ -262,7 +267,7 @@ async fn station_goes_on(town: &mut Town, what: &str) {
     assert!(next.epoch > last.epoch);
     assert_goes_on(what, (&before.mean, &before.std), (&next.mean, &next.std));
     assert!(
-        town.log("station").contains("goes on from its checkpoint"),
+        town.log("station").contains("resumed from its checkpoint"),
         "{}",
         town.log("station")
     );
@@ -285,7 +290,7 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
     town.measure(start_s);
     town.more(LEARNT).await;
 
-    // a worker
+    // A worker.
     let last = town.last_local();
     let statuses = town
         .bus
@@ -302,11 +307,11 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
         "of the past nothing is told"
     );
     assert!(
-        town.log("worker").contains("goes on from its checkpoint"),
+        town.log("worker").contains("resumed from its checkpoint"),
         "{}",
         town.log("worker")
     );
-    // and its sensor has given it what it had missed
+    // The sensor has supplied the samples missed by the worker.
     let status = async {
         loop {
             let (_, status) = statuses.messages().recv_async().await.unwrap();
@@ -331,17 +336,17 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
     );
     town.more(RECOVERED).await;
 
-    // the station
+    // The station.
     town.kill(&["station"], |_| ());
     station_goes_on(&mut town, "the station").await;
     town.more(RECOVERED).await;
 
-    // all of them at once, as where a machine loses its power
+    // All of them at once, as in a power failure.
     town.kill(&["station", "worker", "others"], |_| ());
     station_goes_on(&mut town, "station and workers").await;
     town.more(RECOVERED).await;
 
-    // again, and the newest checkpoints are damaged: those before them are taken
+    // Again, with damaged newest checkpoints: the preceding ones are used.
     let mut damaged = Vec::new();
     town.kill(&["station", "worker", "others"], |town| {
         let folder = town.checkpoints();
@@ -357,14 +362,14 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
             refused.contains(file.as_str()) && refused.contains("damaged"),
             "{refused}"
         );
-        assert!(log.contains("goes on from its checkpoint"), "{log}");
+        assert!(log.contains("resumed from its checkpoint"), "{log}");
     }
     let aside = town.checkpoints().join(format!("{}.refused", damaged[0]));
     assert!(aside.is_file(), "{}", aside.display());
     station_goes_on(&mut town, "station and workers with damaged checkpoints").await;
     town.more(RECOVERED).await;
 
-    // nobody has lost what was known on the way
+    // No earlier result has been lost.
     let end_ns = town.fused.last().unwrap().time_ns;
     while undisturbed
         .fused

@@ -1,4 +1,4 @@
-//! Alerts that reach people who are not looking: a webhook, an Alertmanager and a mail server of the test itself.
+//! Notifications of alerts: a webhook, an Alertmanager and a mail server, all provided by the test.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,26 +20,26 @@ use std::thread;
 use std::time::Duration;
 use support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
 
-/// Damage of storey 2 at 20 s; a rule against the design.
+/// Damage of storey 2 at 20 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 const TOKEN: &str = "t0ken-of-the-test";
 const PATH: &str = "/hooks/s3cret-path";
 
-/// A request as it came: head and body, and whether it was taken.
+/// A received request: head and body, and whether it was accepted.
 struct Request {
     head: String,
     body: Value,
     is_taken: bool,
 }
 
-/// Answers HTTP requests, the first `failing` of them with an error.
+/// Serves HTTP requests and rejects the first `failing` of them.
 fn http(failing: usize) -> (SocketAddr, Receiver<Request>) {
     let asked = AtomicUsize::new(0);
     answering(move || asked.fetch_add(1, Ordering::Relaxed) < failing)
 }
 
-/// Answers HTTP requests, with an error as long as it is said to fail.
+/// Serves HTTP requests and rejects them while `fails` returns `true`.
 fn answering(fails: impl Fn() -> bool + Send + Sync + 'static) -> (SocketAddr, Receiver<Request>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -78,7 +78,7 @@ fn answer(mut stream: TcpStream, fails: bool, requests: &Sender<Request>) {
         "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     )
     .unwrap();
-    // the test may have ended
+    // The test may have ended.
     let _ = requests.send(Request {
         head,
         body: serde_json::from_slice(&body).unwrap(),
@@ -86,7 +86,7 @@ fn answer(mut stream: TcpStream, fails: bool, requests: &Sender<Request>) {
     });
 }
 
-/// Takes mails, and sends what stands in them.
+/// Accepts mails, and sends their content to the returned channel.
 fn smtp() -> (SocketAddr, Receiver<String>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -149,7 +149,7 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
     let record = site.simulate(60.0);
     site.replay(&record, "max").wait().expect_code(0);
 
-    // two attempts fail, the third is taken: the same alert under the same key
+    // Two attempts fail and the third succeeds, with the same alert under the same key.
     let attempts: Vec<Request> = (0..3)
         .map(|_| hooks.recv_timeout(DEADLINE).unwrap())
         .collect();
@@ -202,7 +202,7 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
         "{mail}"
     );
 
-    // whoever asks the alert service again hears the same, and it is not told again
+    // A further query to the alert service returns the same alert, which is not notified again.
     assert!(
         hooks.recv_timeout(Duration::from_secs(2)).is_err(),
         "told once"
@@ -218,15 +218,13 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
         );
     }
     assert!(
-        finished
-            .stderr
-            .contains("alert not told, it is tried again"),
+        finished.stderr.contains("notice not sent; retrying"),
         "{}",
         finished.stderr
     );
 }
 
-/// An alert of storey 2 as the alert service puts it.
+/// Returns an alert of storey 2 as the alert service publishes it.
 fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
     AlertMessage {
         structure: Name::new(site.structure().name()).unwrap(),
@@ -254,7 +252,8 @@ fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
     }
 }
 
-/// Waits until `notify` has taken so many alerts: its status comes after they are on the disk.
+/// Waits until `notify` has accepted `count` alerts. It publishes its status after they are on
+/// disk.
 async fn taken(bus: &Bus, keys: &Keys, count: u64) {
     let statuses = bus
         .subscribe::<Status>(keys.all_statuses(), 64)
@@ -271,7 +270,7 @@ async fn taken(bus: &Bus, keys: &Keys, count: u64) {
     within(&format!("{count} alerts taken by notify"), taken).await;
 }
 
-// What had not been delivered was lost with the process, but for the last state of each alert.
+// Undelivered notices must survive a crash, and not only the last state of each alert.
 #[tokio::test(flavor = "multi_thread")]
 async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_each() {
     let site = Site::with(&two_storeys(DAMAGED));
@@ -291,7 +290,7 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
         .await
         .unwrap();
     let mut notify = async || {
-        // that of a life before has to be gone
+        // The token of an earlier run must be gone.
         within("no token of notify", async {
             while !tokens.present().is_empty() && !tokens.changed().await.is_empty() {}
         })
@@ -311,7 +310,8 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
     let put = async |seconds, state| publisher.put(&alert(&site, seconds, state)).await.unwrap();
     let states = [AlertState::Raised, AlertState::Cleared];
 
-    // three lives, each of which takes two alerts, fails to deliver, and is killed between two attempts
+    // Three runs, each of which accepts two alerts, fails to deliver them, and is killed between
+    // two attempts.
     let mut expected = Vec::new();
     for life in 0..3_u8 {
         let process = notify().await;
@@ -333,10 +333,10 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
         process.kill();
     }
 
-    // the receiver is back: each of them once, in order
+    // The receiver works again and accepts each notice once, in order.
     is_down.store(false, Ordering::SeqCst);
     let process = notify().await;
-    // what is taken, up to a key
+    // Accepted notices up to a key.
     let taken_by = |requests: &Receiver<Request>, last: &str| {
         let mut keys: Vec<String> = Vec::new();
         while keys.last().is_none_or(|key| key != last) {
@@ -351,11 +351,12 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
     };
     let last = expected.last().unwrap().clone();
     assert_eq!(taken_by(&hooks, &last), expected);
-    // who was there all the time has each of them as well: one whose delivery was not noted any more comes again under its key
+    // The receiver that always worked has each notice as well. A delivery that was not recorded
+    // before the kill is repeated under its key.
     let mut of_other = taken_by(&managed, &last);
     of_other.dedup();
     assert_eq!(of_other, expected);
-    // and the delivery of all is noted: the next life has nothing to tell but what is new
+    // All deliveries are recorded: the next run sends only new notices.
     process.stop().expect_code(0);
     let process = notify().await;
     put(900, AlertState::Raised).await;
@@ -363,7 +364,7 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
     assert_eq!(taken_by(&hooks, next), [next]);
     process.stop().expect_code(0);
 
-    // nothing of the address but what the log shows is on the disk
+    // The disk contains only the part of the address that the log shows.
     let kept = site.folder().join("state");
     let mut files = Vec::new();
     let mut folders = vec![kept];
@@ -411,7 +412,7 @@ fn settings_that_cannot_be_used_are_named() {
             &["notify.email[0].to", "\"somebody\""],
         ),
         ("[[notify.pager]]\nnumber = 1\n", &["pager", "webhook"]),
-        ("", &["nobody to tell"]),
+        ("", &["no recipients of notices"]),
     ] {
         std::fs::write(&configuration, text).unwrap();
         let mut command = spandrel("notify");

@@ -1,7 +1,9 @@
-//! Wrong samples through the services: they are flagged on their topic, and the stiffness is as good as without them.
+//! Wrong samples through the services: they are flagged on their topic, and the stiffness is as
+//! accurate as without them.
 //!
-//! The oscillator of Huang & Yuen (2023), chapter 4, shortened to 300 s with the damage at 200 s. The rates are those that a
-//! correct implementation shows on this generator; the published ones count only samples that are grossly wrong.
+//! The oscillator of Huang & Yuen (2023), chapter 4, shortened to 300 s with the damage at 200 s.
+//! The rates are those of a correct implementation with this generator. The published rates count
+//! only grossly wrong samples.
 
 #![allow(
     clippy::unwrap_used,
@@ -23,7 +25,7 @@ fn example() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/corrupted-oscillator.toml")
 }
 
-/// The same motion and noise without wrong samples, and a filter that screens nothing.
+/// Returns the same motion and noise without wrong samples, and a filter without screening.
 fn sound() -> String {
     let text = std::fs::read_to_string(example()).unwrap();
     let sound = text
@@ -40,7 +42,7 @@ fn name(text: &str) -> Name {
     text.parse().unwrap()
 }
 
-/// Root mean square error of the stiffness from 10 s on.
+/// Returns the root mean square error of the stiffness from 10 s on.
 fn stiffness_error(estimates: &[Identified]) -> f64 {
     let start = estimates[0].time_ns;
     let errors = estimates.iter().filter_map(|frame| {
@@ -54,7 +56,7 @@ fn stiffness_error(estimates: &[Identified]) -> f64 {
     f64::sqrt(sum / count)
 }
 
-/// Rows in which two records differ.
+/// Returns the number of rows in which two records differ.
 fn different_rows(a: &Record, b: &Record) -> usize {
     (0..a.len())
         .filter(|&row| a.value(row, "roof") != b.value(row, "roof"))
@@ -111,7 +113,7 @@ async fn wrong_samples_are_flagged_and_do_no_harm() {
     );
     assert_eq!(display.state, ChannelState::Screening);
     assert!(display.screened as f64 > 0.999 * frames);
-    // masking 8 to 15 %, swamping 0.3 to 1.3 %
+    // Masking is 8 to 15 % and swamping 0.3 to 1.3 %.
     assert!(rejected > 0.85 * wrong + 0.003 * frames, "{display:?}");
     assert!(rejected < 0.92 * wrong + 0.013 * frames, "{display:?}");
     assert!(
@@ -134,7 +136,7 @@ async fn broken_sensor_is_reported_and_left_out() {
         "[outliers]\nfault-window-s = 2\ntraining-s = 2\n",
     ));
     let mut record = site.simulate(60.0);
-    // the accelerometer of the first floor comes loose at 20 s and rattles
+    // The accelerometer of the first floor comes loose at 20 s and rattles.
     record.change("floor-1", 2000..record.len(), |row, value| {
         value + if row % 2 == 0 { 3.0 } else { -2.5 }
     });

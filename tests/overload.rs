@@ -1,5 +1,8 @@
-//! An identification that cannot keep up: it shows people less, then falls behind while all is recorded, then catches up; each state is
-//! told, and in the end its estimates are those of an unhurried run, to the bit.
+//! An identification that is slower than its input: it first reduces its display output, then falls
+//! behind while all frames are recorded, then catches up.
+//!
+//! Each state must be reported. In the end, the estimates must be bit-identical to those of a run
+//! without overload.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,12 +23,13 @@ use std::time::Duration;
 use support::{EstimateReader, Process, Sensors, Site, assert_same_bits, within};
 use tokio::sync::mpsc;
 
-/// Rows of a block.
+/// Number of rows in a block.
 const BLOCK: usize = 20;
-/// Frames on the way to ingest at most: it need not be overloaded.
+/// Maximum number of frames in transit to ingest, so that ingest is not overloaded.
 const WINDOW: u64 = 2_000;
 
-/// A tower of sixty storeys: some thousand frames a second on one core, where ingest makes many times as many.
+/// Returns a tower of sixty storeys. One core identifies in the order of a thousand frames a
+/// second, and ingest is many times faster.
 fn tower() -> String {
     let storeys = |range: std::ops::RangeInclusive<u32>| -> String {
         range
@@ -39,7 +43,8 @@ fn tower() -> String {
     )
 }
 
-/// One of 160 storeys with the stiffness of each storey to be found: a few hundred frames a second.
+/// Returns a tower of 160 storeys, all of whose stiffnesses are identified: a few hundred frames a
+/// second.
 fn heavy_tower() -> String {
     let of_storey = |storey| {
         parameter(
@@ -76,21 +81,22 @@ fn tower_with(storeys: u32, parameters: &str) -> String {
            [[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n"
 }
 
-/// Live sensors that put as fast as ingest takes, and what identify says meanwhile.
+/// Live sensors that publish as fast as ingest accepts samples, and the reported states of
+/// `identify`.
 struct Rush {
     sensors: Sensors,
-    /// Rows put.
+    /// Number of published rows.
     put: usize,
     ingest: ProgressWatch,
     identify: ProgressWatch,
     statuses: Subscription<Status>,
-    /// States of identify, each once for as long as it lasts.
+    /// States of `identify`, without repetitions.
     states: Vec<Load>,
     last: Option<Status>,
 }
 
 impl Rush {
-    /// Keeps identification about so many frames behind, until it says that it is in a state.
+    /// Keeps the identification about `behind` frames behind until it reports a state.
     async fn until(&mut self, state: Load, behind: u64) {
         let done = |watch: &ProgressWatch| watch.latest().map_or(0, |progress| progress.done);
         while self.states.last() != Some(&state) {
@@ -119,7 +125,7 @@ impl Rush {
         }
     }
 
-    /// Waits, without a sample more, until identify says that it is in a state.
+    /// Waits without publishing samples until `identify` reports a state.
     async fn wait_for(&mut self, state: Load) {
         while self.states.last() != Some(&state) {
             let status = within(
@@ -165,7 +171,8 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
         process.wait_for_log("ready structures=1");
         process
     };
-    // A short queue: what identify cannot take at once is not hidden in it, but fetched from ingest, and soon from its disk.
+    // A short queue: `identify` must fetch its excess frames from ingest, and soon from the disk of
+    // ingest, instead of queueing them.
     let services = [
         start("alert", "256"),
         start("identify", "8"),
@@ -202,7 +209,8 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
 
     rush.until(Load::DisplayShed, 3_000).await;
     rush.until(Load::Behind, 12_000).await;
-    // Ingest waits for nobody: all is recorded long before it is identified.
+    // Ingest does not wait for identification: all frames are recorded long before they are
+    // identified.
     let put = rush.put as u64;
     within(
         "ingest",
@@ -223,7 +231,7 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
         "states told in the status"
     );
 
-    // Values for people are back, ten in a second of measurement.
+    // Display values have returned, ten per second of measurement.
     let displayed = bus
         .subscribe::<ParameterDisplay>(keys.all_parameters(), 4096)
         .await
@@ -290,13 +298,13 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
     }
 }
 
-/// What systemd hears of a service whose unit has a watchdog.
+/// Messages to systemd from a service whose unit has a watchdog.
 struct Systemd {
     words: mpsc::UnboundedReceiver<String>,
 }
 
 impl Systemd {
-    /// Time without a word of life after which systemd would kill the process.
+    /// Watchdog time, after which systemd would kill the process.
     const WATCHDOG: Duration = Duration::from_secs(4);
 
     fn of(command: &mut Command, site: &Site) -> Self {
@@ -325,7 +333,7 @@ impl Systemd {
             .unwrap()
     }
 
-    /// Waits for the next word of life as systemd does.
+    /// Waits for the next watchdog message as systemd does.
     async fn is_fed(&mut self, what: impl Fn() -> String) {
         match tokio::time::timeout(Self::WATCHDOG, self.words.recv()).await {
             Ok(word) => assert_eq!(word.unwrap(), "WATCHDOG=1"),
@@ -334,7 +342,8 @@ impl Systemd {
     }
 }
 
-/// A fetched block was one piece of work: longer than the time of the watchdog, whose end was then the only one it came to.
+/// A fetched block must be processed in parts, because a whole block can take longer than the
+/// watchdog time.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard() {
     const FRAMES: usize = 4_000;
@@ -362,7 +371,7 @@ async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard(
     }
 
     let mut command = site.connecting("identify");
-    command.env("SPANDREL_THREADS", "1"); // another thread would answer for the one at work
+    command.env("SPANDREL_THREADS", "1"); // a second thread would hide the busy one
     let mut systemd = Systemd::of(&mut command, &site);
     let identify = Process::start(&mut command);
     assert_eq!(systemd.next().await, "READY=1");

@@ -1,6 +1,8 @@
-//! The book, followed as a new user would: every command of its tutorials as printed, from an empty folder.
+//! Tutorials of the book: every command runs as printed, starting in an empty folder, as a new user
+//! would run it.
 //!
-//! Records are not part of the repository. They stand in `shared/data` beside it; without that folder these tests say so and pass.
+//! The records are not part of the repository but in `shared/data` next to it. Without that folder
+//! these tests print a message and pass.
 
 #![allow(
     clippy::unwrap_used,
@@ -27,7 +29,7 @@ fn records(folder: &str) -> Option<PathBuf> {
     None
 }
 
-/// In a network of its own, because the page says which ports the services listen on.
+/// Runs in its own network, because the page states the ports of the services.
 #[test]
 fn ten_minutes_go_as_the_page_says() {
     let Some(lab) = Lab::or_skip(&["desk"], 1) else {
@@ -92,7 +94,8 @@ fn highway_bridge_goes_as_the_page_says() {
     assert_eq!(page.follow(here), 12);
 }
 
-/// The subscriber of docs/topics.md. It asks at the usual address, so that it has a network of its own.
+/// Tests the subscriber of docs/topics.md. It queries the default address and therefore has its own
+/// network.
 #[test]
 fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
     let Some(lab) = Lab::or_skip(&["desk"], 3) else {

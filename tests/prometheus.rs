@@ -1,5 +1,5 @@
-//! What stands in deploy/prometheus and deploy/grafana: Prometheus takes configuration and rules, and each query of the dashboard
-//! finds what running systems tell of themselves. Grafana itself does not take part.
+//! The files of deploy/prometheus and deploy/grafana: Prometheus accepts configuration and rules,
+//! and each query of the dashboard finds values of running systems. The test does not run Grafana.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,9 +18,9 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use support::{DEADLINE, Process, spandrel};
 
-/// How often Prometheus is asked again: it takes values every 5 s.
+/// Interval between queries to Prometheus, which scrapes every 5 s.
 const ASK_EVERY: Duration = Duration::from_millis(500);
-/// What the page of the configuration is in deploy/prometheus/prometheus.yml.
+/// Target of the page in deploy/prometheus/prometheus.yml.
 const TARGET: &str = r#"["127.0.0.1:8080"]"#;
 
 fn deploy(file: &str) -> PathBuf {
@@ -29,7 +29,7 @@ fn deploy(file: &str) -> PathBuf {
         .join(file)
 }
 
-/// Whether Prometheus is installed; a failure where everything is required.
+/// Returns `true` if Prometheus is installed. Fails if all tests are required.
 fn is_installed() -> bool {
     let folders = std::env::var_os("PATH").unwrap_or_default();
     let is_there = |program: &str| {
@@ -69,7 +69,7 @@ fn promtool_finds_nothing_wrong_in_configuration_and_rules() {
     }
 }
 
-/// What a count does in ten minutes, by the reason and the service that counts it, and the rule that has to fire by then.
+/// Course of a count over ten minutes, by reason and service, and the rule that must fire by then.
 const DISKS: [(&str, &str, &str, &str); 6] = [
     (
         "frames-waiting-for-the-disk",
@@ -95,7 +95,7 @@ const DISKS: [(&str, &str, &str, &str); 6] = [
         "_x4 1+6x16",
         "SpandrelCheckpointsNotKept",
     ),
-    // over since long: they do not go on firing
+    // Long past: the rule must not keep firing.
     ("checkpoints-not-kept", "identify", "7x20", ""),
     ("failed-writes", "notify", "3x20", ""),
 ];
@@ -105,7 +105,7 @@ fn the_rules_of_the_disks_fire_while_something_is_not_kept_and_not_after_that() 
     if !is_installed() {
         return;
     }
-    // promtool compares the words too, which are for people: they are left out
+    // promtool also compares the texts for people, which are therefore removed.
     let rules = std::fs::read_to_string(deploy("prometheus/rules.yml")).unwrap();
     let is_word = |line: &&str| {
         ["annotations:", "summary:"]
@@ -152,7 +152,7 @@ fn the_rules_of_the_disks_fire_while_something_is_not_kept_and_not_after_that() 
     assert!(tested.status.success(), "{told}\n{text}");
 }
 
-/// A Prometheus that ends with its test.
+/// A Prometheus process that ends with its test.
 struct Prometheus {
     child: Child,
     address: String,
@@ -161,14 +161,14 @@ struct Prometheus {
 
 impl Drop for Prometheus {
     fn drop(&mut self) {
-        // one that has ended already needs no more
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 impl Prometheus {
-    /// Starts one with the configuration and rules of deploy/, which asks these pages.
+    /// Starts Prometheus with the configuration and rules of deploy/ and these pages as targets.
     fn start(pages: &[String]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let text = std::fs::read_to_string(deploy("prometheus/prometheus.yml")).unwrap();
@@ -207,10 +207,10 @@ impl Prometheus {
         }
     }
 
-    /// The answer to a request; none while nobody answers.
+    /// Returns the reply to a request, or `None` without a connection.
     fn ask(&self, path: &str, name: &str, expression: &str) -> Option<Value> {
         let mut stream = TcpStream::connect(&self.address).ok()?;
-        // of version 1.0, so that the answer comes in one piece
+        // HTTP version 1.0, so that the reply arrives in one piece.
         write!(
             stream,
             "GET /api/v1/{path}?{name}={} HTTP/1.0\r\n\r\n",
@@ -221,7 +221,7 @@ impl Prometheus {
         stream.read_to_string(&mut answer).ok()?;
         let (head, body) = answer.split_once("\r\n\r\n")?;
         if head.starts_with("HTTP/1.0 503") {
-            return None; // it is starting
+            return None; // still starting
         }
         let mut body: Value =
             serde_json::from_str(body).unwrap_or_else(|error| panic!("{path}: {error}\n{answer}"));
@@ -229,7 +229,7 @@ impl Prometheus {
         Some(body["data"].take())
     }
 
-    /// Waits until an answer is as it must be.
+    /// Waits until a reply is as required.
     fn wait(
         &self,
         path: &str,
@@ -253,7 +253,7 @@ impl Prometheus {
     }
 }
 
-/// How many values an answer has.
+/// Returns the number of values in a reply.
 fn count(answer: &Value) -> usize {
     answer["result"].as_array().map_or(0, Vec::len)
 }
@@ -268,7 +268,7 @@ fn encoded(text: &str) -> String {
     text.bytes().map(|byte| format!("%{byte:02X}")).collect()
 }
 
-/// A demo that stays, and the address of its page.
+/// Starts a demo that keeps running, and returns the address of its page.
 fn demo(more: &[&str]) -> (Process, String) {
     let mut command = spandrel("demo");
     command
@@ -297,7 +297,7 @@ fn page_of(process: &Process) -> String {
     address.trim_end_matches('/').to_owned()
 }
 
-/// All queries of the dashboard with the title of their panel.
+/// Returns all queries of the dashboard with the titles of their panels.
 fn queries(dashboard: &Value) -> Vec<(String, String)> {
     let panels = dashboard["panels"].as_array().unwrap();
     let targets = panels.iter().flat_map(|panel| {
@@ -370,7 +370,7 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
         "--connect",
         classes.endpoint(),
     ]);
-    // as samples are measured: of others no lag is told
+    // Live samples, because no lag is published for others.
     let _simulation = Process::start(simulate.args(["--duration", "600", "--live"]));
     let prometheus = Prometheus::start(&[whole, distributed, page]);
 
@@ -406,11 +406,12 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
         );
     }
     for (title, query) in queries(&dashboard()) {
-        // one structure has what another has not: nodes that identify for themselves, model classes
+        // Structures differ in their features: nodes that identify their own parameters, model
+        // classes.
         let any = query.replace("=\"$structure\"", &format!("=~\"{}\"", names.join("|")));
         let any = any.replace("=\"$parameter\"", "=~\".+\"");
         assert!(!any.contains('$'), "{title}: {query}");
-        // where nothing was dropped there is nothing to show
+        // A panel is empty if nothing was dropped.
         let may_be_empty = any.contains("spandrel_dropped_total");
         let found = prometheus.wait("query", "query", &any, |answer| {
             may_be_empty || count(answer) > 0

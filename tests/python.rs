@@ -1,7 +1,8 @@
-//! The Python client against running services: what it prints of the present and of the past.
+//! The Python client against running services: its output for the present and the past.
 //!
-//! Needs Python 3 with the package `eclipse-zenoh` (and `matplotlib` for the plot) as `python3`, or as the program in `PYTHON`; without
-//! it the test says that it was skipped, and fails where `REQUIRE_ALL_TESTS` is set.
+//! The test needs Python 3 with the package `eclipse-zenoh` (and `matplotlib` for the plot) as
+//! `python3` or as the program in `PYTHON`. Otherwise it prints that it was skipped, or fails if
+//! `REQUIRE_ALL_TESTS` is set.
 
 #![allow(
     clippy::unwrap_used,
@@ -108,7 +109,7 @@ async fn a_script_hears_alerts_and_draws_what_was() {
         &site,
         &["--history", "storey-2", "--plot", picture.to_str().unwrap()],
     );
-    // what was just said is written within seconds
+    // Recent values reach the history within seconds.
     let said = within("a past with the damage in it", async {
         loop {
             let said = text(&tokio::task::block_in_place(|| past.output().unwrap()));

@@ -1,4 +1,4 @@
-//! Processes that are killed or stopped on the way, and started again.
+//! Processes that are killed or stopped during operation, and restarted.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,7 +19,8 @@ use support::{
     five_storeys, two_storeys, within,
 };
 
-/// Longer than what may be on the way, so that a replay cannot end before it has been read from.
+/// Length of the record (s), longer than the data that can be in transit. A replay therefore cannot
+/// end before it is read.
 const RECORD_S: f64 = 100.0;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -130,7 +131,7 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     let mut reader = EstimateReader::join(&bus, &site.keys()).await;
     let replay = site.replay(&record, "20");
     reader.read_frames(500).await;
-    // what is wrong is told and changes nothing
+    // An invalid file is reported and changes nothing.
     std::fs::write(
         site.structure_file(),
         two_storeys("[[alert]]\nparameters = \"none of them\"\n"),
@@ -141,7 +142,7 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     reader.read_frames(1000).await;
     std::fs::write(site.structure_file(), two_storeys(&rule(0.2))).unwrap();
     services.hang_up();
-    services.wait_for_log("services begin anew");
+    services.wait_for_log("restarting the services");
     replay.wait().expect_code(0);
     let found = reader.read_to_end(1).await;
     assert_same_bits(
@@ -163,7 +164,8 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     services.stop().expect_code(0);
 }
 
-/// It ended without a word, and whoever had been told of it was never told that it was over; any edit forgot who had seen it.
+/// An alert that the new rule no longer raises must end with a message, so that its recipients
+/// learn of the end. A change of the rule must keep the acknowledgement.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_raise() {
     let with = |loss: f64| {
@@ -217,13 +219,15 @@ async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_r
     std::fs::write(site.structure_file(), with(0.3)).unwrap();
     services.hang_up();
     let ended = within("its end", until(AlertState::Cleared)).await;
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % with probability 0.990 for 3 s to more than 30 %";
+    let why = "alert of storey-2 has ended: its rule changed from more than 5 % with probability \
+               0.990 for 3 s to more than 30 %";
     assert!(ended.why.starts_with(why), "{}", ended.why);
     services.wait_for_log("alert of storey-2 has ended");
     services.stop().expect_code(0);
 }
 
-/// What ends while sensors go on: services of one configuration, whose only checkpoints are those of their ends.
+/// Services of one configuration whose only checkpoints are the final ones, stopped while sensors
+/// continue.
 struct Beside {
     site: Site,
     configuration: PathBuf,
@@ -267,7 +271,7 @@ impl Beside {
         )
     }
 
-    /// Sensors that measure for longer than the test takes.
+    /// Starts sensors that measure for longer than the test takes.
     fn measure(&self) -> Process {
         Process::start(
             self.site
@@ -291,7 +295,7 @@ impl Beside {
         .await
     }
 
-    /// How many processes claim to lead the identification.
+    /// Returns the number of processes that claim to lead the identification.
     async fn leaders(&self) -> usize {
         self.bus
             .ask_who_is_there(&self.site.keys().all_leaders(), DEADLINE)
@@ -300,7 +304,7 @@ impl Beside {
             .len()
     }
 
-    /// Names of the checkpoints of this kind, also of nodes.
+    /// Returns the names of the checkpoints of this kind, including those of nodes.
     fn checkpoints(&self, kind: &str) -> Vec<String> {
         fn below(folder: &Path, found: &mut Vec<String>) {
             for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
@@ -318,8 +322,8 @@ impl Beside {
     }
 }
 
-/// What came of live sensors had no end: each hangup left a leader behind that nothing could stop but the end of the process, and the
-/// checkpoint of the end was not written.
+/// The stream of live sensors has no end. A hangup must nevertheless stop the former leader and
+/// write its final checkpoint.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_identification_beside_live_sensors_begins_anew_and_ends_in_order() {
     for arguments in [&[][..], &["--standby"]] {
@@ -357,7 +361,7 @@ async fn an_identification_beside_live_sensors_begins_anew_and_ends_in_order() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn station_and_nodes_beside_live_sensors_end_in_order() {
-    // messages of the nodes come faster than the station waits for the last one
+    // Messages of the nodes arrive faster than the station's wait for the last one.
     let beside = Beside::start(Site::with(&distributed_storeys(12.5)), "alert").await;
     let (station, workers) = (beside.service("fuse", &[]), beside.service("identify", &[]));
     let sensors = beside.measure();

@@ -1,7 +1,8 @@
-//! The bench frame on a shake table: real records of two known states, and what may be believed of them.
+//! The bench frame on a shake table: real records of two known states, and the accuracy of their
+//! results.
 //!
-//! The records and the figures to expect stand in `shared/data/mini-shake-table` beside the repository, with source and
-//! licence; without that folder these tests say so and pass.
+//! The records and the expected figures are in `shared/data/mini-shake-table` next to the
+//! repository, with source and licence. Without that folder these tests print a message and pass.
 
 #![allow(
     clippy::unwrap_used,
@@ -22,7 +23,7 @@ use std::process::Command;
 
 const MOTIONS: [&str; 3] = ["sine1.0", "sine2.0", "northridge"];
 
-/// Nominal values of a state, and what the README of the records expects of it.
+/// Nominal values of a state, and the expectations in the README of the records.
 struct Frame {
     state: &'static str,
     masses_kg: [f64; 3],
@@ -72,7 +73,8 @@ fn structure(state: &str, changes: &[(&str, &str)]) -> Structure {
     Structure::parse(&text, &path).unwrap()
 }
 
-/// The frames of a record as the ingest service would make them: nothing is missing, all sensors share one clock.
+/// Returns the frames of a record as ingest would make them: no sample is missing, and all sensors
+/// share one clock.
 fn frames(structure: &Structure, motion: &str, state: &str) -> FrameBlock {
     let map = structure.record();
     let columns = structure
@@ -105,19 +107,20 @@ fn frames(structure: &Structure, motion: &str, state: &str) -> FrameBlock {
 }
 
 struct Outcome {
-    /// frames in motion: storey stiffnesses, N/m
+    /// Storey stiffnesses of the frames in motion (N/m).
     stiffnesses: Vec<[f64; 3]>,
-    /// frames in motion: first frequency of the identified model, Hz
+    /// First frequency of the identified model for the frames in motion (Hz).
     first_frequencies: Vec<f64>,
 }
 
-/// Normalised innovations of all frames: mean of νᵀS⁻¹ν/3, and share below the 95 % point of χ² with 3 degrees of freedom.
+/// Normalised innovations of all frames: mean of νᵀS⁻¹ν/3, and share below the 95 % point of χ²
+/// with 3 degrees of freedom.
 struct Innovations {
     misfit: f64,
     below_bound: f64,
 }
 
-/// 95 % point of χ² with 3 degrees of freedom (tables).
+/// 95 % point of χ² with 3 degrees of freedom (from tables).
 const CHI_SQUARED_95: f64 = 7.815;
 
 fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
@@ -160,7 +163,8 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
     outcome
 }
 
-/// The innovations of the filter alone: without what answers a wrong model, which would open the parameters again and again here.
+/// Returns the innovations of the filter alone, without the reaction to a wrong model, which would
+/// reopen the parameters repeatedly here.
 fn innovations(structure: &Structure, frame: &Frame, motion: &str) -> Innovations {
     let mut settings = structure.filter_settings().unwrap();
     settings.misfit = None;
@@ -303,7 +307,7 @@ fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
     }
 }
 
-/// Runs the built program and returns what it printed last, as JSON.
+/// Runs the built program and returns its last output as JSON.
 fn estimate(record: &str, baseline: &Path) -> Value {
     let output = Command::new(env!("CARGO_BIN_EXE_spandrel"))
         .arg("estimate")
@@ -337,7 +341,8 @@ fn baseline_of_the_stiff_frame_tells_strong_shaking_from_softer_walls() {
         .arg(example("stiff"))
         .arg("--output")
         .arg(&baseline);
-    // two records know next to nothing of the scatter between records: 5 % is what amplitude alone makes in this frame
+    // Two records contain little information on the scatter between records. Amplitude alone causes
+    // 5 % in this frame.
     learn.args(["--between-std", "0.05"]);
     for motion in ["sine1.0", "sine2.0"] {
         learn

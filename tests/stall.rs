@@ -1,4 +1,4 @@
-//! A reader that stalls holds up nobody and loses nothing without being told.
+//! A stalled reader does not delay the other processes, and is informed of every loss.
 
 #![allow(
     clippy::unwrap_used,
@@ -28,12 +28,13 @@ use support::{
     storeys, within,
 };
 
-/// How long the stalled reader stalls at least; longer than Zenoh waits before it closes a link that blocks (5 s).
+/// Minimum duration of the stall. Zenoh closes a blocked link after 5 s, which is shorter.
 const STALL: Duration = Duration::from_secs(8);
-/// Environment of the stalled reader: where to connect to, the structure, and how many frames there are.
+/// Environment variable of the stalled reader: the endpoint, the structure, and the number of
+/// frames.
 const STALLED_READER: &str = "STALLED_READER";
 
-/// Reads all frames: their number, when none is missing.
+/// Reads all frames. Returns their number if none is missing.
 async fn read_frames_to_end(stream: &Stream<FrameBlock>) -> u64 {
     let mut next = 0;
     loop {
@@ -59,13 +60,13 @@ async fn follow_frames(bus: &Bus, keys: &Keys, settings: StreamSettings) -> Stre
         .unwrap()
 }
 
-/// What a process of its own does in the test below: its link stalls from the first estimates on.
+/// Runs as a separate process of the test below. Its link stalls from the first estimates on.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "is started by the test below"]
 async fn stalled_reader() {
     static FIRST: Once = Once::new();
     let Ok(told) = std::env::var(STALLED_READER) else {
-        return; // all ignored tests were asked for
+        return; // a run of all ignored tests
     };
     let [endpoint, root, structure, output] = told.split(' ').collect::<Vec<_>>()[..] else {
         panic!("{STALLED_READER} is {told}");
@@ -82,7 +83,7 @@ async fn stalled_reader() {
     let stall = |_| {
         FIRST.call_once(|| {
             eprintln!("stalled");
-            std::thread::sleep(STALL); // the fault itself
+            std::thread::sleep(STALL); // the fault under test
             std::io::stdin()
                 .lock()
                 .read_line(&mut String::new())
@@ -118,7 +119,7 @@ async fn stalled_reader() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_that_stalls_holds_up_nobody_and_recovers_everything() {
-    // Less than the services keep, and far more than the buffers of a link hold.
+    // Less than the services store, and far more than the buffers of a link hold.
     let site = Site::with(&storeys(10, ""));
     let record = site.simulate(240.0);
     let expected = site.estimate(&record);
@@ -216,7 +217,8 @@ async fn a_reader_that_comes_after_more_than_is_kept_is_told_of_the_gap() {
         );
     };
     let kept = record.len() - gap.to as usize;
-    // alert has decided on all of them and kept that: the last 1,024 stay, and what was put within 15 s, up to 32,768
+    // `alert` has decided on all frames and stored the decisions. It keeps at least the last 1,024,
+    // and up to 32,768 of the last 15 s.
     let is_kept = (1_024..32_768 + 4_096).contains(&kept);
     assert!(
         gap.from == 0 && is_kept,
@@ -339,7 +341,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     );
     let sent = tokio::spawn(sensors.run(rows.map(Ok::<_, Infallible>), std::future::pending()));
 
-    // One after the other: the second stands still while the first is read.
+    // One after the other: the second waits while the first is read.
     assert_same_bits(
         "tiny queues",
         &expected.parameters,
@@ -352,7 +354,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
         "frames with tiny queues"
     );
     within("sensors that stop", sent).await.unwrap().unwrap();
-    // the queues were too small, and nothing was lost for that
+    // The queues were too small, but nothing was lost.
     for service in [Service::Ingest, Service::Identify, Service::Alert] {
         let drops = drops.when_done(service, record.len() as u64).await.drops;
         println!("{}: {drops:?}", service.as_str());

@@ -1,5 +1,8 @@
-//! Two identifications of the same structures: one leads, the other stands by and takes over. Readers get each estimate once, in terms
-//! that only rise, and to the bit those of `spandrel estimate`.
+//! Two identifications of the same structures: one leads, and the other is a standby that takes
+//! over.
+//!
+//! Readers receive each estimate once, in strictly increasing terms. The estimates are
+//! bit-identical to those of `spandrel estimate`.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,15 +27,15 @@ use support::{
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-/// What the requirement allows between two estimates where one takes over from the other.
+/// Maximum time between two estimates at a takeover, according to the requirement.
 const GAP: Duration = Duration::from_secs(3);
-/// Records are played ten times as fast as they were measured.
+/// Replay speed as a multiple of real time.
 const SPEED: &str = "10";
 
-/// An instance that has told nothing for so long is gone.
+/// Time without a status after which an instance counts as gone.
 const SILENT: Duration = Duration::from_secs(5);
 
-/// Structures around a router, with ingest and alert of their own processes.
+/// Structures around a router, with ingest and alert in separate processes.
 struct Town {
     sites: Vec<Site>,
     records: Vec<Record>,
@@ -112,8 +115,8 @@ impl Town {
         readers
     }
 
-    /// Waits until exactly these standings have been told of each structure since this call, each by an instance of its own, and
-    /// returns the id of the one that leads the first structure.
+    /// Waits until exactly these standings have been reported for each structure since this call,
+    /// each by a different instance. Returns the id of the leader of the first structure.
     async fn until_standing(&self, wanted: &[Standing]) -> String {
         let mut leader = String::new();
         for (site, statuses) in self.sites.iter().zip(&self.statuses).rev() {
@@ -124,7 +127,8 @@ impl Town {
                 loop {
                     let (_, status) = statuses.messages().recv_async().await.unwrap();
                     let Some(state) = status.state else { continue };
-                    // each instance tells once a second: one that is gone tells no more
+                    // Each instance publishes its status once a second. Drop those that have
+                    // stopped.
                     told.retain(|_, (_, _, heard)| heard.elapsed() < SILENT);
                     let times = told
                         .get(status.id.as_str())
@@ -151,7 +155,7 @@ impl Town {
         leader
     }
 
-    /// Waits for the end of all records, compares every estimate, and returns what the readers saw.
+    /// Waits for the end of all records, compares every estimate, and returns the readers.
     async fn finish(&self, replays: Vec<Process>, readers: Vec<JoinHandle<Reader>>) -> Vec<Reader> {
         for replay in replays {
             replay.wait().expect_code(0);
@@ -176,7 +180,7 @@ impl Town {
     }
 }
 
-/// What is done to the processes has to come before the records end.
+/// Checks that the records have not ended, so that the test affects processes in operation.
 fn assert_still_running(replays: &mut [Process]) {
     assert!(
         replays.iter_mut().all(|replay| !replay.has_ended()),
@@ -184,7 +188,7 @@ fn assert_still_running(replays: &mut [Process]) {
     );
 }
 
-/// A service of all structures as a client of the router.
+/// Returns a service of all structures as a client of the router.
 fn client(service: &str, sites: &[Site]) -> Command {
     let mut command = spandrel(service);
     command
@@ -200,12 +204,12 @@ fn client(service: &str, sites: &[Site]) -> Command {
     command
 }
 
-/// Reads the estimates of one structure, and notes in which terms they come and when.
+/// Reads the estimates of one structure, and notes their terms and times.
 struct Reader {
     stream: Stream<EstimateBlock>,
     of: String,
     frames: Vec<Identified>,
-    /// The term, the number of its first estimate here, and the time since the estimate before it.
+    /// Term, number of its first estimate here, and time since the preceding estimate.
     terms: Vec<(u64, u64, Duration)>,
     last: Instant,
 }
@@ -228,7 +232,7 @@ impl Reader {
         }
     }
 
-    /// Returns whether the stream goes on.
+    /// Reads a block. Returns `false` at the end of the stream.
     async fn read_block(&mut self) -> bool {
         let what = format!("estimates of {}, {} so far", self.of, self.frames.len());
         let delivery = within(&what, self.stream.deliveries().recv_async())
@@ -265,7 +269,7 @@ impl Reader {
         }
     }
 
-    /// Reads until an estimate comes in a term that is the `count`th.
+    /// Reads until the `count`th term.
     async fn read_terms(&mut self, count: usize) {
         while self.terms.len() < count {
             self.read_block().await;
@@ -280,7 +284,8 @@ impl Reader {
     }
 }
 
-/// Prints what came between the last estimate of one and the first one of the next, and checks it against the requirement.
+/// Prints the time between the last estimate of a leader and the first one of the next, and checks
+/// it against the requirement.
 fn check_gaps(what: &str, readers: &[Reader], takeovers: usize) {
     for reader in readers {
         let gaps: Vec<Duration> = reader
@@ -342,7 +347,7 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
     let readers = town.finish(replays, readers).await;
     check_gaps("killed", &readers, 1);
 
-    // the dead one has put something that comes late: of a lower term, it is refused
+    // Late messages of the terminated leader have a lower term and are rejected.
     let alert = drops.when_done(Service::Alert, 10_000).await;
     assert!(!alert.drops.contains_key("lost-items"), "{:?}", alert.drops);
     let mut late = EstimateBlock {
@@ -436,7 +441,7 @@ async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again(
     for reader in &mut readers {
         reader.read_frames(500).await;
     }
-    // whichever leads which structure: one is killed and comes again, then the other one is
+    // Whichever instance leads a structure: one is killed and restarted, then the other is killed.
     both[0].take().unwrap().kill();
     let again = town.identify(&["--standby"]);
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();

@@ -1,4 +1,5 @@
-//! The streaming path gives the numbers of `spandrel estimate`, to the bit: real processes, real Zenoh over TCP.
+//! The streaming path gives bit-identical results to `spandrel estimate`, with real processes and
+//! real Zenoh over TCP.
 
 #![allow(
     clippy::unwrap_used,
@@ -17,7 +18,8 @@ use support::{
     spandrel, two_storeys,
 };
 
-/// Replays a record to services that already run, and compares the estimates on the bus with those of the file.
+/// Replays a record to running services, and compares the estimates on the bus with those of the
+/// file.
 async fn assert_replay_gives_the_numbers_of_estimate(
     route: &str,
     site: &Site,
@@ -27,7 +29,7 @@ async fn assert_replay_gives_the_numbers_of_estimate(
     assert_runs_give_the_numbers_of_estimate(route, site, record, speed, 1).await;
 }
 
-/// As above for a record with holes that begin new runs of frames.
+/// Compares as above, for a record with gaps that start new runs of frames.
 async fn assert_runs_give_the_numbers_of_estimate(
     route: &str,
     site: &Site,
@@ -58,7 +60,8 @@ async fn assert_runs_give_the_numbers_of_estimate(
             service.as_str()
         );
     }
-    // Dropped, a session would block this thread while it closes, and with it whatever else runs in this task.
+    // If dropped, a session would block this thread while it closes, and with it all other work of
+    // this task.
     bus.close().await.unwrap();
 }
 
@@ -128,7 +131,8 @@ async fn a_record_with_gaps_and_missing_fields_gives_the_numbers_of_estimate() {
     assert_replay_gives_the_numbers_of_estimate("record with gaps", &site, &record, "max").await;
 }
 
-// A source used to wait for the frame after the hole before it put the one before: longer than its window, for ever.
+// A source must publish the frame before a gap without waiting for the frame after it, even if the
+// gap is longer than its window.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hole_longer_than_the_window_gives_the_numbers_of_estimate() {
     let site = Site::of(&five_storeys());
@@ -160,7 +164,8 @@ async fn a_hole_of_half_an_hour_begins_a_new_run_on_both_routes() {
     .await;
 }
 
-// Blocks used to have as many samples of each node: those of a slow one spanned more than the window.
+// Blocks of a slow node must not span more than the window, so they have fewer samples than those
+// of other nodes.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_far_slower_than_the_frames_gives_the_numbers_of_estimate() {
     let slow = "[[node]]\nname = \"tilt\"\nsampling-rate-hz = 1\n[[node.channel]]\nname = \"tilt\"\n\
@@ -213,7 +218,8 @@ async fn a_building_without_parameters_gives_the_numbers_of_estimate() {
     }
 }
 
-/// The tower of the documentation with 12 beams and lumped masses, which a test has time for.
+/// Returns the tower of the documentation with 12 beams and lumped masses, which is fast enough for
+/// a test.
 fn coarse_tower() -> String {
     let mut text = std::fs::read_to_string(five_storeys().with_file_name("tower.toml")).unwrap();
     for (from, to) in [
@@ -294,13 +300,14 @@ async fn two_structures_in_one_process_do_not_mix() {
     );
 }
 
-/// Means and standard deviations without their times.
+/// Returns means and standard deviations without their times.
 fn without_times(mut frames: Vec<Identified>) -> Vec<Identified> {
     frames.iter_mut().for_each(|frame| frame.time_ns = 0);
     frames
 }
 
-/// Runs services of their own, simulates to the bus for some seconds at full speed, and returns the estimates.
+/// Runs separate services, simulates to the bus for some seconds at full speed, and returns the
+/// estimates.
 async fn estimates_of_a_simulation(site: &Site, seconds: &str) -> Vec<Identified> {
     let _services = site.run();
     let bus = site.join().await;
@@ -379,7 +386,7 @@ fn demo_and_estimate_agree_on_the_same_simulation() {
     );
 }
 
-/// The demo is of today, the record starts at 0: the sentences name the time accordingly.
+/// Removes the times from the sentences: the demo starts today, the record at 0.
 fn forget_when(summary: &mut Value) {
     for alert in summary["alerts"].as_array_mut().unwrap() {
         let why = alert["why"].as_str().unwrap();

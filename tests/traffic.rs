@@ -1,10 +1,12 @@
-//! What a node that identifies for itself puts on the wire and takes off it, and what its raw samples would: the table of
-//! docs/distributed.md, which has to agree.
+//! Network traffic of a node that identifies its own parameters, compared with its raw samples.
 //!
-//! Payload is counted without a network in each run of the tests. The wire needs what [`Lab`] needs and eight minutes, and is ignored.
+//! The results must agree with the table of docs/distributed.md. Each run of the tests counts the
+//! payload without a network. The tests on the wire are ignored by default, because they need the
+//! same as [`Lab`] and eight minutes.
 //!
-//! The node is a computer of its own, a network namespace; all others run beside the station, so that the fusions are those of the
-//! whole structure. Nodes that identify for themselves have a part of the rate there: their messages are as long, and two cores can do
+//! The node is on its own computer, a network namespace. All other nodes run next to the station,
+//! so that the fusions are those of the whole structure. Nodes that identify their own parameters
+//! run at a fraction of the rate there. Their messages have the same length, and two cores can run
 //! all of them.
 
 #![allow(
@@ -30,26 +32,30 @@ use std::time::Duration;
 use support::{Lab, Process, spandrel};
 use tokio::time::{Instant, sleep};
 
-/// What comes before is start-up (s).
+/// Duration of the start-up, which is not counted (s).
 const WARM_UP_S: f64 = 10.0;
-/// What is counted (s).
+/// Duration of the count (s).
 const COUNTED_S: f64 = 30.0;
 
-/// Payload is that of the table within this share: the numbers of messages, with more digits, and times take a few bytes.
+/// Allowed relative difference of the payload from the table: sequence numbers with more digits and
+/// times take a few bytes.
 const PAYLOAD_WITHIN: f64 = 0.01;
-/// And bytes on the wire within this one: acknowledgements and keep-alives come as the machine has time for them.
+/// Allowed relative difference of the bytes on the wire: the times of acknowledgements and
+/// keep-alives depend on the load of the machine.
 const WIRE_WITHIN: f64 = 0.05;
 
-/// An example with a node, the published number of modes, and the published share of the raw samples.
+/// An example with a node, the published number of modes, and the published share of the raw
+/// samples.
 struct Example {
     name: &'static str,
     file: &'static str,
     node: &'static str,
     modes: usize,
     published: f64,
-    /// on the wire nodes that identify for themselves have this part of the rate; ten instants have to divide their samples of a second
+    /// Fraction of the rate of identifying nodes on the wire. The number of samples per second must
+    /// be divisible by ten.
     part: f64,
-    /// samples of each channel that nodes tell one another in a second
+    /// Samples of each channel that nodes exchange per second.
     told: &'static [usize],
 }
 
@@ -80,7 +86,8 @@ impl Example {
         std::fs::read_to_string(path).unwrap()
     }
 
-    /// What nodes may exchange: its row of the table, and the structure file that asks for it.
+    /// Returns the variants of exchange: the row of the table, and the structure file that requests
+    /// it.
     fn exchanges(&self) -> Vec<(String, String)> {
         let Self { name, modes, .. } = self;
         let of_modes = format!("motion = \"modes\"\nmodes = {modes}");
@@ -115,7 +122,7 @@ impl Example {
     }
 }
 
-/// Bytes per second: payload and Ethernet frames, away from the node and to it.
+/// Traffic in bytes per second: payload and Ethernet frames, from the node and to it.
 #[derive(Debug, Default, Clone, Copy)]
 struct Traffic {
     payload_up: f64,
@@ -125,7 +132,7 @@ struct Traffic {
 }
 
 impl Traffic {
-    /// What a row of the table in docs/distributed.md says.
+    /// Returns the values of a row of the table in docs/distributed.md.
     fn documented(row: &str) -> Self {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/distributed.md");
         let text = std::fs::read_to_string(path).unwrap();
@@ -133,7 +140,7 @@ impl Traffic {
             .lines()
             .find(|line| line.starts_with(&format!("| {row} |")));
         let line = line.unwrap_or_else(|| panic!("docs/distributed.md has no row {row:?}"));
-        // what was not measured on the wire agrees with nothing
+        // A value that was not measured on the wire becomes NaN, which agrees with nothing.
         let number = |cell: &str| cell.trim().parse().unwrap_or(f64::NAN);
         let cells: Vec<f64> = line.split('|').skip(2).take(4).map(number).collect();
         Self {
@@ -163,7 +170,7 @@ impl Traffic {
     }
 }
 
-/// A difference of one byte per second is one of rounding.
+/// Checks a value against the table. A difference of one byte per second may come from rounding.
 fn assert_near(row: &str, what: &str, found: f64, documented: f64, within: f64) {
     let allowed = 1.0 + within * documented;
     assert!(
@@ -173,7 +180,8 @@ fn assert_near(row: &str, what: &str, found: f64, documented: f64, within: f64) 
     );
 }
 
-/// Numbers of a message of (6.13) to (6.20) over those of raw samples in a fusion period, as published.
+/// Checks the published shares: the number of values in a message of (6.13) to (6.20) relative to
+/// the raw samples of a fusion period.
 #[test]
 fn published_shares_are_those_of_the_numbers_in_a_message() {
     for (example, channels, rate_hz) in [(BUILDING, 2.0, 250.0), (BRIDGE, 2.0, 500.0)] {
@@ -185,7 +193,8 @@ fn published_shares_are_those_of_the_numbers_in_a_message() {
             "{}: {numbers}",
             example.name
         );
-        // the same share of payload in bytes: a message has a header, and so has each block of raw samples
+        // The same share of payload in bytes: messages and blocks of raw samples both have a
+        // header.
         let row = format!("{}: modes ({})", example.name, example.modes);
         let (sent, raw) = (
             Traffic::documented(&row),
@@ -214,7 +223,7 @@ fn payload_is_documented(example: &Example) {
     let structure = Structure::parse(&example.text(), Path::new(example.file)).unwrap();
     raw_payload(&structure, example.node).assert_payload(&example.raw_row());
     for (row, text) in example.exchanges() {
-        // messages are as long at a part of the rate
+        // Messages have the same length at a fraction of the rate.
         let text = slower(&text, example.part);
         let structure = Structure::parse(&text, Path::new(example.file))
             .unwrap_or_else(|error| panic!("{error}"));
@@ -227,11 +236,11 @@ fn payload_is_documented(example: &Example) {
     }
 }
 
-/// Times as they are today, so that they take as many bytes (ns).
+/// A time of the present, so that it takes as many bytes as real ones (ns).
 const NOW_NS: i64 = 1_763_730_000_000_000_000;
 const SECOND_NS: i64 = 1_000_000_000;
 
-/// The samples of a node of the structure, all 0, from a number on.
+/// Returns samples of a node of the structure, all 0, from a sequence number on.
 fn samples(structure: &Structure, node: &str, from: u64, count: u64) -> SampleBlock {
     let own = structure.of_node(node).unwrap();
     let (rate_hz, channels) = (own.sampling_rate_hz(), own.channel_count());
@@ -250,7 +259,8 @@ fn samples(structure: &Structure, node: &str, from: u64, count: u64) -> SampleBl
     }
 }
 
-/// The raw samples of a node in blocks of 50 ms, once their numbers have three bytes.
+/// Returns the payload of a node's raw samples in blocks of 50 ms, once their sequence numbers have
+/// three bytes.
 fn raw_payload(structure: &Structure, node: &str) -> Traffic {
     const FROM: u64 = 20_000;
     let rate_hz = structure.of_node(node).unwrap().sampling_rate_hz();
@@ -265,8 +275,9 @@ fn raw_payload(structure: &Structure, node: &str) -> Traffic {
     }
 }
 
-/// What is told of the motion as it is while the structure moves: samples of twenty deviations of the noise, whose units are an eighth of one or
-/// less, take two bytes where those of a structure at rest take one.
+/// Returns the exchanged motion as it is while the structure moves. Samples of twenty noise
+/// deviations take two bytes, because their unit is at most an eighth of a deviation. Samples of a
+/// structure at rest take one byte.
 fn moving(told: &ToldMotion, units: &[i16]) -> ToldMotion {
     const DEVIATIONS: f64 = 20.0;
     match told {
@@ -285,7 +296,8 @@ fn moving(told: &ToldMotion, units: &[i16]) -> ToldMotion {
     }
 }
 
-/// What a node sends and is sent once the station has heard all nodes in each of two periods, one a second.
+/// Returns the sent and received payload of a node once the station has received messages of all
+/// nodes in each of two periods of 1 s.
 fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
     const PERIODS: u64 = 2;
     let epoch = NOW_NS as u64;
@@ -360,7 +372,7 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
     traffic
 }
 
-/// A node and a station on computers of their own, and a session at the station.
+/// A node and a station on separate computers, and a session at the station.
 struct Line {
     lab: Lab,
     folder: tempfile::TempDir,
@@ -370,7 +382,7 @@ struct Line {
 }
 
 impl Line {
-    /// Computers `node` and `station`; none where namespaces cannot be made.
+    /// Creates the computers `node` and `station`. Returns `None` if namespaces cannot be created.
     fn new(text: &str) -> Option<Self> {
         let lab = Lab::or_skip(&["node", "station"], 1)?;
         let folder = tempfile::tempdir().unwrap();
@@ -412,7 +424,7 @@ impl Line {
         command
     }
 
-    /// A service that is waited for.
+    /// Starts a service and waits until it is ready.
     fn serve(&mut self, command: &mut Command) {
         let process = Process::start(command);
         process.wait_for_log("ready structures=1");
@@ -430,7 +442,7 @@ impl Line {
         format!("quic/{}:7447", self.lab.address("station"))
     }
 
-    /// A certificate: that of the station, or that of a node in a role.
+    /// Returns the path of a certificate: that of the station, or that of a node in a role.
     fn certificate(&self, role: &str, node: &str) -> PathBuf {
         let party = match role {
             "server" => "server.station".to_owned(),
@@ -448,10 +460,11 @@ impl Line {
         Bus::open(&config).await.unwrap()
     }
 
-    /// Workers and live sensors of these nodes.
+    /// Starts workers and live sensors of these nodes.
     fn start_nodes(&mut self, computer: &str, nodes: &[&str]) {
         const AT_NODE: &str = "tcp/127.0.0.1:7448";
-        // of several in one process the first shows its own: between peers roles do not count
+        // A process with several nodes shows the certificate of the first, because roles do not
+        // matter between peers.
         let certificate = self.certificate("node-worker", nodes[0]);
         let nodes: Vec<&str> = nodes.iter().flat_map(|node| ["--node", node]).collect();
         let mut worker = self.command(computer, "identify");
@@ -474,7 +487,7 @@ impl Line {
         self.processes.push(Process::start(&mut sensors));
     }
 
-    /// Bytes per second from the node and to it, for the next [`COUNTED_S`].
+    /// Returns the bytes per second from the node and to it, for the next [`COUNTED_S`].
     async fn watch_wire(&self) -> (f64, f64) {
         let (begun, before) = (Instant::now(), self.lab.bytes("node"));
         sleep(Duration::from_secs_f64(COUNTED_S)).await;
@@ -486,7 +499,7 @@ impl Line {
     }
 }
 
-/// The raw samples of a node, streamed to an ingest.
+/// Measures the raw samples of a node, streamed to an ingest.
 async fn raw(text: &str, node: &str) -> Option<Traffic> {
     let text = without_fusion(text).replacen("identification = \"distributed\"\n", "", 1);
     let mut line = Line::new(&text)?;
@@ -540,7 +553,8 @@ async fn raw(text: &str, node: &str) -> Option<Traffic> {
     })
 }
 
-/// Local estimates and answers of a node; also in how many of the fusions it and the others took part on average.
+/// Measures local estimates and replies of a node. Also returns the mean share of the fusions in
+/// which it and the others took part.
 async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
     let mut line = Line::new(text)?;
     let mut station = line.command("station", "fuse");
@@ -591,7 +605,7 @@ async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
         of_node.first().expect("a fusion"),
         of_node.last().expect("a fusion"),
     );
-    // one message a second
+    // One message per second.
     let messages = (last.messages - first.messages) as f64;
     let traffic = Traffic {
         payload_up: (last.bytes_received - first.bytes_received) as f64 / messages,
@@ -602,7 +616,7 @@ async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
     Some((traffic, used as f64 / of_node.len() as f64))
 }
 
-/// The text with a part of the sampling rate.
+/// Returns the text with a fraction of the sampling rate.
 fn slower(text: &str, part: f64) -> String {
     let line = text
         .lines()
@@ -616,7 +630,7 @@ fn slower(text: &str, part: f64) -> String {
     text.replacen(line, &format!("sampling-rate-hz = {}", rate_hz / part), 1)
 }
 
-/// The text of an example without its `[fusion]`.
+/// Returns the text of an example without its `[fusion]`.
 fn without_fusion(text: &str) -> String {
     let (start, end) = (
         text.find("[fusion]").unwrap(),
@@ -671,8 +685,9 @@ async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
     }
     for (row, of, nodes) in &measured {
         let documented = Traffic::documented(row);
-        // samples take fewer bytes where they are small, and an answer is shorter by what a node that was not heard, or not at the
-        // same instant, would have had in it: the wire is compared for the payload that there was
+        // Small samples take fewer bytes. A reply is shorter without the data of a node whose
+        // message was missing or from another time. The documented bytes on the wire are therefore
+        // adjusted to the actual payload.
         let expected_up = documented.wire_up - documented.payload_up + of.payload_up;
         let expected_down = documented.wire_down - documented.payload_down + of.payload_down;
         assert_near(row, "wire up", of.wire_up, expected_up, WIRE_WITHIN);

@@ -1,9 +1,11 @@
-//! This version takes over what earlier versions have left on disk: checkpoints, a recording and a history. They are kept under
-//! fixtures/kept, one folder for each version.
+//! This version takes over the files of earlier versions: checkpoints, a recording and a history.
+//! The folder fixtures/kept contains one folder per version.
 //!
-//! Checkpoints of identify are an exception: one of another layout is set aside, and identify reads the recording again.
+//! Checkpoints of `identify` are an exception: one with another layout is set aside, and `identify`
+//! reads the recording again.
 //!
-//! `cargo test --workspace --test upgrade -- --ignored` adds the folder of this version, with a release.
+//! For a release, `cargo test --workspace --test upgrade -- --ignored` adds the folder of this
+//! version.
 
 #![allow(
     clippy::unwrap_used,
@@ -25,24 +27,26 @@ use support::{
     within,
 };
 
-/// First chunk of all keys: recording and history name it.
+/// First chunk of all keys, which recording and history contain.
 const ROOT: &str = "kept";
-/// Rows that the earlier version has seen, and rows of the record.
+/// Number of rows that the earlier version has processed, and of the record.
 const SEEN: usize = 800;
 const ROWS: usize = 1200;
-/// Storey 2 has lost 30 % from the start.
+/// Rules, with a loss of 30 % in storey 2 from the start.
 const RULES: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n\
                      [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.30\n";
-/// Version 0.1.0 took the design as exact where a rule gave no reference; now such a rule learns it.
+/// Reference of version 0.1.0 for a rule that gives none: the design, taken as exact. Now such a
+/// rule learns its reference.
 const DESIGN_AS_EXACT: &str = "reference = { mean = 1.0, std = 0.0 }\n";
-/// Deviation of an estimate that other processors may round to (ratio of a stiffness; the estimates have some 0.01).
+/// Allowed rounding difference of an estimate on other processors (ratio of a stiffness). The
+/// deviation of the estimates is about 0.01.
 const ROUNDED: f64 = 1e-6;
 
 fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/kept")
 }
 
-/// The folders of earlier versions, and of this one.
+/// Returns the folders of all versions, including this one.
 fn versions() -> Vec<PathBuf> {
     let entries = std::fs::read_dir(fixtures())
         .unwrap()
@@ -64,23 +68,25 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// What one version has left, in a folder that may be written to.
+/// A writable copy of the files of one version.
 struct Kept {
     site: Site,
     state: PathBuf,
     record: Record,
     known: Value,
-    /// Whether the state of its filter can go on: that of 0.1.0 cannot, because the filter is another method now.
+    /// Whether the state of its filter can be resumed. That of 0.1.0 cannot, because the filter now
+    /// uses another method.
     is_filter_read: bool,
 }
 
 impl Kept {
-    /// With its structure file.
+    /// Opens the files of a version with its structure file.
     fn of(version: &Path) -> Self {
         Self::with(version, Site::of(&version.join("structure.toml")))
     }
 
-    /// With its structure file, in which a rule without a reference gets the one that it had before.
+    /// Opens the files of a version with its structure file, and gives rules without a reference
+    /// the one that they had in 0.1.0.
     fn with_reference(version: &Path) -> Self {
         let text = std::fs::read_to_string(version.join("structure.toml")).unwrap();
         let given = text.replace("loss = 0.05\n", &format!("loss = 0.05\n{DESIGN_AS_EXACT}"));
@@ -120,7 +126,7 @@ impl Kept {
             .join("house/checkpoints")
     }
 
-    /// The epoch of its frames, by the name of a checkpoint.
+    /// Returns the epoch of its frames, from the name of a checkpoint.
     fn epoch(&self) -> u64 {
         let entries = std::fs::read_dir(self.checkpoints()).unwrap();
         let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -154,7 +160,7 @@ fn run(site: &Site, state: &Path) -> Process {
     services
 }
 
-/// How the alert of storey 2 stands.
+/// Returns the state of the alert of storey 2.
 async fn alert_of_storey_2(bus: &Bus, site: &Site) -> AlertMessage {
     let key = site.keys().alert(&Name::new("storey-2").unwrap());
     within("the alert of storey 2", async {
@@ -167,7 +173,7 @@ async fn alert_of_storey_2(bus: &Bus, site: &Site) -> AlertMessage {
     .await
 }
 
-/// All displayed values of storey 2, once the last of them is at `until_s`.
+/// Returns all displayed values of storey 2 once the last of them is at `until_s`.
 async fn history_of_storey_2(bus: &Bus, site: &Site, until_s: f64) -> HistorySpan {
     let key = format!(
         "{}?points=20000",
@@ -187,7 +193,7 @@ async fn history_of_storey_2(bus: &Bus, site: &Site, until_s: f64) -> HistorySpa
     .await
 }
 
-/// The largest difference of means and standard deviations.
+/// Returns the largest difference of means and standard deviations.
 fn difference(expected: &[Identified], found: &[Identified]) -> f64 {
     assert_eq!(expected.len(), found.len(), "frames");
     let of = |(a, b): (&Identified, &Identified)| {
@@ -202,7 +208,8 @@ fn difference(expected: &[Identified], found: &[Identified]) -> f64 {
     expected.iter().zip(found).map(of).fold(0.0, f64::max)
 }
 
-/// Checks every field of a message that an earlier version has published; fields that it did not have are not looked at.
+/// Checks every field of a message that an earlier version has published. Fields that it did not
+/// have are ignored.
 fn assert_as_known(found: &AlertMessage, known: &Value) {
     let found = serde_json::to_value(found).unwrap();
     for (field, expected) in known.as_object().unwrap() {
@@ -210,7 +217,7 @@ fn assert_as_known(found: &AlertMessage, known: &Value) {
     }
 }
 
-/// The changes that the alert service remembers of storey 2, oldest first.
+/// Returns the changes of storey 2 that the alert service stores, oldest first.
 async fn log_of_storey_2(bus: &Bus, site: &Site) -> Vec<AlertMessage> {
     let logs = bus
         .ask::<HistoryLog>(&site.keys().alert_log(), DEADLINE)
@@ -253,7 +260,7 @@ async fn services_go_on_from_what_each_version_has_left() {
         assert!(log.contains(&format!("frame={SEEN}")), "{log}");
         let (bus, keys) = (kept.site.join().await, kept.site.keys());
 
-        // the alert: who has acknowledged it, and since when
+        // The alert: its acknowledgement and its start time.
         let alert = alert_of_storey_2(&bus, &kept.site).await;
         assert_as_known(&alert, &kept.known["alert"]);
         let changes = log_of_storey_2(&bus, &kept.site).await;
@@ -266,7 +273,7 @@ async fn services_go_on_from_what_each_version_has_left() {
             ],
             "{changes:?}"
         );
-        // the history: what was displayed, and what happened
+        // The history: displayed values and events.
         let span = history_of_storey_2(&bus, &kept.site, 7.0).await;
         assert_eq!(
             serde_json::to_value(&span).unwrap(),
@@ -286,7 +293,8 @@ async fn services_go_on_from_what_each_version_has_left() {
             "{log:?}"
         );
 
-        // the identification: the rest of the record on top of what was learnt, or of what the recording teaches
+        // The identification continues from the stored state, or from the result of reading the
+        // recording again.
         let first = if kept.is_filter_read { SEEN } else { 0 };
         let start = Start::At {
             epoch,
@@ -309,7 +317,7 @@ async fn services_go_on_from_what_each_version_has_left() {
             "frames {first} to {ROWS} are identified with a difference of {off}"
         );
 
-        // and the alert stands on top of it
+        // The alert continues as well.
         within(
             "decision on all frames",
             decided.wait_for(|progress| progress.done >= ROWS as u64),
@@ -325,7 +333,7 @@ async fn services_go_on_from_what_each_version_has_left() {
             serde_json::to_value(alert.since_ns).unwrap(),
             kept.known["alert"]["since_ns"]
         );
-        // frames that are identified again do not change what the history has of them
+        // Frames that are identified again do not change their entries in the history.
         let span = serde_json::to_value(history_of_storey_2(&bus, &kept.site, 11.0).await).unwrap();
         for (column, before) in kept.known["history"]["rows"].as_object().unwrap() {
             let before = before.as_array().unwrap();
@@ -339,7 +347,7 @@ async fn services_go_on_from_what_each_version_has_left() {
     }
 }
 
-// A rule without a reference counted from the design in 0.1.0, and learns its reference now.
+// A rule without a reference was relative to the design in 0.1.0. It now learns its reference.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
     let kept = Kept::of(&fixtures().join("0.1.0"));
@@ -356,9 +364,10 @@ async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
     assert_as_known(&changes[2], &kept.known["alert"]);
     assert_eq!(
         changes[3].why,
-        "alert of storey-2 has ended: what the loss counts from is learnt anew, because its rule or the model has changed"
+        "alert of storey-2 has ended: its reference is being learnt again because the rule or the \
+         model changed"
     );
-    // whoever was away learns of the end from the history
+    // A client that was absent finds the end of the alert in the history.
     let keys = kept.site.keys();
     within("the end in the history", async {
         loop {
@@ -414,7 +423,7 @@ async fn the_recording_of_each_version_holds_what_was_measured() {
     }
 }
 
-// A rollback: what a later version has written is not misread, and not lost either.
+// After a rollback, the files of a later version must be neither misread nor lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_again() {
     let kept = Kept::of(versions().last().unwrap());
@@ -478,7 +487,7 @@ async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_aga
     services.stop().expect_code(0);
 }
 
-/// The state of this version, for those that come.
+/// Writes the state of this version for later versions.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "adds a folder to tests/fixtures/kept, once for each release"]
 async fn write_what_this_version_leaves() {

@@ -5,12 +5,13 @@ use crate::table::Table;
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair, date_time_ymd};
 use std::path::Path;
 
-/// Code of bad usage and bad input.
+/// Exit code of bad usage and bad input.
 const BAD_INPUT: i32 = 2;
-/// Code of what may go at the next attempt: a clock that is not set yet makes a certificate look as if it were of another time.
+/// Exit code of an error that may disappear on a retry. For example, a certificate seems invalid
+/// while the clock is not yet set.
 const FAILED: i32 = 1;
 
-/// Writes a certificate for `viewer.ada` of an authority, and its key.
+/// Writes a certificate for `viewer.ada` from an authority, and its key.
 fn write_certificate(folder: &Path, name: &str, issuer: &Issuer<'_, KeyPair>, years: (i32, i32)) {
     let key = KeyPair::generate().unwrap();
     let mut params = CertificateParams::default();
@@ -27,7 +28,7 @@ fn write_certificate(folder: &Path, name: &str, issuer: &Issuer<'_, KeyPair>, ye
     std::fs::write(folder.join(name).with_extension("key"), key.serialize_pem()).unwrap();
 }
 
-/// Without the number of days, which grows.
+/// Removes the number of days, which grows.
 fn undated(finished: Finished) -> Finished {
     let stderr = match finished.stderr.split_once(" days ago") {
         Some((before, after)) => format!(

@@ -1,14 +1,14 @@
-//! Files and arguments that a command reads before it does anything.
+//! Files and arguments that a command checks before it does anything.
 
 use crate::support::{Finished, Process, spandrel, two_storeys};
 use crate::table::Table;
 use std::path::Path;
 use std::process::Command;
 
-/// Code of bad usage and bad input.
+/// Exit code of bad usage and bad input.
 const BAD_INPUT: i32 = 2;
 
-/// A command in a folder, so that messages name files as they were given.
+/// Returns a command that runs in a folder, so that messages contain the file names as given.
 fn command(folder: &Path, subcommand: &str) -> Command {
     let mut command = spandrel(subcommand);
     command.current_dir(folder);
@@ -23,14 +23,14 @@ fn parts(told: &[&str]) -> Vec<String> {
     told.iter().map(|part| (*part).to_owned()).collect()
 }
 
-/// The text of the building with one part of it replaced.
+/// Returns the text of the building with one part of it replaced.
 fn building_with(old: &str, new: &str) -> String {
     let structure = two_storeys("");
     assert!(structure.contains(old), "the building has no {old}");
     structure.replacen(old, new, 1)
 }
 
-/// A mistake in a structure file: what is replaced by what, and what the error names.
+/// A mistake in a structure file: the old text, the new text, and what the error names.
 type Mistake = (
     &'static str,
     &'static str,
@@ -162,7 +162,7 @@ pub fn structure_files(table: &mut Table) {
     let check = |name: &str| finish(command(folder.path(), "check").arg(name));
     for (given, old, new, told) in MISTAKES {
         let text = building_with(old, new);
-        // the mistake is on the last line of what is new
+        // The mistake is on the last line of the new text.
         let from = two_storeys("").find(old).unwrap();
         let line = text[..from].lines().count().max(1)
             + new.trim_end().matches('\n').count()
@@ -202,7 +202,7 @@ pub fn structure_files(table: &mut Table) {
     );
 }
 
-/// A mistake in a configuration file, and what the error names.
+/// Mistakes in a configuration file, and what the error names.
 const MISCONFIGURED: [(&str, &str, &[&str]); 18] = [
     (
         "an unknown key",
@@ -237,7 +237,7 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 18] = [
     (
         "a negative time to connect",
         "[bus]\nconnect_timeout_s = -1\n",
-        &["bus.connect_timeout_s", "-1", "from 0 s"],
+        &["bus.connect_timeout_s", "-1", "at least 0 s"],
     ),
     (
         "no endpoint",
@@ -326,7 +326,7 @@ pub fn configurations(table: &mut Table) {
     }
 }
 
-/// Arguments, the code they end with, and what the error names.
+/// Bad arguments, and what the error names.
 const MISUSED: [(&[&str], &[&str]); 9] = [
     (&["fly"], &["fly"]),
     (&["run"], &["no structure"]),
@@ -342,7 +342,7 @@ const MISUSED: [(&[&str], &[&str]); 9] = [
     (&["simulate", "house.toml", "--duration", "-1"], &["-1"]),
     (
         &["simulate", "house.toml", "--record", "house.toml"],
-        &["house.toml", "would be written over"],
+        &["house.toml", "would be overwritten"],
     ),
     (
         &[
@@ -384,7 +384,7 @@ pub fn arguments(table: &mut Table) {
     }
 }
 
-/// A text with one line changed, counted from 1.
+/// Returns a text with one line changed, counted from 1.
 fn with_line(text: &str, number: usize, change: impl Fn(&str) -> String) -> String {
     let lines = (1..).zip(text.lines()).map(|(at, line)| {
         if at == number {
@@ -475,7 +475,7 @@ pub fn records(table: &mut Table) {
         (
             "an empty file",
             String::new(),
-            &["rec.csv", "no known format", "miniSEED"],
+            &["rec.csv", "unknown format", "miniSEED"],
         ),
     ];
     for (given, text, told) in tables {
@@ -492,7 +492,8 @@ pub fn records(table: &mut Table) {
     }
 }
 
-/// A damaged recording of each format that is not a table: what it is, its name, its bytes, and what the error names.
+/// Returns a damaged recording of each non-tabular format: description, name, bytes, and what the
+/// error names.
 fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'static [&'static str])> {
     let seed = |name: &str| {
         let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/recording");
@@ -593,7 +594,7 @@ fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'stati
             "random bytes",
             "random.bin".into(),
             random,
-            &["no known format", "miniSEED"],
+            &["unknown format", "miniSEED"],
         ),
     ]
 }

@@ -1,14 +1,15 @@
-//! Checkpoints and recordings on disk: what cannot be read is set aside under another name, and the services start from the rest.
+//! Checkpoints and recordings on disk: unreadable files are set aside under another name, and the
+//! services start from the rest.
 
 use crate::support::{Process, Site, two_storeys};
 use crate::table::{Table, code};
 use spandrel_checkpoint::{Checkpoints, Identity, Place};
 use std::path::{Path, PathBuf};
 
-/// With rules there is an alert service that remembers.
+/// Rules, so that an alert service with checkpoints runs.
 const RULES: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.5\n";
 
-/// The files in a folder whose names begin so, in the order of their names.
+/// Returns the files in a folder whose names begin with `beginning`, in the order of their names.
 fn files(folder: &Path, beginning: &str) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder)
         .unwrap()
@@ -34,7 +35,7 @@ fn identity(version: u16, of: &str) -> Identity {
     }
 }
 
-/// The line of a log that names this file, from `field` on.
+/// Returns the line of a log that names this file, from `field` on.
 fn told_of(log: &str, file: &str, field: &str) -> String {
     let line = log
         .lines()
@@ -72,7 +73,7 @@ pub async fn all(table: &mut Table) {
     let sound = std::fs::read(files(&checkpoints, "identify-").last().unwrap()).unwrap();
     let mut turned = sound.clone();
     turned[sound.len() / 2] ^= 1;
-    // identify begins with the oldest that it can read, so that these come before the sound one
+    // `identify` starts with the oldest readable checkpoint, so these come before the sound one.
     let place = |sequence| Place { epoch: 0, sequence };
     let path =
         |sequence: u64| checkpoints.join(format!("identify-{:020}-{sequence:020}.checkpoint", 0));
@@ -139,7 +140,7 @@ pub async fn all(table: &mut Table) {
             given,
             &expected,
             &observed,
-            is_aside && observed.contains(told) && log.contains("goes on from its checkpoint"),
+            is_aside && observed.contains(told) && log.contains("resumed from its checkpoint"),
         );
     }
     let name = format!("alert-{:020}-{:020}.checkpoint", last.epoch, last.sequence);
@@ -182,7 +183,7 @@ pub async fn all(table: &mut Table) {
     );
     services.stop().expect_code(0);
 
-    // another sensor layout under the same name: what was recorded must not be mixed with it
+    // Another sensor layout under the same name: its samples must not be mixed with the recording.
     let other = two_storeys(RULES).replace("name = \"roof-velocity\"", "name = \"roof-speed\"");
     std::fs::write(site.structure_file(), other).unwrap();
     let mut command = site.listening("run");

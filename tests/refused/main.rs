@@ -1,6 +1,7 @@
-//! What bad input does: each kind of it, through the built binary or services that run.
+//! Effects of bad input of every kind, on the built binary or on running services.
 //!
-//! The table of docs/reliability.md is what this test has seen; `UPDATE_DOCS=1 cargo test --workspace --test refused` writes it anew.
+//! The test compares its results with the table of docs/reliability.md. To rewrite the table, run
+//! `UPDATE_DOCS=1 cargo test --workspace --test refused`.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,4 +1,5 @@
-//! Messages on the topics of services that run, among sound ones: what is wrong is dropped and counted, and nothing else changes.
+//! Wrong messages on the topics of running services, among sound ones: they are dropped and
+//! counted, and nothing else changes.
 
 use crate::support::{
     DEADLINE, Drops, EstimateReader, Process, Sensors, Site, assert_same_bits, put_raw,
@@ -11,12 +12,12 @@ use spandrel_bus::{
 };
 use std::collections::BTreeMap;
 
-/// Rows of the record; what is wrong comes after the first [`BEFORE`].
+/// Number of rows of the record. Wrong messages come after the first [`BEFORE`].
 const ROWS: usize = 600;
 const BEFORE: usize = 300;
 const SAMPLES: &str = "application/postcard;spandrel.samples.v1";
 
-/// Services that run, sound sensors, and what is counted.
+/// Running services, sound sensors, and the published counts.
 struct Running {
     site: Site,
     keys: Keys,
@@ -54,7 +55,7 @@ impl Running {
         }
     }
 
-    /// The block that `floor-1` will put next.
+    /// Returns the block that `floor-1` will publish next.
     fn next_block(&mut self) -> SampleBlock {
         let record = self.sensors.record().clone();
         self.sensors
@@ -62,7 +63,8 @@ impl Running {
             .block(&record, BEFORE..BEFORE + 100)
     }
 
-    /// Waits until a service has counted more under a reason than before; returns how many more, 0 after the deadline.
+    /// Waits until a count of a service has increased. Returns the increase, or 0 after the
+    /// deadline.
     async fn more_of(&mut self, service: &str, reason: &str) -> u64 {
         let key = (service.to_owned(), reason.to_owned());
         let before = self.counted.get(&key).copied().unwrap_or(0);
@@ -82,7 +84,7 @@ impl Running {
         count - before
     }
 
-    /// Adds what was put, which a service has to count `expected` times under a reason.
+    /// Adds a published message that a service must count `expected` times under a reason.
     async fn add(
         &mut self,
         table: &mut Table,
@@ -115,7 +117,7 @@ pub async fn all(table: &mut Table) {
     table.section("Queries");
     queries(table, &running).await;
 
-    // what was not lost is identified as if nothing had happened
+    // All samples that were not lost are identified as if nothing had happened.
     running.sensors.put(lost.end..ROWS).await;
     let mut equivalent = running.sensors.record().clone();
     let expected = running
@@ -246,13 +248,13 @@ async fn samples(table: &mut Table, running: &mut Running) {
     }
 }
 
-/// What is wrong with a block.
+/// A change that makes a block wrong.
 type Change<'a> = &'a dyn Fn(&mut SampleBlock);
 
-/// Samples of `floor-1` that no frame can use; returns the rows that are lost.
+/// Publishes samples of `floor-1` that no frame can use. Returns the lost rows.
 async fn values(table: &mut Table, running: &mut Running) -> std::ops::Range<usize> {
     let mut row = BEFORE;
-    // as many rows as this for each; the other nodes are sound
+    // The number of rows for each kind. The other nodes are sound.
     const EACH: usize = 10;
     let kinds: [(&str, Change<'_>, (&str, u64)); 4] = [
         (
@@ -295,7 +297,7 @@ async fn values(table: &mut Table, running: &mut Running) -> std::ops::Range<usi
         row += EACH;
         running.add(table, given, ("ingest", reason, count)).await;
     }
-    // a block that comes again after the next one
+    // A block that is repeated after the next one.
     let again = {
         let record = running.sensors.record().clone();
         running
@@ -332,7 +334,7 @@ async fn values(table: &mut Table, running: &mut Running) -> std::ops::Range<usi
             ("ingest", "duplicate-items", 10),
         )
         .await;
-    // a clock that was set forward, and back again
+    // A clock that was set forward and then back.
     running
         .sensors
         .put_changed("floor-1", row..row + EACH, |block| {
@@ -431,7 +433,7 @@ async fn frames(table: &mut Table, running: &mut Running) {
         .await;
 }
 
-/// Last of all: the reader of this test would believe an epoch that alert does not.
+/// Runs last, because the reader of this test would accept an epoch that `alert` rejects.
 async fn estimates(table: &mut Table, running: &mut Running) {
     table.section("Messages on `estimates` of a later life");
     let block = EstimateBlock {
@@ -464,7 +466,7 @@ async fn estimates(table: &mut Table, running: &mut Running) {
             ("alert", "estimates-of-another-structure", 1),
         )
         .await;
-    // nothing is ended by it
+    // The message does not end anything.
     let drops = Drops::watch(&running.bus, &running.keys).await;
     let status = drops.when_done(Service::Alert, 0).await;
     assert_eq!(status.restarts, 0, "{status:?}");
@@ -551,7 +553,7 @@ async fn json(table: &mut Table, running: &mut Running) {
     }
 }
 
-/// Questions that cannot be answered are, with what is wrong.
+/// Sends invalid queries, which must be answered with the reason.
 async fn queries(table: &mut Table, running: &Running) {
     let of_history = running.keys.history(&name("storey-1"));
     for (given, selector, told) in [

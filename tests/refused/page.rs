@@ -7,7 +7,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use tokio_tungstenite::tungstenite::Message;
 
-/// A page that is served, with its process.
+/// A served page with its process.
 struct Page {
     _process: Process,
     address: String,
@@ -33,13 +33,14 @@ impl Page {
         }
     }
 
-    /// Sends bytes, and returns the status of the answer with what it says; a connection that is closed without a word is `closed`.
+    /// Sends bytes, and returns the status and text of the reply, or `closed` if the connection
+    /// closes without a reply.
     fn send(&self, request: &[u8]) -> String {
         let mut stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(DEADLINE)).unwrap();
-        let _ = stream.write_all(request); // an answer may come before all has been sent
+        let _ = stream.write_all(request); // a reply may precede the last byte
         let mut answer = Vec::new();
-        let _ = stream.read_to_end(&mut answer); // what came before a reset counts
+        let _ = stream.read_to_end(&mut answer); // data before a reset counts
         let answer = String::from_utf8_lossy(&answer).into_owned();
         let Some(status) = answer
             .strip_prefix("HTTP/1.1 ")
@@ -73,13 +74,14 @@ impl Page {
         self.send(format!("{head}{headers}\r\n{body}").as_bytes())
     }
 
-    /// Whether the page still answers.
+    /// Returns `true` if the page still answers.
     fn is_alive(&self) -> bool {
         self.request("GET", "/health/live", "", "")
             .starts_with("200")
     }
 
-    /// Adds a request whose answer must begin with a status and name `told`; the page has to answer the next one.
+    /// Adds a request whose reply must begin with a status and contain `told`. The page must answer
+    /// the next request.
     fn add(&self, table: &mut Table, given: &str, (status, told): (&str, &[&str]), observed: &str) {
         let is_told = told.iter().all(|part| observed.contains(part));
         let named: Vec<String> = told.iter().map(|part| code(part)).collect();
@@ -93,7 +95,7 @@ impl Page {
     }
 }
 
-/// What is asked: what it is, method, path, headers, body; and the status of the answer with what it names.
+/// A request: description; method, path, headers and body; status of the reply and what it names.
 type Asked<'a> = (&'a str, [&'a str; 4], (&'a str, &'a [&'a str]));
 
 pub async fn all(table: &mut Table) {
@@ -306,7 +308,8 @@ async fn sockets(table: &mut Table, page: &Page) {
     }
 }
 
-/// Sends a message on a socket of its own: whether messages go on to come after it, or the socket is closed.
+/// Sends a message on a separate socket. Returns whether further messages follow, or whether the
+/// socket is closed.
 async fn answer_to(page: &Page, message: Message) -> String {
     let address = format!("ws://{}/api/live?structure=house", page.address);
     let (mut socket, _) = tokio_tungstenite::connect_async(address).await.unwrap();
@@ -315,7 +318,7 @@ async fn answer_to(page: &Page, message: Message) -> String {
         .unwrap()
         .unwrap();
     socket.send(message).await.unwrap();
-    // what the server reads in its order: after the answer to a ping it has read what came before
+    // The server reads in order: a reply to a ping shows that it has read the preceding messages.
     let pinged = socket.send(Message::Ping("behind it".into())).await;
     let goes_on = within("a pong or the end", async {
         loop {
@@ -404,7 +407,7 @@ fn with_tokens(table: &mut Table, site: &Site) {
     let answers: Vec<String> = (0..10)
         .map(|_| page.request("GET", "/api/structures", &wrong, ""))
         .collect();
-    // how long to wait depends on how fast the others were
+    // The waiting time depends on the speed of the other requests.
     let last = answers[9].split(", must wait").next().unwrap();
     page.add(
         table,

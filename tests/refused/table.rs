@@ -1,13 +1,13 @@
-//! The table of docs/reliability.md: what was given, what is expected of it, and what was seen.
+//! The table of docs/reliability.md: the inputs, their expected effects and their observed effects.
 
 use crate::support::Finished;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Between these lines of the page stands the table.
+/// Lines of the page that enclose the table.
 const BEGIN: &str = "<!-- table: written by the test of tests/refused -->\n";
 const END: &str = "<!-- end of the table -->\n";
-/// Longest text that is shown of what was said (characters).
+/// Maximum length of a shown text (characters).
 const LONGEST: usize = 240;
 
 /// All bad inputs that were tried.
@@ -27,7 +27,7 @@ impl Table {
         );
     }
 
-    /// Adds an input; `is_right` says whether what was observed is what was expected.
+    /// Adds an input. `is_right` states whether the observed effect is the expected one.
     pub fn add(&mut self, given: &str, expected: &str, observed: &str, is_right: bool) {
         let observed = one_line(observed);
         self.rows += 1;
@@ -45,7 +45,7 @@ impl Table {
         }
     }
 
-    /// Adds an input by which a command ends: with which code, and what its error names.
+    /// Adds an input that ends a command, with its exit code and what its error names.
     pub fn add_ended(
         &mut self,
         given: &str,
@@ -69,7 +69,8 @@ impl Table {
         );
     }
 
-    /// Fails if anything was not as expected; then compares with the page, or writes it.
+    /// Fails if any effect differs from the expected one. Then compares the table with the page, or
+    /// writes it.
     pub fn compare_with_the_page(&self, least: usize) {
         assert!(self.wrong.is_empty(), "\n{}", self.wrong);
         assert!(
@@ -97,7 +98,7 @@ impl Table {
     }
 }
 
-/// The error of a program and its causes, without what comes behind.
+/// Returns the error of a program with its causes, without the text that follows.
 fn said(stderr: &str) -> String {
     let from = stderr
         .find("error: ")
@@ -116,7 +117,7 @@ fn one_line(text: &str) -> String {
     }
 }
 
-/// As code in a cell, also where the text has accents of code itself.
+/// Formats a text as inline code in a table cell, even if it contains backticks.
 pub fn code(text: &str) -> String {
     let text = text.replace('|', "\\|");
     if text.contains('`') {

@@ -1,8 +1,10 @@
-//! Services of several structures at twenty times real time, while sensor nodes leave, come back and lie: memory does not grow, nobody
-//! falls behind, and no sample of a sound node is lost.
+//! Services of several structures at twenty times real time, while sensor nodes leave, return and
+//! send wrong data.
 //!
-//! A short form runs with the other tests; the long one by `cargo test --workspace --test soak -- --ignored --nocapture`, with
-//! `SOAK_S` for another length (s).
+//! Memory must not grow, no service may fall behind, and no sample of a sound node may be lost. A
+//! short form runs with the other tests. To run the long form, use
+//! `cargo test --workspace --test soak -- --ignored --nocapture`, with `SOAK_S` for another length
+//! (s).
 
 #![allow(
     clippy::unwrap_used,
@@ -31,35 +33,36 @@ use std::time::Duration;
 use support::{Process, Site, spandrel, two_storeys, within};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
-/// Times real time.
+/// Speed as a multiple of real time.
 const SPEED: f64 = 20.0;
 const STRUCTURES: usize = 3;
 const SERVICES: [&str; 5] = ["ingest", "identify", "alert", "history", "dashboard"];
-/// The node that is always there and never lies; the others come and go.
+/// Node that is always present and always correct. The others come and go.
 const STEADY: &str = "ground";
 const OTHERS: [&str; 2] = ["floor-1", "roof"];
 
-/// How long it is watched, and what must hold.
+/// Durations of the observation, and limits that must hold.
 struct Plan {
     length: Duration,
-    /// Until then memory may fill: rings, series of the page, caches of the allocator.
+    /// Time in which memory may still grow: rings, series of the page, caches of the allocator.
     warm_up: Duration,
-    /// Time between two things that happen to nodes (s).
+    /// Time between two disturbances of nodes (s).
     pause_s: std::ops::Range<f64>,
-    /// Time at the end in which all nodes are there and honest.
+    /// Time at the end in which all nodes are present and correct.
     calm: Duration,
-    /// How much more memory a service may take in the last fifth of the time after the warm-up than in the first, MB.
+    /// Maximum increase in memory of a service from the first to the last fifth of the time after
+    /// the warm-up (MB).
     growth_mb: f64,
-    /// How much later it may be then, s on the wall.
+    /// Maximum increase in delay between the same periods (s of wall-clock time).
     lag_growth_s: f64,
 }
 
-/// What a process of its own does in the tests below.
+/// Runs as a separate process of the tests below.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "is started by the tests below"]
 async fn sensor_node() {
     let Ok(orders) = std::env::var(ORDERS) else {
-        return; // all ignored tests were asked for
+        return; // a run of all ignored tests
     };
     node::be(serde_json::from_str(&orders).unwrap()).await;
 }
@@ -92,12 +95,12 @@ async fn nodes_come_go_and_lie_for_twenty_minutes() {
     soak(plan).await;
 }
 
-/// All that runs.
+/// All running processes.
 struct Town {
     sites: Vec<Site>,
     clock: Clock,
     services: BTreeMap<&'static str, Process>,
-    /// by structure and node, with what it makes of the truth
+    /// Nodes by structure and name, each with its manner.
     nodes: BTreeMap<(usize, &'static str), (Manner, Process)>,
     _router: Bus,
 }
@@ -196,7 +199,8 @@ impl Town {
         self.nodes.insert((structure, node), (manner, process));
     }
 
-    /// What a node makes of the truth when it comes back. Of three clocks one may be an hour ahead: where most are, they are believed.
+    /// Returns the manner of a returning node. Only one of three clocks may be an hour ahead,
+    /// because a majority is accepted as correct.
     fn next_manner(&self, structure: usize, random: &mut ChaCha8Rng) -> Manner {
         if random.random() {
             return Manner::Honest;
@@ -211,7 +215,7 @@ impl Town {
         }
     }
 
-    /// Something happens to a node that is not the steady one; returns what.
+    /// Disturbs a node other than the steady one, and returns a description.
     fn disturb(&mut self, random: &mut ChaCha8Rng) -> &'static str {
         let place = (
             random.random_range(0..STRUCTURES),
@@ -244,7 +248,7 @@ impl Town {
         }
     }
 
-    /// Who is away comes back, and who lies is exchanged.
+    /// Restarts absent nodes and replaces incorrect ones.
     fn calm_down(&mut self) {
         for structure in 0..STRUCTURES {
             for node in OTHERS {
@@ -263,8 +267,8 @@ impl Town {
         }
     }
 
-    /// Ends the nodes, and waits until all has been decided on; returns how many samples each steady node has put, and how many
-    /// frames there are.
+    /// Stops the nodes, and waits until all frames are decided on. Returns the number of samples
+    /// that each steady node has published, and the number of frames.
     async fn end(&mut self, bus: &Bus) -> Vec<(u64, u64)> {
         for (_, node) in self.nodes.values_mut() {
             node.write_line();
@@ -370,7 +374,7 @@ async fn soak(plan: Plan) {
     report.check();
 }
 
-/// What was found.
+/// Results.
 struct Report {
     plan: Plan,
     memory_mb: Series,
@@ -380,7 +384,7 @@ struct Report {
 }
 
 impl Report {
-    /// The first and the last fifth of the time after the warm-up.
+    /// Returns the first and the last fifth of the time after the warm-up.
     fn early_and_late(&self) -> [(Duration, Duration); 2] {
         let Plan {
             length, warm_up, ..
@@ -476,7 +480,8 @@ impl Report {
     }
 }
 
-/// Each sample that the steady node has put is in the recording, and no frame is missing; in the end all nodes are in it again.
+/// Checks that the recording contains each sample that the steady node has published, and every
+/// frame. All nodes are present at the end.
 fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
     let structure = site.structure();
     let channels: Vec<String> = structure

@@ -1,4 +1,4 @@
-//! What is measured while services run: their memory, how late they are, and what they count.
+//! Measurements of running services: their memory, their delay and their counts.
 
 use crate::node::Clock;
 use crate::support::Process;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-/// Values over time, by what they are of.
+/// Values over time, by name.
 #[derive(Debug, Default)]
 pub struct Series(BTreeMap<String, Vec<(Duration, f64)>>);
 
@@ -22,7 +22,7 @@ impl Series {
         self.0.keys().map(String::as_str)
     }
 
-    /// The median from one time to another.
+    /// Returns the median between two times.
     pub fn median(&self, of: &str, from: Duration, to: Duration) -> f64 {
         let mut values = self.within(of, from, to);
         assert!(
@@ -47,22 +47,22 @@ impl Series {
     }
 }
 
-/// What the status messages have said.
+/// Collected contents of the status messages.
 #[derive(Debug, Default)]
 pub struct Heard {
-    /// How late each service is, s on the wall.
+    /// Delay of each service (s of wall-clock time).
     pub lag_s: Series,
-    /// The last counts of each service of each structure.
+    /// Last counts of each service of each structure.
     pub drops: BTreeMap<(String, String), BTreeMap<String, u64>>,
-    /// Frames done.
+    /// Number of processed frames.
     pub done: BTreeMap<(String, String), u64>,
-    /// States of identify.
+    /// States of `identify`.
     pub loads: BTreeSet<&'static str>,
     pub restarts: u64,
 }
 
 impl Heard {
-    /// Listens to the statuses of structures from now on.
+    /// Receives the statuses of structures from now on.
     pub async fn listen(
         bus: &Bus,
         keys: &[Keys],
@@ -103,7 +103,7 @@ impl Heard {
         self.restarts = self.restarts.max(status.restarts);
     }
 
-    /// What all instances of a service have counted.
+    /// Returns the counts of a service, summed over its instances.
     pub fn counted(&self, service: &str) -> BTreeMap<&str, u64> {
         let mut all = BTreeMap::new();
         for (_, drops) in self.drops.iter().filter(|((_, name), _)| name == service) {
@@ -115,7 +115,7 @@ impl Heard {
     }
 }
 
-/// Memory that a process takes, MB (10⁶ bytes).
+/// Returns the memory of a process in MB (10⁶ bytes).
 pub fn resident_mb(process: &Process) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
     let line = status
@@ -125,9 +125,9 @@ pub fn resident_mb(process: &Process) -> f64 {
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() * 1024e-6
 }
 
-/// Processor time that a process has taken, s.
+/// Returns the processor time of a process so far (s).
 pub fn processor_s(process: &Process) -> f64 {
-    const TICKS_PER_SECOND: f64 = 100.0; // of /proc, on every Linux
+    const TICKS_PER_SECOND: f64 = 100.0; // of /proc, on all Linux systems
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", process.id())).unwrap();
     let fields: Vec<&str> = stat
         .rsplit_once(')')

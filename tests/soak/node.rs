@@ -1,4 +1,5 @@
-//! A sensor node in a process of its own, in a time that runs faster: what the soak starts, stops and kills, and lets lie.
+//! A sensor node as a separate process on an accelerated clock, which the soak test starts, stops,
+//! kills and lets send wrong data.
 
 use crate::support::{Node, Record, put_raw};
 use rand::{RngExt, SeedableRng};
@@ -10,30 +11,30 @@ use std::io::BufRead;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Environment of the process: its orders.
+/// Environment variable with the orders of the process.
 pub const ORDERS: &str = "SOAK_NODE";
-/// Samples of a block.
+/// Number of samples in a block.
 const BLOCK: u64 = 100;
-/// Distance of two samples, ns: 100 Hz.
+/// Sampling interval (ns), which is 100 Hz.
 const STEP_NS: i64 = 10_000_000;
-/// How far a wrong clock is off.
+/// Offset of a wrong clock (ns).
 const OFF_NS: i64 = 3600 * 1_000_000_000;
 
-/// What a node makes of the truth.
+/// Manner in which a node changes its true samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Manner {
     Honest,
-    /// Infinite values, and such as no sensor measures.
+    /// Infinite values, and values outside the range of any sensor.
     Implausible,
-    /// An hour in the future.
+    /// Clock one hour ahead.
     ClockAhead,
-    /// An hour in the past.
+    /// Clock one hour behind.
     ClockBehind,
-    /// One channel more than it has.
+    /// One channel too many.
     Channels,
-    /// Its own blocks twice, and once more as those of an earlier life.
+    /// Each block twice, and once more as a block of an earlier run.
     OldMessages,
-    /// Bytes that are no message, between its blocks.
+    /// Undecodable bytes between its blocks.
     Garbage,
 }
 
@@ -48,29 +49,29 @@ impl Manner {
     ];
 }
 
-/// What a node is told.
+/// Orders of a node.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Orders {
     pub endpoint: String,
     pub root: String,
     pub structure_file: PathBuf,
-    /// What it measures, again and again.
+    /// Record that the node measures repeatedly.
     pub record: PathBuf,
     pub node: String,
     pub manner: Manner,
     pub clock: Clock,
 }
 
-/// A time that runs faster than the one on the wall, the same in all processes.
+/// An accelerated clock, the same in all processes.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Clock {
-    /// Both times at the beginning, ns since the Unix epoch.
+    /// Start of both clocks (ns since the Unix epoch).
     pub start_ns: i64,
     pub speed: f64,
 }
 
 impl Clock {
-    /// One that begins now.
+    /// Creates a clock that starts now.
     pub fn starting(speed: f64) -> Self {
         Self {
             start_ns: wall_ns(),
@@ -78,13 +79,14 @@ impl Clock {
         }
     }
 
-    /// How late something measured at `time_ns` is done now, in seconds on the wall.
+    /// Returns the delay of a measurement at `time_ns` that is processed now, in seconds of
+    /// wall-clock time.
     pub fn lag_s(&self, wall_ns: i64, time_ns: i64) -> f64 {
         let since = |ns: i64| (ns - self.start_ns) as f64 * 1e-9;
         since(wall_ns) - since(time_ns) / self.speed
     }
 
-    /// The next block that is measured from its first sample on.
+    /// Returns the next block whose first sample has not been measured yet.
     fn next_block(&self) -> u64 {
         let measured_ns = (wall_ns() - self.start_ns) as f64 * self.speed;
         (measured_ns / (BLOCK as i64 * STEP_NS) as f64).ceil() as u64
@@ -94,7 +96,7 @@ impl Clock {
         self.start_ns + (block * BLOCK) as i64 * STEP_NS
     }
 
-    /// Time from now until a block has been measured.
+    /// Returns the time from now until a block has been measured.
     fn until_the_end_of(&self, block: u64) -> Duration {
         let due_ns = ((block + 1) * BLOCK) as f64 * STEP_NS as f64 / self.speed;
         let elapsed_ns = (wall_ns() - self.start_ns) as f64;
@@ -113,7 +115,7 @@ pub fn wall_ns() -> i64 {
         .as_nanos() as i64
 }
 
-/// Puts samples until the first line on standard input, and is there until the second.
+/// Publishes samples until the first line on standard input, and stays connected until the second.
 pub async fn be(orders: Orders) {
     let Orders {
         endpoint,
@@ -182,7 +184,7 @@ pub async fn be(orders: Orders) {
     bus.close().await.unwrap();
 }
 
-/// The lines on standard input; a parent that is gone ends them.
+/// Returns the lines on standard input. They end when the parent process ends.
 fn lines() -> flume::Receiver<()> {
     let (sender, lines) = flume::unbounded();
     std::thread::spawn(move || {

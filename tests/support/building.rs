@@ -2,14 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-/// The structure file of the demo.
+/// Returns the path of the demo's structure file.
 pub fn five_storeys() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")
 }
 
-/// A building of two storeys, 100 Hz, with nodes `ground` (1 channel), `floor-1` (1) and `roof` (2), followed by `more`.
+/// Returns a building of two storeys at 100 Hz with nodes `ground` (1 channel), `floor-1` (1) and
+/// `roof` (2), followed by `more`.
 ///
-/// Live nodes may be late without limit for all practical purposes, so that a slow machine changes no number.
+/// By default, live nodes have a practically unlimited lateness, so that a slow machine does not
+/// change any number.
 pub fn two_storeys(more: &str) -> String {
     let lateness = if more.contains("[ingest]") {
         ""
@@ -22,7 +24,8 @@ pub fn two_storeys(more: &str) -> String {
     shaken_storeys(2) + &accelerometer("floor-1", "floor-1") + &roof + lateness + more
 }
 
-/// A building of so many storeys, 100 Hz, with an accelerometer per floor, followed by `more`.
+/// Returns a building of `count` storeys at 100 Hz with an accelerometer per floor, followed by
+/// `more`.
 pub fn storeys(count: u32, more: &str) -> String {
     let floors = (1..=count)
         .map(|number| format!("floor-{number}"))
@@ -30,7 +33,8 @@ pub fn storeys(count: u32, more: &str) -> String {
     shaken_storeys(count) + &floors.collect::<String>() + more
 }
 
-/// Four storeys of which each floor identifies for itself, fused so often (Hz); their stiffness is 10 % above what the filters start from.
+/// Returns a building of four storeys in which each floor identifies its own parameters, fused at
+/// this rate (Hz). The stiffness is 10 % above the start value of the filters.
 pub fn distributed_storeys(fusions_hz: f64) -> String {
     let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 50\nidentification = \"distributed\"\n\
          [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
@@ -53,7 +57,7 @@ pub fn distributed_storeys(fusions_hz: f64) -> String {
         + "[simulation]\nseed = 1\n"
 }
 
-/// Equal storeys of uncertain stiffness, and the node `ground`.
+/// Returns equal storeys of uncertain stiffness, and the node `ground`.
 fn shaken_storeys(count: u32) -> String {
     let parameters = (1..=count).map(|number| {
         format!("[[parameter]]\nname = \"storey-{number}\"\nscales = \"stiffness\"\nof = [\"storey-{number}\"]\n")
@@ -69,7 +73,7 @@ fn shaken_storeys(count: u32) -> String {
     model + &parameters.collect::<String>() + ground
 }
 
-/// A node with an accelerometer of the same name.
+/// Returns a node with an accelerometer of the same name.
 fn accelerometer(name: &str, dof: &str) -> String {
     format!(
         "[[node]]\nname = \"{name}\"\n[[node.channel]]\nname = \"{name}\"\n\

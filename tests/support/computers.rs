@@ -1,10 +1,13 @@
-//! Computers on which the commands of deploy/README.md run as they are printed: each has a network of its own, and folders of its
-//! own in place of `/etc`, `/usr/local/bin`, `/var/lib`, `/var/log` and `/run`.
+//! Computers on which the commands of deploy/README.md run as printed. Each has its own network,
+//! and its own `/etc`, `/usr/local/bin`, `/var/lib`, `/var/log` and `/run`.
 //!
-//! A block ` ```sh DEPLOYMENT/COMPUTER ` runs on that computer and must succeed; one that ends in ` runs ` is a command that goes
-//! on until it is stopped; ` ```sh program ` runs on each computer first. What only the machine itself can do is done in its
-//! place: `systemctl` starts what a unit says, with its credentials, its folder and its word that it is ready, without its sandbox; `scp`
-//! copies; what `cargo build` and `apt-get install` would bring is there.
+//! A block ` ```sh DEPLOYMENT/COMPUTER ` runs on that computer and must succeed. A block that ends
+//! in ` runs ` is a command that runs until it is stopped. A block ` ```sh program ` runs first on
+//! each computer.
+//!
+//! Some commands are replaced, because they need a real machine. `systemctl` starts the command of
+//! a unit with its credentials, its folder and its readiness message, but without its sandbox.
+//! `scp` copies between folders. The results of `cargo build` and `apt-get install` already exist.
 
 use super::{DEADLINE, Lab, Process, spandrel};
 use std::collections::BTreeMap;
@@ -15,18 +18,19 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use tempfile::TempDir;
 
-/// What each computer has to itself.
+/// Folders that each computer has for itself.
 const PLACES: [&str; 5] = ["etc", "usr/local/bin", "var/lib", "var/log", "run"];
-/// Enters the folders of a computer, then runs what follows. The first argument is where they are.
+/// Script that mounts the folders of a computer and then runs the remaining arguments. The first
+/// argument is the parent of the folders.
 const ENTER: &str = "set -e; home=$1; shift; \
     for place in etc usr/local/bin var/lib var/log run; do mount --bind \"$home/$place\" \"/$place\"; done; \
     cd \"$home/source\"; exec \"$@\"";
-/// `sudo` for who is root already.
+/// Replacement of `sudo` for a user that is already root.
 const SUDO: &str = "#!/bin/sh\nif [ \"$1\" = -u ]; then user=$2; shift 2; \
     exec setpriv --reuid \"$user\" --regid \"$user\" --init-groups -- \"$@\"; fi\nexec \"$@\"\n";
-/// Where programs are looked for on a computer.
+/// Search path for programs on a computer.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";
-/// What is there without being installed.
+/// Commands whose results already exist.
 const PROVIDED: [&str; 2] = ["cargo build ", "sudo apt-get "];
 
 /// One block of commands.
@@ -38,9 +42,9 @@ struct Block {
     script: String,
 }
 
-/// A deployment of deploy/README.md on computers of its own.
+/// A deployment of deploy/README.md on separate computers.
 pub struct Computers {
-    // in the order in which they have to end
+    // In the order in which they must end.
     running: BTreeMap<(String, String), Process>,
     lab: Lab,
     folder: TempDir,
@@ -49,7 +53,8 @@ pub struct Computers {
 }
 
 impl Computers {
-    /// The computers of a deployment with their addresses; none, and a line that says so, where the machine lacks the means or the right.
+    /// Creates the computers of a deployment with these addresses. Returns `None`, and prints a
+    /// line, if the machine lacks the tools or the permission.
     pub fn or_skip(deployment: &'static str, computers: &[(&str, &str)]) -> Option<Self> {
         let lab = Lab::at_or_skip(computers, 1)?;
         let folder = tempfile::tempdir().unwrap();
@@ -80,7 +85,8 @@ impl Computers {
         Some(made)
     }
 
-    /// Makes the folders of a computer: those of this machine, and what it has of this repository.
+    /// Creates the folders of a computer from those of this machine and the files of this
+    /// repository.
     fn furnish(&self, name: &str) {
         let home = self.home(name);
         for place in PLACES {
@@ -110,12 +116,13 @@ impl Computers {
         self.folder.path().join(name)
     }
 
-    /// A file of a computer, as this machine has it.
+    /// Returns the path on this machine of a computer's file.
     pub fn file(&self, computer: &str, path: &str) -> PathBuf {
         self.home(computer).join(path.trim_start_matches('/'))
     }
 
-    /// A command on a computer, with the environment that systemd and a shell have in common.
+    /// Returns a command on a computer, with the environment that systemd and a shell have in
+    /// common.
     pub fn inside(&self, computer: &str, program: &str) -> Command {
         let home = self.home(computer);
         let mut command = self.lab.inside(computer);
@@ -131,7 +138,7 @@ impl Computers {
         command
     }
 
-    /// What a line of a shell says on a computer; it must succeed.
+    /// Runs a shell script on a computer and returns its output. The script must succeed.
     pub fn said(&self, computer: &str, script: &str) -> String {
         let output = self
             .inside(computer, "bash")
@@ -150,7 +157,7 @@ impl Computers {
         said.into_owned()
     }
 
-    /// Runs the next block, which must be one of this computer; returns what it says.
+    /// Runs the next block, which must belong to this computer, and returns its output.
     #[track_caller]
     pub fn follow(&mut self, computer: &str) -> String {
         let block = self
@@ -166,26 +173,27 @@ impl Computers {
         self.execute(computer, &block)
     }
 
-    /// Whether all blocks have run.
+    /// Returns `true` if all blocks have run.
     pub fn is_through(&self) -> bool {
         self.blocks.len() == 0
     }
 
-    /// What goes on on a computer: a unit, or the first word behind `spandrel` that is no flag.
+    /// Returns a running process of a computer by the name of its unit, or by the first word after
+    /// `spandrel` that is not a flag.
     #[track_caller]
     pub fn process(&self, computer: &str, name: &str) -> &Process {
         let found = self.running.get(&(computer.to_owned(), name.to_owned()));
         found.unwrap_or_else(|| panic!("no {name} on {computer}, but {:?}", self.running.keys()))
     }
 
-    /// Takes a process out, to stop it.
+    /// Removes and returns a process, so that the caller can stop it.
     #[track_caller]
     pub fn take(&mut self, computer: &str, name: &str) -> Process {
         let found = self.running.remove(&(computer.to_owned(), name.to_owned()));
         found.unwrap_or_else(|| panic!("no {name} on {computer}, but {:?}", self.running.keys()))
     }
 
-    /// Starts a program that goes on.
+    /// Starts a program that keeps running.
     pub fn start(&mut self, computer: &str, name: &str, command: &mut Command) -> &Process {
         let process = Process::start(command);
         self.running
@@ -223,7 +231,8 @@ impl Computers {
         said
     }
 
-    /// Copies files of one computer into the repository of another, as `scp FILE… ADDRESS:spandrel/`.
+    /// Copies files of one computer into the repository of another, as
+    /// `scp FILE… ADDRESS:spandrel/` does.
     fn copy(&self, computer: &str, files: &[&str], target: &str) {
         let (address, folder) = target.split_once(':').unwrap();
         assert_eq!(folder, "spandrel/", "{target}: the repository is there");
@@ -235,7 +244,7 @@ impl Computers {
         );
     }
 
-    /// Starts a unit, again if it runs, and waits until it says that it is ready.
+    /// Starts or restarts a unit, and waits until it reports that it is ready.
     fn start_unit(&mut self, computer: &str, name: &str) {
         if let Some(running) = self.running.remove(&(computer.to_owned(), name.to_owned())) {
             running.stop();
@@ -276,7 +285,7 @@ impl Computers {
         }
         let socket = format!("/run/notify-{name}");
         let word = self.file(computer, &socket);
-        let _ = std::fs::remove_file(&word); // of an earlier life
+        let _ = std::fs::remove_file(&word); // of an earlier run
         let word = UnixDatagram::bind(word).unwrap();
         let is_told = unit.all("Type") == ["notify"];
         if is_told {
@@ -295,9 +304,10 @@ impl Computers {
         }
     }
 
-    /// Makes what the package of Debian makes when it is installed, and starts it.
+    /// Creates what the Debian package creates on installation, and starts it.
     pub fn install_postgresql(&mut self, computer: &str, version: &str) {
-        let _ = std::fs::remove_dir_all(self.file(computer, "etc/postgresql")); // that of this machine, if it has one
+        // The folder of this machine, if it exists.
+        let _ = std::fs::remove_dir_all(self.file(computer, "etc/postgresql"));
         let folders = "install -d -o postgres -g postgres /run/postgresql /var/lib/postgresql /var/log/postgresql";
         self.said(computer, folders);
         self.said(
@@ -334,7 +344,7 @@ impl Computers {
     }
 }
 
-/// The newest PostgreSQL of this machine that is packaged as Debian does it.
+/// Returns the newest PostgreSQL version of this machine with Debian's packaging.
 pub fn packaged_postgresql() -> Option<String> {
     let versions = std::fs::read_dir("/usr/lib/postgresql").ok()?.flatten();
     let usable = versions.filter(|version| version.path().join("bin/postgres").is_file());
@@ -363,7 +373,7 @@ fn wait_for_ready(socket: &UnixDatagram, process: &Process) {
     }
 }
 
-/// The `[Service]` of a unit with what is laid over it.
+/// The `[Service]` section of a unit with its overrides.
 struct Unit(Vec<(String, String)>);
 
 impl Unit {
@@ -421,7 +431,7 @@ impl Unit {
     }
 }
 
-/// The blocks of a page that name where they run.
+/// Returns the blocks of a page that name their computer.
 fn blocks(page: &str) -> Vec<Block> {
     let mut blocks = Vec::new();
     let mut lines = page.lines().enumerate();
@@ -448,7 +458,7 @@ fn blocks(page: &str) -> Vec<Block> {
     blocks
 }
 
-/// The parts of a block: a line that is done in place of the machine, or lines for a shell.
+/// Splits a block into parts: a line that is run in a replaced form, or lines for a shell.
 fn parts(script: &str) -> Vec<String> {
     let is_ours = |line: &str| {
         ["sudo systemctl ", "scp "]

@@ -1,13 +1,14 @@
-//! A disk that is soon full.
+//! A disk that fills up quickly.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A small file system of its own on a folder, until it is dropped.
+/// A small file system mounted on a folder until it is dropped.
 pub struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// Mounts one of this size, such as `2m`. Without the right to do so the test says that it was skipped.
+    /// Mounts a file system of this size, such as `2m`. Returns `None`, and prints that the test
+    /// was skipped, without permission to mount.
     pub fn or_skip(folder: &Path, size: &str) -> Option<Self> {
         let options = format!("size={size}");
         let mounted = Command::new("mount")
@@ -26,7 +27,7 @@ impl SmallDisk {
 
 impl Drop for SmallDisk {
     fn drop(&mut self) {
-        // it goes with the machine at the latest
+        // At the latest, it disappears with the machine.
         let _ = Command::new("umount").arg("-l").arg(&self.0).status();
     }
 }

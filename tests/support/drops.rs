@@ -1,10 +1,10 @@
-//! What the services say that they dropped.
+//! Published counts of data that the services have dropped.
 
 use super::{DEADLINE, within};
 use spandrel_bus::{Bus, Keys, Service, Status, Subscription};
 use std::collections::BTreeMap;
 
-/// The status messages of a structure.
+/// Status messages of a structure.
 pub struct Drops {
     statuses: Subscription<Status>,
 }
@@ -16,7 +16,8 @@ impl Drops {
         }
     }
 
-    /// Waits until a service has counted at least `least` under `reason`, and returns all it has counted.
+    /// Waits until a service has counted at least `least` under `reason`, and returns all its
+    /// counts.
     pub async fn expect(
         &self,
         service: Service,
@@ -44,7 +45,7 @@ impl Drops {
         last
     }
 
-    /// Waits for a status of a service once it has done `done` frames.
+    /// Waits for a status of a service that has processed `done` frames.
     pub async fn when_done(&self, service: Service, done: u64) -> Status {
         let what = format!("status of {} with {done} frames done", service.as_str());
         within(&what, async {

@@ -6,7 +6,8 @@ use spandrel_bus::{
 };
 use std::path::Path;
 
-/// Mean and standard deviation of each parameter, then of each identified noise level, at one frame.
+/// Mean and standard deviation of each parameter, then of each identified noise level, at one
+/// frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
     pub time_ns: i64,
@@ -14,7 +15,7 @@ pub struct Identified {
 }
 
 impl Identified {
-    /// A line of text with all bits, from one process to another.
+    /// Formats all values bit for bit as a line of text, for another process.
     pub fn to_line(&self) -> String {
         let bits = self
             .mean_and_std
@@ -23,7 +24,7 @@ impl Identified {
         format!("{}{}\n", self.time_ns, bits.collect::<String>())
     }
 
-    /// The inverse of [`Identified::to_line`].
+    /// Parses the output of [`Identified::to_line`].
     pub fn from_line(line: &str) -> Self {
         let (time_ns, bits) = line.split_once(' ').unwrap();
         let values: Vec<f64> = bits
@@ -38,7 +39,7 @@ impl Identified {
     }
 }
 
-/// What `spandrel estimate --output --json` says of a record.
+/// Output of `spandrel estimate --output --json` for a record.
 pub struct Estimated {
     pub parameters: Vec<String>,
     pub frames: Vec<Identified>,
@@ -46,7 +47,7 @@ pub struct Estimated {
 }
 
 impl Estimated {
-    /// Reads the file but for its `responses`, which are not on the bus.
+    /// Reads the file without its `responses`, which are not on the bus.
     pub fn read(path: &Path, responses: &[&str], summary: serde_json::Value) -> Self {
         let table = super::Record::read(path);
         let named = |column: &String| {
@@ -77,7 +78,7 @@ impl Estimated {
     }
 }
 
-/// Reads the estimates of a structure from the bus; a gap fails the test.
+/// Reader of a structure's estimates on the bus. A gap fails the test.
 pub struct EstimateReader {
     stream: Stream<EstimateBlock>,
     frames: Vec<Identified>,
@@ -103,7 +104,7 @@ impl EstimateReader {
         }
     }
 
-    /// Reads until `count` frames have come since the start.
+    /// Reads until `count` frames have arrived since the start.
     pub async fn read_frames(&mut self, count: usize) -> &[Identified] {
         while self.frames.len() < count {
             self.read_block(&format!("{count} frames")).await;
@@ -111,7 +112,8 @@ impl EstimateReader {
         &self.frames
     }
 
-    /// Reads until the stream has ended; a hole that begins a new run of frames ends the one before.
+    /// Reads until the stream has ended. A gap that starts a new run of frames ends the preceding
+    /// run.
     pub async fn read_to_end(&mut self, runs: usize) -> &[Identified] {
         while self.ends < runs {
             self.read_block("the end").await;
@@ -119,7 +121,8 @@ impl EstimateReader {
         &self.frames
     }
 
-    /// Frames that did not come as they were put, and were asked for again.
+    /// Returns the number of frames that were not received when published and were fetched by
+    /// query.
     pub fn fetched(&self) -> u64 {
         self.stream.counts().follow.fetched_items
     }
@@ -143,7 +146,7 @@ impl EstimateReader {
     }
 }
 
-/// The estimates of a block, with the standard deviations that `spandrel estimate` writes.
+/// Returns the estimates of a block, with the standard deviations that `spandrel estimate` writes.
 pub fn identified(block: &EstimateBlock) -> Vec<Identified> {
     let grid = block.grid().unwrap();
     let frames = block.iter().map(|(number, estimate)| {
@@ -164,7 +167,7 @@ pub fn identified(block: &EstimateBlock) -> Vec<Identified> {
     frames.collect()
 }
 
-/// Compares frame by frame, time, mean and standard deviation, to the bit.
+/// Compares time, mean and standard deviation of each frame bit for bit.
 #[track_caller]
 pub fn assert_same_bits(
     route: &str,

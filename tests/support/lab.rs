@@ -1,4 +1,4 @@
-//! Network namespaces, as if each were a computer, with links between them that can be made bad.
+//! Network namespaces that represent computers, with links whose quality can be reduced.
 
 use super::spandrel;
 use std::io::{BufRead, BufReader, Write};
@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Labs of this process so far: each has namespaces and devices of its own.
+/// Number of labs of this process so far. Each lab has its own namespaces and devices.
 static LABS: AtomicU32 = AtomicU32::new(0);
 
-/// Set where a test that cannot run is a failure.
+/// Environment variable that makes a skipped test fail.
 const REQUIRE_ALL: &str = "REQUIRE_ALL_TESTS";
 
-/// Some computers on one switch. They are gone when this is dropped; processes in them have to end before.
+/// Computers on one switch. Dropping the lab removes them, and their processes must end before.
 pub struct Lab {
     number: u32,
     /// Name and address of each computer.
@@ -20,19 +20,20 @@ pub struct Lab {
     switch: Option<(Child, ChildStdin)>,
 }
 
-/// How good a link is, in each direction.
+/// Quality of a link in each direction.
 #[derive(Clone, Copy)]
 pub struct Link {
-    /// Share of the packets that are lost.
+    /// Share of lost packets.
     pub loss: f64,
     /// Delay (s).
     pub delay_s: f64,
-    /// Largest deviation from it (s).
+    /// Maximum deviation from the delay (s).
     pub jitter_s: f64,
 }
 
 impl Lab {
-    /// A lab of computers of these names; none, and a line that says so, where the machine lacks the means or the right.
+    /// Creates a lab of computers with these names. Returns `None`, and prints a line, if the
+    /// machine lacks the tools or the permission.
     pub fn or_skip(names: &[&str], seed: u64) -> Option<Self> {
         let numbered = names.iter().enumerate();
         let numbered: Vec<_> = numbered
@@ -45,7 +46,8 @@ impl Lab {
         Self::at_or_skip(&numbered, seed)
     }
 
-    /// A lab of computers of these names and addresses, all in one network of 256; otherwise as [`Lab::or_skip`].
+    /// Creates a lab of computers with these names and addresses, all in one network of 256
+    /// addresses. Otherwise as [`Lab::or_skip`].
     pub fn at_or_skip(computers: &[(&str, &str)], seed: u64) -> Option<Self> {
         remove_leftovers();
         match Self::new(computers, seed) {
@@ -87,7 +89,7 @@ impl Lab {
         Ok(lab)
     }
 
-    /// The built binary on one of the computers.
+    /// Returns a command of the built binary on one of the computers.
     pub fn spandrel(&self, name: &str, subcommand: &str) -> Command {
         let plain = spandrel(subcommand);
         let mut command = self.inside(name);
@@ -101,19 +103,19 @@ impl Lab {
         command
     }
 
-    /// A command that runs the program named next on one of the computers.
+    /// Returns a command that runs the next named program on one of the computers.
     pub fn inside(&self, name: &str) -> Command {
         let mut command = Command::new("ip");
         command.args(["netns", "exec", &self.namespace(name)]);
         command
     }
 
-    /// The address of a computer.
+    /// Returns the address of a computer.
     pub fn address(&self, name: &str) -> String {
         self.computers[self.index(name)].1.clone()
     }
 
-    /// The computer that has an address.
+    /// Returns the name of the computer with an address.
     pub fn name_at(&self, address: &str) -> &str {
         let found = self.computers.iter().find(|(_, known)| known == address);
         found
@@ -121,7 +123,7 @@ impl Lab {
             .unwrap_or_else(|| panic!("no computer at {address}"))
     }
 
-    /// Makes the link of a computer this good.
+    /// Sets the quality of a computer's link.
     pub fn set(&mut self, name: &str, link: Link) {
         let Link {
             loss,
@@ -139,12 +141,13 @@ impl Lab {
         self.tell(&format!("cut {}", self.index(name)));
     }
 
-    /// Joins it again.
+    /// Restores the link of a computer.
     pub fn heal(&mut self, name: &str) {
         self.tell(&format!("heal {}", self.index(name)));
     }
 
-    /// Bytes that a computer has received and sent so far, Ethernet frames counted whole.
+    /// Returns the bytes that a computer has received and sent so far, counting whole Ethernet
+    /// frames.
     pub fn bytes(&self, name: &str) -> (u64, u64) {
         let counter = |which: &str| -> u64 {
             let path = format!("/sys/class/net/eth0/statistics/{which}_bytes");
@@ -186,11 +189,12 @@ impl Drop for Lab {
     fn drop(&mut self) {
         if let Some((mut switch, input)) = self.switch.take() {
             drop(input);
-            let _ = switch.kill(); // its devices go with it
+            let _ = switch.kill(); // also removes its devices
             let _ = switch.wait();
         }
         for (name, _) in &self.computers {
-            let _ = ip(&["netns", "delete", &self.namespace(name)]); // the first that could not be made is not there
+            // The first one that could not be created does not exist.
+            let _ = ip(&["netns", "delete", &self.namespace(name)]);
         }
     }
 }
@@ -208,7 +212,7 @@ fn remove_leftovers() {
             .strip_prefix("spandrel-")
             .and_then(|rest| rest.split('-').next());
         if process.is_some_and(|process| !Path::new("/proc").join(process).exists()) {
-            let _ = ip(&["netns", "delete", namespace]); // another test may have done it
+            let _ = ip(&["netns", "delete", namespace]); // may be deleted already
         }
     }
 }

@@ -1,11 +1,13 @@
-"""A switch between network namespaces whose links delay, shuffle, lose and cut packets.
+"""A switch between network namespaces whose links delay, reorder, lose and block packets.
 
-Whole Ethernet frames pass through user space, so that TCP on both sides meets what it meets on a bad network. In place of the
-kernel's netem, which not every kernel has.
+Whole Ethernet frames pass through user space, so TCP on both sides behaves as on a bad network. The
+script replaces the kernel's netem, which not every kernel has.
 
-    links.py SEED NAME...    one TAP device for each link; says "ready", then obeys lines on standard input until its end:
-    set LINK LOSS DELAY JITTER    share of lost packets, delay and largest deviation from it (s), in both directions
-    cut LINK, heal LINK           nothing passes; everything passes again
+    links.py SEED NAME...    one TAP device for each link; prints "ready", then reads commands from
+                             standard input until its end:
+    set LINK LOSS DELAY JITTER    share of lost packets, delay and maximum deviation from it (s), in
+                                  both directions
+    cut LINK, heal LINK           blocks all packets; lets all packets pass again
 """
 
 import fcntl
@@ -34,7 +36,7 @@ class Link:
         self.loss, self.delay, self.jitter, self.is_cut = 0.0, 0.0, 0.0, False
 
     def delay_of_packet(self, chance):
-        """Seconds that a packet needs over this link; None if it is lost."""
+        """Returns the delay of a packet on this link (s), or None if it is lost."""
         if self.is_cut or chance.random() < self.loss:
             return None
         return max(0.0, self.delay + self.jitter * (2 * chance.random() - 1))
@@ -50,7 +52,7 @@ def obey(links, line):
 
 
 def receivers(links, places, frame, source):
-    """Links behind which the receiver of a frame is: where it has been heard, or all others."""
+    """Returns the link on which the receiver of a frame has been seen, or all other links."""
     place = places.get(frame[:6])
     return [place] if place is not None else [link for link in links if link is not source]
 

@@ -1,5 +1,5 @@
-//! What the end-to-end tests share: processes that end with their test, a site with a root and folder of its own, records,
-//! and estimates that are compared to the bit.
+//! Shared parts of the end-to-end tests: processes that end with their test, a site with its own
+//! root and folder, records, and bit-identical comparison of estimates.
 
 #![allow(
     dead_code,
@@ -34,10 +34,10 @@ pub use site::{Site, free_endpoint};
 use std::future::Future;
 use std::time::Duration;
 
-/// Only ends a hang: no test is decided by it.
+/// Limit that only ends a hang. No test result depends on it.
 pub const DEADLINE: Duration = Duration::from_secs(60);
 
-/// Waits for what must come.
+/// Waits for an event that must occur. Panics after [`DEADLINE`].
 pub async fn within<T>(what: &str, event: impl Future<Output = T>) -> T {
     match tokio::time::timeout(DEADLINE, event).await {
         Ok(value) => value,

@@ -1,8 +1,10 @@
-//! Pages of the book as a reader follows them: their commands run as printed, in an empty folder, and what they show is compared.
+//! Pages of the book, followed as a reader would: their commands run as printed in an empty folder,
+//! and their output is compared.
 //!
-//! A block ` ```sh ` runs and must succeed; a block ` ```sh service ` is a terminal of its own, which goes on until the page is through. The block
-//! ` ```text ` behind either is what it says, standard output and errors together: line by line, without empty lines, `…` alone for any
-//! lines, and within a line for any words.
+//! A block ` ```sh ` runs and must succeed. A block ` ```sh service ` is a separate terminal, which
+//! runs until the end of the page. The block ` ```text ` after either is its output, standard
+//! output and errors together. It is compared line by line without empty lines. A line with `…`
+//! alone matches any lines, and `…` within a line matches any words.
 
 use crate::support::Process;
 use std::os::unix::process::CommandExt as _;
@@ -10,10 +12,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use tempfile::TempDir;
 
-/// Stands for what is left out.
+/// Placeholder of omitted output.
 const LEFT_OUT: &str = "…";
 
-/// One block of commands, and what the page shows of its output.
+/// One block of commands, and the output that the page shows.
 #[derive(Debug, PartialEq)]
 struct Step {
     line: usize,
@@ -22,7 +24,7 @@ struct Step {
     shown: Option<Vec<String>>,
 }
 
-/// A page, and the folder in which it is followed.
+/// A page, and the folder in which its commands run.
 pub struct Page {
     path: PathBuf,
     steps: Vec<Step>,
@@ -30,7 +32,7 @@ pub struct Page {
 }
 
 impl Page {
-    /// A page of the book, with an empty folder.
+    /// Opens a page of the book, with an empty folder.
     pub fn open(name: &str) -> Self {
         let path = root().join("docs").join(name);
         let steps = steps(&std::fs::read_to_string(&path).unwrap());
@@ -42,12 +44,12 @@ impl Page {
         }
     }
 
-    /// Puts a file into the folder: what the page tells its reader to have there.
+    /// Copies a file into the folder that the page expects the reader to have there.
     pub fn have(&self, file: &Path) {
         std::fs::copy(file, self.folder.path().join(file.file_name().unwrap())).unwrap();
     }
 
-    /// Puts the content of a gzip file into the folder.
+    /// Unpacks a gzip file into the folder.
     pub fn have_unpacked(&self, packed: &Path, name: &str) {
         let unpacked = Command::new("gzip")
             .args(["-dc"])
@@ -65,12 +67,13 @@ impl Page {
         std::fs::write(file, unpacked.stdout).unwrap();
     }
 
-    /// A file that the commands have left in the folder.
+    /// Reads a file that the commands have left in the folder.
     pub fn read(&self, name: &str) -> String {
         std::fs::read_to_string(self.folder.path().join(name)).unwrap()
     }
 
-    /// Runs all commands, each block by a `shell`, and compares what they say. Returns how many blocks of output were compared.
+    /// Runs all commands, each block in a `shell`, and compares their output. Returns the number of
+    /// compared blocks of output.
     pub fn follow(&self, shell: impl Fn() -> Command) -> usize {
         let mut services = Services(Vec::new());
         let mut compared = 0;
@@ -82,7 +85,7 @@ impl Page {
             if step.is_service {
                 let service = Process::start(command.process_group(0));
                 if let Some(shown) = &step.shown {
-                    let shown = [shown.as_slice(), &[LEFT_OUT.to_owned()]].concat(); // it goes on
+                    let shown = [shown.as_slice(), &[LEFT_OUT.to_owned()]].concat(); // more follows
                     service
                         .wait_for_output(&format!("what the page shows below\n{told}"), |said| {
                             differences(&shown, said).is_none()
@@ -131,14 +134,14 @@ impl Page {
         command
             .current_dir(self.folder.path())
             .env("PATH", format!("{program}:{path}"));
-        // what a service remembers is not for the user of this machine
+        // Stored state must not reach the user of this machine.
         command
             .env("XDG_STATE_HOME", self.folder.path().join(".state"))
             .env_remove("STATE_DIRECTORY");
     }
 }
 
-/// A shell of this machine.
+/// Returns a shell on this machine.
 pub fn here() -> Command {
     Command::new("env")
 }
@@ -150,7 +153,7 @@ pub fn root() -> PathBuf {
         .unwrap()
 }
 
-/// Terminals that are closed at the end, with all that runs in them.
+/// Terminals that are closed at the end, with all their processes.
 struct Services(Vec<Process>);
 
 impl Drop for Services {
@@ -158,7 +161,7 @@ impl Drop for Services {
         for service in &self.0 {
             let _ = Command::new("kill")
                 .args(["-TERM", "--", &format!("-{}", service.id())])
-                .status(); // it may have ended
+                .status(); // may have ended
         }
     }
 }
@@ -198,7 +201,7 @@ fn steps(page: &str) -> Vec<Step> {
     steps
 }
 
-/// The first line of a page that is not in the output where it has to be.
+/// Returns the first line of a page that is missing in the output at its place.
 fn differences(shown: &[String], said: &str) -> Option<String> {
     let said: Vec<&str> = said
         .lines()
@@ -249,8 +252,10 @@ fn words_match(shown: &[&str], said: &[&str]) -> bool {
         .any(|taken| said[taken - 1].ends_with(end) && words_match(more, &said[taken..]))
 }
 
-/// Whether words are equal, decimal numbers to within one of the last digit shown: a value between two roundings falls either way on
-/// another type of processor.
+/// Returns `true` if two words are equal.
+///
+/// Decimal numbers may differ by one unit of the last shown digit, because another processor type
+/// may round a borderline value differently.
 fn word_matches(shown: &str, said: &str) -> bool {
     if shown == said {
         return true;
@@ -266,7 +271,7 @@ fn word_matches(shown: &str, said: &str) -> bool {
     }
 }
 
-/// A number with decimals or an exponent, and the unit of its last digit.
+/// Returns a number with decimals or an exponent, and the unit of its last digit.
 fn decimal(text: &str) -> Option<(f64, f64)> {
     let (mantissa, exponent) = text.split_once('e').unwrap_or((text, "0"));
     let decimals = mantissa
@@ -304,10 +309,10 @@ mod tests {
         for wrong in [
             "12000 frames\n  lower  1.0005 ± 0.0014\n…", // off by two of the last digit
             "12001 frames\n…",                           // a count is exact
-            "12000 frames\nalert since …; over",         // a line is left out without saying so
-            "12000 frames",                              // there is more
+            "12000 frames\nalert since …; over",         // a line is missing without `…`
+            "12000 frames",                              // more output follows
             "…\nalert since … GMT; over",
-            "12000 frames\n  lower  1.000 ± 0.0014\n…", // other digits
+            "12000 frames\n  lower  1.000 ± 0.0014\n…", // different number of digits
         ] {
             assert!(differences(&shown(wrong), said).is_some(), "{wrong}");
         }

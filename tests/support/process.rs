@@ -6,14 +6,14 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 
-/// The built binary with an environment that says nothing to it.
+/// Returns the built binary with an environment free of settings for it.
 pub fn spandrel(subcommand: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
     let ours = |name: &str| name.starts_with("SPANDREL_") || name == "RUST_LOG";
     for (name, _) in std::env::vars().filter(|(name, _)| ours(name)) {
         command.env_remove(name);
     }
-    // what a process remembers is not for the next test, and not for the user of this machine
+    // Stored state must not reach the next test or the user of this machine.
     static PROCESSES: AtomicU32 = AtomicU32::new(0);
     let number = PROCESSES.fetch_add(1, Ordering::Relaxed);
     let state = format!(
@@ -21,7 +21,7 @@ pub fn spandrel(subcommand: &str) -> Command {
         env!("CARGO_TARGET_TMPDIR"),
         std::process::id()
     );
-    let _ = std::fs::remove_dir_all(&state); // left by a process that had this number before
+    let _ = std::fs::remove_dir_all(&state); // of an earlier process with this ID
     command
         .env("XDG_STATE_HOME", state)
         .env_remove("STATE_DIRECTORY")
@@ -29,7 +29,7 @@ pub fn spandrel(subcommand: &str) -> Command {
     command
 }
 
-/// A running process; it is killed when this is dropped.
+/// A running process, which is killed when it is dropped.
 pub struct Process {
     name: String,
     child: Child,
@@ -37,11 +37,11 @@ pub struct Process {
     stderr: Capture,
 }
 
-/// How a process ended, and what it said.
+/// Exit code and output of a process.
 #[derive(Debug)]
 pub struct Finished {
     pub command: String,
-    /// `None`: by a signal.
+    /// Exit code, or `None` after a signal.
     pub code: Option<i32>,
     pub stdout: String,
     pub stderr: String,
@@ -57,7 +57,7 @@ impl Process {
         Self::spawn(command.stdin(Stdio::piped()))
     }
 
-    /// Starts a process whose standard error is a pipe that nobody reads.
+    /// Starts a process whose standard error is a pipe without a reader.
     pub fn start_with_closed_log(command: &mut Command) -> Self {
         let (_, closed) = std::io::pipe().unwrap();
         Self::spawn_with_log(command.stdin(Stdio::null()), closed.into())
@@ -88,7 +88,7 @@ impl Process {
         }
     }
 
-    /// Waits until standard error has `text`.
+    /// Waits until standard error contains `text`.
     pub fn wait_for_log(&self, text: &str) {
         let said = self.stderr.wait_until(|said| said.contains(text));
         assert!(
@@ -98,7 +98,7 @@ impl Process {
         );
     }
 
-    /// Waits until `is_there` is true of its standard output.
+    /// Waits until `is_there` returns `true` for its standard output.
     pub fn wait_for_output(&self, what: &str, is_there: impl Fn(&str) -> bool) {
         let said = self.stdout.wait_until(&is_there);
         assert!(
@@ -108,47 +108,47 @@ impl Process {
         );
     }
 
-    /// What it has said on standard output so far.
+    /// Returns its standard output so far.
     pub fn output(&self) -> String {
         self.stdout.so_far()
     }
 
-    /// Gives it the line that it waits for.
+    /// Writes the line for which it waits.
     pub fn write_line(&mut self) {
         self.child.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
     }
 
-    /// What it has said on standard error so far.
+    /// Returns its standard error so far.
     pub fn log(&self) -> String {
         self.stderr.so_far()
     }
 
-    /// Its number.
+    /// Returns its process ID.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it has ended by itself.
+    /// Returns `true` if it has ended by itself.
     pub fn has_ended(&mut self) -> bool {
         self.child.try_wait().unwrap().is_some()
     }
 
-    /// Asks it to stop, as `systemctl stop` does.
+    /// Requests it to stop, as `systemctl stop` does.
     pub fn terminate(&self) {
         self.signal("-TERM");
     }
 
-    /// Asks it to read its configuration again, as `systemctl reload` does.
+    /// Requests it to reload its configuration, as `systemctl reload` does.
     pub fn hang_up(&self) {
         self.signal("-HUP");
     }
 
-    /// Stops it in the middle of whatever it does, as a machine does that swaps or is moved.
+    /// Suspends it at any point, as a machine that swaps or is migrated does.
     pub fn freeze(&self) {
         self.signal("-STOP");
     }
 
-    /// Lets it go on, as if no time had passed.
+    /// Resumes it as if no time had passed.
     pub fn thaw(&self) {
         self.signal("-CONT");
     }
@@ -164,7 +164,7 @@ impl Process {
         );
     }
 
-    /// Ends it without a word, as a power cut does.
+    /// Kills it without warning, as a power failure does.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -190,7 +190,7 @@ impl Process {
         }
     }
 
-    /// Asks it to stop, and waits until it has.
+    /// Requests it to stop, and waits until it has ended.
     pub fn stop(self) -> Finished {
         self.terminate();
         self.wait()
@@ -199,7 +199,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.child.kill(); // it may have ended
+        let _ = self.child.kill(); // may have ended
         let _ = self.child.wait();
         if std::thread::panicking() {
             eprintln!(
@@ -212,7 +212,7 @@ impl Drop for Process {
 }
 
 impl Finished {
-    /// Checks the exit code; the message shows what was said.
+    /// Checks the exit code. The panic message contains the output.
     #[track_caller]
     pub fn expect_code(self, expected: i32) -> Self {
         let Self {
@@ -229,7 +229,7 @@ impl Finished {
         self
     }
 
-    /// Checks that standard error has all of `parts`.
+    /// Checks that standard error contains all of `parts`.
     #[track_caller]
     pub fn expect_told(self, parts: &[&str]) -> Self {
         let Self {
@@ -248,7 +248,7 @@ impl Finished {
         self
     }
 
-    /// Checks that standard error has none of `parts`.
+    /// Checks that standard error contains none of `parts`.
     #[track_caller]
     pub fn expect_untold(self, parts: &[&str]) -> Self {
         let Self {
@@ -264,7 +264,7 @@ impl Finished {
     }
 }
 
-/// What a pipe of a child has said, read by a thread of its own.
+/// Output of a child's pipe, read by a separate thread.
 struct Capture {
     said: Arc<(Mutex<Said>, Condvar)>,
 }
@@ -275,7 +275,7 @@ struct Said {
 }
 
 impl Capture {
-    /// Reads until the end; without a pipe that is at once.
+    /// Reads until the end, which comes at once without a pipe.
     fn of(pipe: Option<impl Read + Send + 'static>) -> Self {
         let said = Said {
             text: String::new(),
@@ -307,7 +307,7 @@ impl Capture {
         self.said.0.lock().unwrap().text.clone()
     }
 
-    /// Returns what was said when `reached` held, or at the end, or when the deadline was over.
+    /// Returns the output when `reached` returns `true`, at the end, or after the deadline.
     fn wait_until(&self, reached: impl Fn(&str) -> bool) -> String {
         let (said, changed) = &*self.said;
         let waits = |said: &mut Said| !said.has_ended && !reached(&said.text);
@@ -319,7 +319,7 @@ impl Capture {
             .clone()
     }
 
-    /// Returns all that was said; `None` if the deadline was over first.
+    /// Returns the complete output, or `None` if the deadline passes first.
     fn wait_for_end(&self) -> Option<String> {
         let (said, changed) = &*self.said;
         let (said, _) = changed

@@ -1,4 +1,4 @@
-//! CSV records as tables of text, so that what a test changes is what the program reads.
+//! CSV records as tables of text, so that the program reads exactly what a test changes.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -30,22 +30,22 @@ impl Record {
         &self.path
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.rows.len()
     }
 
-    /// Names of the columns without the time.
+    /// Returns the names of the columns without the time.
     pub fn channels(&self) -> &[String] {
         &self.header[1..]
     }
 
-    /// Time of a row, ns.
+    /// Returns the time of a row (ns).
     pub fn time_ns(&self, row: usize) -> i64 {
         (self.rows[row][0].parse::<f64>().unwrap() * 1e9).round() as i64
     }
 
-    /// Value of a channel by its name; NaN where the field is empty.
+    /// Returns the value of a channel by its name, NaN for an empty field.
     pub fn value(&self, row: usize, channel: &str) -> f64 {
         let text = &self.rows[row][self.column(channel)];
         if text.is_empty() {
@@ -64,7 +64,7 @@ impl Record {
         self
     }
 
-    /// Changes the values of a channel; the row number is from the start of the record.
+    /// Changes the values of a channel. The row number counts from the start of the record.
     pub fn change(
         &mut self,
         channel: &str,
@@ -79,7 +79,8 @@ impl Record {
         self
     }
 
-    /// Gives a channel from row `first` on the values that it has `rows` earlier (later, if negative); what there is none for is empty.
+    /// Shifts the values of a channel from row `first` on by `rows` rows, to later rows if
+    /// positive. Fields without a source value become empty.
     pub fn shift(&mut self, channel: &str, first: usize, rows: isize) -> &mut Self {
         let column = self.column(channel);
         let before: Vec<String> = self.rows.iter().map(|row| row[column].clone()).collect();
@@ -93,13 +94,13 @@ impl Record {
         self
     }
 
-    /// Takes whole rows out.
+    /// Removes whole rows.
     pub fn cut(&mut self, rows: Range<usize>) -> &mut Self {
         self.rows.drain(rows);
         self
     }
 
-    /// Moves the rows from `first` on by some seconds.
+    /// Delays the rows from `first` on by some seconds.
     pub fn delay_from(&mut self, first: usize, seconds: f64) -> &mut Self {
         for row in first..self.rows.len() {
             let time_s = self.time_ns(row) as f64 * 1e-9 + seconds;
@@ -108,7 +109,7 @@ impl Record {
         self
     }
 
-    /// Writes the table beside the file it came from.
+    /// Writes the table next to its original file.
     pub fn save_as(&mut self, name: &str) -> &Self {
         self.path = self.path.with_file_name(name);
         let lines = std::iter::once(&self.header)
@@ -118,13 +119,13 @@ impl Record {
         self
     }
 
-    /// Writes the table as `record.csv` of a folder.
+    /// Writes the table as `record.csv` in a folder.
     pub fn save_as_copy(&mut self, folder: &Path) -> &Self {
         self.path = folder.join("none");
         self.save_as("record.csv")
     }
 
-    /// The values with so many decimals.
+    /// Returns the record with values rounded to this number of decimals.
     pub fn rounded(mut self, decimals: usize) -> Self {
         for field in self.rows.iter_mut().flat_map(|row| &mut row[1..]) {
             if let Ok(value) = field.parse::<f64>() {

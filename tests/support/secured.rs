@@ -1,4 +1,5 @@
-//! A site whose parties show certificates to a router: made by the built binary, as its users make it.
+//! A site with a router whose parties need certificates, created by the built binary as its users
+//! would.
 
 use super::{Process, spandrel};
 use spandrel_bus::{Bus, BusConfig, Mode, TlsConfig};
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use tempfile::TempDir;
 
-/// The certificates of a site, and where its router listens.
+/// The certificates of a site, and the endpoint of its router.
 pub struct Secured {
     folder: TempDir,
     endpoint: String,
@@ -15,7 +16,8 @@ pub struct Secured {
 }
 
 impl Secured {
-    /// An authority, a router, a certificate for each of these, and a certificate for each node of the structure.
+    /// Creates an authority, a router, a certificate for each of these parties, and one for each
+    /// node of the structure.
     pub fn new(structure_file: &Path, parties: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -65,24 +67,24 @@ impl Secured {
         &self.endpoint
     }
 
-    /// Where the router file is.
+    /// Returns the path of the router file.
     pub fn router_file(&self) -> PathBuf {
         self.folder().join("router.json5")
     }
 
-    /// Starts the router, and waits until it can be connected to.
+    /// Starts the router, and waits until it accepts connections.
     pub fn router(&self) -> Process {
         let process = Process::start(spandrel("router").arg(self.router_file()).arg("-v"));
         process.wait_for_log("ready");
         process
     }
 
-    /// The certificate of a party.
+    /// Returns the path of a party's certificate.
     pub fn certificate(&self, party: &str) -> PathBuf {
         self.folder().join(format!("{party}.pem"))
     }
 
-    /// How a party joins the bus.
+    /// Returns the bus configuration of a party.
     pub fn config(&self, party: &str) -> BusConfig {
         BusConfig {
             mode: Mode::Client,
@@ -93,14 +95,14 @@ impl Secured {
         }
     }
 
-    /// A session of a party.
+    /// Opens a session of a party.
     pub async fn join(&self, party: &str) -> Bus {
         Bus::open(&self.config(party))
             .await
             .unwrap_or_else(|error| panic!("{party}: {error}"))
     }
 
-    /// A command of a party that connects to the router.
+    /// Returns a command of a party that connects to the router.
     pub fn connecting(&self, party: &str, subcommand: &str) -> Command {
         let mut command = spandrel(subcommand);
         command

@@ -1,4 +1,4 @@
-//! Sensor nodes that the test itself plays, good and bad.
+//! Sensor nodes that the test simulates, correct and faulty ones.
 
 use super::Record;
 use spandrel_bus::{
@@ -50,17 +50,17 @@ impl Sensors {
             .unwrap()
     }
 
-    /// The record that the nodes send.
+    /// Returns the record that the nodes send.
     pub fn record(&self) -> &Record {
         &self.record
     }
 
-    /// Puts rows of the record, a block per node.
+    /// Publishes rows of the record, a block per node.
     pub async fn put(&mut self, rows: Range<usize>) {
         self.put_all_but(&[], rows).await;
     }
 
-    /// Puts rows of the record, without some nodes.
+    /// Publishes rows of the record, except those of some nodes.
     pub async fn put_all_but(&mut self, without: &[&str], rows: Range<usize>) {
         for node in self
             .nodes
@@ -72,7 +72,7 @@ impl Sensors {
         }
     }
 
-    /// Puts rows of the record of one node, changed by `change`.
+    /// Publishes rows of the record of one node, changed by `change`.
     pub async fn put_changed(
         &mut self,
         name: &str,
@@ -86,7 +86,7 @@ impl Sensors {
         node.put(block).await;
     }
 
-    /// Takes a node away without a word: its token goes with its session.
+    /// Removes a node without notice. Its token disappears with its session.
     pub fn remove(&mut self, name: &str) -> Node {
         let index = self
             .nodes
@@ -134,7 +134,7 @@ impl Node {
         }
     }
 
-    /// The next block of this node, with rows of a record.
+    /// Returns the next block of this node, with rows of a record.
     pub fn block(&self, record: &Record, rows: Range<usize>) -> SampleBlock {
         let samples = rows.clone().flat_map(|row| {
             self.channels
@@ -161,13 +161,13 @@ impl Node {
         self.publisher.put(block).await.unwrap();
     }
 
-    /// Names of its channels.
+    /// Returns the names of its channels.
     pub fn channels(&self) -> &[String] {
         &self.channels
     }
 }
 
-/// Puts any bytes under any encoding, and waits for the network to take them.
+/// Publishes any bytes with any encoding, and waits for the network to accept them.
 pub async fn put_raw(bus: &Bus, key: &str, encoding: &str, payload: Vec<u8>) {
     let put = bus
         .session()

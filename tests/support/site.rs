@@ -1,4 +1,4 @@
-//! A place where one test runs: folder, root, endpoint, structure.
+//! The environment of one test: folder, root, endpoint and structure.
 
 use super::{Estimated, Process, Record, spandrel, within};
 use spandrel_bus::{Bus, BusConfig, Keys, Service};
@@ -9,10 +9,10 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tempfile::TempDir;
 
-/// Sites of this process so far: each has a root of its own.
+/// Number of sites of this process so far. Each site has its own root.
 static SITES: AtomicU32 = AtomicU32::new(0);
 
-/// What one test has to itself.
+/// Environment that one test has for itself.
 pub struct Site {
     folder: TempDir,
     root: String,
@@ -22,7 +22,7 @@ pub struct Site {
 }
 
 impl Site {
-    /// A site with a structure file of the documentation.
+    /// Creates a site with a structure file of the documentation.
     pub fn of(structure_file: &Path) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let number = SITES.fetch_add(1, Ordering::Relaxed);
@@ -37,7 +37,7 @@ impl Site {
         }
     }
 
-    /// A site with a structure file of this text.
+    /// Creates a site with a structure file of this text.
     pub fn with(structure: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let structure_file = folder.path().join("structure.toml");
@@ -48,7 +48,7 @@ impl Site {
         }
     }
 
-    /// This structure with the root and endpoint of another site.
+    /// Returns this structure with the root and endpoint of another site.
     pub fn at(self, other: &Self) -> Self {
         Self {
             root: other.root.clone(),
@@ -57,7 +57,7 @@ impl Site {
         }
     }
 
-    /// This structure under a root that is known: what is kept on disk names it.
+    /// Returns this structure with a given root, because files on disk contain the root.
     pub fn rooted(self, root: &str) -> Self {
         Self {
             root: root.to_owned(),
@@ -120,7 +120,7 @@ impl Site {
         )
     }
 
-    /// A service command of this site that others can connect to.
+    /// Returns a service command of this site that others can connect to.
     pub fn listening(&self, subcommand: &str) -> Command {
         let mut command = spandrel(subcommand);
         command.arg(&self.structure_file).args([
@@ -133,7 +133,7 @@ impl Site {
         command
     }
 
-    /// A service command of this site that connects to the one that listens.
+    /// Returns a service command of this site that connects to the listening process.
     pub fn connecting(&self, subcommand: &str) -> Command {
         let mut command = spandrel(subcommand);
         command.arg(&self.structure_file).args([
@@ -146,14 +146,14 @@ impl Site {
         command
     }
 
-    /// Starts all services in one process, and waits until it can be connected to.
+    /// Starts all services in one process, and waits until it accepts connections.
     pub fn run(&self) -> Process {
         let process = Process::start(&mut self.listening("run"));
         process.wait_for_log("ready structures=1");
         process
     }
 
-    /// Starts a replay in a process of its own.
+    /// Starts a replay in a separate process.
     pub fn replay(&self, record: &Record, speed: &str) -> Process {
         let mut command = spandrel("replay");
         command
@@ -170,7 +170,7 @@ impl Site {
         Process::start(command.args(["--root", &self.root, "--connect", &self.endpoint]))
     }
 
-    /// A session of the test itself, connected to the process that listens.
+    /// Opens a session of the test itself, connected to the listening process.
     pub async fn join(&self) -> Bus {
         let config = BusConfig {
             root: self.root.clone(),
@@ -181,7 +181,7 @@ impl Site {
         Bus::open(&config).await.unwrap()
     }
 
-    /// A session of the test itself, which processes connect to.
+    /// Opens a session of the test itself, to which processes connect.
     pub async fn host(&self) -> Bus {
         let config = BusConfig {
             root: self.root.clone(),
@@ -200,7 +200,7 @@ impl Site {
     }
 }
 
-/// An endpoint that nobody listens on.
+/// Returns a free endpoint.
 pub fn free_endpoint() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     format!("tcp/{}", listener.local_addr().unwrap())

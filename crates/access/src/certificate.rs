@@ -1,4 +1,4 @@
-//! Reads from a certificate whose it is.
+//! Reads the party from a certificate.
 
 use std::path::Path;
 
@@ -7,11 +7,13 @@ use crate::role::Party;
 use spandrel_bus::TlsError;
 
 impl Party {
-    /// Reads whose certificate a file (PEM) has; `None` where its common name is not of the form `ROLE.NAME`, as in the certificates
-    /// of another authority.
+    /// Reads the party from the common name of a certificate file (PEM).
+    ///
+    /// Returns `None` if the common name does not have the form `ROLE.NAME`, as in certificates of
+    /// another authority.
     ///
     /// # Errors
-    /// The file cannot be read, or is no certificate.
+    /// The file cannot be read or is not a certificate.
     pub fn of_certificate(path: &Path) -> Result<Option<Self>, AccessError> {
         let text = std::fs::read(path);
         let text = text.map_err(|source| AccessError::File {

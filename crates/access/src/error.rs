@@ -1,113 +1,115 @@
-//! What can go wrong with roles and certificates.
+//! Errors of roles and certificates.
 
 use std::path::PathBuf;
 
 use crate::role::{Party, PartyError, Role};
 use spandrel_bus::TlsError;
 
-/// Errors of this room. None of them holds any part of a private key.
+/// An error of a role, a certificate or a site folder.
+///
+/// No variant contains any part of a private key.
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
-    /// A role and a name do not make a party.
+    /// The role or the name of a party is invalid.
     #[error(transparent)]
     Party(#[from] PartyError),
     /// A file cannot be read or written.
     #[error("{} cannot be {what}", path.display())]
     File {
-        /// What was tried.
+        /// Attempted operation, as a past participle.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// Something is there already.
+    /// The file already exists.
     #[error("{} is there already; --replace writes it anew, and what it was is lost", path.display())]
     Exists {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// A folder is none of a site.
+    /// The folder is not the folder of a site.
     #[error("{} is no folder of a site: it has no {file}; spandrel site create makes one", folder.display())]
     NoSite {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
-        /// The file that it lacks.
+        /// Name of the missing file.
         file: &'static str,
     },
-    /// The authority cannot be used.
+    /// The certificate file of the authority cannot be used.
     #[error("{} is no certificate of an authority", path.display())]
     NoAuthority {
-        /// Its certificate.
+        /// Path of the certificate.
         path: PathBuf,
     },
-    /// The authority is over.
+    /// The certificate of the authority has expired.
     #[error("the authority {} has expired on {expired}; spandrel site create --replace makes a new one", path.display())]
     AuthorityExpired {
-        /// Its certificate.
+        /// Path of the certificate.
         path: PathBuf,
-        /// The last day on which it was valid.
+        /// Date of expiry.
         expired: String,
     },
-    /// A certificate cannot be used.
+    /// A certificate or key cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
-    /// A key or certificate cannot be made.
+    /// A key or certificate cannot be created.
     #[error("cannot make the {what}")]
     Make {
-        /// What was to be made.
+        /// Object that could not be created.
         what: &'static str,
-        /// What the library says.
+        /// Error of the certificate library.
         source: rcgen::Error,
     },
-    /// A certificate that others connect to must say under which names.
+    /// A certificate for a role that accepts connections has no host.
     #[error(
         "a {role} is connected to: say under which names and addresses, such as --host 10.0.0.5"
     )]
     NoHost {
-        /// The role.
+        /// Role of the certificate.
         role: Role,
     },
-    /// A host cannot stand in a certificate.
+    /// The text is neither a host name nor an address, so a certificate cannot contain it.
     #[error("`{host}` is no host name and no address")]
     Host {
-        /// The text.
+        /// The rejected text.
         host: String,
     },
-    /// A length of life that no calendar has.
+    /// The validity period is zero or beyond the calendar.
     #[error("{days} days from now is beyond the calendar, must be 1 to 36500")]
     Days {
-        /// The days.
+        /// Requested validity period, in days.
         days: u32,
     },
-    /// The router has no certificate.
+    /// The folder contains no certificate of a router, or none with the requested name.
     #[error("{} has no certificate of a router; spandrel site issue router NAME --host HOST makes one", folder.display())]
     NoRouter {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
     },
-    /// The folder has certificates of several routers.
+    /// The folder contains certificates of several routers, and none was chosen.
     #[error(
         "{} has certificates of several routers ({}); say which with --router NAME",
         folder.display(),
         found.iter().map(Party::common_name).collect::<Vec<_>>().join(", ")
     )]
     SeveralRouters {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
-        /// The routers.
+        /// The routers found.
         found: Vec<Party>,
     },
     /// The router would listen without certificates.
     #[error("the router would listen on {endpoint} without certificates, must be quic/HOST:PORT")]
     PlainEndpoint {
-        /// The endpoint.
+        /// The rejected endpoint.
         endpoint: String,
     },
-    /// A path cannot stand in the file of a router.
+    /// A path is not UTF-8, so the router's configuration cannot contain it.
     #[error("path {} is not UTF-8, zenoh cannot use it", path.display())]
     PathNotText {
-        /// The path.
+        /// The rejected path.
         path: PathBuf,
     },
 }

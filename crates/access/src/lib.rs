@@ -1,22 +1,26 @@
-//! Who may do what on the bus: roles, certificates, and the rules of the router.
+//! Access control on the bus: roles, certificates and the rules of the router.
 //!
-//! A folder with an authority and the certificates that it has issued goes in, the configuration of a Zenoh router comes out,
-//! in which every party is allowed what its role needs and nothing else.
+//! The input is a folder with an authority and the certificates that it has issued. The output is
+//! the configuration of a Zenoh router. It grants each party the rights of its role and denies
+//! everything else.
 //!
 //! ```
 //! use spandrel_access::{Party, Right, keys_of};
 //! use spandrel_bus::Name;
 //! let roof: Party = "sensor.tower.roof".parse()?;
-//! assert_eq!(keys_of(&Name::new("spandrel")?, &roof, Right::Put), ["spandrel/tower/sensor/roof/samples"]);
+//! assert_eq!(
+//!     keys_of(&Name::new("spandrel")?, &roof, Right::Put),
+//!     ["spandrel/tower/sensor/roof/samples"]
+//! );
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! - [`Role`], [`Party`]: who somebody is
-//! - [`rights()`]: what each role may do, on which keys
-//! - [`SiteFolder`]: the authority of a site and what it has issued, as files
+//! - [`Role`], [`Party`]: the identity of a party
+//! - [`rights()`]: what each role may do, and on which keys
+//! - [`SiteFolder`]: the authority of a site and the certificates it has issued, as files
 //! - [`router_file()`]: the configuration of the router
 //!
-//! The wrong room for checking a certificate when a session is opened: that is done in `spandrel-bus`.
+//! `spandrel-bus` checks certificates when it opens a session; this crate does not.
 
 mod certificate;
 mod error;

@@ -1,24 +1,24 @@
-//! What each role may do, on which keys: the one place where that is written.
+//! The rights of each role: what it may do, and on which keys. No other module defines rights.
 
 use spandrel_bus::{KeyFamily, Service};
 
 use crate::role::Role;
 use KeyFamily as K;
 
-/// A thing to do on a key.
+/// An operation on a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Right {
-    /// Put messages.
+    /// Publish messages.
     Put,
-    /// Receive what others put.
+    /// Receive messages that others publish.
     Subscribe,
-    /// Ask queries, and receive the replies.
+    /// Send queries and receive the replies.
     Query,
-    /// Receive queries, and reply.
+    /// Receive queries and reply to them.
     Answer,
     /// Hold a liveliness token.
     Announce,
-    /// Learn of the tokens of others.
+    /// Observe the liveliness tokens of others.
     Watch,
 }
 
@@ -33,7 +33,7 @@ impl Right {
         Self::Watch,
     ];
 
-    /// The right as a word.
+    /// Returns the name of the right in lower case.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -47,7 +47,7 @@ impl Right {
     }
 }
 
-/// What people see, and what is kept for them.
+/// Key families of data that the dashboard and the history show.
 const DISPLAYED: [KeyFamily; 9] = [
     K::Parameter,
     K::Noise,
@@ -60,7 +60,7 @@ const DISPLAYED: [KeyFamily; 9] = [
     K::Event,
 ];
 
-/// What the services of a worker put.
+/// Key families that the services of a worker publish.
 const IDENTIFIED: [KeyFamily; 11] = [
     K::Frames,
     K::Estimates,
@@ -75,7 +75,10 @@ const IDENTIFIED: [KeyFamily; 11] = [
     K::Description,
 ];
 
-/// What a role may do. On a key of which parts are names, a party of one structure or node has that right for its own names only.
+/// Returns the rights of a role.
+///
+/// Some keys contain names of structures or nodes. A party whose scope is one structure or node has
+/// its rights only on keys with its own name.
 #[must_use]
 pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
     let each = |right: Right, families: &[KeyFamily]| {
@@ -122,14 +125,15 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
                 Right::Answer,
                 &[K::Recording, K::EstimatesBuffer, K::Description, K::State],
             ),
-            // workers agree among themselves which one leads
+            // Workers elect their leader among themselves.
             vec![(Right::Announce, K::Leader), (Right::Watch, K::Leader)],
             each(
                 Right::Put,
                 &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress),
             ),
             progress(Right::Subscribe),
-            // whether the samples wait for identification, which decides from when on it is overloaded
+            // This status shows whether samples are waiting for identification, and hence when
+            // identification becomes overloaded.
             each(Right::Subscribe, &[K::Status(Service::Ingest)]),
             watch_all(),
             [Service::Ingest, Service::Identify, Service::Fuse]
@@ -162,7 +166,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Viewer => [
             each(Right::Subscribe, &DISPLAYED),
-            // what is read again after a restart is told from what arrives by the progress of ingest
+            // After a restart, the progress of ingest separates replayed data from new data.
             each(
                 Right::Subscribe,
                 &[K::Estimates, K::Description, K::Progress(Service::Ingest)],
@@ -177,7 +181,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Dashboard => [rights(Role::Viewer), of_service(Service::Dashboard)].concat(),
         Role::Operator => [rights(Role::Dashboard), each(Right::Put, &[K::Acknowledge])].concat(),
-        // a replayed or simulated record waits for those who read it, and asks ingest where it stands
+        // The publisher of a replayed or simulated record waits for its readers and queries the
+        // last sample that ingest has stored.
         Role::Gateway => [rights(Role::Sensor), each(Right::Query, &[K::Recording])].concat(),
         Role::NodeWorker => [
             each(Right::Subscribe, &[K::Samples, K::Feedback]),
@@ -200,12 +205,14 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
     all
 }
 
-/// Whether the name in the keys of a family is that of a node, so that a party that is one node is kept to it.
+/// Returns `true` if the name in the keys of a family is the name of a node.
+///
+/// A party of one node then has this right only on keys with its own name.
 #[must_use]
 pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
     match family {
         K::Samples | K::Buffer | K::Local | K::Feedback => true,
-        // it announces itself, and watches others
+        // A node announces itself but watches all others.
         K::Live(_) | K::Status(_) => matches!(right, Right::Announce | Right::Put),
         K::Frames
         | K::Recording

@@ -1,49 +1,50 @@
-//! Who somebody is: a role and a name, as they stand in the common name of a certificate.
+//! The identity of a party: a role and a name, as in the common name of its certificate.
 
 use std::fmt;
 use std::str::FromStr;
 
 use spandrel_bus::Name;
 
-/// What somebody is for.
+/// The role of a party.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Role {
-    /// A router that others connect to; passes on what is said at other routers of the site.
+    /// A router that other parties connect to. It forwards messages to and from the other routers
+    /// of the site.
     Router,
-    /// The PostgreSQL server of the history: nothing on the bus.
+    /// The PostgreSQL server of the history, which has no rights on the bus.
     Database,
     /// All services of one machine in one process.
     Server,
-    /// Ingest, identify and fuse.
+    /// The services ingest, identify and fuse.
     Worker,
     /// The alert service.
     Alert,
     /// The history service.
     History,
-    /// Who tells people of alerts.
+    /// A program that notifies people of alerts.
     Notify,
-    /// The page, without acknowledging.
+    /// The dashboard, without the right to acknowledge alerts.
     Dashboard,
-    /// People who may acknowledge, and a page on which they can.
+    /// People who may acknowledge alerts, and a dashboard on which they can.
     Operator,
-    /// People and programs that look.
+    /// People and programs with read access.
     Viewer,
-    /// All sensor nodes of one structure: a logger, a simulation, a replay.
+    /// All sensor nodes of one structure, for example a logger, a simulation or a replay.
     Gateway,
-    /// A node that identifies for itself.
+    /// A node that identifies the structure from its own samples.
     NodeWorker,
     /// One sensor node.
     Sensor,
 }
 
-/// What a name under a role says.
+/// The meaning of the name that follows a role.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// Any name; the role holds for all structures of the site.
+    /// Any name. The role applies to all structures of the site.
     Site,
     /// The name of a structure.
     Structure,
-    /// `STRUCTURE.NODE`.
+    /// The name of a structure and of a node, `STRUCTURE.NODE`.
     Node,
 }
 
@@ -65,7 +66,7 @@ impl Role {
         Self::Sensor,
     ];
 
-    /// The role as it is written.
+    /// Returns the role as written in common names.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -85,7 +86,7 @@ impl Role {
         }
     }
 
-    /// What a name under this role says.
+    /// Returns the meaning of the name that follows this role.
     #[must_use]
     pub fn scope(self) -> Scope {
         match self {
@@ -111,7 +112,7 @@ impl fmt::Display for Role {
     }
 }
 
-/// Somebody with a certificate.
+/// A holder of a certificate.
 ///
 /// ```
 /// use spandrel_access::{Party, Role};
@@ -125,19 +126,19 @@ pub struct Party {
     name: Vec<Name>,
 }
 
-/// A role and a name that do not make a party.
+/// An error in the role or the name of a party.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PartyError {
-    /// No such role.
+    /// The role is unknown.
     #[error("`{found}` is no role; roles are {}", Role::ALL.map(Role::as_str).join(", "))]
     Role {
-        /// The text found.
+        /// The rejected text.
         found: String,
     },
-    /// A part of the name is none.
+    /// A part of the name is not a valid [`Name`].
     #[error(transparent)]
     Name(#[from] spandrel_bus::NameError),
-    /// The name has not the parts that its role needs.
+    /// The number of parts in the name does not match the role.
     #[error("`{found}` is no name of a {role}, must be {}", match role.scope() {
         Scope::Site => "one word of a-z, 0-9 and -",
         Scope::Structure => "the name of a structure",
@@ -146,7 +147,7 @@ pub enum PartyError {
     Parts {
         /// The role.
         role: Role,
-        /// The text found.
+        /// The rejected name.
         found: String,
     },
 }
@@ -166,7 +167,7 @@ impl Party {
     /// Checks a name against its role.
     ///
     /// # Errors
-    /// [`PartyError`] says what the name must be.
+    /// [`PartyError`] states the required form of the name.
     pub fn new(role: Role, name: &str) -> Result<Self, PartyError> {
         let parts = name
             .split('.')
@@ -182,13 +183,13 @@ impl Party {
         }
     }
 
-    /// The role.
+    /// Returns the role.
     #[must_use]
     pub fn role(&self) -> Role {
         self.role
     }
 
-    /// The structure that the role is limited to.
+    /// Returns the structure that limits the role, or `None` if the role applies to the whole site.
     #[must_use]
     pub fn structure(&self) -> Option<&Name> {
         self.name
@@ -196,13 +197,13 @@ impl Party {
             .filter(|_| self.role.scope() != Scope::Site)
     }
 
-    /// The node that the role is limited to.
+    /// Returns the node that limits the role, or `None` if the role is not limited to a node.
     #[must_use]
     pub fn node(&self) -> Option<&Name> {
         self.name.get(1)
     }
 
-    /// As it stands in the certificate: `ROLE.NAME`.
+    /// Returns the common name of the certificate, `ROLE.NAME`.
     #[must_use]
     pub fn common_name(&self) -> String {
         let name: Vec<&str> = self.name.iter().map(Name::as_str).collect();
@@ -213,7 +214,7 @@ impl Party {
 impl FromStr for Party {
     type Err = PartyError;
 
-    /// Reads a common name.
+    /// Parses a common name.
     fn from_str(text: &str) -> Result<Self, PartyError> {
         let (role, name) = text.split_once('.').unwrap_or((text, ""));
         Self::new(role.parse()?, name)

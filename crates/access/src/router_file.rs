@@ -1,7 +1,8 @@
-//! The configuration of the router of a site: certificates, and what each party may do.
+//! The configuration of a site's router: its certificates and the rights of each party.
 //!
-//! Zenoh matches a party by the common name of its certificate, and allows a message whose key expression lies within one of
-//! those of a rule. What a party does arrives at the router (ingress), what it is told leaves it (egress); both are ruled.
+//! Zenoh identifies a party by the common name of its certificate. It allows a message if its key
+//! expression lies within a key expression of a rule. Messages from a party arrive at the router
+//! (ingress), and messages to a party leave it (egress). The rules restrict both directions.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -13,37 +14,39 @@ use crate::error::AccessError;
 use crate::rights::{Right, is_of_node, rights};
 use crate::role::{Party, Role};
 
-/// Sessions at the same time; more are refused.
+/// Maximum number of concurrent sessions. The router rejects further ones.
 const MAX_SESSIONS: usize = 1_000;
-/// Sessions that are being opened at the same time.
+/// Maximum number of sessions that may be opening at the same time.
 const MAX_OPENING: usize = 64;
 
-/// What the file of a router is made of.
+/// Contents of a router's configuration file.
 #[derive(Clone, Debug)]
 pub struct RouterPlan<'p> {
     /// First chunk of all keys.
     pub root: &'p Name,
-    /// The router itself.
+    /// Identity of the router.
     pub router: &'p Party,
-    /// Where it listens, `quic/…`.
+    /// Endpoints on which the router listens, `quic/…`.
     pub listen: &'p [String],
-    /// Other routers of the site that it connects to, `quic/…`.
+    /// Endpoints of other routers of the site to connect to, `quic/…`.
     pub connect: &'p [String],
-    /// The certificate of the router, with its key and the authority.
+    /// Path of the router's certificate.
     pub certificate: &'p Path,
-    /// Key of that certificate.
+    /// Path of the private key of that certificate.
     pub key: &'p Path,
-    /// Certificate of the authority.
+    /// Path of the authority's certificate.
     pub authority: &'p Path,
-    /// Everybody who has a certificate. Other routers pass on what their parties are allowed; those who have no business on the
-    /// bus are left out.
+    /// All holders of a certificate.
+    ///
+    /// Other routers get the right to forward what their own parties may do. Parties without rights
+    /// on the bus get no rules.
     pub parties: &'p [Party],
 }
 
-/// Writes the file of a router, as `zenohd` and `spandrel router` take it.
+/// Returns the configuration file of a router, in the format of `zenohd` and `spandrel router`.
 ///
 /// # Errors
-/// An endpoint that is not `quic/…`, or a path that is not UTF-8.
+/// An endpoint is not `quic/…`, or a path is not UTF-8.
 pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
     if let Some(endpoint) = plan
         .listen
@@ -101,7 +104,7 @@ pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
     if !plan.connect.is_empty() {
         config["connect"] = json!({ "endpoints": in_order(plan.connect) });
     }
-    // a map of JSON values can always be written
+    // Serialising a map of JSON values cannot fail.
     let config = serde_json::to_string_pretty(&config).unwrap_or_default();
     Ok(format!(
         "// Router of a Spandrel site, written by `spandrel site router`; write it anew rather than change it.\n\
@@ -116,7 +119,7 @@ fn text(path: &Path) -> Result<&str, AccessError> {
     })
 }
 
-/// A rule of Zenoh, and the subject that it is for.
+/// An access rule of Zenoh for one subject.
 struct Rule {
     id: String,
     messages: Vec<&'static str>,
@@ -162,7 +165,7 @@ fn access_control(root: &Name, router: &Party, parties: &[Party]) -> Value {
         rules.extend(of_party);
     }
     if subjects.is_empty() {
-        // without subjects Zenoh would allow nothing either, and warn of it
+        // Without subjects, Zenoh would also deny everything, but it would log a warning.
         subjects.push(json!({ "id": "nobody", "cert_common_names": ["nobody"] }));
         policies.push(json!({ "id": "nobody", "rules": [KNOWN_TO_ALL], "subjects": ["nobody"] }));
     }
@@ -177,7 +180,10 @@ fn access_control(root: &Name, router: &Party, parties: &[Party]) -> Value {
 
 const KNOWN_TO_ALL: &str = "who is there to read and to answer";
 
-/// Who puts learns that somebody subscribes, and who asks that somebody answers; the key expressions are no secret.
+/// Returns the rule that reveals subscribers and queryables to all parties.
+///
+/// Publishers need to know whether anyone subscribes, and clients need to know whether anyone
+/// replies. The key expressions are not secret.
 fn known_to_all(root: &Name) -> Rule {
     Rule {
         id: KNOWN_TO_ALL.to_owned(),
@@ -189,7 +195,9 @@ fn known_to_all(root: &Name) -> Rule {
 
 const BETWEEN_ROUTERS: &str = "between routers";
 
-/// All that parties may do, in both directions: each router has asked its own parties, and believes the others that they have.
+/// Returns the rule that allows other routers everything that parties may do, in both directions.
+///
+/// Each router checks its own parties, and the other routers rely on that check.
 fn between_routers(root: &Name) -> Rule {
     let mut messages: Vec<&'static str> = Vec::new();
     for right in Right::ALL {
@@ -208,7 +216,9 @@ fn between_routers(root: &Name) -> Rule {
     }
 }
 
-/// All that is below the root: `**` does not match a chunk that begins with @, so that those are named.
+/// Returns key expressions that match every key below the root.
+///
+/// `**` does not match chunks that begin with `@`, so keys with such chunks are listed separately.
 fn all_keys(root: &Name) -> Vec<String> {
     let families = KeyFamily::all()
         .into_iter()
@@ -218,7 +228,7 @@ fn all_keys(root: &Name) -> Vec<String> {
     keys
 }
 
-/// What a right is in messages that arrive at the router, and in messages that leave it.
+/// Returns the Zenoh messages of a right: those that arrive at the router, and those that leave it.
 fn messages(right: Right) -> (Vec<&'static str>, Vec<&'static str>) {
     match right {
         Right::Put => (vec!["put"], vec![]),
@@ -256,7 +266,7 @@ fn rules_of(root: &Name, party: &Party) -> Vec<Rule> {
     rules
 }
 
-/// The key expressions on which a party has a right.
+/// Returns the key expressions on which a party has a right.
 #[must_use]
 pub fn keys_of(root: &Name, party: &Party, right: Right) -> Vec<String> {
     let families: Vec<KeyFamily> = rights(party.role())
@@ -269,7 +279,8 @@ pub fn keys_of(root: &Name, party: &Party, right: Right) -> Vec<String> {
     for family in &families {
         let node = party.node().filter(|_| is_of_node(right, *family));
         keys.insert(family.expression(root, structure, node));
-        // whoever looks at all services does so with one key expression, which none of theirs contains
+        // A party that reads all services uses one key expression for them. No key expression of a
+        // single service contains it.
         let of_each: [fn(Service) -> KeyFamily; 3] =
             [KeyFamily::Progress, KeyFamily::Status, KeyFamily::Live];
         let has_all = |of: fn(Service) -> KeyFamily| {
@@ -344,7 +355,7 @@ mod tests {
         );
     }
 
-    /// The file of router `north`, with its parties.
+    /// Returns the file of router `north` with these parties.
     fn written(
         listen: &[String],
         connect: &[String],

@@ -1,4 +1,4 @@
-//! The authority of a site and the certificates that it has issued: files in one folder.
+//! The authority of a site and the certificates that it has issued, as files in one folder.
 
 use std::fs::{DirBuilder, OpenOptions, Permissions};
 use std::io::{ErrorKind, Write};
@@ -18,14 +18,14 @@ use spandrel_bus::{AUTHORITY_FILE, TlsConfig};
 use crate::error::AccessError;
 use crate::role::{Party, Role};
 
-/// File of the authority's private key.
+/// File name of the authority's private key.
 const AUTHORITY_KEY_FILE: &str = "authority.key";
-/// What the folder and its files allow: their owner, and nobody else.
+/// Permissions of the folder. Only the owner has access to it and its files.
 const FOLDER_MODE: u32 = 0o700;
 const FILE_MODE: u32 = 0o600;
-/// A certificate is valid from so many days ago on, for parties whose clock is behind.
+/// Number of days before today on which validity starts, for parties whose clock is slow.
 const VALID_BEFORE_DAYS: i64 = 2;
-/// The longest life of a certificate, days.
+/// Maximum validity period of a certificate, in days.
 const MAX_DAYS: u32 = 36_500;
 
 /// The folder of a site.
@@ -34,31 +34,31 @@ pub struct SiteFolder {
     folder: PathBuf,
 }
 
-/// Files that were written.
+/// Files of an issued certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Issued {
-    /// The certificate.
+    /// Path of the certificate.
     pub certificate: PathBuf,
-    /// Its private key.
+    /// Path of its private key.
     pub key: PathBuf,
-    /// The day on which it ends, at 0:00 UTC.
+    /// Day on which the certificate expires, at 0:00 UTC.
     pub expires: Date,
 }
 
-/// What is done about files that are there already.
+/// Treatment of files that already exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// They stay, and it is an error.
+    /// Keep them and return an error.
     Keep,
-    /// They are written anew.
+    /// Overwrite them.
     Replace,
 }
 
 impl SiteFolder {
-    /// Makes an authority of this name in a folder, which is made if it is not there.
+    /// Creates an authority with this name in a folder. Creates the folder if it is missing.
     ///
     /// # Errors
-    /// An authority that is there already, unless it is to be replaced; a folder that cannot be written.
+    /// The authority already exists and must not be replaced, or the folder cannot be written.
     pub fn create(
         folder: &Path,
         name: &str,
@@ -107,10 +107,10 @@ impl SiteFolder {
         Ok((site, issued))
     }
 
-    /// The folder of a site that is there.
+    /// Opens the existing folder of a site.
     ///
     /// # Errors
-    /// A folder without an authority.
+    /// The folder contains no authority.
     pub fn open(folder: &Path) -> Result<Self, AccessError> {
         for file in [AUTHORITY_FILE, AUTHORITY_KEY_FILE] {
             if !folder.join(file).is_file() {
@@ -125,30 +125,34 @@ impl SiteFolder {
         })
     }
 
-    /// The certificate of the authority.
+    /// Returns the path of the authority's certificate.
     #[must_use]
     pub fn authority(&self) -> PathBuf {
         self.folder.join(AUTHORITY_FILE)
     }
 
-    /// The certificate of a party, whether it is there or not.
+    /// Returns the path of a party's certificate, which need not exist.
     #[must_use]
     pub fn certificate(&self, party: &Party) -> PathBuf {
         self.folder.join(format!("{}.pem", party.common_name()))
     }
 
-    /// The private key of a party, whether it is there or not.
+    /// Returns the path of a party's private key, which need not exist.
     #[must_use]
     pub fn key(&self, party: &Party) -> PathBuf {
         self.folder.join(format!("{}.key", party.common_name()))
     }
 
-    /// Issues a certificate. Who is connected to under `hosts` may be a server too; all others are clients only, so that
-    /// what a sensor has cannot stand for the router.
+    /// Issues a certificate.
+    ///
+    /// With `hosts`, the certificate is valid for servers and clients. Without them it is valid for
+    /// clients only, so that the certificate of a sensor cannot impersonate the router.
     ///
     /// # Errors
-    /// A certificate that is there already, unless it is to be replaced; an authority that cannot be used or is over; a
-    /// router or database without hosts; a file that cannot be written.
+    /// - The certificate already exists and must not be replaced.
+    /// - The authority cannot be used or has expired.
+    /// - A router or database has no hosts.
+    /// - A file cannot be written.
     pub fn issue(
         &self,
         party: &Party,
@@ -198,12 +202,13 @@ impl SiteFolder {
             expires,
         };
         issued.write(&certificate.pem(), &key.serialize_pem(), existing)?;
-        // an authority whose key is another one's would issue what nobody accepts
+        // An authority certificate with a different key would issue certificates that no party
+        // accepts.
         TlsConfig::beside(issued.certificate.clone()).check()?;
         Ok(issued)
     }
 
-    /// Everybody who has a certificate here, in the order of their names.
+    /// Returns all holders of a certificate in this folder, sorted by role and name.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -223,10 +228,10 @@ impl SiteFolder {
         Ok(parties)
     }
 
-    /// The router of this name, or the only one that has a certificate here.
+    /// Returns the router with this name, or the only router if `name` is `None`.
     ///
     /// # Errors
-    /// None, or several and no name.
+    /// There is no such router, or there are several and `name` is `None`.
     pub fn router(&self, name: Option<&str>) -> Result<Party, AccessError> {
         let routers = self
             .parties()?
@@ -253,7 +258,7 @@ impl SiteFolder {
         }
     }
 
-    /// The authority, and the day on which it ends.
+    /// Returns the authority and the day on which it expires.
     fn issuer(&self) -> Result<(Issuer<'static, KeyPair>, Date), AccessError> {
         let (path, key_path) = (self.authority(), self.folder.join(AUTHORITY_KEY_FILE));
         let read = |path: &Path| {
@@ -266,7 +271,7 @@ impl SiteFolder {
         };
         let no_authority = || AccessError::NoAuthority { path: path.clone() };
         let (certificate, key) = (read(&path)?, read(&key_path)?);
-        // the error could speak of the key
+        // The original error might contain part of the key.
         let key = KeyPair::from_pem(&key).map_err(|_| AccessError::Tls(damaged(&key_path)))?;
         let (_, pem) =
             x509_parser::pem::parse_x509_pem(certificate.as_bytes()).map_err(|_| no_authority())?;
@@ -296,7 +301,7 @@ fn today() -> Date {
     Timestamp::now().to_zoned(TimeZone::UTC).date()
 }
 
-/// From when until when a certificate of so many days is valid.
+/// Returns the first day and the day of expiry of a certificate that is valid for `days`.
 fn life(days: u32) -> Result<(Date, Date), AccessError> {
     let refused = AccessError::Days { days };
     if days == 0 || days > MAX_DAYS {
@@ -340,7 +345,7 @@ fn alternative_name(host: &str) -> Result<SanType, AccessError> {
 }
 
 impl Issued {
-    /// Writes both files; the key first, so that no certificate is there without it.
+    /// Writes both files. The key is first, so that no certificate exists without its key.
     fn write(&self, certificate: &str, key: &str, existing: Existing) -> Result<(), AccessError> {
         if existing == Existing::Keep {
             for path in [&self.certificate, &self.key] {
@@ -362,7 +367,7 @@ fn write_private(path: &Path, text: &str, existing: Existing) -> Result<(), Acce
         Existing::Replace => options.create(true).truncate(true),
     };
     let written = options.open(path).and_then(|mut file| {
-        // a file that was there keeps its mode unless told otherwise
+        // An existing file would keep its mode.
         file.set_permissions(Permissions::from_mode(FILE_MODE))?;
         file.write_all(text.as_bytes())
     });

@@ -1,4 +1,4 @@
-//! An alert: where one parameter stands against one rule, and why.
+//! An alert: the state of one parameter under one rule, and the reasons.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{AlertMessage, AlertState, FitReasons, FitVerdict, Name, UndecidedBecause};
@@ -6,56 +6,57 @@ use spandrel_bus::{AlertMessage, AlertState, FitReasons, FitVerdict, Name, Undec
 use crate::credibility::loss_within_record;
 use crate::{LossEstimate, ParameterEstimate, Reference};
 
-/// Where one parameter stands against one rule, since the last change.
+/// The state of one parameter under one rule since the last change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alert {
-    /// Number of the rule in the structure file, from 0.
+    /// Index of the rule in the structure file, from 0.
     pub rule: usize,
-    /// Number of the parameter in state order.
+    /// Index of the parameter in state order.
     pub parameter: usize,
-    /// The state from now on.
+    /// The new state.
     pub state: AlertState,
-    /// The estimate that decided.
+    /// The estimate that caused the decision.
     pub estimate: ParameterEstimate,
-    /// Since when the loss has been credible, ns; `None` while it is not.
+    /// Time since which the loss has been credible, ns. `None` while it is not credible.
     pub since_ns: Option<i64>,
-    /// Loss that the rule asks about, share of the reference.
+    /// Loss specified by the rule, as a share of the reference.
     pub rule_loss: f64,
-    /// Probability that the rule asks for.
+    /// Credibility specified by the rule.
     pub rule_credibility: f64,
-    /// Probability of that loss now; 0 while the reference is learnt.
+    /// Current probability of that loss. It is 0 while the reference is learnt.
     pub probability_of_loss: f64,
-    /// What the loss is counted from; `None` while it is learnt.
+    /// The reference of the loss. `None` while it is learnt.
     pub reference: Option<Reference>,
-    /// The loss with its 95 % interval; `None` while the reference is learnt.
+    /// The loss with its 95 % interval. `None` while the reference is learnt.
     pub loss: Option<LossEstimate>,
-    /// Who has acknowledged, and what they noted.
+    /// The person who has acknowledged the alert, with a note.
     pub acknowledgement: Option<Acknowledged>,
     /// The decision in words.
     pub why: String,
-    /// The verdict on the fit at the last frame; `None` where nobody judges it.
+    /// The verdict on the fit at the last frame. `None` if the fit is not assessed.
     pub fit: Option<FitVerdict>,
-    /// Why the fit is not supported.
+    /// The reasons why the fit is not supported.
     pub fit_reasons: FitReasons,
-    /// Whether the filter follows a sudden change: the loss is still moving.
+    /// Whether the filter follows a sudden change. The loss is then still moving.
     pub follows_jump: bool,
-    /// Why nothing is decided now; `None` while alerts are decided.
+    /// The reason why no decision is possible. `None` while alerts are decided.
     pub undecided_because: Option<UndecidedBecause>,
-    /// How often this was said before, with another loss.
+    /// Number of earlier messages for this state, with other losses.
     pub revision: u32,
 }
 
-/// Who has seen an alert.
+/// A person who has acknowledged an alert.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Acknowledged {
-    /// Who.
+    /// Name of the person.
     pub who: String,
-    /// A note; may be empty.
+    /// A note, which may be empty.
     pub note: String,
 }
 
 impl Alert {
-    /// Returns `true` if this is the alert `other` in the same state, perhaps with another loss.
+    /// Returns `true` if `other` is the same alert in the same state, possibly with a different
+    /// loss.
     pub(crate) fn says_the_same(&self, other: &Self) -> bool {
         let said = |alert: &Self| {
             (
@@ -69,14 +70,14 @@ impl Alert {
         said(self) == said(other) && self.acknowledgement == other.acknowledgement
     }
 
-    /// Returns the loss with its interval within this record; `None` while the reference is learnt.
+    /// Returns the loss with its interval within this record. `None` while the reference is learnt.
     pub(crate) fn loss_within_record(&self) -> Option<LossEstimate> {
         self.reference
             .as_ref()
             .map(|reference| loss_within_record(&self.estimate, reference))
     }
 
-    /// The message that says so to others; the only place that knows both forms.
+    /// Converts the alert to its message on the bus. No other code knows both forms.
     pub fn to_message(&self, structure: &Name, parameter: &Name) -> AlertMessage {
         AlertMessage {
             structure: structure.clone(),
@@ -105,7 +106,7 @@ impl Alert {
             undecided_because: self.undecided_because,
             revision: self.revision,
         }
-        // one that was remembered by an earlier version may hold a name that none would send now
+        // An alert restored from an earlier version can contain a name that is invalid now.
         .legible()
     }
 }

@@ -1,22 +1,26 @@
 //! The sound values of the parameters of a structure, learnt from several records, and their file.
 //!
-//! Notation: n records; m_i, v_i mean and variance of the parameter from record i ([`SpanSummary`]).
+//! Notation: n records; m_i, v_i mean and variance of the parameter from record i
+//! ([`SpanSummary`]).
 //!
-//! The reference is what a further sound record would show: between records a structure differs by temperature and by the
-//! strength of the shaking, and that must not look like damage. With the one-way random model
-//! (S. R. Searle, G. Casella, C. E. McCulloch, *Variance Components*, 1992, chapter 3) m_i is normal about the mean of the
-//! structure, with the variance σ_b² between records plus v_i:
+//! The reference predicts the estimate from a further sound record. Temperature and the strength of
+//! the shaking change a structure between records, and these changes must not look like damage. The
+//! one-way random model (S. R. Searle, G. Casella, C. E. McCulloch, *Variance Components*, 1992,
+//! chapter 3) assumes that m_i is normal about the mean of the structure. Its variance is v_i plus
+//! the variance σ_b² between records:
 //!
 //! m̄ = Σ m_i/n,  b² = Σ (m_i − m̄)²/(n − 1),  v̄ = Σ v_i/n
 //!
-//! b² has the expectation σ_b² + v̄ and n − 1 degrees of freedom. A further record differs from m̄ by a Student variable with the
-//! scale b·√(1 + 1/n), and by its own uncertainty. b² holds v̄, which the further record counts again: that is the safe side.
+//! b² has the expectation σ_b² + v̄ and n − 1 degrees of freedom. The difference between a further
+//! record and m̄ has two parts. The first is a Student variable with the scale b·√(1 + 1/n), and
+//! the second is the uncertainty of that record. b² includes v̄, which the further record counts
+//! again. This errs on the safe side.
 //!
-//! A sound structure rarely scatters by more than a quarter between records. With few degrees of freedom that bounds the tail of
-//! the Student variable (`scatter`).
+//! A sound structure rarely scatters by more than a quarter between records. With few degrees of
+//! freedom, this limits the tail of the Student variable (`scatter`).
 //!
-//! One record knows nothing of σ_b. The owner may state it: then a further record differs from m̄ by a normal variable with
-//! the variance σ_b²·(1 + 1/n) + v̄/n.
+//! A single record contains no information about σ_b, but the owner can state it. A further record
+//! then differs from m̄ by a normal variable with the variance σ_b²·(1 + 1/n) + v̄/n.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::CredibleInterval;
@@ -37,7 +41,7 @@ pub struct Baseline {
     is_old_file: bool,
 }
 
-/// The sound value of one parameter, ratios to nominal.
+/// The sound value of one parameter, as ratios to nominal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ParameterBaseline {
@@ -45,33 +49,34 @@ pub struct ParameterBaseline {
     pub parameter: String,
     /// Mean of the records.
     pub mean: f64,
-    /// What a record leaves open on average: standard deviation.
+    /// Root mean square of the standard deviations within the records.
     pub within_std: f64,
-    /// Standard deviation from record to record; `None` if one record is all there is, and nothing was stated.
+    /// Standard deviation between records. `None` if there is a single record and no stated value.
     pub between_std: Option<f64>,
-    /// How many deviations `between_std` was estimated from; `None` if it was stated, or is unknown.
+    /// Degrees of freedom of the estimate `between_std`. `None` if it was stated or is unknown.
     pub degrees_of_freedom: Option<f64>,
 }
 
-/// What is known of the scatter between records beforehand.
+/// Prior knowledge of the scatter between records.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BetweenRecords {
-    /// Nothing: the records must show it.
+    /// None: the scatter is estimated from the records.
     Estimated,
-    /// Its standard deviation, ratio to nominal.
+    /// The stated standard deviation, as a ratio to nominal.
     Stated(f64),
 }
 
-/// What one record has taught, an entry per parameter.
+/// Summary of one record, with one entry per parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordSummary {
     parameters: Vec<SpanSummary>,
 }
 
 impl RecordSummary {
-    /// Summarises the estimates of a record: per frame mean and standard deviation of each parameter, ratios to nominal.
+    /// Summarises a record. Each frame contains mean and standard deviation of each parameter, as
+    /// ratios to nominal.
     ///
-    /// `None` if there is no frame, or if a frame has another number of parameters than the first.
+    /// Returns `None` if there are no frames, or if their numbers of parameters differ.
     pub fn from_estimates<I>(frames: I) -> Option<Self>
     where
         I: IntoIterator,
@@ -106,11 +111,13 @@ impl RecordSummary {
 }
 
 impl Baseline {
-    /// Joins what several records have taught about the `parameters` (names in state order) of `structure`.
+    /// Combines several records into the baseline of `structure`. `parameters` contains the names
+    /// in state order.
     ///
     /// # Errors
-    /// There is no record, a record has another number of parameters, a parameter is too uncertain within its records, or the
-    /// records differ by more than a stated scatter allows.
+    /// Fails if there are no records, or if a record has a different number of parameters. Also
+    /// fails if a parameter is too uncertain within its records, or if the records differ by more
+    /// than a stated scatter permits.
     pub fn from_records(
         structure: &str,
         parameters: &[&str],
@@ -147,40 +154,48 @@ impl Baseline {
         Ok(baseline)
     }
 
-    /// Name of the structure.
+    /// Returns the name of the structure.
     pub fn structure(&self) -> &str {
         &self.structure
     }
 
-    /// Number of records that it was learnt from.
+    /// Returns the number of records in the baseline.
     pub fn records(&self) -> usize {
         self.records
     }
 
-    /// Returns `true` if the file was written in version 1, which did not state how many records its scatter rests on for each
-    /// parameter: it is then taken as estimated from all records but one.
+    /// Returns `true` if the file has version 1.
+    ///
+    /// That version does not store the degrees of freedom of each scatter. The scatter then counts
+    /// as estimated, with one degree of freedom less than records.
     pub fn is_old_file(&self) -> bool {
         self.is_old_file
     }
 
-    /// The sound value of a parameter in any further record; `None` if the baseline does not know the parameter, or knows
-    /// it from too few records ([`Baseline::claim`] says which).
+    /// Returns the sound value of a parameter for any further record.
+    ///
+    /// Returns `None` if the parameter is not in the baseline, or if there are too few records.
+    /// [`Baseline::claim`] distinguishes the two cases.
     pub fn reference(&self, parameter: &str) -> Option<Reference> {
         self.claim(parameter)?.ok()
     }
 
-    /// The sound value of a parameter in any further record, or why its records do not support one; `None` if the baseline does
-    /// not know the parameter.
+    /// Returns the sound value of a parameter for any further record, or the reason why the records
+    /// do not support one.
+    ///
+    /// Returns `None` if the parameter is not in the baseline.
     ///
     /// # Errors
-    /// Of the inner result: [`AlertError::OneRecord`] without any scatter between records, [`AlertError::FewRecords`] where it
-    /// is too large for so few records.
+    /// The inner result is [`AlertError::OneRecord`] without a scatter between records, or
+    /// [`AlertError::FewRecords`] if the scatter is too large for so few records.
     pub fn claim(&self, parameter: &str) -> Option<Result<Reference, AlertError>> {
         Some(self.parameter(parameter)?.reference(self.records))
     }
 
-    /// Interval of a parameter for this structure: what other records of the same structure would show, from an estimate
-    /// within one record and the scatter between records. `None` if the baseline does not know the parameter, or knows no scatter.
+    /// Returns the interval of a parameter over further records of the structure.
+    ///
+    /// The interval combines an estimate within one record with the scatter between records.
+    /// Returns `None` if the parameter is not in the baseline, or if its scatter is unknown.
     pub fn for_structure(
         &self,
         parameter: &str,
@@ -207,19 +222,20 @@ impl Baseline {
         })
     }
 
-    /// What the baseline holds of a parameter; `None` if it does not know it.
+    /// Returns the entry of a parameter, or `None` if it is not in the baseline.
     pub fn parameter(&self, parameter: &str) -> Option<&ParameterBaseline> {
         self.parameters
             .iter()
             .find(|entry| entry.parameter == parameter)
     }
 
-    /// Names of the parameters that the baseline knows.
+    /// Returns the names of the parameters in the baseline.
     pub fn parameters(&self) -> impl Iterator<Item = &str> {
         self.parameters.iter().map(|entry| entry.parameter.as_str())
     }
 
-    /// Checks that each parameter is known well enough within its records. Too few records are no mistake.
+    /// Checks that the uncertainty of each parameter within its records is small enough. Too few
+    /// records are not an error.
     fn check(&self) -> Result<(), AlertError> {
         for entry in &self.parameters {
             Reference::new(entry.mean, entry.within_std)
@@ -230,7 +246,7 @@ impl Baseline {
 }
 
 impl ParameterBaseline {
-    /// What a further record would show, from so many records.
+    /// Returns the reference for a further record, from this number of records.
     fn reference(&self, records: usize) -> Result<Reference, AlertError> {
         let n = records as f64;
         let further = (1.0 + 1.0 / n).sqrt();
@@ -251,10 +267,11 @@ impl ParameterBaseline {
     }
 }
 
-/// Level of the intervals of a parameter.
+/// Level of the parameter intervals.
 const LEVEL: f64 = 0.95;
 
-/// Joins the spans of one parameter, at least one, by the equations at the head of this file.
+/// Combines the spans of one parameter by the equations in the module documentation. There must be
+/// at least one span.
 fn join_spans(
     parameter: &str,
     spans: &[SpanSummary],
@@ -283,8 +300,9 @@ fn join_spans(
     })
 }
 
-/// Checks that the records do not contradict a stated scatter: (n − 1)·b²/(σ_b² + v̄) has the distribution χ² with n − 1
-/// degrees of freedom.
+/// Checks that the records do not contradict a stated scatter.
+///
+/// (n − 1)·b²/(σ_b² + v̄) has a χ² distribution with n − 1 degrees of freedom.
 fn check_stated(
     stated: f64,
     within: f64,
@@ -311,7 +329,7 @@ fn check_stated(
     })
 }
 
-/// The point of χ²/ν that is exceeded with probability 0.001; infinite without degrees of freedom.
+/// Returns the 0.999 quantile of χ²/ν. It is infinite without degrees of freedom.
 fn largest_mean_square(degrees_of_freedom: f64) -> f64 {
     const NOT_EXCEEDED: f64 = 0.999;
     ChiSquared::new(degrees_of_freedom).map_or(f64::INFINITY, |distribution| {

@@ -1,12 +1,16 @@
-//! How sure a loss is: estimate and reference are independent; the estimate is normal, and the reference is normal or, where its
-//! scatter was estimated from few records, the sum of a normal and a Student variable (`scatter`).
+//! Credibility of a loss.
 //!
-//! Notation: m, s mean and standard deviation of the parameter; r, s_r those of the reference (all ratios to nominal);
-//! L loss, so that L = 1 − parameter/reference; Φ the standard normal distribution function.
+//! Estimate and reference are independent, and the estimate is normal. The reference is normal too,
+//! unless its scatter was estimated from few records. It is then the sum of a normal and a Student
+//! variable (`scatter`).
 //!
-//! Source of the interval of a quotient: E. C. Fieller, *Some problems in interval estimation*, J. R. Stat. Soc. B 16
-//! (1954), 175-185. Independence errs on the safe side of a reference learnt from the same filter: errors that both
-//! share would cancel.
+//! Notation: m, s mean and standard deviation of the parameter; r, s_r the same for the reference
+//! (all ratios to nominal); L loss, so that L = 1 − parameter/reference; Φ the standard normal
+//! distribution function.
+//!
+//! Source of the interval of a quotient: E. C. Fieller, *Some problems in interval estimation*, J.
+//! R. Stat. Soc. B 16 (1954), 175-185. Independence errs on the safe side if the reference was
+//! learnt from the same filter, because common errors would cancel.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::CredibleInterval;
@@ -26,7 +30,7 @@ pub struct ParameterEstimate {
 }
 
 impl ParameterEstimate {
-    /// The interval of 95 % within the record that it rests on.
+    /// Returns the 95 % interval within the record of the estimate.
     pub fn interval(&self) -> CredibleInterval {
         let half = QUANTILE_95 * self.std;
         CredibleInterval {
@@ -37,7 +41,7 @@ impl ParameterEstimate {
     }
 }
 
-/// A loss and the interval that holds it with probability 0.95; shares of the reference (0.1 = 10 %).
+/// A loss and its 95 % interval, as shares of the reference (0.1 = 10 %).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LossEstimate {
     /// 1 − m/r
@@ -62,10 +66,11 @@ impl LossEstimate {
 /// Φ(1.959964) = 0.975: the quantile of a two-sided 95 % interval.
 const QUANTILE_95: f64 = 1.959_963_984_540_054;
 
-/// Probability that the parameter has lost more than `loss` (share of the reference).
+/// Returns the probability that the parameter has lost more than `loss` (share of the reference).
 ///
-/// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter less (1 − L) times the reference is normal. With
-/// scatter from few records, the distribution function of `scatter` stands in the place of Φ.
+/// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter minus (1 − L) times the
+/// reference is normal. If the scatter was estimated from few records, the distribution function of
+/// `scatter` replaces Φ.
 pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, loss: f64) -> f64 {
     let kept = 1.0 - loss;
     let margin = kept * reference.mean() - estimate.mean;
@@ -82,11 +87,13 @@ pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, 
     normal_cdf(margin / std)
 }
 
-/// The loss against the reference with its 95 % interval.
+/// Returns the loss against the reference with its 95 % interval.
 ///
-/// The ends are the L at which [`probability_of_loss`] is 0.975 and 0.025 (Fieller 1954): the roots q = 1 − L of
-/// (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A [`Reference`] is at least three standard deviations from zero, so the
-/// first coefficient is positive and the interval finite. With scatter from few records the ends are found by bisection.
+/// The ends are the values of L for which [`probability_of_loss`] is 0.975 and 0.025 (Fieller
+/// 1954). They are the roots q = 1 − L of (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A
+/// [`Reference`] is at least three standard deviations from zero. The first coefficient is
+/// therefore positive and the interval finite. With scatter from few records, the function finds
+/// the ends by bisection.
 pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     if reference.scatter().is_some() {
         return loss_by_bisection(estimate, reference);
@@ -96,7 +103,7 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
     let zs_r = QUANTILE_95 * reference.std();
     let a = r * r - zs_r * zs_r;
     let half_b = m * r;
-    // half_b² − a·c, with the terms that cancel left out
+    // half_b² − a·c, without the terms that cancel.
     let discriminant = (zs * r).powi(2) + (zs_r * m).powi(2) - (zs * zs_r).powi(2);
     let root = discriminant.max(0.0).sqrt();
     LossEstimate {
@@ -106,7 +113,8 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
     }
 }
 
-/// The loss against the mean of the reference with the 95 % interval within the record: what the estimate alone leaves open.
+/// Returns the loss against the mean of the reference, with the 95 % interval of the estimate
+/// alone.
 pub(crate) fn loss_within_record(
     estimate: &ParameterEstimate,
     reference: &Reference,
@@ -120,12 +128,13 @@ pub(crate) fn loss_within_record(
     }
 }
 
-/// As [`loss_estimate`], for any distribution: the probability of a loss falls as the loss asked about grows.
+/// Computes [`loss_estimate`] for any distribution. The probability of a loss decreases as that
+/// loss grows.
 fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     let loss = 1.0 - estimate.mean / reference.mean();
     let is_below =
         |level: f64| move |loss: f64| probability_of_loss(estimate, reference, loss) < level;
-    // a loss is a share of the reference: steps of it find a bracket
+    // A loss is a share of the reference, which determines the steps of the search for a bracket.
     let end = |level: f64| {
         let (mut low, mut high, mut step) = (loss, loss, FIRST_STEP);
         while is_below(level)(low) && step < LARGEST_STEP {
@@ -146,8 +155,9 @@ fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> Los
     }
 }
 
-/// First and last step in looking for the end of an interval, shares of the reference.
+/// First step of the search for an end of the interval, as a share of the reference.
 const FIRST_STEP: f64 = 0.01;
+/// Last step of that search, as a share of the reference.
 const LARGEST_STEP: f64 = 1e6;
 
 #[cfg(test)]
@@ -164,7 +174,8 @@ mod tests {
 
     #[test]
     fn normal_distribution_has_its_tabled_values_also_far_out() {
-        // Abramowitz & Stegun (1964), tables 26.1 and 26.2: Φ(1), Φ(1.96), and -log10 of 1 − Φ(x) for x = 5 and 10.
+        // Abramowitz & Stegun (1964), tables 26.1 and 26.2: Φ(1), Φ(1.96), and -log10 of 1 − Φ(x)
+        // for x = 5 and 10.
         assert!((normal_cdf(1.0) - 0.841_344_746_068_543).abs() < 1e-14);
         assert!((normal_cdf(-1.96) - 0.024_997_895_148_220).abs() < 1e-14);
         assert!((normal_cdf(-5.0).log10() + 6.542_65).abs() < 1e-5);

@@ -1,4 +1,5 @@
-//! Decides when one parameter has lost what one rule asks about; no clock, no network.
+//! Decides whether one parameter has lost the share specified by one rule, without clock or
+//! network.
 //!
 //! ```text
 //! learning → normal ⇄ pending → raised → acknowledged
@@ -7,13 +8,15 @@
 //!              └──────────────────────────  normal
 //! ```
 //!
-//! Beside these, `undecided` stands in the place of learning, normal and pending while the data support no decision, and
-//! `unconfirmed` in the place of raised and acknowledged, until the loss is confirmed or cleared. A cleared alert stays
-//! cleared, and says that nothing is decided.
+//! Two further states apply while the data support no decision. `undecided` replaces learning,
+//! normal and pending. `unconfirmed` replaces raised and acknowledged until the loss is confirmed
+//! or cleared. A cleared alert remains cleared, and its message states that nothing is decided.
 //!
-//! Normal becomes pending when the probability P of the loss reaches the credibility, and raised when it has stayed there
-//! for the sustain time. A raised alert is cleared when P has stayed below the clear credibility for the sustain time: so
-//! it does not flap. A cleared alert that nobody has acknowledged waits for it; one that was acknowledged is normal at once.
+//! A normal state becomes pending when the probability P of the loss reaches the credibility. It
+//! becomes raised when P has stayed there for the sustain time. A raised alert is cleared when P
+//! has stayed below the clear credibility for the sustain time, which prevents flapping. A cleared
+//! alert remains until a person acknowledges it. An alert that was acknowledged before becomes
+//! normal at once.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{AlertState, EstimateFlags, FitVerdict, Phase, UndecidedBecause};
@@ -26,37 +29,37 @@ use crate::{
     support::{DecidedFrames, Jump, Support, rests_on_bound},
 };
 
-/// What a decision reacts to.
+/// The inputs of a decision.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
-    /// The estimate of a frame, in order of time, with what was special about the frame.
+    /// The estimate of a frame with its flags, in order of time.
     Estimate(ParameterEstimate, EstimateFlags),
-    /// Estimates are missing: what was sustained is not known to have been.
+    /// Some estimates are missing, so the sustain time starts again.
     Gap,
-    /// The source of the estimates has started again, from a checkpoint or from its prior.
+    /// The source of the estimates has restarted, from a checkpoint or from its prior.
     NewSource,
-    /// The filter diverged, and was restarted from its prior.
+    /// The filter diverged and has restarted from its prior.
     Restart,
-    /// A person has seen the alert.
+    /// A person has acknowledged the alert.
     Acknowledge(Acknowledged),
 }
 
 /// The parameter that a decision watches.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
-    /// Number of the parameter in state order.
+    /// Index of the parameter in state order.
     pub parameter: usize,
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
-    /// What it scales, in words, such as `stiffness`.
+    /// The quantity that the parameter scales, in words, such as `stiffness`.
     pub quantity: String,
-    /// Standard deviation that the filter starts from, ratio to nominal.
+    /// Standard deviation of the filter's prior, as a ratio to nominal.
     pub prior_std: f64,
-    /// Least and largest value that the filter may report, ratios to nominal.
+    /// Lower and upper bound of the parameter in the filter, as ratios to nominal.
     pub bounds: (f64, f64),
 }
 
-/// The state of one parameter against one rule.
+/// The state of one parameter under one rule.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
     rule_number: usize,
@@ -94,11 +97,11 @@ enum Watching {
         since_ns: i64,
         acknowledged: Option<Acknowledged>,
         low_since_ns: Option<i64>,
-        /// Since the last stretch without decisions, the loss has been found again.
+        /// Whether the loss has been found again since the last interval without decisions.
         is_confirmed: bool,
     },
     ClearedUnseen,
-    /// Cleared without being acknowledged, and credible again.
+    /// The alert was cleared without acknowledgement, and the loss is credible again.
     PendingUnseen {
         since_ns: i64,
     },
@@ -108,15 +111,16 @@ enum Watching {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Knowledge {
     Measured,
-    /// The filter has restarted from its prior and has not yet gone far from it.
+    /// The filter has restarted, and its estimate is still close to its prior.
     Prior,
 }
 
-/// A filter has measured something once its standard deviation is less than this share of the prior's.
+/// Share of the prior's standard deviation below which an estimate counts as measured.
 const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 
 impl Decision {
-    /// Watches `subject` by rule number `rule_number` of the structure file, from 0.
+    /// Creates the decision on `subject` by the rule with index `rule_number` in the structure
+    /// file, from 0.
     pub fn new(rule_number: usize, rule: Rule, subject: Subject) -> Self {
         let stage = match rule.reference() {
             ReferenceRule::Given(reference) => Stage::Watching {
@@ -143,8 +147,9 @@ impl Decision {
         }
     }
 
-    /// Reacts to one input; appends an alert for each change of state. Tells whether the input had a meaning now: an
-    /// acknowledgement of nothing has none.
+    /// Processes one input and appends an alert for each change of state.
+    ///
+    /// Returns `false` for an acknowledgement if there is nothing to acknowledge.
     pub fn handle(&mut self, input: Input, alerts: &mut Vec<Alert>) -> bool {
         match input {
             Input::Estimate(estimate, flags) => self.handle_estimate(estimate, flags, alerts),
@@ -162,34 +167,35 @@ impl Decision {
         true
     }
 
-    /// The state; `None` before the first change.
+    /// Returns the last alert. `None` before the first change.
     pub fn last_alert(&self) -> Option<&Alert> {
         self.last_alert.as_ref()
     }
 
-    /// Where the parameter stands at the last estimate, for a decision that has had nothing to announce; `None` before the
-    /// first estimate that was decided on.
+    /// Returns the current state if no alert has announced one yet.
+    ///
+    /// Returns `None` before the first estimate that permits a decision.
     pub fn unannounced(&self) -> Option<Alert> {
         self.alert(self.state())
             .filter(|_| self.last_alert.is_none() && self.support.decides())
     }
 
-    /// The parameter watched.
+    /// Returns the watched parameter.
     pub fn subject(&self) -> &Subject {
         &self.subject
     }
 
-    /// The rule by which it is watched.
+    /// Returns the rule.
     pub fn rule(&self) -> &Rule {
         &self.rule
     }
 
-    /// Why nothing is decided now; `None` while alerts are decided.
+    /// Returns the reason why no decision is possible. `None` while alerts are decided.
     pub fn undecided_because(&self) -> Option<UndecidedBecause> {
         self.support.undecided_because()
     }
 
-    /// How many frames were decided on since the reference was known.
+    /// Returns the number of frames with and without a decision since the reference was known.
     pub fn decided_frames(&self) -> &DecidedFrames {
         &self.decided
     }
@@ -216,7 +222,7 @@ impl Decision {
         match &mut self.stage {
             Stage::Learning { .. } if decides => self.learn(estimate, alerts),
             Stage::Learning { started_ns, .. } => {
-                // what was not learnt from does not count towards the span
+                // Skipped frames do not count towards the learning span.
                 let skipped_ns = estimate.time_ns.saturating_sub(before_ns).max(0);
                 *started_ns = started_ns.map(|start_ns| start_ns.saturating_add(skipped_ns));
                 self.announce_change(alerts);
@@ -237,7 +243,7 @@ impl Decision {
         }
     }
 
-    /// What keeps a frame from being decided on, the most fundamental first.
+    /// Returns the most fundamental reason that prevents a decision on a frame, or `None`.
     fn hindrance(
         &self,
         estimate: &ParameterEstimate,
@@ -255,7 +261,7 @@ impl Decision {
             return Some(UndecidedBecause::ParameterAtBound);
         }
         let Stage::Watching { reference, .. } = &self.stage else {
-            return None; // whether a loss would show depends on the reference
+            return None; // the visibility of a loss depends on the reference
         };
         let answers = || {
             let is_credible = probability_of_loss(estimate, reference, self.rule.loss())
@@ -265,8 +271,9 @@ impl Decision {
                     .support
                     .excludes_losses(estimate, reference, &self.rule)
         };
-        // An uncertain estimate can answer the rule all the same, if it rests on data: a narrow prior excludes losses without
-        // any, and an estimate that rests on an unmeasured excitation is never much narrower than its prior.
+        // An uncertain estimate can still satisfy or exclude the rule, but it must rest on data. A
+        // narrow prior excludes losses without any data. An estimate that rests on an unmeasured
+        // excitation is never much narrower than its prior.
         let is_learnt = self.knowledge == Knowledge::Measured
             && (self.support.shows_losses(estimate, reference, &self.rule)
                 || (self.is_measured(estimate) && answers()));
@@ -277,7 +284,7 @@ impl Decision {
         estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std
     }
 
-    /// Nothing is decided from now on: what was sustained starts anew, and what is raised has to be confirmed.
+    /// Stops decisions: the sustain time starts again, and a raised alert needs confirmation.
     fn suspend(&mut self) {
         self.interrupt();
         if let Stage::Watching {
@@ -289,7 +296,7 @@ impl Decision {
         }
     }
 
-    /// Adds an estimate to the reference, and starts to watch when the span is over.
+    /// Adds an estimate to the reference. Watching starts when the span is over.
     fn learn(&mut self, estimate: ParameterEstimate, alerts: &mut Vec<Alert>) {
         let Stage::Learning {
             started_ns,
@@ -301,13 +308,14 @@ impl Decision {
         };
         let start_ns = *started_ns.get_or_insert(estimate.time_ns);
         if estimate.time_ns < start_ns {
-            // A source that starts again at an earlier time, such as a record replayed twice.
+            // The source has restarted at an earlier time, for example because a record is replayed
+            // twice.
             (*started_ns, *learning) = (Some(estimate.time_ns), Learning::new());
         }
         let is_over = estimate.time_ns.saturating_sub(start_ns) >= *span_ns;
         learning.add(estimate.mean, estimate.std);
         let learnt = learning.summary().filter(|_| is_over);
-        // A reference that is too uncertain is learnt on.
+        // If the reference is too uncertain, learning continues.
         match learnt.and_then(|span| Reference::new(span.mean, span.variance().sqrt()).ok()) {
             Some(reference) => {
                 self.stage = Stage::Watching {
@@ -320,7 +328,7 @@ impl Decision {
         }
     }
 
-    /// The state after an estimate with this probability of the loss.
+    /// Returns the state after an estimate with this probability of the loss.
     fn next(
         &self,
         watch: Watching,
@@ -331,7 +339,8 @@ impl Decision {
         let is_credible = probability >= self.rule.credibility();
         let is_sustained =
             |since_ns: i64| time_ns.saturating_sub(since_ns) >= self.rule.sustain_ns();
-        let is_held = self.jump.holds(fit, time_ns); // others are not blamed for a sudden change
+        // A sudden change must not raise alerts of other parameters.
+        let is_held = self.jump.holds(fit, time_ns);
         let rise = |since_ns: i64, otherwise: Watching| match is_sustained(since_ns) && !is_held {
             true => Watching::Raised {
                 since_ns,
@@ -362,7 +371,8 @@ impl Decision {
                 low_since_ns,
                 is_confirmed,
             } => {
-                // The prior of a filter that has just restarted is no news of the structure: it clears no alert.
+                // The prior of a restarted filter contains no information about the structure, so
+                // it clears no alert.
                 let is_low = probability < self.rule.clear_credibility()
                     && self.knowledge == Knowledge::Measured;
                 let low_since_ns = is_low.then(|| low_since_ns.unwrap_or(time_ns));
@@ -380,7 +390,7 @@ impl Decision {
         }
     }
 
-    /// Takes up a state, and announces it if that is a change.
+    /// Enters a state and announces any change.
     fn enter(&mut self, next: Watching, alerts: &mut Vec<Alert>) {
         if let Stage::Watching { watch, .. } = &mut self.stage {
             *watch = next;
@@ -388,7 +398,7 @@ impl Decision {
         self.announce_change(alerts);
     }
 
-    /// Announces the state if people have been told another one, or another time of its start.
+    /// Announces the state if it, its start, its reason or its acknowledgement has changed.
     fn announce_change(&mut self, alerts: &mut Vec<Alert>) {
         let state = self.state();
         let last = self.last_alert.as_ref();
@@ -418,7 +428,7 @@ impl Decision {
         self.announce(alerts);
     }
 
-    /// What was sustained starts anew; what is raised stays raised.
+    /// Restarts the sustain time. A raised alert remains raised.
     fn interrupt(&mut self) {
         if let Stage::Watching { watch, .. } = &mut self.stage {
             match watch {
@@ -438,7 +448,7 @@ impl Decision {
             ..
         } = &mut self.stage
         {
-            // The filter diverged: what it said before is no reference.
+            // The filter diverged, so its earlier estimates are not a valid reference.
             (*started_ns, *learning) = (None, Learning::new());
         }
     }
@@ -507,7 +517,7 @@ impl Decision {
         }
     }
 
-    /// Since when the loss has been credible, ns.
+    /// Returns the time since which the loss has been credible, ns.
     fn since_ns(&self) -> Option<i64> {
         match &self.stage {
             Stage::Learning { .. } => None,

@@ -1,20 +1,20 @@
-//! What can be wrong with alerts.
+//! Errors of rules, baselines and the alert service.
 
 use std::path::PathBuf;
 
-/// Why alerts cannot be decided or published.
+/// An error of rules, baselines or the alert service.
 #[derive(Debug, thiserror::Error)]
 pub enum AlertError {
     /// A setting of a rule is out of range.
     #[error("{setting} is {found}, must lie between {low} and {high}")]
     Setting {
-        /// Which one.
+        /// The setting.
         setting: &'static str,
-        /// What was found.
+        /// The value found.
         found: f64,
-        /// Least value allowed.
+        /// Smallest valid value.
         low: f64,
-        /// Largest value allowed.
+        /// Largest valid value.
         high: f64,
     },
     /// A reference is not positive, or too uncertain.
@@ -22,106 +22,106 @@ pub enum AlertError {
         "reference is {mean} ± {std}, must be positive and more than 3 standard deviations from zero"
     )]
     Reference {
-        /// Its mean, ratio to nominal.
+        /// Mean of the reference, as a ratio to nominal.
         mean: f64,
-        /// Its standard deviation, ratio to nominal.
+        /// Standard deviation of the reference, as a ratio to nominal.
         std: f64,
     },
-    /// What is wrong concerns one parameter.
+    /// An error that concerns one parameter.
     #[error("parameter `{parameter}`")]
     Parameter {
-        /// Its name.
+        /// Name of the parameter.
         parameter: String,
-        /// What is wrong.
+        /// The error.
         source: Box<AlertError>,
     },
-    /// A rule names a parameter, or its reference, that is not there.
+    /// A rule names a missing parameter, or one without a reference.
     #[error(
         "rule {rule} watches parameter {index}, must be one of the {count} identified ones with a reference"
     )]
     NoSuchParameter {
         /// Number of the rule, from 1.
         rule: usize,
-        /// Number of the parameter, from 0.
+        /// Index of the parameter, from 0.
         index: usize,
-        /// Identified parameters.
+        /// Number of identified parameters.
         count: usize,
     },
-    /// Estimates or records have another number of parameters than the structure.
+    /// Estimates or records have a different number of parameters than the structure.
     #[error("found {found} parameters, must be {expected}")]
     ParameterCount {
-        /// Parameters found.
+        /// Number of parameters found.
         found: usize,
-        /// Parameters of the structure.
+        /// Number of parameters of the structure.
         expected: usize,
     },
-    /// One record does not show how records differ.
+    /// One record does not show the scatter between records.
     #[error(
         "one record does not show the scatter between records; use more records, or state it with --between-std"
     )]
     OneRecord,
-    /// The scatter between records is too large to be known from so few of them.
+    /// The scatter between records is too large for an estimate from so few of them.
     #[error(
-        "{} records of mean {mean:.4} that scatter by {std:.4} do not exclude a sound value of zero; use more records, or \
-         state the scatter with --between-std",
+        "{} records with mean {mean:.4} and scatter {std:.4} do not exclude a baseline of zero; \
+         use more records, or state the scatter with --between-std",
         degrees_of_freedom + 1.0
     )]
     FewRecords {
-        /// Mean of the records, ratio to nominal.
+        /// Mean of the records, as a ratio to nominal.
         mean: f64,
-        /// Scatter between them, ratio to nominal.
+        /// Scatter between the records, as a ratio to nominal.
         std: f64,
-        /// Records less one.
+        /// Number of records minus one.
         degrees_of_freedom: f64,
     },
-    /// The records differ by more than the stated scatter between them allows.
+    /// The records differ by more than the stated scatter permits.
     #[error(
-        "records scatter by {found:.4}, a stated scatter of {stated:.4} between records allows {allowed:.4} at most \
-         (probability 0.999)"
+        "the scatter between records is {found:.4}, must be at most {allowed:.4} for a stated \
+         scatter of {stated:.4} (probability 0.999)"
     )]
     StatedScatter {
-        /// Scatter of the records, ratio to nominal.
+        /// Scatter of the records, as a ratio to nominal.
         found: f64,
-        /// Scatter stated.
+        /// Stated scatter, as a ratio to nominal.
         stated: f64,
-        /// Largest scatter that the stated one and the uncertainty within records explain.
+        /// Largest scatter that the stated scatter and the uncertainty within records can explain.
         allowed: f64,
     },
-    /// A baseline needs at least one record.
+    /// There are no records. A baseline needs at least one.
     #[error("no records to learn a baseline from, must be at least 1")]
     NoRecords,
-    /// A file could not be read or written.
+    /// A file cannot be read or written.
     #[error("{}: cannot be read or written", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file is no JSON of a baseline.
-    #[error("{}: is no baseline file", path.display())]
+    /// A file does not contain the JSON of a baseline.
+    #[error("{}: is not a baseline file", path.display())]
     BaselineSyntax {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Where and why.
+        /// Position and cause of the error.
         source: serde_json::Error,
     },
-    /// A baseline file has another version.
+    /// A baseline file has an unsupported version.
     #[error("{}: format is `{found}`, must be `{expected}`", path.display())]
     BaselineFormat {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What it says.
+        /// The version in the file.
         found: String,
-        /// What this program reads.
+        /// The version that this program supports.
         expected: &'static str,
     },
-    /// A baseline is that of another structure.
-    #[error("baseline is that of structure `{found}`, must be that of `{expected}`")]
+    /// A baseline belongs to another structure.
+    #[error("baseline is for structure `{found}`, must be for `{expected}`")]
     BaselineStructure {
-        /// The structure of the baseline.
+        /// Name of the baseline's structure.
         found: String,
-        /// The structure watched.
+        /// Name of the watched structure.
         expected: String,
     },
     /// A name cannot be part of a key expression.
@@ -129,13 +129,13 @@ pub enum AlertError {
     Name {
         /// The name.
         found: String,
-        /// Why.
+        /// The cause.
         source: spandrel_bus::NameError,
     },
-    /// What the service remembers cannot be kept.
+    /// A checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] spandrel_checkpoint::CheckpointError),
-    /// The bus refused a declaration or is closed.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] spandrel_bus::BusError),
 }

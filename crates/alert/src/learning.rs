@@ -1,11 +1,12 @@
-//! Learns the sound value of a parameter from the estimates of a span of time.
+//! Learns the sound value of a parameter from the estimates of a time span.
 //!
 //! Notation: m_k, s_k mean and standard deviation of the parameter at frame k; w_k = 1/s_k².
 //!
-//! The frames are weighted by w_k, so that the first ones, which still carry the prior, count little. Successive estimates
-//! of a filter share nearly all their data: they do not average out, and the uncertainty of their mean is that of a single
-//! one. Source of the running sums: D. H. D. West, *Updating mean and variance estimates: an improved method*,
-//! Commun. ACM 22 (1979), 532-535.
+//! The weights w_k reduce the influence of the first frames, which still contain the prior.
+//! Successive estimates of a filter share nearly all their data. They do not average out, so the
+//! uncertainty of their mean equals that of a single estimate. Source of the running sums: D. H. D.
+//! West, *Updating mean and variance estimates: an improved method*, Commun. ACM 22 (1979),
+//! 532-535.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,16 +19,16 @@ pub struct Learning {
     squares: f64,
 }
 
-/// Least standard deviation that is believed: keeps the weight of a frame finite.
+/// Lower limit of the standard deviation, which keeps the weight of a frame finite.
 const LEAST_STD: f64 = 1e-9;
 
 impl Learning {
-    /// Starts without any frame.
+    /// Creates empty sums.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds the mean and the standard deviation of one frame, ratios to nominal.
+    /// Adds the mean and the standard deviation of one frame, as ratios to nominal.
     pub fn add(&mut self, mean: f64, std: f64) {
         let weight = std.max(LEAST_STD).powi(-2);
         self.frames += 1;
@@ -37,7 +38,7 @@ impl Learning {
         self.squares += weight * off * (mean - self.mean); //      Q = Σ w (m − m̄)²
     }
 
-    /// What the span has taught: `None` before the first frame.
+    /// Returns the summary of the span. `None` before the first frame.
     pub fn summary(&self) -> Option<SpanSummary> {
         (self.frames > 0).then(|| SpanSummary {
             mean: self.mean,
@@ -47,23 +48,25 @@ impl Learning {
     }
 }
 
-/// The estimates of one span in three numbers, ratios to nominal and their squares.
+/// Summary of the estimates of one span, as ratios to nominal and their squares.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SpanSummary {
     /// Weighted mean of the means.
     pub mean: f64,
-    /// Harmonic mean of the variances: what the filter itself does not know.
+    /// Harmonic mean of the variances, which is the uncertainty stated by the filter.
     pub estimate_variance: f64,
-    /// Weighted variance of the means: how far the estimate wandered in the span.
+    /// Weighted variance of the means, which shows the drift of the estimate within the span.
     pub drift_variance: f64,
 }
 
 impl SpanSummary {
-    /// Returns the variance of a later estimate about the mean of this span, without the deviation that the later one states.
+    /// Returns the variance of the difference between a later estimate and the mean of this span,
+    /// without the stated variance of the later estimate.
     ///
-    /// Both parts count once. If the estimate wandered beyond its stated deviation, a later one wanders as well. Its
-    /// difference to the mean of n independent stretches of the same wandering has (n + 1)/(n − 1) times the variance seen in
-    /// the span. A span holds few stretches: n = 2.
+    /// Both parts count once. If the estimate wandered beyond its stated deviation, a later
+    /// estimate wanders as well. Its difference to the mean of n independent stretches of the same
+    /// wandering has (n + 1)/(n − 1) times the variance seen in the span. A span contains few
+    /// stretches: n = 2.
     pub fn variance(&self) -> f64 {
         let unstated = (self.drift_variance - self.estimate_variance).max(0.0);
         self.estimate_variance + self.drift_variance + (OF_TWO_STRETCHES - 1.0) * unstated

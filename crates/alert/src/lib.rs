@@ -1,6 +1,7 @@
-//! Decides from estimates when a part of a structure has become softer, and says why.
+//! Decides from estimates whether a part of a structure has lost stiffness, and explains why.
 //!
-//! Estimates with covariance go in; an alert comes out whenever a parameter changes state.
+//! The inputs are estimates with their covariance. The output is an alert whenever the state of a
+//! parameter changes.
 //!
 //! ```
 //! use spandrel_alert::{Decision, Input, ParameterEstimate, Rule, Subject};
@@ -19,17 +20,19 @@
 //! # Ok::<(), spandrel_alert::AlertError>(())
 //! ```
 //!
-//! - [`mod@reference`]: what a loss is counted from
-//! - [`rule`]: what the owner asks for: loss, credibility, sustain time
-//! - [`credibility`], `scatter`: how sure a loss is, also where the scatter between records was estimated from few
+//! - [`mod@reference`]: the reference of a loss
+//! - [`rule`]: the owner's rule: loss, credibility and sustain time
+//! - [`credibility`], `scatter`: the probability of a loss, also if few records determine the
+//!   scatter
 //! - [`support`]: whether the data support a decision
-//! - [`learning`], [`baseline`]: the sound value, learnt from a span of time or from several records
-//! - [`alert`], `wording`: what is said
-//! - [`decision`]: the state machine of one parameter; no clock, no network
+//! - [`learning`], [`baseline`]: the sound value, learnt from a time span or from several records
+//! - [`alert`], `wording`: the content and the words of an alert
+//! - [`decision`]: the state machine of one parameter, without clock or network
 //! - [`watch`]: all parameters of one structure
-//! - [`shell`]: joins it to the bus
+//! - [`shell`]: the connection to the bus
 //!
-//! Who only wants the numbers at display rate subscribes to the parameters; nothing here is needed for that.
+//! Programs that need only the estimates at display rate can subscribe to the parameters without
+//! this crate.
 
 pub mod error;
 

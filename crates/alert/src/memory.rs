@@ -1,4 +1,4 @@
-//! What the alert service remembers over its own death.
+//! Checkpoints of the alert service.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -14,13 +14,13 @@ use tracing::{info, warn};
 
 use crate::{Alert, AlertError, Baseline, Model, Watch};
 
-/// What the numbers in a state are numbers of.
+/// The meaning of the parameter indices in a state.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Basis {
-    /// Names of the parameters by the numbers that alerts carry: those of the structure in state order, then those that
-    /// former structure files had and of which something is still told.
+    /// Names of the parameters by index: those of the structure in state order, then former
+    /// parameters that alerts still mention.
     pub(crate) parameters: Vec<String>,
-    /// What the estimates rest on.
+    /// Fingerprint of the settings that determine the estimates.
     model: [u8; 32],
 }
 
@@ -43,19 +43,20 @@ impl Basis {
 pub(crate) struct AlertState {
     pub(crate) basis: Basis,
     pub(crate) watch: Watch,
-    /// What follows from the last block, and may not have been put before the service died.
+    /// Alerts of the last block, which might not have been published.
     pub(crate) unsent: Vec<Alert>,
-    /// The last changes, oldest first, for those who were not there.
+    /// The last changes, oldest first, for subscribers that missed them.
     pub(crate) log: VecDeque<Alert>,
-    /// Time of the last estimate decided on, ns.
+    /// Time of the last estimate with a decision, ns.
     pub(crate) last_time_ns: Option<i64>,
 }
 
-/// Version of the layout of [`AlertState`]: raised with every change of a field in it or below. [`version_2`] reads the former one.
+/// Version of the layout of [`AlertState`]. Every change of a field in it or in a nested type must
+/// increase it. [`version_2`] reads the former layout.
 const VERSION: u16 = 3;
 
 impl AlertState {
-    /// The state of a service that has decided on nothing.
+    /// Returns the state of a service without any decisions.
     pub(crate) fn new(
         structure: &Structure,
         baseline: Option<&Baseline>,
@@ -69,8 +70,8 @@ impl AlertState {
         })
     }
 
-    /// Takes over what `former` remembers, which may rest on another structure file; what ends by that is among the alerts
-    /// that may not have been put.
+    /// Continues from `former`, which can rest on another structure file. Alerts that end because
+    /// of it are added to `unsent`.
     pub(crate) fn succeed(mut self, former: Self) -> Self {
         let names = &mut self.basis.parameters;
         let told = former
@@ -114,7 +115,7 @@ impl AlertState {
         self
     }
 
-    /// Whether every number is one of a parameter.
+    /// Returns `true` if every parameter index is valid.
     fn is_consistent(&self) -> bool {
         let parameters = self.basis.parameters.len();
         let told = self
@@ -132,10 +133,11 @@ impl AlertState {
     }
 }
 
-/// Changes that are kept for those who were not there.
+/// Number of changes kept in the log.
 const CHANGES_KEPT: usize = 256;
 
-/// Adds a change to those that are kept; a revision replaces what it revises, so that it makes no other change be forgotten.
+/// Adds a change to the log. A revision replaces the message that it revises, so that it displaces
+/// no other change.
 pub(crate) fn note(log: &mut VecDeque<Alert>, alert: &Alert) {
     let of_rule = |kept: &&mut Alert| (kept.rule, kept.parameter) == (alert.rule, alert.parameter);
     match log.iter_mut().rev().find(of_rule) {
@@ -160,7 +162,8 @@ impl Memory {
         structure: &Structure,
         remembering: &Remembering,
     ) -> Result<Self, AlertError> {
-        // A state carries what its parts rest on: of another structure file, what still holds is taken over.
+        // The identity has no basis, because the state itself contains it. A new structure file
+        // keeps the parts that are still valid.
         let basis = String::new();
         let identity = Identity {
             kind: "alert",
@@ -177,7 +180,7 @@ impl Memory {
         })
     }
 
-    /// Returns the newest state, if there is one that may be read.
+    /// Returns the newest readable state, if any.
     pub(crate) fn recall(&mut self) -> Option<AlertState> {
         loop {
             let loaded = self
@@ -188,19 +191,19 @@ impl Memory {
                 info!(
                     epoch = place.epoch,
                     estimate = place.sequence,
-                    "goes on from its checkpoint"
+                    "resumed from its checkpoint"
                 );
                 self.kept = Some(place);
                 return Some(state);
             }
             drop(self.checkpoints.refuse(
                 place,
-                "it tells of parameters that it does not name".to_owned(),
+                "it contains decisions on parameters that it does not name".to_owned(),
             ));
         }
     }
 
-    /// Number of the first estimate of an epoch that would be needed again if the service died now.
+    /// Returns the number of the first estimate of an epoch that a restart would need again.
     pub(crate) fn kept(&self, epoch: u64) -> u64 {
         self.kept
             .filter(|place| place.epoch == epoch)
@@ -211,14 +214,15 @@ impl Memory {
         self.last.elapsed() >= self.every
     }
 
-    /// Keeps a state: on return it is on the disk, or its failure has been told. An alert is put all the same then.
+    /// Saves a checkpoint. On return it is on disk, or the failure is logged. Alerts are published
+    /// in both cases.
     pub(crate) fn keep(&mut self, state: &AlertState) {
         let Some((epoch, sequence)) = state.watch.position() else {
             return;
         };
         self.last = Instant::now();
         let place = Place { epoch, sequence };
-        // Blocks the thread for the time of a write: called where the runtime knows.
+        // This call blocks the thread during the write, so callers use `block_in_place`.
         let kept = self
             .checkpoints
             .save(place, state)
@@ -227,7 +231,7 @@ impl Memory {
             Ok(()) => {
                 self.kept = Some(place);
                 if let Some(failures) = self.failures.succeeded() {
-                    info!(failures, "decisions are kept again");
+                    info!(failures, "decisions are saved again");
                 }
             }
             Err(error) => self.failed(&error),
@@ -237,11 +241,11 @@ impl Memory {
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.in_a_row();
-            warn!(%error, failures, "decisions not kept: alerts may be put again after a crash");
+            warn!(%error, failures, "cannot save decisions; alerts may be published again after a crash");
         }
     }
 
-    /// What could not be kept so far.
+    /// Returns the count of failed writes.
     pub(crate) fn failures(&self) -> &Failures {
         &self.failures
     }

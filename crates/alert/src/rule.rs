@@ -1,10 +1,10 @@
-//! What the owner asks for: which loss, how sure, for how long.
+//! The owner's rules: loss, credibility and duration.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{AlertError, Reference};
 
-/// Asks for an alert when a parameter has lost a share of its reference.
+/// A rule for an alert when a parameter has lost a share of its reference.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rule {
     pub(crate) loss: f64,
@@ -14,24 +14,26 @@ pub struct Rule {
     pub(crate) reference: ReferenceRule,
 }
 
-/// Where the reference comes from.
+/// The origin of the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum ReferenceRule {
-    /// Known beforehand.
+    /// A reference known in advance.
     Given(Reference),
-    /// Learnt from the estimates of the first span.
+    /// A reference learnt from the estimates of the first span.
     Learnt {
-        /// Its length, ns.
+        /// Length of the span, ns.
         span_ns: i64,
     },
 }
 
 impl Rule {
-    /// Asks for `loss` (share, 0 to 1) with probability `credibility` (0 to 1) for `sustain_s` (s), against the design value.
-    /// A raised alert is cleared below probability `clear_credibility` (0 to `credibility`).
+    /// Creates a rule for `loss` (share, 0 to 1) with probability `credibility` (0 to 1) for
+    /// `sustain_s` (s), against the design value.
+    ///
+    /// A raised alert is cleared below the probability `clear_credibility` (0 to `credibility`).
     ///
     /// # Errors
-    /// [`AlertError::Setting`] with the setting, what was found and what is allowed.
+    /// Returns [`AlertError::Setting`] with the setting, its value and the valid range.
     pub fn new(
         loss: f64,
         credibility: f64,
@@ -58,7 +60,7 @@ impl Rule {
         })
     }
 
-    /// Counts the loss from this reference.
+    /// Sets the reference of the loss.
     pub fn with_reference(self, reference: Reference) -> Self {
         Self {
             reference: ReferenceRule::Given(reference),
@@ -66,10 +68,10 @@ impl Rule {
         }
     }
 
-    /// Counts the loss from what the first `span_s` (s) teach.
+    /// Learns the reference of the loss from the first `span_s` (s).
     ///
     /// # Errors
-    /// As [`Rule::new`].
+    /// Same as [`Rule::new`].
     pub fn with_learnt_reference(self, span_s: f64) -> Result<Self, AlertError> {
         let span_ns = ns_from_s(check_between(
             "learning time in s",
@@ -83,33 +85,33 @@ impl Rule {
         })
     }
 
-    /// The loss asked about, share of the reference.
+    /// Returns the loss of the rule, as a share of the reference.
     pub fn loss(&self) -> f64 {
         self.loss
     }
 
-    /// Probability of the loss from which an alert is raised.
+    /// Returns the probability of the loss at which an alert is raised.
     pub fn credibility(&self) -> f64 {
         self.credibility
     }
 
-    /// How long that probability must last, ns.
+    /// Returns the time for which that probability must last, ns.
     pub fn sustain_ns(&self) -> i64 {
         self.sustain_ns
     }
 
-    /// Probability of the loss below which a raised alert is cleared.
+    /// Returns the probability of the loss below which a raised alert is cleared.
     pub fn clear_credibility(&self) -> f64 {
         self.clear_credibility
     }
 
-    /// Where the reference comes from.
+    /// Returns the origin of the reference.
     pub fn reference(&self) -> ReferenceRule {
         self.reference
     }
 }
 
-/// Longest span in a rule, s: ten years.
+/// Maximum time span in a rule, s: ten years.
 const MAX_SPAN_S: f64 = 3.2e8;
 
 fn ns_from_s(seconds: f64) -> i64 {

@@ -1,21 +1,23 @@
-//! The sum of a normal variable and a Student variable: what is known of a difference when a part of its scatter was
-//! estimated from few records.
+//! The sum of a normal variable and a Student variable. It describes a difference if a part of its
+//! scatter was estimated from few records.
 //!
-//! Notation: X = s·Z + τ·T, with Z standard normal and T Student with ν degrees of freedom; c largest usual scatter; Φ the
-//! standard normal distribution function.
+//! Notation: X = s·Z + τ·T, with Z standard normal and T Student with ν degrees of freedom; c
+//! largest usual scatter; Φ the standard normal distribution function.
 //!
-//! T = Z'/√w with w = χ²_ν/ν, so that X is normal with variance s² + τ²/w for a given w, and
+//! T = Z'/√w with w = χ²_ν/ν. For a given w, X is therefore normal with variance s² + τ²/w, and
 //!
 //! P(X ≤ x) = ∫ p(w)·Φ(x/√(s² + τ²/w)) dw.
 //!
-//! A Student variable supposes the prior 1/σ of the scatter σ = τ/√w, up to any size. With one degree of freedom its tail comes
-//! from scatters that no structure has. So the prior here is exp(−σ²/(2c²))/σ, which multiplies p(w) by exp(−τ²/(2c²w)). With
-//! many degrees of freedom, or τ far below c, this changes next to nothing.
+//! A Student variable assumes the prior 1/σ for the scatter σ = τ/√w, without an upper limit. With
+//! one degree of freedom, its tail comes from scatters that no structure has. The prior here is
+//! therefore exp(−σ²/(2c²))/σ, which multiplies p(w) by exp(−τ²/(2c²w)). The factor has almost no
+//! effect with many degrees of freedom, or if τ is far below c.
 //!
-//! This is the distribution of Behrens and Fisher with one of its two variances known (R. A. Fisher, *The fiducial argument in
-//! statistical inference*, Ann. Eugenics 6 (1935), 391-398). The approximation of Welch and Satterthwaite, a Student variable
-//! of the same variance, was tried too: with two records its bound of 0.99 is exceeded by up to 4.7 % of sound records.
-//! Without a bound on the scatter, this distribution stays at or below 1 %.
+//! This is the Behrens–Fisher distribution with one of its two variances known (R. A. Fisher, *The
+//! fiducial argument in statistical inference*, Ann. Eugenics 6 (1935), 391-398). The
+//! Welch–Satterthwaite approximation, a Student variable of the same variance, is less suitable.
+//! With two records, up to 4.7 % of sound records exceed its bound of 0.99. For this distribution
+//! without a limit on the scatter, the share is at most 1 %.
 
 use std::f64::consts::SQRT_2;
 
@@ -28,27 +30,31 @@ pub(crate) struct NormalPlusStudent {
     pub(crate) student_scale: f64,
     /// ν, above 0
     pub(crate) degrees_of_freedom: f64,
-    /// c, above 0; infinite where any scatter is as likely as another. A `student_scale` above it takes its place.
+    /// c, above 0. Infinite without a limit on the scatter. A larger `student_scale` replaces it.
     pub(crate) largest_usual: f64,
 }
 
-/// Nodes of the integral over ln w. The integrand is analytic, so that the rule of trapezoids converges exponentially: with 64
-/// nodes the error is below 1e-5 of either tail at one degree of freedom, and far smaller at more.
+/// Number of nodes of the integral over ln w.
+///
+/// The integrand is analytic, so the trapezoidal rule converges exponentially. With 64 nodes and
+/// one degree of freedom, the error is below 1e-5 of either tail. It is far smaller with more
+/// degrees of freedom.
 const NODES: u32 = 64;
 
-/// The density at the ends of the integral is e^−37/2 (1e-8) of its peak.
+/// Twice the decrease of the exponent at the ends of the integral, where the density is e^−37/2
+/// (1e-8) of its peak.
 const LOG_CUT: f64 = 37.0;
 
 impl NormalPlusStudent {
-    /// Returns `true` if X scatters at all.
+    /// Returns `true` if X has a positive variance.
     pub(crate) fn is_wide(&self) -> bool {
         self.normal_std > 0.0 || self.student_scale > 0.0
     }
 
-    /// P(X ≤ x).
+    /// Returns P(X ≤ x).
     ///
-    /// With u = ln w, p(u) ∝ exp(ν/2·(u − eᵘ)). The ends are where the exponent has fallen by [`LOG_CUT`]/2, or beyond: from
-    /// u − eᵘ + 1 ≥ −c it follows that −(c + √2c) ≤ u ≤ ln(1 + c + √2c).
+    /// With u = ln w, p(u) ∝ exp(ν/2·(u − eᵘ)). At the ends, the exponent has decreased by at least
+    /// [`LOG_CUT`]/2: from u − eᵘ + 1 ≥ −c it follows that −(c + √2c) ≤ u ≤ ln(1 + c + √2c).
     pub(crate) fn cdf(&self, x: f64) -> f64 {
         let half_nu = 0.5 * self.degrees_of_freedom;
         let cut = LOG_CUT / self.degrees_of_freedom;
@@ -56,22 +62,23 @@ impl NormalPlusStudent {
         let (low, high) = (-reach, reach.ln_1p());
         let step = (high - low) / f64::from(NODES - 1);
         let (known, estimated) = (self.normal_std.powi(2), self.student_scale.powi(2));
+        // τ²/(2c²)
         let excess =
-            0.5 * (self.student_scale / self.largest_usual.max(self.student_scale)).powi(2); // τ²/(2c²)
+            0.5 * (self.student_scale / self.largest_usual.max(self.student_scale)).powi(2);
         let excess = if excess.is_finite() { excess } else { 0.0 }; // without scatter
         let (mut sum, mut total) = (0.0, 0.0);
         for node in 0..NODES {
             let u = low + step * f64::from(node);
             let w = u.exp();
-            let density = (half_nu * (u - w + 1.0) - excess / w).exp(); //                     p(u), to a factor
-            let std = (known + estimated / w).sqrt(); //                        √(s² + τ²/w)
+            let density = (half_nu * (u - w + 1.0) - excess / w).exp(); // p(u), to a factor
+            let std = (known + estimated / w).sqrt(); //                   √(s² + τ²/w)
             sum += density * normal_cdf(x / std);
             total += density;
         }
         sum / total
     }
 
-    /// The x with P(X ≤ x) = `probability`, above 0 and below 1.
+    /// Returns the x with P(X ≤ x) = `probability`, which must be above 0 and below 1.
     pub(crate) fn quantile(&self, probability: f64) -> f64 {
         if !self.is_wide() {
             return 0.0;
@@ -88,9 +95,10 @@ impl NormalPlusStudent {
     }
 }
 
-/// Returns where `is_above` becomes true between `low`, where it is false, and `high`, where it is true.
+/// Returns the point between `low` and `high` where `is_above` changes from false to true.
 pub(crate) fn bisect(mut low: f64, mut high: f64, is_above: impl Fn(f64) -> bool) -> f64 {
-    /// Halvings from any bracket of interest to the precision of a number.
+    /// Maximum number of halvings, enough for floating-point precision from any bracket that occurs
+    /// here.
     const MOST_HALVINGS: usize = 100;
     for _ in 0..MOST_HALVINGS {
         let middle = 0.5 * (low + high);
@@ -106,7 +114,7 @@ pub(crate) fn bisect(mut low: f64, mut high: f64, is_above: impl Fn(f64) -> bool
     0.5 * (low + high)
 }
 
-/// Φ(z) = erfc(−z/√2)/2, with full relative precision in the lower tail.
+/// Returns Φ(z) = erfc(−z/√2)/2, with full relative precision in the lower tail.
 pub(crate) fn normal_cdf(z: f64) -> f64 {
     0.5 * libm::erfc(-z / SQRT_2)
 }
@@ -178,8 +186,8 @@ mod tests {
 
     #[test]
     fn sum_with_one_degree_of_freedom_is_the_profile_of_voigt() {
-        // The profile of Voigt at its centre: Re w(i/√2)/√(2π), with w(i/√2) = e^(1/2)·erfc(1/√2) = 0.523 157
-        // (Abramowitz & Stegun 1964, 7.1.3 and table 7.1).
+        // The centre of the Voigt profile: Re w(i/√2)/√(2π), with w(i/√2) = e^(1/2)·erfc(1/√2) =
+        // 0.523 157 (Abramowitz & Stegun 1964, 7.1.3 and table 7.1).
         let sum = NormalPlusStudent {
             normal_std: 1.0,
             ..student(1.0)
@@ -193,7 +201,8 @@ mod tests {
 
     #[test]
     fn largest_usual_scatter_cuts_the_tail_of_few_records() {
-        // P(X ≤ x) by a fine sum over σ in place of w: density exp(−τ²/(2σ²) − σ²/(2c²))/σ², variance σ², τ = 0.05, c = 0.25.
+        // P(X ≤ x) by a fine sum over σ instead of w: density exp(−τ²/(2σ²) − σ²/(2c²))/σ²,
+        // variance σ², τ = 0.05, c = 0.25.
         let cut = NormalPlusStudent {
             student_scale: 0.05,
             largest_usual: 0.25,

@@ -1,4 +1,4 @@
-//! Joins the watch on one structure to the bus.
+//! Connects the watch of one structure to the bus.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
@@ -16,14 +16,17 @@ use tracing::{debug, info, warn};
 use crate::memory::{AlertState as Remembered, Basis, Memory, note};
 use crate::{Acknowledged, Alert, AlertError, Baseline, Watch};
 
-/// How often the status is put.
+/// Interval between status messages.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
-/// Acknowledgements waiting; when more come at once the oldest is lost and counted, and its sender sees no change.
+/// Capacity of the queue for acknowledgements. When it is full, the oldest is dropped and counted,
+/// and its sender sees no change.
 const ACKNOWLEDGEMENTS_WAITING: usize = 64;
-/// Queries for the last changes that wait.
+/// Capacity of the queue for queries of the log.
 const QUESTIONS_WAITING: usize = 16;
 
-/// Parameters times frames up to which a block is decided on within some hundred microseconds: to lend a thread for that costs more.
+/// Maximum product of parameters and frames for which the calling thread processes a block.
+///
+/// Such a block takes some hundred microseconds, less than the cost of moving it to another thread.
 const BRIEF: usize = 1_000;
 
 /// The alert service of one structure.
@@ -33,7 +36,8 @@ pub struct AlertService {
     watch: Watch,
     estimates: Stream<EstimateBlock>,
     acknowledgements: Subscription<Acknowledgement>,
-    /// By number of the parameter, also of those that the structure file has no longer; each gives its last alert on query.
+    /// Topics by parameter index, including former parameters. Each topic answers queries with its
+    /// last alert.
     alerts: Vec<AlertTopic>,
     progress: ProgressPublisher,
     status: DisplayPublisher<Status>,
@@ -45,7 +49,7 @@ pub struct AlertService {
     last_time_ns: Option<i64>,
     refused: BTreeMap<&'static str, u64>,
     memory: Option<Memory>,
-    /// What the last life of this service decided and may not have put.
+    /// Alerts that an earlier run of this service decided and might not have published.
     unsent: Vec<Alert>,
     /// The last changes, oldest first.
     log: VecDeque<Alert>,
@@ -57,18 +61,20 @@ pub struct AlertService {
 struct AlertTopic {
     parameter: Name,
     publisher: LatestPublisher<AlertMessage>,
-    /// Whether anything has been put: before that nobody can know how the parameter stands.
+    /// Whether the state of the parameter has been published.
     is_told: bool,
 }
 
 impl AlertService {
-    /// Checks everything and joins the bus; `id` names this instance. References that would be learnt are taken from
-    /// `baseline` where it knows the parameter. Where `remembering` says that checkpoints are kept, the service goes on from
-    /// the last one, and puts again where each parameter stands; alerts that a changed structure file no longer raises end.
+    /// Validates the settings and joins the bus. `id` names this instance.
+    ///
+    /// `baseline` replaces references that would be learnt, if it contains the parameter. If
+    /// `remembering` is set, the service resumes from its last checkpoint and publishes the state
+    /// of each parameter again. Alerts that a changed structure file does not raise end.
     ///
     /// # Errors
-    /// When the rules are not consistent with the structure, a name is no key, the checkpoints cannot be kept, or the bus
-    /// refuses a declaration.
+    /// Fails if the rules do not match the structure, a name cannot be a key, checkpoints cannot be
+    /// written, or the bus rejects a declaration.
     pub fn start<'a>(
         structure: &'a Structure,
         baseline: Option<&'a Baseline>,
@@ -108,7 +114,9 @@ impl AlertService {
             let acknowledgements = bus
                 .subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING)
                 .await?;
-            let settings = bus.reading(start).patient(); // an identify service that comes back has them, or makes them again
+            // A restarted identify service has the missing estimates or computes them again, so the
+            // reader waits for them.
+            let settings = bus.reading(start).patient();
             let parameters = structure.parameters().len();
             let is_of_structure =
                 move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
@@ -119,7 +127,8 @@ impl AlertService {
                 .publish_progress(keys.progress(Service::Alert), id.to_string())
                 .await?;
             let done = watch.position().map_or(0, |(epoch, done)| {
-                // Sources may wait for what this service did last before it was killed, and could not say.
+                // A source can be waiting for the last progress, which a killed run was unable to
+                // publish.
                 progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
                 done
             });
@@ -148,7 +157,7 @@ impl AlertService {
                 unsent,
                 log,
                 questions: bus.questions(keys.alert_log(), QUESTIONS_WAITING).await?,
-                // Last, because others ask when they see it: who answers is there by then.
+                // The token comes last, because other services send queries as soon as they see it.
                 token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
                 id,
                 keys,
@@ -163,10 +172,10 @@ impl AlertService {
         })
     }
 
-    /// Runs until `stop`; estimates that have arrived are still decided.
+    /// Runs until `stop`. Estimates that have arrived by then are still processed.
     ///
     /// # Errors
-    /// When the bus is closed underneath.
+    /// Fails if the bus is closed.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -185,7 +194,7 @@ impl AlertService {
             self.put_again().await?;
             loop {
                 tokio::select! {
-                    biased; // people first: estimates may come without a pause
+                    biased; // people have priority over a continuous stream of estimates
                     Ok((key, acknowledgement)) = acknowledgements.recv_async() => {
                         self.acknowledge(&key, acknowledgement).await?;
                     }
@@ -198,7 +207,8 @@ impl AlertService {
                     },
                 }
             }
-            // what has arrived by now is still decided, and not what an identification of another process goes on to put
+            // Process the estimates that have arrived by now. An identify service in another
+            // process may continue to publish.
             for delivery in deliveries.drain() {
                 self.take(delivery).await?;
             }
@@ -210,8 +220,9 @@ impl AlertService {
         })
     }
 
-    /// Puts what the last life of this service may not have put, and where each parameter stands: who was not there then
-    /// learns it, who was knows it by its key.
+    /// Publishes unsent alerts of an earlier run and the state of each parameter.
+    ///
+    /// Late subscribers receive the state. Other subscribers detect the duplicates by their keys.
     async fn put_again(&mut self) -> Result<(), AlertError> {
         let unsent = std::mem::take(&mut self.unsent);
         self.publish(unsent).await?;
@@ -224,12 +235,15 @@ impl AlertService {
                     .put(&standing.to_message(structure, &topic.parameter))
                     .await?;
             }
-            topic.is_told = standing.is_some(); // the end of an alert of a former rule says nothing of another one
+            // The end of an alert under a former rule does not determine the state under another
+            // rule.
+            topic.is_told = standing.is_some();
         }
         Ok(())
     }
 
-    /// Keeps what has been decided; returns the alerts that follow from the last block, which may be put from then on.
+    /// Saves a checkpoint with the new alerts. Returns them for publication, which must not happen
+    /// earlier.
     fn keep(&mut self, alerts: Vec<Alert>) -> Vec<Alert> {
         alerts.iter().for_each(|alert| note(&mut self.log, alert));
         let Some(memory) = &mut self.memory else {
@@ -248,7 +262,7 @@ impl AlertService {
         state.unsent
     }
 
-    /// Tells the last changes.
+    /// Replies to a query with the last changes.
     async fn answer(&self, question: &Question) -> Result<(), AlertError> {
         let structure = self.keys.structure();
         let named = |alert: &Alert| {
@@ -267,7 +281,7 @@ impl AlertService {
     async fn take(&mut self, delivery: Delivery<EstimateBlock>) -> Result<(), AlertError> {
         match delivery {
             Delivery::Block(block) => self.decide(&block).await,
-            Delivery::Gap(_) => Ok(()), // logged by the stream; the watch sees it in the number of the next block
+            Delivery::Gap(_) => Ok(()), // the stream logs it, and the watch detects it
         }
     }
 
@@ -276,7 +290,8 @@ impl AlertService {
         let values = block.estimates.len() * usize::from(block.parameters);
         let decided = match values <= BRIEF {
             true => self.watch.handle_block(block, &mut alerts),
-            // A block that was fetched may hold thousands of frames: too long for a thread of the runtime.
+            // A fetched block can contain thousands of frames, which would block a runtime thread
+            // for too long.
             false => tokio::task::block_in_place(|| self.watch.handle_block(block, &mut alerts)),
         };
         if let Err(error) = decided {
@@ -348,7 +363,8 @@ impl AlertService {
         self.publish(alerts).await
     }
 
-    /// Puts each change; then again what stands for the parameter, if that is the alert of another rule.
+    /// Publishes each change. If another rule has a more severe alert for the parameter, publishes
+    /// that alert again.
     async fn publish(&mut self, alerts: Vec<Alert>) -> Result<(), AlertError> {
         let structure = self.keys.structure();
         let mut last_put: BTreeMap<usize, Alert> = BTreeMap::new();
@@ -378,8 +394,10 @@ impl AlertService {
         Ok(())
     }
 
-    /// Puts where a parameter stands that has not changed since the first estimate: who comes later, and who remembers an
-    /// earlier life of this service, learns that it is normal.
+    /// Publishes the first state of parameters that have not changed since the first estimate.
+    ///
+    /// New subscribers, and subscribers that remember an earlier run of this service, thus learn
+    /// that the parameter is normal.
     async fn publish_first(&mut self) -> Result<(), AlertError> {
         let structure = self.keys.structure();
         for (index, topic) in self
@@ -399,12 +417,12 @@ impl AlertService {
         Ok(())
     }
 
-    /// Counted always, logged each time the count has doubled.
+    /// Counts a rejected block. Logs it each time the count has doubled.
     fn refuse(&mut self, reason: &'static str, error: &AlertError) {
         let count = self.refused.entry(reason).or_default();
         *count += 1;
         if count.is_power_of_two() {
-            warn!(structure = self.keys.structure().as_str(), %error, reason, count = *count, "estimates refused");
+            warn!(structure = self.keys.structure().as_str(), %error, reason, count = *count, "estimates rejected");
         }
     }
 
@@ -453,7 +471,9 @@ impl AlertService {
     }
 }
 
-/// What a service starts from: what it remembers, by the rules of now, or nothing. Ends of alerts are on the disk on return.
+/// Returns the initial state: the checkpoint under the present rules, or an empty state.
+///
+/// If the rules have changed, the new state is saved before the function returns.
 fn begin(
     structure: &Structure,
     baseline: Option<&Baseline>,
@@ -467,7 +487,7 @@ fn begin(
     };
     let state = new.succeed(former.clone());
     if state != former {
-        // what follows from the change comes after what the last life may not have put
+        // The new alerts follow the unsent alerts of the last run.
         let ended = state
             .unsent
             .iter()
@@ -476,7 +496,7 @@ fn begin(
         let ended = ended.count();
         info!(
             structure = structure.name(),
-            ended, "what alerts rest on has changed: decisions go on by the rules of now"
+            ended, "rules, model or baseline changed; decisions continue under the new rules"
         );
         memory.keep(&state);
     }
@@ -493,7 +513,7 @@ fn name(text: &str) -> Result<Name, AlertError> {
 fn log(structure: &Name, parameter: &Name, alert: &Alert) {
     let (structure, parameter, why) = (structure.as_str(), parameter.as_str(), alert.why.as_str());
     match alert.state {
-        // the loss of an alert that stands is on the page
+        // The web page shows the loss of a raised alert.
         state if alert.revision > 0 => debug!(
             structure,
             parameter,

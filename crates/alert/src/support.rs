@@ -1,4 +1,4 @@
-//! Whether the data support a decision, and how often they did.
+//! Determines whether the data support a decision, and counts how often they did.
 //!
 //! Notation as in [`credibility`](crate::credibility): r mean of the reference, L loss of the rule.
 
@@ -7,37 +7,37 @@ use spandrel_bus::{EstimateFlags, FitVerdict, UndecidedBecause};
 
 use crate::{ParameterEstimate, Reference, Rule, probability_of_loss};
 
-/// A change between decided and undecided counts once it has lasted so long, ns of measurement time.
+/// Time for which a change between decided and undecided must last, ns of measurement time.
 const PERSISTS_NS: i64 = 1_000_000_000;
-/// Until a parameter counts as learnt again, its standard deviation is taken so many times as large: it does not flap.
+/// Factor on the standard deviation until a parameter counts as learnt again. It prevents flapping.
 const LEARNT_AGAIN: f64 = 1.1;
 
 /// Whether alerts of a parameter are decided.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Support {
     because: Option<UndecidedBecause>,
-    /// Since when the frames have said something else, ns.
+    /// Time since which the frames have indicated a different state, ns.
     otherwise_since_ns: Option<i64>,
 }
 
 impl Support {
-    /// Why nothing is decided; `None` while alerts are decided.
+    /// Returns the reason why no decision is possible. `None` while alerts are decided.
     pub(crate) fn undecided_because(&self) -> Option<UndecidedBecause> {
         self.because
     }
 
-    /// Returns `true` if the last frame could be decided on.
+    /// Returns `true` if the last frame permits a decision.
     pub(crate) fn decides(&self) -> bool {
         self.because.is_none() && self.otherwise_since_ns.is_none()
     }
 
-    /// Takes what keeps the frame at `time_ns` from being decided on.
+    /// Records the reason that prevents a decision on the frame at `time_ns`, if any.
     pub(crate) fn take(&mut self, found: Option<UndecidedBecause>, time_ns: i64) {
         if found == self.because {
             self.otherwise_since_ns = None;
             return;
         }
-        // a record that is replayed begins at an earlier time
+        // A replayed record starts at an earlier time.
         let since_ns = self
             .otherwise_since_ns
             .filter(|since_ns| *since_ns <= time_ns)
@@ -55,11 +55,11 @@ impl Support {
         };
     }
 
-    /// Returns `true` if a loss of twice the rule's would be raised.
+    /// Returns `true` if a loss of twice the rule's loss would raise an alert.
     ///
-    /// The estimate of a loss of 2L has the mean (1 − 2L)·r, so its probability of more than L is Φ(L·r/√(s² +
-    /// (1 − L)²·s_r²)). If the rule's loss exceeds one half, a loss of everything takes the place of 2L. A rule about a loss
-    /// of 0 or 1 has no such measure.
+    /// With a loss of 2L, the estimate has the mean (1 − 2L)·r. The probability that it exceeds L
+    /// is Φ(L·r/√(s² + (1 − L)²·s_r²)). If the rule's loss exceeds one half, a total loss replaces
+    /// 2L. The test does not apply to a rule with a loss of 0 or 1.
     pub(crate) fn shows_losses(
         &self,
         estimate: &ParameterEstimate,
@@ -78,10 +78,12 @@ impl Support {
         probability_of_loss(&of_twice_the_loss, reference, loss) >= rule.credibility()
     }
 
-    /// Returns `true` if a loss of twice the rule's is excluded: its probability is at most 1 less the credibility.
+    /// Returns `true` if the estimate excludes a loss of twice the rule's loss, with a probability
+    /// of at most 1 minus the credibility.
     ///
-    /// A sound structure is further from a loss of 2L than that loss is from L. So an estimate may exclude the loss although
-    /// it is too uncertain to raise it.
+    /// The distance from a sound structure to a loss of 2L exceeds the distance from that loss to
+    /// L. An estimate can therefore exclude the loss although it is too uncertain to raise an
+    /// alert.
     pub(crate) fn excludes_losses(
         &self,
         estimate: &ParameterEstimate,
@@ -92,7 +94,7 @@ impl Support {
             <= 1.0 - rule.credibility()
     }
 
-    /// The estimate with a larger deviation where the parameter has to be learnt again.
+    /// Returns the estimate, with a larger deviation if the parameter must be learnt again.
     fn cautious(&self, estimate: &ParameterEstimate) -> ParameterEstimate {
         let slack = if self.because == Some(UndecidedBecause::NothingLearnt) {
             LEARNT_AGAIN
@@ -106,20 +108,21 @@ impl Support {
     }
 }
 
-/// Twice the loss of a rule, at most everything.
+/// Returns twice the loss of a rule, limited to a total loss.
 fn twice(rule: &Rule) -> f64 {
     (2.0 * rule.loss()).min(1.0)
 }
 
-/// Returns `true` if an estimate rests on one of the bounds (ratios to nominal) of its parameter.
+/// Returns `true` if an estimate lies at one of the bounds (ratios to nominal) of its parameter.
 ///
-/// The filter puts an estimate that would leave the bounds on the nearest one, and the next steps move it by a part of its
-/// standard deviation: one that is nearer than that has not left its bound.
+/// The filter moves an estimate outside the bounds to the nearest bound. The next steps then shift
+/// it by a fraction of its standard deviation. An estimate within one standard deviation therefore
+/// still counts as at the bound.
 pub(crate) fn rests_on_bound(estimate: &ParameterEstimate, bounds: (f64, f64)) -> bool {
     estimate.mean - bounds.0 <= estimate.std || bounds.1 - estimate.mean <= estimate.std
 }
 
-/// A sudden change that the filter follows, and those that follow it closely.
+/// A sudden change that the filter follows, including further jumps shortly afterwards.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Jump {
     first: Option<FirstJump>,
@@ -127,7 +130,7 @@ pub(crate) struct Jump {
     supported_ns: Option<i64>,
     /// Start of the last jump, ns.
     last_ns: i64,
-    /// End of the last jump, ns; `None` while the filter follows it.
+    /// End of the last jump, ns. `None` while the filter follows it.
     over_since_ns: Option<i64>,
 }
 
@@ -135,24 +138,26 @@ pub(crate) struct Jump {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct FirstJump {
     start_ns: i64,
-    /// Whether the fit was supported until the change: the verdict can fall before the filter follows a jump.
+    /// Whether the fit was supported until the jump. The verdict can change before the filter
+    /// follows the jump.
     was_supported: bool,
 }
 
-/// Time after the start of a jump without new alerts, ns of measurement time.
+/// Time without new alerts after the start of a jump, ns of measurement time.
 ///
-/// After a loss of 60 % in one storey of five, the estimates of sound storeys were off for up to 6 s where the fit was
-/// supported again.
+/// After a loss of 60 % in one of five storeys, the estimates of sound storeys were wrong for up to
+/// 6 s although the fit was supported again.
 const HELD_NS: i64 = 8_000_000_000;
 
-/// Maximum time after the first jump without new alerts while the fit is not supported as it was before, ns of measurement
-/// time.
+/// Maximum time without new alerts after the first jump, ns of measurement time.
 ///
-/// Where the fit stayed doubtful after a loss of 60 %, sound storeys were up to 35 % too low with narrow intervals, for 20 s.
+/// It applies while the verdict on the fit is worse than before the jump. If the fit remained
+/// doubtful after a loss of 60 %, sound storeys were up to 35 % too low with narrow intervals, for
+/// 20 s.
 const LONGEST_HELD_NS: i64 = 30_000_000_000;
 
 impl Jump {
-    /// Takes a frame. A jump that begins again within a second is the same one.
+    /// Processes a frame. A jump that restarts within a second counts as the same jump.
     pub(crate) fn take(&mut self, flags: &EstimateFlags, time_ns: i64) {
         let is_recent = |since_ns: Option<i64>| {
             since_ns.is_some_and(|since_ns| is_within(PERSISTS_NS, since_ns, time_ns))
@@ -179,7 +184,7 @@ impl Jump {
         }
     }
 
-    /// Returns `true` while new alerts are held because of the jump. `fit`: verdict at the frame.
+    /// Returns `true` while the jump prevents new alerts. `fit` is the verdict at the frame.
     pub(crate) fn holds(&self, fit: Option<FitVerdict>, time_ns: i64) -> bool {
         self.first.is_some_and(|first| {
             let is_worse =
@@ -190,12 +195,12 @@ impl Jump {
     }
 }
 
-/// Returns `true` if `time_ns` is at most `span_ns` after `since_ns`.
+/// Returns `true` if `time_ns` lies within `span_ns` from `since_ns`, end excluded.
 fn is_within(span_ns: i64, since_ns: i64, time_ns: i64) -> bool {
     (0..span_ns).contains(&time_ns.saturating_sub(since_ns))
 }
 
-/// Frames since the reference was known, and those that were not decided on.
+/// Number of frames since the reference was known, and of those without a decision.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DecidedFrames {
     frames: u64,
@@ -213,7 +218,7 @@ impl DecidedFrames {
         }
     }
 
-    /// The frames of both.
+    /// Returns the sum of both counts.
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
         self.frames += other.frames;
@@ -224,13 +229,14 @@ impl DecidedFrames {
         self
     }
 
-    /// Number of frames.
+    /// Returns the number of frames.
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.frames
     }
 
-    /// Number of frames that were not decided on, by reason; reasons without a frame are left out.
+    /// Returns the number of frames without a decision, by reason. Reasons that did not occur are
+    /// omitted.
     pub fn undecided(&self) -> impl Iterator<Item = (UndecidedBecause, u64)> {
         UndecidedBecause::ALL
             .into_iter()
@@ -238,7 +244,7 @@ impl DecidedFrames {
             .filter(|(_, count)| *count > 0)
     }
 
-    /// Share of the frames that were decided on, 0 to 1; `None` without a frame.
+    /// Returns the share of frames with a decision, 0 to 1. `None` if there are no frames.
     #[must_use]
     pub fn share(&self) -> Option<f64> {
         let undecided: u64 = self.undecided.iter().sum();
@@ -284,7 +290,8 @@ mod tests {
 
     #[test]
     fn loss_shows_where_twice_the_rule_would_be_raised() {
-        // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s = 0.05/1.644854 = 0.030398.
+        // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s =
+        // 0.05/1.644854 = 0.030398.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
         let shows = |support: &Support, std: f64| {
             support.shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule)
@@ -299,7 +306,8 @@ mod tests {
             !shows(&undecided, 0.0303) && shows(&undecided, 0.0303 / 1.1),
             "what was not learnt has to be learnt well"
         );
-        // (1 − L)·s_r = 0.95·0.03 = 0.0285; with s = 0.0105 the hypotenuse is 0.03037, with 0.0110 it is 0.03055.
+        // (1 − L)·s_r = 0.95·0.03 = 0.0285; with s = 0.0105 the hypotenuse is 0.03037, with 0.0110
+        // it is 0.03055.
         let learnt = Reference::new(1.0, 0.03).unwrap();
         let shows = |std: f64| decided.shows_losses(&estimate(1.0, std), &learnt, &rule);
         assert!(shows(0.0105) && !shows(0.0110));
@@ -307,7 +315,7 @@ mod tests {
 
     #[test]
     fn sound_estimate_excludes_twice_the_rule_before_it_could_show_it() {
-        // A loss of 10 % is 0.1 away from the sound value: s = 0.1/1.644854 = 0.060796.
+        // A loss of 10 % differs from the sound value by 0.1: s = 0.1/1.644854 = 0.060796.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
         let excludes = |support: &Support, std: f64| {
             support.excludes_losses(&estimate(1.0, std), &Reference::DESIGN, &rule)
@@ -344,7 +352,8 @@ mod tests {
         assert!(!rests_on_bound(&estimate(0.12, 0.01), bounds));
     }
 
-    /// Takes jumps at `jumps` (s) of half a second each, and returns the last moment (s) at which alerts are held.
+    /// Processes half-second jumps at `jumps` (s). Returns the last time (s) at which alerts are
+    /// held.
     fn held_until(jumps: &[i64], fit_after: FitVerdict) -> f64 {
         let (mut jump, mut last) = (Jump::default(), 0.0);
         for tenth in 0..1000 {
@@ -352,7 +361,7 @@ mod tests {
             let follows_jump = jumps
                 .iter()
                 .any(|start| (0..5).contains(&(tenth - 10 * start)));
-            // the verdict falls half a second before the filter follows the jump
+            // The verdict changes half a second before the filter follows the jump.
             let is_after = jumps.iter().any(|start| tenth > 10 * start - 5);
             let fit = Some(if is_after {
                 fit_after

@@ -1,4 +1,4 @@
-//! Watches all parameters of one structure: blocks of estimates in, alerts out.
+//! Watches all parameters of one structure: processes blocks of estimates and returns alerts.
 
 use std::collections::BTreeMap;
 
@@ -11,23 +11,23 @@ use crate::{
     Reference, Rule, Subject, alert::Acknowledged, wording::End,
 };
 
-/// The decisions on one structure; serialises as its checkpoint.
+/// The decisions on one structure, which also serve as the state in its checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Watch {
     parameter_count: usize,
     decisions: Vec<Decision>,
-    /// Epoch of the estimates, and number of the next one.
+    /// Epoch of the estimates and number of the next one.
     pub(crate) expected: Option<(u64, u64)>,
 }
 
 impl Watch {
-    /// Watches what the alert rules of the structure file ask for.
+    /// Creates the decisions for the alert rules of a structure file.
     ///
-    /// A rule that would learn its reference takes that of `baseline` where it knows the parameter.
+    /// `baseline` replaces a reference that a rule would learn, if it contains the parameter.
     ///
     /// # Errors
-    /// A rule is not consistent with the parameters, a reference cannot be one, or the baseline is that of another
-    /// structure.
+    /// Fails if a rule does not match the parameters, a reference is invalid, or the baseline
+    /// belongs to another structure.
     pub fn new(structure: &Structure, baseline: Option<&Baseline>) -> Result<Self, AlertError> {
         if let Some(baseline) = baseline.filter(|baseline| baseline.structure() != structure.name())
         {
@@ -48,7 +48,7 @@ impl Watch {
         Ok(Self::from_decisions(parameters.len(), decisions))
     }
 
-    /// Watches by these decisions on a structure of `parameter_count` parameters.
+    /// Creates a watch with these decisions for a structure of `parameter_count` parameters.
     pub fn from_decisions(parameter_count: usize, decisions: Vec<Decision>) -> Self {
         Self {
             parameter_count,
@@ -57,10 +57,10 @@ impl Watch {
         }
     }
 
-    /// Goes on where `former` stood, which watched by the structure file of before; appends what has changed by that.
+    /// Continues from `former`, the watch of an earlier structure file. Appends alerts for changes.
     ///
-    /// `names`: names of the parameters by the numbers that alerts carry, those of this watch first; of former parameters
-    /// that are gone too.
+    /// `names` contains the parameter names by the indices in alerts: first those of this watch,
+    /// then former parameters.
     pub(crate) fn succeed(
         &mut self,
         former: &Self,
@@ -71,7 +71,8 @@ impl Watch {
         self.expected = former.expected;
         let mut left: Vec<Option<&Decision>> = former.decisions.iter().map(Some).collect();
         let mut heirs: Vec<Option<&Decision>> = vec![None; self.decisions.len()];
-        // equal rules first: rules that change places, and others beside them, change nothing
+        // Equal rules are matched first, so that a changed order or additional rules have no
+        // effect.
         for is_equal in [true, false] {
             for (heir, own) in heirs
                 .iter_mut()
@@ -91,7 +92,7 @@ impl Watch {
         for former in left.into_iter().flatten() {
             let Some(parameter) = names.iter().position(|name| *name == former.subject().name)
             else {
-                continue; // the names are complete
+                continue; // `names` contains every former parameter
             };
             let end = if parameter < self.parameter_count {
                 End::Unwatched
@@ -112,11 +113,13 @@ impl Watch {
         }
     }
 
-    /// Reacts to a block of estimates; appends an alert for each change. Other cuts of the same estimates into blocks give
-    /// the same alerts.
+    /// Processes a block of estimates and appends an alert for each change.
+    ///
+    /// The result does not depend on how the estimates are divided into blocks.
     ///
     /// # Errors
-    /// [`AlertError::ParameterCount`] if the block is none of this structure; nothing has changed then.
+    /// Returns [`AlertError::ParameterCount`] if the block belongs to another structure. The watch
+    /// is then unchanged.
     pub fn handle_block(
         &mut self,
         block: &EstimateBlock,
@@ -146,7 +149,8 @@ impl Watch {
         Ok(())
     }
 
-    /// Reacts to an acknowledgement of the alerts of one parameter; tells whether there was anything to acknowledge.
+    /// Processes an acknowledgement of the alerts of one parameter. Returns `false` if there was
+    /// nothing to acknowledge.
     pub fn acknowledge(
         &mut self,
         parameter: usize,
@@ -164,7 +168,7 @@ impl Watch {
         is_taken
     }
 
-    /// The alert that stands for a parameter: the most severe one where several rules watch it; `None` before the first.
+    /// Returns the most severe alert of a parameter among its rules. `None` before the first alert.
     pub fn standing(&self, parameter: usize) -> Option<&Alert> {
         let of_parameter = self
             .decisions
@@ -179,8 +183,9 @@ impl Watch {
             })
     }
 
-    /// Where a parameter stands of which nothing has been announced, against the first rule that watches it; `None` before
-    /// the first estimate that is decided on, without a rule, and once there was something to announce.
+    /// Returns the state of a parameter under its first rule, if no alert has announced one yet.
+    ///
+    /// Returns `None` without a rule, or before the first estimate that permits a decision.
     pub fn unannounced(&self, parameter: usize) -> Option<Alert> {
         let of_parameter = || {
             self.decisions
@@ -194,7 +199,8 @@ impl Watch {
             .unannounced()
     }
 
-    /// How many frames of a parameter were decided on since its reference was known, by all of its rules together.
+    /// Returns the number of frames of a parameter with and without a decision since its reference
+    /// was known, summed over its rules.
     pub fn decided_frames(&self, parameter: usize) -> DecidedFrames {
         let of_parameter = self
             .decisions
@@ -205,13 +211,15 @@ impl Watch {
         })
     }
 
-    /// Share of the frames of a parameter that were decided on since its reference was known, 0 to 1; `None` before that, and
-    /// without a rule.
+    /// Returns the share of frames of a parameter with a decision since its reference was known, 0
+    /// to 1.
+    ///
+    /// Returns `None` before the first such frame, and without a rule.
     pub fn decided_share(&self, parameter: usize) -> Option<f64> {
         self.decided_frames(parameter).share()
     }
 
-    /// The frames of each watched parameter, by its number: how many there were, and how many were decided on.
+    /// Returns the frame counts of each watched parameter, by its index.
     pub fn decided_shares(&self) -> BTreeMap<usize, DecidedFrames> {
         let watched = self
             .decisions
@@ -222,7 +230,7 @@ impl Watch {
             .collect()
     }
 
-    /// Number of rules and parameters on which nothing is decided now, by reason.
+    /// Returns the number of decisions that are undecided now, by reason.
     pub fn undecided(&self) -> BTreeMap<UndecidedBecause, u64> {
         let mut counts = BTreeMap::new();
         for because in self
@@ -235,17 +243,18 @@ impl Watch {
         counts
     }
 
-    /// Number of parameters of the structure.
+    /// Returns the number of parameters of the structure.
     pub fn parameter_count(&self) -> usize {
         self.parameter_count
     }
 
-    /// Epoch and number of the first estimate not yet decided on; `None` before the first.
+    /// Returns epoch and number of the first estimate that has not been processed. `None` before
+    /// the first.
     pub fn position(&self) -> Option<(u64, u64)> {
         self.expected
     }
 
-    /// The decisions, by rule and parameter in the order of the structure file.
+    /// Returns the decisions, by rule and parameter in the order of the structure file.
     pub fn decisions(&self) -> &[Decision] {
         &self.decisions
     }
@@ -258,7 +267,7 @@ impl Watch {
             let index = decision.subject().parameter;
             let (Some(mean), Some(variance)) = (estimate.mean.get(index), estimate.variance(index))
             else {
-                continue; // the block was checked: each parameter is there
+                continue; // a checked block contains every parameter
             };
             let std = variance.max(0.0).sqrt();
             let of_parameter = ParameterEstimate {
@@ -277,7 +286,7 @@ impl Watch {
     }
 }
 
-/// Order of the states by what they ask of people.
+/// Returns the severity of a state, higher if it requires more attention.
 fn severity(state: AlertState) -> u8 {
     match state {
         AlertState::Normal => 0,
@@ -291,7 +300,7 @@ fn severity(state: AlertState) -> u8 {
     }
 }
 
-/// Takes the rule of the structure file for the parameter at `position` of its list.
+/// Creates the decision for the parameter at `position` in the list of a rule.
 fn decision_from_structure(
     number: usize,
     rule: &AlertRule,
@@ -341,7 +350,7 @@ fn decision_from_structure(
     Ok(Decision::new(number, own, subject))
 }
 
-/// Adds the name of the parameter to what is wrong with its rule.
+/// Adds the name of the parameter to an error of its rule.
 fn in_parameter(parameters: &[Parameter], index: usize, source: AlertError) -> AlertError {
     match parameters.get(index) {
         Some(parameter) => AlertError::Parameter {

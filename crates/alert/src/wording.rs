@@ -1,11 +1,11 @@
-//! Says in words what an alert is about: what, how much, how sure, since when.
+//! Describes an alert in words: parameter, loss, probability and start.
 
 use jiff::Timestamp;
 use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words};
 
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
-/// The decision in words; `alert.why` is not read. `before`: what was said last.
+/// Returns the decision in words. Ignores `alert.why`. `before` is the last announced alert.
 pub(crate) fn describe(
     subject: &Subject,
     rule: &Rule,
@@ -14,10 +14,7 @@ pub(crate) fn describe(
 ) -> String {
     let Subject { name, quantity, .. } = subject;
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
-        return format!(
-            "no alert of {name} is decided: {}",
-            undecided(because, alert)
-        );
+        return format!("no decision on {name}: {}", undecided(because, alert));
     }
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
@@ -36,9 +33,9 @@ pub(crate) fn describe(
         "more than {} with probability {told}",
         percent(alert.rule_loss)
     );
-    // where it is too little, so that one need not know the rule
+    // If the probability is too low, the text contains the rule's value.
     let of_rule = if found < rule.credibility() {
-        format!("{how_sure} ({} is asked for)", asked(rule.credibility()))
+        format!("{how_sure} ({} required)", asked(rule.credibility()))
     } else {
         how_sure.clone()
     };
@@ -47,7 +44,10 @@ pub(crate) fn describe(
         .map(|time_ns| format!(", since {}", time(time_ns)))
         .unwrap_or_default();
     let ends = match found < rule.clear_credibility() {
-        true => format!("; is cleared after {}", duration(rule.sustain_ns())),
+        true => format!(
+            "; the alert will clear after {}",
+            duration(rule.sustain_ns())
+        ),
         false => String::new(),
     };
     match alert.state {
@@ -57,7 +57,8 @@ pub(crate) fn describe(
             reference.std()
         ),
         AlertState::Pending => format!(
-            "{name} seems to have lost {how_much}, {of_rule}{since}; is raised after {}{}",
+            "{name} seems to have lost {how_much}, {of_rule}{since}; the alert will be raised \
+             after {}{}",
             duration(rule.sustain_ns()),
             if alert.follows_jump {
                 "; a sudden change is still being followed"
@@ -77,8 +78,8 @@ pub(crate) fn describe(
                     undecided(because, alert)
                 ),
                 None => format!(
-                    "{name} had an alert{since} that the data do not confirm: loss now {how_much}, {of_rule}{seen}; is \
-                     cleared after {}",
+                    "{name} had an alert{since} that the data do not confirm: loss now {how_much}, \
+                     {of_rule}{seen}; the alert will clear after {}",
                     duration(rule.sustain_ns())
                 ),
             }
@@ -91,19 +92,21 @@ pub(crate) fn describe(
             )
         }
         AlertState::Cleared if alert.undecided_because.is_some() => format!(
-            "the alert of {name} was cleared; no new one is decided: {}",
+            "the alert of {name} was cleared; no new decision: {}",
             alert
                 .undecided_because
                 .map(|because| undecided(because, alert))
                 .unwrap_or_default()
         ),
         AlertState::Cleared if found >= rule.clear_credibility() => format!(
-            "that {name} has lost more than {} was credible again, but not for {}: loss {how_much}, {of_rule}",
+            "a loss of more than {} in {name} was credible again, but for less than {}: loss \
+             {how_much}, {of_rule}",
             percent(alert.rule_loss),
             duration(rule.sustain_ns())
         ),
         AlertState::Cleared => format!(
-            "that {name} has lost more than {} is no longer credible: loss {how_much}, {how_sure}, below {} for {}",
+            "a loss of more than {} in {name} is no longer credible: loss {how_much}, {how_sure}, \
+             below {} for {}",
             percent(alert.rule_loss),
             asked(rule.clear_credibility()),
             duration(rule.sustain_ns())
@@ -111,7 +114,7 @@ pub(crate) fn describe(
     }
 }
 
-/// Why nothing is decided, with the reasons of a fit that is contradicted.
+/// Returns the reason why nothing is decided, including the reasons for a contradicted fit.
 fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
     match because {
         UndecidedBecause::FitContradicted => {
@@ -127,7 +130,9 @@ fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
     }
 }
 
-/// What is too uncertain: the estimate, or a reference that hides the loss from the best estimate too.
+/// Returns whether the estimate or the reference is too uncertain.
+///
+/// The reference is the cause if it would hide the loss even from an exact estimate.
 fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     let ParameterEstimate { mean, std, .. } = alert.estimate;
     let Some(reference) = &alert.reference else {
@@ -148,7 +153,7 @@ fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     )
 }
 
-/// A loss that is still moving: what is gone at least.
+/// Returns the words for a loss that is still moving, with its lower limit.
 fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&Alert>) -> String {
     let has_risen = before
         .is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
@@ -160,66 +165,79 @@ fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&
     )
 }
 
-/// Why an alert is over although nothing new has been measured.
+/// The reason why an alert ends without a new measurement.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum End {
-    /// The structure file has no such parameter.
+    /// The structure file does not contain the parameter.
     NoSuchParameter,
     /// No rule watches the parameter.
     Unwatched,
-    /// The rule is another, and the last estimate does not reach it.
+    /// The rule has changed, and the last estimate does not satisfy it.
     RuleChanged {
         from: Rule,
         to: Rule,
         probability: f64,
     },
-    /// The rule is another, and so is the model: there is no estimate that it could be held against.
+    /// The rule and the model have changed, so no estimate exists that the rule could apply to.
     RuleAndModelChanged,
-    /// What the loss counts from is not known any more.
+    /// The reference of the loss is unknown, because it is learnt again.
     ReferenceLearntAnew,
 }
 
-/// The end of an alert in words.
+/// Returns the end of an alert in words.
 pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
     let name = &subject.name;
     let why = match end {
-        End::NoSuchParameter => "the structure file has no such parameter any more".to_owned(),
-        End::Unwatched => "no rule of the structure file watches it any more".to_owned(),
-        End::RuleChanged { from, to, probability: found } => {
+        End::NoSuchParameter => "the structure file no longer contains the parameter".to_owned(),
+        End::Unwatched => "the structure file no longer contains a rule for it".to_owned(),
+        End::RuleChanged {
+            from,
+            to,
+            probability: found,
+        } => {
             let found = RoundedProbability::new(*found, &[from.credibility(), to.credibility()]);
             let is_counted_anew = from.reference() != to.reference();
             let asked_by = |rule: &Rule| {
-                let counted = if is_counted_anew { counted_from(rule.reference()) } else { String::new() };
+                let counted = if is_counted_anew {
+                    counted_from(rule.reference())
+                } else {
+                    String::new()
+                };
                 let (loss, credibility) = (percent(rule.loss()), asked(rule.credibility()));
-                format!("more than {loss}{counted} with probability {credibility} for {}", duration(rule.sustain_ns()))
+                format!(
+                    "more than {loss}{counted} with probability {credibility} for {}",
+                    duration(rule.sustain_ns())
+                )
             };
             let (from, to) = (asked_by(from), asked_by(to));
             format!(
-                "its rule was changed from {from} to {to}, and the last estimate gives that loss probability {found}"
+                "its rule changed from {from} to {to}; the probability of that loss by the last \
+                 estimate is {found}"
             )
         }
         End::RuleAndModelChanged => {
-            "its rule and the model of the structure file were changed, and identification begins anew".to_owned()
+            "its rule and the model in the structure file changed, and identification restarts"
+                .to_owned()
         }
         End::ReferenceLearntAnew => {
-            "what the loss counts from is learnt anew, because its rule or the model has changed".to_owned()
+            "its reference is being learnt again because the rule or the model changed".to_owned()
         }
     };
     format!("alert of {name} has ended: {why}")
 }
 
-/// What a loss counts from, to go behind it.
+/// Returns the reference of a loss as a suffix to the loss.
 fn counted_from(reference: ReferenceRule) -> String {
     match reference {
         ReferenceRule::Given(given) if given.std() == 0.0 => format!(" below {:.3}", given.mean()),
         ReferenceRule::Given(given) => format!(" below {:.3} ± {:.3}", given.mean(), given.std()),
         ReferenceRule::Learnt { span_ns } => {
-            format!(" below what is learnt in {}", duration(span_ns))
+            format!(" below a reference learnt in {}", duration(span_ns))
         }
     }
 }
 
-/// Longest part of a name or note that is repeated in the words, in characters.
+/// Maximum length of a quoted name or note, in characters.
 const LONGEST_QUOTE: usize = 400;
 
 fn acknowledged(alert: &Alert) -> String {
@@ -237,7 +255,7 @@ fn acknowledged(alert: &Alert) -> String {
     )
 }
 
-/// A share in per cent with one decimal, without one where it is whole: `14.2 %`, `5 %`.
+/// Formats a share in per cent, with one decimal unless it is whole: `14.2 %`, `5 %`.
 fn percent(share: f64) -> String {
     format!("{} %", per_cent(share))
 }
@@ -251,7 +269,8 @@ fn per_cent(share: f64) -> String {
     }
 }
 
-/// The interval of the loss; also the one within this record where the scatter between records is known.
+/// Returns the interval of the loss, and the interval within this record if the reference has an
+/// estimated scatter.
 fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
     let range =
         |loss: &LossEstimate| format!("{} to {} %", per_cent(loss.low), per_cent(loss.high));
@@ -270,7 +289,7 @@ fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
     }
 }
 
-/// A probability that a rule asks for: as it stands in the rule, with three decimals at least.
+/// Formats a probability as specified in the rule, with at least three decimals.
 fn asked(probability: f64) -> String {
     let rounded = format!("{probability:.3}");
     if rounded.parse() == Ok(probability) {
@@ -284,9 +303,9 @@ fn duration(span_ns: i64) -> String {
     format!("{} s", span_ns as f64 / 1e9)
 }
 
-/// A time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
+/// Formats a time: in seconds for a record that starts at 0, otherwise as a UTC date.
 fn time(time_ns: i64) -> String {
-    /// Three years: no record from 0 is longer, and no clock is so far behind.
+    /// Three years. No record that starts at 0 is longer, and no clock is so far behind.
     const RECORD_NS: i64 = 100_000_000_000_000_000;
     match Timestamp::from_nanosecond(i128::from(time_ns)) {
         Ok(calendar) if time_ns.abs() >= RECORD_NS => {

@@ -1,4 +1,4 @@
-//! The alert service on a real Zenoh session: estimates in, alerts out, acknowledgements back.
+//! Tests of the alert service with a real Zenoh session: estimates, alerts and acknowledgements.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -19,7 +19,7 @@ use spandrel_structure::Structure;
 use tokio::sync::oneshot;
 use tokio::time::timeout;
 
-/// Ends a hang; nothing here takes a second.
+/// Time limit for a hang. Nothing here takes a second.
 const DEADLINE: Duration = Duration::from_secs(30);
 
 const STRUCTURE: &str = include_str!("tower.toml");
@@ -57,7 +57,7 @@ fn block(sequence: u64, count: usize, mean: f64) -> EstimateBlock {
     }
 }
 
-/// Both sides of the bus: a session, and the estimates put on it.
+/// Opens a session and a publisher of estimates.
 async fn open(root: &str) -> (Bus, Keys, NumberedPublisher<EstimateBlock>) {
     let config = BusConfig {
         root: root.into(),
@@ -239,12 +239,12 @@ async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it
     assert!(
         ended
             .why
-            .starts_with("alert of storey-1 has ended: its rule was changed from more than 5 %"),
+            .starts_with("alert of storey-1 has ended: its rule changed from more than 5 %"),
         "{}",
         ended.why
     );
     assert_eq!(next(&alerts).await.state, AlertState::Normal);
-    // who was not there learns it from the log, also from the next life of the service
+    // A late subscriber receives the changes from the log, also after a restart of the service.
     running.stop().await;
     let running = Running::start_with(&bus, &keys, &lenient, Some(&remembering)).await;
     let log: Vec<(String, HistoryLog)> = bus.ask(&keys.alert_log(), DEADLINE).await.unwrap();

@@ -1,7 +1,11 @@
-//! What one frame costs: the demo's building, five storeys, six channels, noise updating on; and an hour of it from the
-//! rows of a record to the estimates, as `spandrel estimate` goes.
+//! Cost of one frame and of one hour of records.
 //!
-//! The time per element is that of one frame; 100 Hz in real time leaves 10 ms for it.
+//! The structure is the building of the demo, with five storeys, six channels and noise updating.
+//! The second benchmark processes an hour from the rows of a record to the estimates, as `spandrel
+//! estimate` does.
+//!
+//! The time per element is the time of one frame. At 100 Hz in real time, 10 ms are available for a
+//! frame.
 
 #![allow(
     clippy::expect_used,
@@ -54,7 +58,7 @@ fn identification(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// An hour of records: the blocks of a recording through the same core, block by block.
+/// Processes an hour of records block by block, in blocks of the size of a recording.
 fn an_hour(criterion: &mut Criterion) {
     const HOUR: u64 = 360_000;
     const BLOCK: usize = 256;

@@ -1,12 +1,17 @@
-//! The filter beside its peers, on the same building and samples, in one run: a table, and a plot where one is asked for.
+//! Comparison of the filter with its peers on the same building and samples, in one run. Prints a
+//! table and draws a plot on request.
 //!
 //! ```sh
-//! cargo bench -p spandrel-bench --bench peers                                     # Rust alone
-//! cargo bench -p spandrel-bench --bench peers -- --python venv/bin/python         # and what python/requirements.txt names
+//! # Rust only
+//! cargo bench -p spandrel-bench --bench peers
+//! # with the Python peers, which need the packages of python/requirements.txt
+//! cargo bench -p spandrel-bench --bench peers -- --python venv/bin/python
+//! # other sizes, and a plot
 //! cargo bench -p spandrel-bench --bench peers -- --storeys 40,100 --plot scaling.svg
 //! ```
 //!
-//! Without `--bench`, as `cargo test --benches` has it, or with `--test` every filter takes a few steps and nothing is measured.
+//! Without `--bench`, as in `cargo test --benches`, or with `--test`, every filter takes a few
+//! steps and nothing is measured.
 
 #![allow(
     clippy::print_stdout,
@@ -28,10 +33,12 @@ use spandrel_bench::timing::{Times, seconds};
 use std::error::Error;
 use std::path::PathBuf;
 
-/// Rounds in which the filters take turns, so that whatever else runs meets all of them.
+/// Number of rounds in which the filters take turns, so that other load on the machine affects all
+/// of them.
 const ROUNDS: usize = 3;
 
-/// Difference of two filters of the same equations after the same frames, in standard deviations.
+/// Maximum difference between two filters with the same equations after the same frames, in
+/// standard deviations.
 const AGREEMENT: f64 = 1e-6;
 
 #[derive(Debug, Default)]
@@ -78,7 +85,8 @@ impl Options {
     }
 }
 
-/// Cargo runs a benchmark in the folder of its crate: what is relative is meant from that of the workspace.
+/// Resolves a relative path from the workspace root, because Cargo runs a benchmark in the folder
+/// of its crate.
 fn from_root(path: &str) -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join(path)
 }
@@ -146,7 +154,7 @@ fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
             result.ok_or("the dense filter has diverged")?;
             step(&mut known, samples)?;
             if taken > 0 {
-                of_dense.push(time_s); // the first frame finds the prior: no prediction
+                of_dense.push(time_s); // excludes the first frame, which has no prediction
             }
             taken += 1;
         }
@@ -199,7 +207,7 @@ fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
     })
 }
 
-/// A linear system as adskalman takes it.
+/// A linear system in the form that adskalman expects.
 struct Fixed<const N: usize, const M: usize> {
     transition: [SMatrix<f64, N, N>; 2],
     process_noise: SMatrix<f64, N, N>,
@@ -253,7 +261,8 @@ where
     }
 }
 
-/// The same as kfilter takes it; its covariance starts from that of the process noise.
+/// Returns the same system in the form that kfilter expects. Its covariance starts at the
+/// covariance of the process noise.
 fn of_kfilter<const N: usize, const M: usize>(
     step: &LinearStep,
 ) -> Kalman1MLinearNoInput<f64, N, M> {
@@ -269,7 +278,7 @@ fn of_kfilter<const N: usize, const M: usize>(
     )
 }
 
-/// Measures the linear part, where the crates of fixed sizes can follow.
+/// Measures the linear part, for sizes that the crates with fixed sizes support.
 fn linear<const N: usize, const M: usize>(
     storeys: usize,
     options: &Options,
@@ -288,7 +297,8 @@ where
     let peer = KalmanFilterNoControl::new(&model, &model);
     let mut estimate = StateAndCovariance::new(OVector::<f64, Const<N>>::zeros(), prior);
     let mut single = of_kfilter::<N, M>(&of_step);
-    // with all that each needs in the nearest memory, and with none of it
+    // First with many steps of a filter in sequence, so that its data is in the cache, then with
+    // one step at a time.
     for together in [frames.div_ceil(ROUNDS), 1] {
         let [mut by_filter, mut by_adskalman, mut by_kfilter] = [(); 3].map(|()| Times::default());
         for samples in building.frames.chunks(together) {
@@ -306,7 +316,7 @@ where
             for samples in samples {
                 let datum = kfilter_nalgebra::SVector::<f64, M>::from_column_slice(samples);
                 let (time_s, result) = seconds(|| {
-                    let _ = single.predict(); // a linear one cannot fail
+                    let _ = single.predict(); // a linear prediction cannot fail
                     single.update(datum).map(|_| ())
                 });
                 result.map_err(|error| format!("kfilter: {error:?}"))?;
@@ -320,7 +330,7 @@ where
     Ok(())
 }
 
-/// Measures what one structure after the other takes for a frame.
+/// Measures the time per frame of each of the large structures.
 fn keep_up(options: &Options) -> Result<(), Box<dyn Error>> {
     let frames = |many: usize| if options.smoke { 2 } else { many };
     for monitored in [
@@ -333,7 +343,7 @@ fn keep_up(options: &Options) -> Result<(), Box<dyn Error>> {
             let (time_s, result) = seconds(|| filter.step(monitored.frame(index)).map(|_| ()));
             result?;
             if index > 0 {
-                times.push(time_s); // the first frame finds the prior: no prediction
+                times.push(time_s); // excludes the first frame, which has no prediction
             }
         }
         report(&monitored, filter.mean().len(), &times);

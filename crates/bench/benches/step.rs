@@ -1,7 +1,8 @@
-//! What the stages of a step cost, by steps with more and more of them, and what the model answers for.
+//! Cost of the stages of a step, measured by steps with more and more stages, and the share of the
+//! model.
 //!
-//! A prediction alone has no samples; an update has them with all noises known; then the noise levels are identified, and
-//! outliers screened. The time per element is that of one step.
+//! A prediction alone has no samples. An update has samples and known noise levels. Further steps
+//! identify the noise levels and screen for outliers. The time per element is the time of one step.
 
 #![allow(
     clippy::expect_used,
@@ -19,8 +20,10 @@ use spandrel_filter::{
 use spandrel_structure::StructureModel;
 use std::hint::black_box;
 
-/// Steps that are taken together from a state at work: so many that the first ones, which find all memory cold, do not count, and
-/// so few that a filter without samples has not diverged.
+/// Number of steps taken together from a warm state.
+///
+/// There are enough steps that the first ones, which start with a cold cache, hardly count. There
+/// are few enough that a filter without samples does not diverge.
 const STEPS: usize = 100;
 
 fn warm(building: &Building, settings: FilterSettings) -> ExtendedKalmanFilter<StructureModel> {

@@ -1,4 +1,4 @@
-//! The shear building that every filter of the comparison follows, at any height.
+//! The shear building of the comparison, with any number of storeys.
 
 use nalgebra::DMatrix;
 use spandrel_filter::{
@@ -8,47 +8,50 @@ use spandrel_structure::{Structure, StructureModel};
 use std::error::Error;
 use std::path::Path;
 
-/// Mass of a floor (kg) and stiffness of a storey (N/m): the fastest mode turns by 0.8 rad a step.
+/// Mass of a floor (kg).
+///
+/// With [`STIFFNESS_N_PER_M`], the phase of the fastest mode advances by 0.8 rad per step.
 pub const MASS_KG: f64 = 1.0;
-/// See [`MASS_KG`].
+/// Stiffness of a storey (N/m). See [`MASS_KG`].
 pub const STIFFNESS_N_PER_M: f64 = 1600.0;
-/// Rayleigh damping (1/s).
+/// Mass-proportional Rayleigh coefficient (1/s).
 pub const ALPHA_PER_S: f64 = 0.05;
-/// Rayleigh damping (s).
+/// Stiffness-proportional Rayleigh coefficient (s).
 pub const BETA_S: f64 = 0.002;
-/// Frames per second.
+/// Number of frames per second.
 pub const RATE_HZ: f64 = 100.0;
-/// Standard deviation of one sample of the ground motion that nobody measures (m/s²).
+/// Standard deviation of one sample of the unmeasured ground motion (m/s²).
 pub const GROUND_STD: f64 = 0.5;
-/// Standard deviation of one sample of a sensor (m/s²).
+/// Standard deviation of the noise of one sensor sample (m/s²).
 pub const SENSOR_STD: f64 = 0.02;
 
-/// A building with its samples: n = 3N + 2 states, N/5 accelerometers, one ground motion.
+/// A building with its samples. It has n = 3N + 2 states, N/5 accelerometers and one ground motion.
 #[derive(Debug, Clone)]
 pub struct Building {
-    /// `N`.
+    /// Number of storeys, `N`.
     pub storeys: usize,
-    /// The structure, as its file says.
+    /// The structure from its structure file.
     pub structure: Structure,
-    /// Fading memory, and the noise of the sensors identified.
+    /// Filter settings with fading memory, which identify the sensor noise.
     pub settings: FilterSettings,
-    /// Samples of the accelerometers, frame by frame (m/s²).
+    /// Samples of the accelerometers for each frame (m/s²).
     pub frames: Vec<Vec<f64>>,
 }
 
 impl Building {
-    /// Makes a building of `storeys` storeys, at least five, and simulates `frames` frames.
+    /// Creates a building of `storeys` storeys, at least five, and simulates `frames` frames.
     ///
     /// # Errors
-    /// When the structure file is not valid, or its filter.
+    /// The structure file or the settings of its filter are not valid.
     pub fn new(storeys: usize, frames: usize) -> Result<Self, Box<dyn Error>> {
         Self::parse(storeys, frames, &(text(storeys) + &parameters(storeys)))
     }
 
-    /// Makes the same building with nothing to identify: 2N states, a linear filter.
+    /// Creates the same building without parameters to identify, which has 2N states and a linear
+    /// filter.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// The same as for [`Self::new`].
     pub fn linear(storeys: usize, frames: usize) -> Result<Self, Box<dyn Error>> {
         Self::parse(storeys, frames, &text(storeys))
     }
@@ -56,7 +59,7 @@ impl Building {
     fn parse(storeys: usize, frames: usize, text: &str) -> Result<Self, Box<dyn Error>> {
         let structure = Structure::parse(text, Path::new("shear-building.toml"))?;
         let mut settings = structure.filter_settings()?;
-        // what is measured is a filter at work, not the few minutes before
+        // A short training, because the benchmark measures a filter after its training.
         settings.noise_settings.training_steps = 50;
         settings.noise_settings.training_limit_steps = 100;
         let frames = structure
@@ -72,23 +75,24 @@ impl Building {
         })
     }
 
-    /// Returns the degrees of freedom that are sensed (from 0).
+    /// Returns the degrees of freedom with a sensor, counted from 0.
     pub fn sensed(&self) -> impl Iterator<Item = usize> {
         sensed(self.storeys)
     }
 
-    /// Makes the filter of Spandrel, with the noise of the sensors identified.
+    /// Creates Spandrel's filter, which identifies the sensor noise.
     ///
     /// # Errors
-    /// When the settings do not fit the model.
+    /// The settings do not fit the model.
     pub fn filter(&self) -> Result<ExtendedKalmanFilter<StructureModel>, FilterError> {
         ExtendedKalmanFilter::new(self.structure.model(), self.settings.clone())
     }
 
-    /// Makes the same filter with all noises known and without start-up aid or limits: what the peers do.
+    /// Creates the same filter with all noise levels known and without start-up aid or limits, as
+    /// in the peers.
     ///
     /// # Errors
-    /// When the settings do not fit the model.
+    /// The settings do not fit the model.
     pub fn plain_filter(&self) -> Result<ExtendedKalmanFilter<StructureModel>, FilterError> {
         ExtendedKalmanFilter::new(self.structure.model(), self.plain_settings())
     }
@@ -107,10 +111,10 @@ impl Building {
     }
 }
 
-/// Takes one step with samples of the accelerometers; the ground motion is not known.
+/// Takes one step with samples of the accelerometers. The ground motion is unknown.
 ///
 /// # Errors
-/// When the filter has diverged.
+/// The filter has diverged.
 pub fn step(
     filter: &mut ExtendedKalmanFilter<StructureModel>,
     samples: &[f64],
@@ -123,7 +127,7 @@ pub fn step(
         .map(|_| ())
 }
 
-/// Returns the noises at the levels from which they would be identified.
+/// Returns the noise model with its start levels as known levels.
 fn known(noise: &NoiseModel) -> NoiseModel {
     let mut known = NoiseModel::known(noise.excitation.clone(), noise.sensors.clone());
     for parameter in &noise.parameters {
@@ -140,7 +144,7 @@ fn sensed(storeys: usize) -> impl Iterator<Item = usize> {
     (4..storeys).step_by(5)
 }
 
-/// Returns the parameters of the structure file: every storey, and the damping.
+/// Returns the parameters in the structure file: every storey and both damping coefficients.
 fn parameters(storeys: usize) -> String {
     let storey = |storey| {
         format!(
@@ -156,7 +160,7 @@ fn parameters(storeys: usize) -> String {
         .collect()
 }
 
-/// Returns the structure file but for its parameters.
+/// Returns the structure file without its parameters.
 fn text(storeys: usize) -> String {
     let mut text = format!(
         r#"

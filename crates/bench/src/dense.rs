@@ -1,12 +1,13 @@
-//! The textbook route: a matrix exponential and dense products at every step, as a peer to compare with.
+//! A textbook filter for comparison, with a matrix exponential and dense products at every step.
 //!
-//! Notation: Huang & Yuen (2023), §2.4: `A = exp(A_y Δt)` (2.54), `P = λ (A Σ Aᵀ + B Σ_f Bᵀ)` (2.61), gain
-//! `G = P Hᵀ (H P Hᵀ + Σ_n)⁻¹` (2.68), `Σ = (I − GH) P` (2.70). The noises are known.
+//! Notation: Huang & Yuen (2023), §2.4: `A = exp(A_y Δt)` (2.54), `P = λ (A Σ Aᵀ + B Σ_f Bᵀ)`
+//! (2.61), gain `G = P Hᵀ (H P Hᵀ + Σ_n)⁻¹` (2.68), `Σ = (I − GH) P` (2.70). The noise covariances
+//! are known.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use spandrel_filter::{FilterSettings, ObservationModel, ProcessModel};
 
-/// An extended Kalman filter that makes nothing of what the Jacobian looks like.
+/// An extended Kalman filter that does not exploit the structure of the Jacobian.
 #[derive(Debug, Clone)]
 pub struct DenseFilter<M> {
     model: M,
@@ -17,7 +18,8 @@ pub struct DenseFilter<M> {
 }
 
 impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
-    /// Makes a filter at its prior; of `settings` it takes step, prior, fading and the known noises.
+    /// Creates a filter at its prior. It uses the time step, prior, fading and known noise
+    /// covariances of `settings`.
     pub fn new(model: M, settings: FilterSettings) -> Self {
         let mean = settings.prior_mean.clone();
         let covariance = DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std));
@@ -30,9 +32,10 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
         }
     }
 
-    /// Takes the samples of one frame (N_0), none missing, with no known excitation.
+    /// Processes the samples of one frame (N_0). No sample may be missing, and no excitation is
+    /// known.
     ///
-    /// `None`: the covariance of the innovation is not positive definite.
+    /// Returns `None` if the innovation covariance is not positive definite.
     pub fn step(&mut self, samples: &[f64]) -> Option<()> {
         let n = self.mean.len();
         let at_rest = vec![0.0; self.model.excitation_len()];
@@ -60,7 +63,8 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
     fn predict(&mut self, at_rest: &[f64]) {
         let (n, inputs) = (self.mean.len(), self.model.excitation_len());
         self.model.linearise_process(self.mean.as_slice(), at_rest);
-        // [[A_y, g, B_y], [0, 0, 0]] Δt: its exponential holds the integrals of the inputs beside the transition
+        // The exponential of [[A_y, g, B_y], [0, 0, 0]] Δt contains the transition and the
+        // integrals of the inputs.
         let mut augmented = DMatrix::zeros(n + 1 + inputs, n + 1 + inputs);
         let mut jacobian = DMatrix::zeros(n, n);
         self.model
@@ -88,7 +92,7 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
         &self.mean
     }
 
-    /// Returns its covariance (n × n).
+    /// Returns the covariance of the filtered state (n × n).
     pub fn covariance(&self) -> &DMatrix<f64> {
         &self.covariance
     }

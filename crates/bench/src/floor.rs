@@ -1,4 +1,7 @@
-//! What a step costs at least: its operations at the rate of the processor, or its bytes at that of the memory they fit into.
+//! Lower bound of the time of a step.
+//!
+//! A step takes at least its operations at the processor's rate, or its bytes at the rate of the
+//! memory into which they fit.
 
 use crate::building::Building;
 use crate::timing::seconds;
@@ -8,25 +11,31 @@ use std::hint::black_box;
 /// Operations and bytes of one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Count {
-    /// Multiplications and additions in double precision.
+    /// Number of multiplications and additions in double precision.
     pub flops: f64,
-    /// Bytes of the covariance, read once and written once.
+    /// Size of the covariance in bytes, read once and written once.
     pub bytes: f64,
 }
 
 impl Count {
-    /// Counts a step of the filter of a [`Building`], whose prediction moves a row of the covariance by `terms` products.
+    /// Counts a step of the filter of a [`Building`]. In its prediction, a row of the covariance
+    /// takes `terms` products.
     ///
-    /// A row moves by `ρ = (−G x + W θ) h²`, three terms of a chain and those of the parameters, and by four bands, each as
-    /// wide as its own polynomial asks for: all n rows from the right, and half of the 2N rows of the motion from the left,
-    /// because the result is symmetric. The update is of rank N_0, and the ground motion of rank one, for half of the covariance. All terms of the
-    /// matrices of the structure alone, of the parameters and noise levels, and all that is of lower order, are left out.
+    /// A row changes by `ρ = (−G x + W θ) h²` and by four bands. `ρ` has three terms of a chain and
+    /// the terms of the parameters. Each band has the width of its polynomial. The prediction
+    /// changes all n rows from the right. It changes half of the 2N rows of the motion from the
+    /// left, because the result is symmetric.
+    ///
+    /// The update has rank N_0 and the ground motion rank one, both for half of the covariance. The
+    /// count omits the terms of the structure's own matrices, of the parameters and noise levels,
+    /// and all terms of lower order.
     #[must_use]
     pub fn of(building: &Building, terms: usize) -> Self {
         let storeys = building.storeys as f64;
         let (n, channels) = (3.0 * storeys + 2.0, building.sensed().count() as f64);
         let predicted = (n + storeys) * terms as f64;
-        // H has the terms of its floor: three of x and of ẋ, two storeys and two damping parameters
+        // A row of H has the terms of its floor: three of x and of ẋ, two storeys and two damping
+        // parameters.
         let observed = n * channels * 10.0 + n * channels * (channels + 1.0) / 2.0;
         let updated = n * (n + 1.0) / 2.0 * (channels + 1.0);
         Self {
@@ -36,17 +45,18 @@ impl Count {
     }
 }
 
-/// What this machine does in a second.
+/// Speed of this machine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rates {
-    /// Multiplications and additions of doubles in registers, with the best instructions.
+    /// Multiplications and additions of doubles in registers per second, with the fastest
+    /// instructions.
     pub flops_per_s: f64,
-    /// Bytes read and written by a copy of the size asked for.
+    /// Bytes read and written per second by a copy of the requested size.
     pub bytes_per_s: f64,
 }
 
 impl Rates {
-    /// Measures both, with copies whose source and target take `bytes` together.
+    /// Measures both rates. The source and target of the copies take `bytes` in total.
     #[must_use]
     pub fn measure(bytes: f64) -> Self {
         Self {
@@ -55,14 +65,14 @@ impl Rates {
         }
     }
 
-    /// Returns the least time of a step (s).
+    /// Returns the minimum time of a step (s).
     #[must_use]
     pub fn least_seconds(&self, count: Count) -> f64 {
         (count.flops / self.flops_per_s).max(count.bytes / self.bytes_per_s)
     }
 }
 
-/// The largest rate of some trials: whatever else runs can only make one slower.
+/// Returns the highest rate of 20 trials, because other load on the machine can only reduce a rate.
 fn best(mut rate: impl FnMut() -> f64) -> f64 {
     (0..20).map(|_| rate()).fold(0.0, f64::max)
 }
@@ -95,7 +105,7 @@ fn copy_rate(bytes: f64) -> f64 {
     })
 }
 
-/// Sums that do not wait for each other: enough to fill both pipelines of any processor of today.
+/// Number of independent sums, enough to fill both pipelines of current processors.
 const SUMS: usize = 12;
 
 struct MultiplyAndAdd {

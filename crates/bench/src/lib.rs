@@ -1,11 +1,12 @@
-//! What the benchmarks share: a building of any height, the filters it is compared with, and what a step costs at least.
+//! Shared parts of the benchmarks: a building of any height, the filters for comparison, and the
+//! lower bound of a step.
 //!
-//! - [`building`]: the building that all filters follow
-//! - [`structures`]: larger ones, which have to keep up with their sensors
-//! - [`dense`]: the textbook route in dense matrices
-//! - [`floor`]: operations and bytes of a step, and how fast this machine does them
+//! - [`building`]: the building of the comparison
+//! - [`structures`]: larger structures, whose filters must keep up with the sensors
+//! - [`dense`]: a textbook filter with dense matrices
+//! - [`floor`]: operations and bytes of a step, and the speed of this machine
 //! - [`timing`]: times of single steps
-//! - [`python`]: the peers in Python, of `python/peers.py`
+//! - [`python`]: the peers in Python, from `python/peers.py`
 //! - [`table`]: the table and the plot
 
 pub mod building;

@@ -1,4 +1,6 @@
-//! The peers in Python: `python/peers.py`, run with an interpreter that has what its requirements name.
+//! The peers in Python.
+//!
+//! They are in `python/peers.py`. The interpreter must have the packages of `requirements.txt`.
 
 use crate::building::{
     ALPHA_PER_S, BETA_S, Building, GROUND_STD, MASS_KG, SENSOR_STD, STIFFNESS_N_PER_M,
@@ -9,7 +11,7 @@ use std::error::Error;
 use std::path::Path;
 use std::process::Command;
 
-/// The building as the script reads it.
+/// The building in the input format of the script.
 #[derive(Debug, Serialize)]
 struct Case<'a> {
     storeys: usize,
@@ -27,7 +29,7 @@ struct Case<'a> {
     frames: &'a [Vec<f64>],
 }
 
-/// What the script says of one filter.
+/// The script's output for one filter.
 #[derive(Debug, Deserialize)]
 struct Line {
     name: String,
@@ -35,21 +37,21 @@ struct Line {
     mean: Vec<f64>,
 }
 
-/// What a filter in Python needed.
+/// Result of a filter in Python.
 #[derive(Debug, Clone)]
 pub struct PythonPeer {
-    /// Its name.
+    /// Name of the filter.
     pub name: String,
     /// Times of its steps.
     pub times: Times,
-    /// The state after the last frame (n).
+    /// State after the last frame (n).
     pub mean: Vec<f64>,
 }
 
-/// Runs the peers over the first `frames` frames of a building.
+/// Runs the peers on the first `frames` frames of a building.
 ///
 /// # Errors
-/// When the interpreter cannot be run or the script fails.
+/// The interpreter cannot be run, or the script fails.
 pub fn run(
     interpreter: &Path,
     building: &Building,
@@ -74,7 +76,7 @@ pub fn run(
     let path = directory.path().join("building.json");
     std::fs::write(&path, serde_json::to_vec(&case)?)?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/peers.py");
-    // one core for each filter
+    // One core for each filter.
     let single = [
         ("OPENBLAS_NUM_THREADS", "1"),
         ("OMP_NUM_THREADS", "1"),

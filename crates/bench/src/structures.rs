@@ -1,4 +1,7 @@
-//! The larger structures that have to keep up with their sensors: examples of the book at the sizes and rates asked of them.
+//! Larger structures whose filters must keep up with the sensors.
+//!
+//! They are examples of the book, with the size and sampling rate that a monitored structure
+//! requires.
 
 use nalgebra::DMatrix;
 use spandrel_filter::{
@@ -12,9 +15,9 @@ use std::path::Path;
 /// A structure with its samples.
 #[derive(Debug, Clone)]
 pub struct Monitored {
-    /// What it is.
+    /// Name of the structure.
     pub name: &'static str,
-    /// The structure, as its file says.
+    /// The structure from its structure file.
     pub structure: Structure,
     /// Observations and known excitation of each frame.
     pub frames: Vec<(Vec<f64>, Vec<f64>)>,
@@ -42,10 +45,11 @@ impl Monitored {
         }
     }
 
-    /// The three-pier bridge with twelve channels and 400 frames per second: 127 states.
+    /// Creates the three-pier bridge with twelve channels at 400 frames per second. It has 127
+    /// states.
     ///
     /// # Errors
-    /// When its file is not valid.
+    /// The structure file is not valid.
     pub fn bridge(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (mut text, path) = example("three-pier-bridge")?;
         text = text.replace("sampling-rate-hz = 250", "sampling-rate-hz = 400");
@@ -63,20 +67,21 @@ impl Monitored {
         ))
     }
 
-    /// The tower at 50 frames per second: 372 states, and modes of kilohertz.
+    /// Creates the tower at 50 frames per second. It has 372 states and modes in the kilohertz
+    /// range.
     ///
     /// # Errors
-    /// When its file is not valid.
+    /// The structure file is not valid.
     pub fn tower(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (text, path) = example("tower")?;
         let text = text.replace("sampling-rate-hz = 500", "sampling-rate-hz = 50");
         Ok(Self::new("tower", Structure::parse(&text, &path)?, frames))
     }
 
-    /// The dome of 42 bars at 500 frames per second, for [`Self::bank`].
+    /// Creates the dome of 42 bars at 500 frames per second, for [`Self::bank`].
     ///
     /// # Errors
-    /// When its file is not valid.
+    /// The structure file is not valid.
     pub fn dome(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (text, path) = example("dome-bars")?;
         Ok(Self::new(
@@ -86,18 +91,19 @@ impl Monitored {
         ))
     }
 
-    /// Makes the filter of the structure.
+    /// Creates the filter of the structure.
     ///
     /// # Errors
-    /// When its settings do not fit.
+    /// The filter settings of the structure are not valid.
     pub fn filter(&self) -> Result<ExtendedKalmanFilter<StructureModel>, FilterError> {
         ExtendedKalmanFilter::new(self.structure.model(), self.structure.filter_settings()?)
     }
 
-    /// Makes eight filters of a structure whose parameters are components, each with one of them apart.
+    /// Creates a bank of eight filters for a structure whose parameters are components. Each filter
+    /// separates one component.
     ///
     /// # Errors
-    /// When there are fewer components.
+    /// The structure has fewer than eight components.
     pub fn bank(&self) -> Result<ClassBank<spandrel_structure::StructureClasses>, FilterError> {
         use spandrel_filter::ComponentSystem;
         let system = self.structure.class_system();
@@ -109,7 +115,8 @@ impl Monitored {
         ClassBank::new(system, self.structure.filter_settings()?, settings)
     }
 
-    /// Returns a frame as a filter takes it; they come again from the first after the last.
+    /// Returns a frame in the form that a filter expects. After the last frame, the frames repeat
+    /// from the first.
     #[must_use]
     pub fn frame(&self, index: usize) -> Frame<'_> {
         let (observations, excitation) = &self.frames[index % self.frames.len()];
@@ -128,19 +135,20 @@ fn example(name: &str) -> Result<(String, std::path::PathBuf), Box<dyn Error>> {
     Ok((std::fs::read_to_string(&path)?, path))
 }
 
-/// A linear system over one step: `y ← F y + w`, `z = H y + n`, with the covariances of both.
+/// A linear system over one step: `y ← F y + w`, `z = H y + n`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearStep {
-    /// `F` (n × n).
+    /// Transition `F` (n × n).
     pub transition: DMatrix<f64>,
     /// Covariance of `w` (n × n).
     pub process_noise: DMatrix<f64>,
-    /// `H` (N_0 × n).
+    /// Observation matrix `H` (N_0 × n).
     pub observation: DMatrix<f64>,
 }
 
 impl LinearStep {
-    /// Discretises a structure without parameters over `step_s` (s), with white excitations of variance `level` each.
+    /// Discretises a structure without parameters over `step_s` (s). Each white excitation has
+    /// variance `level`.
     #[must_use]
     pub fn new(structure: &Structure, step_s: f64, level: f64) -> Self {
         let mut model = structure.model();

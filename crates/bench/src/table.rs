@@ -1,20 +1,20 @@
-//! The table of the comparison and its plot.
+//! The table and the plot of the comparison.
 
 use plotters::prelude::*;
 use std::error::Error;
 use std::fmt::Write;
 use std::path::Path;
 
-/// What was measured of one building (s a step); NaN where it was not.
+/// Measurements of one building (s per step). A value that was not measured is NaN.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
-    /// `N`.
+    /// Number of storeys, `N`.
     pub storeys: usize,
-    /// The filter as it works: fading memory, noise identified.
+    /// Spandrel's filter with fading memory and identified noise.
     pub spandrel: f64,
-    /// The same with the noises known, as the peers have them.
+    /// Spandrel's filter with known noise, as in the peers.
     pub spandrel_known: f64,
-    /// The least time that its operations and bytes take.
+    /// Lower bound from operations and bytes.
     pub floor: f64,
     /// Dense nalgebra with a matrix exponential.
     pub dense: f64,
@@ -24,7 +24,7 @@ pub struct Row {
     pub numpy: f64,
 }
 
-/// Returns the rows as a table in Markdown, microseconds and ratios.
+/// Returns the rows as a Markdown table, in microseconds and ratios.
 #[must_use]
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
@@ -39,7 +39,7 @@ pub fn markdown(rows: &[Row]) -> String {
                 format!("{} | {:.1} |", microseconds(time_s), time_s / row.spandrel)
             }
         };
-        // writing into a string cannot fail
+        // Writing to a string cannot fail.
         let _ = writeln!(
             text,
             "| {} | {} | {} | {} | {} | {:.1} | {} {} {}",
@@ -66,10 +66,10 @@ fn microseconds(time_s: f64) -> String {
     }
 }
 
-/// Draws the time of a step against the storeys, both in logarithms.
+/// Plots the time of a step against the number of storeys, on logarithmic axes.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// The file cannot be written.
 pub fn plot(rows: &[Row], path: &Path) -> Result<(), Box<dyn Error>> {
     type Line = (&'static str, fn(&Row) -> f64, RGBColor);
     const LINES: [Line; 5] = [

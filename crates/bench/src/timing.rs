@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-/// Returns how long something takes (s), and what it returns.
+/// Runs `work` and returns its duration (s) and its result.
 #[expect(
     clippy::disallowed_methods,
     reason = "a benchmark is there to read the clock"
@@ -18,12 +18,14 @@ pub fn seconds<T>(work: impl FnOnce() -> T) -> (f64, T) {
 pub struct Times(Vec<f64>);
 
 impl Times {
-    /// Adds one.
+    /// Adds a time (s).
     pub fn push(&mut self, time_s: f64) {
         self.0.push(time_s);
     }
 
-    /// Returns the median (s); what else runs on the machine now and then does not move it. NaN: there are none.
+    /// Returns the median (s), or NaN if there are no times.
+    ///
+    /// Occasional load on the machine does not affect the median.
     #[must_use]
     pub fn median(&self) -> f64 {
         let mut sorted = self.0.clone();
@@ -31,7 +33,7 @@ impl Times {
         sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
     }
 
-    /// Returns the shortest (s).
+    /// Returns the shortest time (s), or infinity if there are no times.
     #[must_use]
     pub fn shortest(&self) -> f64 {
         self.0.iter().copied().fold(f64::INFINITY, f64::min)

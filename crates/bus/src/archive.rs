@@ -4,30 +4,36 @@ use crate::message::Block;
 use crate::range::QueryRange;
 use crate::ring::{ANSWER_BYTES, Ring};
 
-/// Where the source of a lossless stream keeps what its memory does not hold; read from a thread that may wait.
+/// Storage for items that the source of a lossless stream no longer has in memory.
+///
+/// The bus calls it on a thread that may block.
 pub trait Archive<B>: Send + Sync {
-    /// The items of `epoch` from number `after` on, or from the oldest one kept if that is later: at most `limit` items and
-    /// roughly `bytes` bytes. None if nothing is kept at or after that number of the epoch, or it cannot be read.
+    /// Reads the items of `epoch` from number `after` on, or from the oldest stored item if that is
+    /// later.
+    ///
+    /// Returns at most `limit` items and roughly `bytes` bytes. Returns `None` if the archive has
+    /// no such items or cannot read them.
     fn read(&self, epoch: u64, after: u64, limit: u64, bytes: usize) -> Option<B>;
 
-    /// The lowest epoch kept that is higher than this one.
+    /// Returns the lowest stored epoch above `epoch`.
     fn epoch_after(&self, epoch: u64) -> Option<u64>;
 }
 
-/// What to read from an archive before the ring may answer.
+/// Items to read from an archive before the ring may reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Lookup {
     epoch: u64,
     after: u64,
     limit: u64,
-    /// Epoch of the ring, which is the last one.
+    /// Epoch of the ring, which is the latest epoch.
     last_epoch: u64,
 }
 
 impl Lookup {
-    /// What an asker wants that the ring does not hold, if anything.
+    /// Returns the requested items that the ring does not contain, if any.
     ///
-    /// An asker that has nothing yet gets the last `recent` items of the running epoch, not all that was ever kept.
+    /// A reader without an epoch receives at most the last `recent` items of the current epoch, not
+    /// the whole archive.
     pub(crate) fn of<B: Block>(ring: &Ring<B>, range: &QueryRange, recent: u64) -> Option<Self> {
         let last_epoch = ring.epoch();
         let limit = range.limit.max(1);
@@ -56,7 +62,7 @@ impl Lookup {
         }
     }
 
-    /// The items, or none if the ring must answer with what it has.
+    /// Reads the items. Returns `None` if the ring must reply with its own contents.
     pub(crate) fn read<B: Block>(self, archive: &dyn Archive<B>) -> Option<B> {
         let Self {
             mut epoch,
@@ -68,7 +74,7 @@ impl Lookup {
             if let Some(block) = archive.read(epoch, after, limit, ANSWER_BYTES) {
                 return Some(block);
             }
-            // Nothing more in this epoch: the asker goes on with the next one.
+            // The archive has no more items of this epoch. Continue with the next epoch.
             epoch = archive
                 .epoch_after(epoch)
                 .filter(|next| *next <= last_epoch)?;
@@ -84,7 +90,7 @@ mod tests {
     use crate::testing::{frames, push};
     use crate::{FrameBlock, StreamState};
 
-    /// Ten frames of epoch 1 and five of epoch 3.
+    /// An archive with ten frames of epoch 1 and five frames of epoch 3.
     struct Kept;
 
     impl Archive<FrameBlock> for Kept {

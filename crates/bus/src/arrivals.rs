@@ -1,34 +1,35 @@
-//! Tells what arrives live from what is read again.
+//! Distinguishes live values from values of the recording.
 //!
-//! After a restart identify reads frames from the recording, as fast as it can. What follows from them is shown with its times,
-//! but is no sign that anything is measured now. How far the recording goes is what ingest first says of its progress.
+//! After a restart, identify reads frames from the recording at full speed. The results have the
+//! correct times, but they do not indicate that anything is measured now. The first progress
+//! message of ingest states the end of the recording.
 
 use std::time::Duration;
 
-/// What was heard of one structure, and what ingest has said of its frames.
+/// Arrival times of the values of one structure, and the progress of ingest.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Arrivals {
     recorded: Option<Recorded>,
-    /// Ingest has gone since: its next word is a first one again.
+    /// Whether ingest has gone offline, so that its next progress message is again a first one.
     has_left: bool,
-    /// Measurement time (ns) of the last value.
+    /// Measurement time of the last value, ns since the Unix epoch, UTC.
     last_ns: Option<i64>,
-    /// When the last live value came.
+    /// Arrival time of the last live value.
     heard: Option<Duration>,
-    /// The same when ingest was seen to go: what came since may have been read again.
+    /// Value of `heard` when ingest went offline. Later values may come from the recording.
     heard_before: Option<Duration>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Recorded {
     epoch: u64,
-    /// Measurement time (ns) of the last frame of the epoch that was there when ingest was first heard of; none where the epoch
-    /// has begun since.
+    /// Measurement time of the last frame of the epoch when ingest was first observed, ns since the
+    /// Unix epoch, UTC. `None` if the epoch began later.
     until_ns: Option<i64>,
 }
 
 impl Arrivals {
-    /// Takes a value measured at `time_ns` that has come `now`, on the clock of whoever listens.
+    /// Records a value measured at `time_ns` that has arrived at `now`, on the clock of the caller.
     pub fn value(&mut self, time_ns: i64, now: Duration) {
         if self.is_live(time_ns) {
             self.heard = Some(now);
@@ -36,8 +37,11 @@ impl Arrivals {
         self.last_ns = Some(time_ns);
     }
 
-    /// Takes how far ingest has come: its epoch, and the time (ns) of its last frame. Tells whether that was the first word of it;
-    /// then of what was heard before only what it does not know to be recorded counts.
+    /// Records the progress of ingest: its epoch, and the time of its last frame (ns since the Unix
+    /// epoch, UTC).
+    ///
+    /// Returns `true` if this is the first progress message since the start or since ingest went
+    /// offline. In this case, earlier arrivals of recorded values no longer count as live.
     pub fn ingested(&mut self, epoch: u64, time_ns: i64) -> bool {
         let is_first = self.recorded.is_none() || self.has_left;
         if is_first
@@ -58,14 +62,17 @@ impl Arrivals {
         is_first
     }
 
-    /// Ingest is not there any more. When it comes back, what it has recorded is read again.
+    /// Records that ingest has gone offline. When it returns, identify may read the recording
+    /// again.
     pub fn ingest_left(&mut self) {
         self.has_left = true;
         self.heard_before = self.heard;
     }
 
-    /// Whether something measured at this time (ns) was not yet recorded when ingest was first heard of. Without a word of ingest
-    /// everything is taken for live.
+    /// Returns `true` if a value measured at this time (ns since the Unix epoch, UTC) was not yet
+    /// recorded when ingest was first observed.
+    ///
+    /// All values are live until the first progress message of ingest.
     #[must_use]
     pub fn is_live(&self, time_ns: i64) -> bool {
         let until_ns = self
@@ -75,13 +82,13 @@ impl Arrivals {
         until_ns.is_none_or(|until_ns| time_ns > until_ns)
     }
 
-    /// Whether the last value was read again from the recording.
+    /// Returns `true` if the last value comes from the recording.
     #[must_use]
     pub fn is_from_the_recording(&self) -> bool {
         self.last_ns.is_some_and(|last_ns| !self.is_live(last_ns))
     }
 
-    /// When the last live value came, on the clock of whoever listens.
+    /// Returns the arrival time of the last live value, on the clock of the caller.
     #[must_use]
     pub fn heard(&self) -> Option<Duration> {
         self.heard

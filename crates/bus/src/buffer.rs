@@ -1,4 +1,4 @@
-//! Asks the source of a lossless stream for what was missed.
+//! Queries to the source of a lossless stream for missing items.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,37 +18,38 @@ use crate::receive::read;
 use crate::ring::Answer;
 use crate::session::Bus;
 
-/// Replies of one query that are looked at; there should be one.
+/// Number of replies to one query that are read; there should be one.
 const REPLIES: usize = 4;
 
-/// What came of a query.
+/// Result of a query.
 #[derive(Debug)]
 pub(crate) enum Fetched<B> {
-    /// An answer that can be read.
+    /// A valid reply.
     Answer(Answer<B>),
-    /// One that cannot.
+    /// An invalid reply.
     Unreadable(DecodeError),
-    /// None.
+    /// No reply.
     Nothing(Silence),
 }
 
-/// The buffer of one stream, as its reader sees it.
+/// The buffer of one stream, from the perspective of its reader.
 #[derive(Debug)]
 pub(crate) struct Buffer {
     querier: Querier<'static>,
-    /// Whether somebody has ever answered for this key. One who did and is gone may only have lost its link.
+    /// Whether a source for this key has ever been available. A source that has disappeared may
+    /// only have lost its link.
     seen: Arc<AtomicBool>,
 }
 
 impl Bus {
-    /// Declares that what was missed will be asked for on `key`, with answers within `timeout`.
+    /// Declares a querier for missing items on `key`, with a reply timeout.
     pub(crate) async fn buffer(&self, key: String, timeout: Duration) -> Result<Buffer, BusError> {
         let declared = self
             .session()
             .declare_querier(key.clone())
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
-            // The answer inherits both: it overtakes the live blocks, and never makes the source wait.
+            // The reply inherits both: it overtakes the live blocks, and never delays the source.
             .priority(Priority::DataHigh)
             .congestion_control(CongestionControl::Drop)
             .await;
@@ -75,10 +76,10 @@ impl Bus {
 }
 
 impl Buffer {
-    /// Asks for a range of items, and waits for the answer.
+    /// Queries a range of items and waits for the reply.
     ///
-    /// That a query ends without a reply does not tell whether there is somebody: a source with too many queries waiting
-    /// drops them, and the network drops replies.
+    /// A query that ends without a reply does not prove that there is no source. A source with too
+    /// many waiting queries drops them, and the network drops replies.
     pub(crate) async fn ask<B: Block>(&self, range: QueryRange) -> Fetched<B> {
         let (replies, received) = flume::bounded(REPLIES);
         let range = range.to_string();

@@ -1,18 +1,20 @@
-//! Who can reach an endpoint: this machine, or more than that.
+//! Parsing of endpoints, and their reachability from other machines.
 
 use std::net::IpAddr;
 
-/// Protocols of Zenoh whose other end is on this machine.
+/// Protocols of Zenoh that connect programs on one machine only.
 const LOCAL_PROTOCOLS: [&str; 2] = ["unixsock-stream", "unixpipe"];
-/// The protocol of Zenoh that shows and asks for certificates: TLS 1.3 over UDP.
+/// Protocol of Zenoh with mutual certificates: TLS 1.3 over UDP.
 const QUIC: &str = "quic";
-/// Metadata that makes a link carry everything in the order in which it was sent. With a stream for each priority, data
-/// that overtake the declaration of their key would be dropped.
+/// Metadata for a link that transports all data in the order of sending.
+///
+/// With one stream per priority, data can overtake the declaration of their key and would be
+/// dropped.
 const ONE_STREAM: &str = "multistream=0";
-/// Setting of a single endpoint that takes the place of that of the session.
+/// Setting of an endpoint that overrides the setting of the session.
 const MUTUAL_TLS: &str = "enable_mtls=";
 
-/// A Zenoh endpoint taken apart: `PROTOCOL/ADDRESS?METADATA#SETTINGS`.
+/// A parsed Zenoh endpoint: `PROTOCOL/ADDRESS?METADATA#SETTINGS`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Endpoint<'e> {
     protocol: &'e str,
@@ -34,12 +36,12 @@ impl<'e> Endpoint<'e> {
         }
     }
 
-    /// `host:port` where there is one.
+    /// Returns the address, such as `host:port`.
     pub(crate) fn address(&self) -> &'e str {
         self.address
     }
 
-    /// The host, without the brackets of an IPv6 address.
+    /// Returns the host, without the brackets of an IPv6 address.
     pub(crate) fn host(&self) -> &'e str {
         let host = self
             .address
@@ -50,23 +52,25 @@ impl<'e> Endpoint<'e> {
             .unwrap_or(host)
     }
 
-    /// Whether it is reached over TCP, with nothing in between.
+    /// Returns `true` if the endpoint uses unencrypted TCP.
     pub(crate) fn is_tcp(&self) -> bool {
         self.protocol == "tcp"
     }
 
-    /// Whether both sides can be made to show certificates.
+    /// Returns `true` if the endpoint uses QUIC, which supports mutual certificates.
     pub(crate) fn is_quic(&self) -> bool {
         self.protocol == QUIC
     }
 
-    /// Whether it is TLS over TCP, which Zenoh breaks: its link reads and writes one connection of rustls from two threads at
-    /// once, without a lock (eclipse-zenoh/zenoh issue 2557).
+    /// Returns `true` if the endpoint uses TLS over TCP, which fails in Zenoh.
+    ///
+    /// Zenoh's link reads and writes one rustls connection from two threads at once, without a lock
+    /// (eclipse-zenoh/zenoh issue 2557).
     pub(crate) fn is_tls_over_tcp(&self) -> bool {
         self.protocol == "tls"
     }
 
-    /// Whether the endpoint itself says that who connects need not show a certificate.
+    /// Returns `true` if the endpoint itself accepts connections without a certificate.
     pub(crate) fn waives_certificates(&self) -> bool {
         let says = |setting: &str| {
             setting
@@ -77,13 +81,17 @@ impl<'e> Endpoint<'e> {
         self.settings.split(';').any(says)
     }
 
-    /// Whether only this machine reaches it. A name other than `localhost` may stand for any address.
+    /// Returns `true` if only this machine can reach the endpoint.
+    ///
+    /// Names other than `localhost` may resolve to any address and return `false`.
     pub(crate) fn is_of_this_machine(&self) -> bool {
         LOCAL_PROTOCOLS.contains(&self.protocol) || is_loopback(self.host())
     }
 }
 
-/// A QUIC endpoint whose link keeps the order of all that is sent, unless its metadata say otherwise; others as they are.
+/// Adds the metadata for ordered transport to a QUIC endpoint.
+///
+/// Endpoints of other protocols or with a `multistream` setting remain unchanged.
 #[must_use]
 pub fn in_order(endpoint: &str) -> String {
     let parts = Endpoint::new(endpoint);
@@ -100,7 +108,8 @@ pub fn in_order(endpoint: &str) -> String {
     format!("{locator}{joint}{ONE_STREAM}{settings}")
 }
 
-/// Whether only this machine reaches a host: `localhost`, or an address of the loopback interface.
+/// Returns `true` if only this machine can reach a host: `localhost`, or an address of the loopback
+/// interface.
 #[must_use]
 pub fn is_loopback(host: &str) -> bool {
     host == "localhost"

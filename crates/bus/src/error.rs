@@ -1,4 +1,4 @@
-//! What can go wrong on the bus.
+//! Errors of the bus.
 
 use std::io::ErrorKind;
 use std::path::PathBuf;
@@ -9,75 +9,75 @@ use crate::ring::NotConsecutive;
 use crate::session::Mode;
 use crate::tls::TlsError;
 
-/// An error of Zenoh; its types are private, so its text is all it gives.
+/// An error of Zenoh. Zenoh's error types are private, so that only the text is accessible.
 pub type ZenohError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Errors of the bus.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// The Zenoh configuration file cannot be used.
+    /// The Zenoh configuration file cannot be read.
     #[error("zenoh configuration file {} cannot be read", path.display())]
     ConfigFile {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
-    /// A setting is none that Zenoh knows.
+    /// Zenoh rejects a setting.
     #[error("bus setting {key} has the value {value}, which zenoh refuses")]
     Setting {
         /// The key in the Zenoh configuration.
         key: &'static str,
         /// The value.
         value: String,
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
-    /// The first chunk of all keys is no name.
+    /// The first chunk of all keys is not a valid name.
     #[error("bus.root cannot be used: {source}")]
     Root {
-        /// What is wrong with it.
+        /// Reason for the rejection.
         source: NameError,
     },
-    /// A claim to lead has no name that can be a chunk of a key.
+    /// The name of a claim to lead is not a valid chunk of a key.
     #[error("a claim to lead has no name for the bus: {source}")]
     Claim {
-        /// What is wrong with it.
+        /// Reason for the rejection.
         source: NameError,
     },
-    /// A structure has no name that can be a chunk of a key.
+    /// The name of the structure is not a valid chunk of a key.
     #[error("the structure has no name for the bus: {source}")]
     Structure {
-        /// What is wrong with it.
+        /// Reason for the rejection.
         source: NameError,
     },
-    /// A time to connect is none.
+    /// The connection timeout is negative or NaN.
     #[error("bus.connect_timeout_s is {found}, must be a time from 0 s, or inf")]
     ConnectTimeout {
-        /// What was found, s.
+        /// Configured value, s.
         found: f64,
     },
-    /// A lease is none that can be kept.
+    /// The lease is outside its valid range.
     #[error("bus.lease_s is {found}, must lie between 0.5 and 3600 s")]
     Lease {
-        /// What was found, s.
+        /// Configured value, s.
         found: f64,
     },
-    /// A configuration file is not that of a router.
+    /// A configuration file does not configure a router.
     #[error("{}: is no router file: its mode is {found}, must be router", path.display())]
     NotARouter {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The mode that it states.
+        /// Mode in the file.
         found: Mode,
     },
-    /// Zenoh takes paths as text only.
+    /// A path is not UTF-8, which Zenoh requires.
     #[error("path {} is not UTF-8, zenoh cannot use it", path.display())]
     PathNotText {
         /// The path.
         path: PathBuf,
     },
-    /// Others than this machine could reach an endpoint, and nothing would be encrypted.
+    /// An endpoint is reachable from other machines and not encrypted.
     #[error(
         "will not listen on {endpoint}: others than this machine can reach it, and nothing there is encrypted or \
          checked; use quic/… with certificates (bus.tls, made by spandrel site), or an address of this machine such as \
@@ -87,7 +87,7 @@ pub enum BusError {
         /// The endpoint.
         endpoint: String,
     },
-    /// An endpoint whose link would not hold.
+    /// An endpoint uses TLS over TCP, which Zenoh does not operate reliably.
     #[error(
         "{endpoint}: TLS over TCP is not used, since Zenoh reads and writes one such connection from two threads at once and \
          breaks it; use quic/… (the same certificates, over UDP)"
@@ -96,7 +96,7 @@ pub enum BusError {
         /// The endpoint.
         endpoint: String,
     },
-    /// Others than this machine could reach an endpoint, and need not show who they are.
+    /// An endpoint accepts connections from other machines without a certificate.
     #[error(
         "will not listen on {endpoint}: others than this machine can reach it without a certificate; \
          set bus.tls, or enable_mtls = true, root_ca_certificate, listen_certificate and listen_private_key of \
@@ -106,13 +106,13 @@ pub enum BusError {
         /// The endpoint.
         endpoint: String,
     },
-    /// Whoever answers a multicast would become part of the system.
+    /// Multicast scouting is enabled. Any host that replies would join the system.
     #[error(
         "scouting/multicast/enabled is true, or not said, in the zenoh configuration file: whoever answers a multicast \
          would be connected to; set it to false, or transport/link/protocols to [\"quic\"]"
     )]
     Multicast,
-    /// An endpoint `quic/…` has no certificates.
+    /// A `quic/…` endpoint has no certificates.
     #[error("{endpoint} needs certificates: set bus.tls.certificate, or give --certificate")]
     NoCertificates {
         /// The endpoint.
@@ -121,7 +121,7 @@ pub enum BusError {
     /// A certificate cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
-    /// The two sides do not accept each other's certificates.
+    /// One side rejects the other side's certificate.
     #[error(
         "{endpoint} answers, but there is no session: {why}; both sides need certificates of one authority, and the \
          one there must be made for the name or address in the endpoint (spandrel site issue --host)"
@@ -129,10 +129,10 @@ pub enum BusError {
     Handshake {
         /// The endpoint.
         endpoint: String,
-        /// What one side says of the other.
+        /// Reason of the side that rejects the connection.
         why: String,
     },
-    /// Another program listens there already.
+    /// The session cannot listen on an endpoint, for example because another program uses it.
     #[error("cannot listen on {endpoint}: {source}; {}", match source.kind() {
         ErrorKind::AddrInUse => format!(
             "another program listens there: if it is a spandrel or a router that this one is to join, --connect {endpoint}; \
@@ -143,12 +143,12 @@ pub enum BusError {
     Listen {
         /// The endpoint.
         endpoint: String,
-        /// Where it was chosen.
+        /// Setting that specifies the endpoint.
         place: String,
-        /// What the system says.
+        /// Error from the operating system.
         source: std::io::Error,
     },
-    /// Nobody answers there.
+    /// No program replies at an endpoint.
     #[error(
         "nobody answers at {endpoint}: {source}; start spandrel run, spandrel demo or a router there, or say where one is \
          with {place}"
@@ -156,12 +156,12 @@ pub enum BusError {
     Unreachable {
         /// The endpoint.
         endpoint: String,
-        /// Where it was chosen.
+        /// Setting that specifies the endpoint.
         place: String,
-        /// What the system says.
+        /// Error from the operating system.
         source: std::io::Error,
     },
-    /// Something answers there, and it is no Zenoh.
+    /// The program at an endpoint does not use a supported Zenoh protocol.
     #[error(
         "{endpoint} takes connections, but speaks no Zenoh that this program understands: is it another program, or one with \
          certificates (quic/…)? Say where a spandrel or a router is with {place}"
@@ -169,15 +169,15 @@ pub enum BusError {
     NoZenoh {
         /// The endpoint.
         endpoint: String,
-        /// Where it was chosen.
+        /// Setting that specifies the endpoint.
         place: String,
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
     /// The session cannot be opened for another reason.
     #[error("cannot open the zenoh session")]
     Open {
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
     /// A publisher, subscriber, queryable or token cannot be declared.
@@ -185,23 +185,23 @@ pub enum BusError {
     Declare {
         /// The key expression.
         key: String,
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
-    /// A message cannot be put: the session is closed.
+    /// A message cannot be published, because the session is closed.
     #[error("cannot put on {key}")]
     Put {
         /// The key.
         key: String,
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
-    /// A message cannot be written.
+    /// A message cannot be encoded.
     #[error("cannot encode a message for {key}")]
     Encode {
         /// The key.
         key: String,
-        /// What is wrong with it.
+        /// Reason of the encoder.
         source: EncodeError,
     },
     /// A block does not continue its stream.
@@ -209,13 +209,13 @@ pub enum BusError {
     NotConsecutive {
         /// The key.
         key: String,
-        /// What was expected and found.
+        /// Expected and found position.
         source: NotConsecutive,
     },
-    /// The session cannot be closed in order.
+    /// The session cannot be closed cleanly.
     #[error("cannot close the zenoh session")]
     Close {
-        /// What Zenoh says.
+        /// Error from Zenoh.
         source: ZenohError,
     },
 }

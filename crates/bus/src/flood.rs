@@ -1,37 +1,42 @@
-//! Keeps a source that floods from taking the time of its readers: what comes too often on a key is dropped before it is decoded.
+//! Rate limit per key, which drops excess messages before they are decoded.
+//!
+//! A source that floods the network thus does not take the time of its readers.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Messages of one key that are taken per second, and at once: far above what a record at full speed puts (a few thousand per
-/// second), far below what a reader can decode.
+/// Maximum number of messages of one key per second, and in one burst.
+///
+/// The limits are far above the rate of a record at full speed (a few thousand per second), and far
+/// below the decoding rate of a reader.
 const PER_SECOND: u32 = 10_000;
 const AT_ONCE: u32 = 20_000;
-/// Keys that one reader tells apart; names come from structure files, so that no site has nearly as many.
+/// Maximum number of keys per reader. Names come from structure files, so that no site has nearly
+/// as many keys.
 const MOST_KEYS: usize = 16_384;
-/// Longest key that is read, in bytes: longer than any that names of at most 64 bytes make.
+/// Maximum length of a key, in bytes. All keys of names with at most 64 bytes are shorter.
 pub(crate) const MAX_KEY_BYTES: usize = 512;
 
-/// Messages that a key may still have, as of when.
+/// Remaining number of messages of a key, and the time at which it was computed.
 #[derive(Clone, Copy, Debug)]
 struct Allowance {
     left: u32,
     as_of: Duration,
 }
 
-/// Why a message is dropped before it is decoded.
+/// Reason for dropping a message before it is decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Flooded {
-    /// Too many messages on this key.
+    /// This key has too many messages.
     TooOften,
-    /// Too many keys.
+    /// There are too many keys.
     TooManyKeys,
-    /// A key that is longer than any of ours.
+    /// The key is longer than any valid key.
     KeyTooLong,
 }
 
 impl Flooded {
-    /// The reason under which it is counted.
+    /// Returns the reason under which the message is counted.
     pub(crate) fn reason(self) -> &'static str {
         match self {
             Self::TooOften => "flood",
@@ -41,14 +46,14 @@ impl Flooded {
     }
 }
 
-/// How much each key may still send. Times count from any moment, forwards.
+/// Allowances of all keys. Times count from an arbitrary start.
 #[derive(Debug, Default)]
 pub(crate) struct FloodGate {
     keys: BTreeMap<String, Allowance>,
 }
 
 impl FloodGate {
-    /// Takes a message of a key, or says why not.
+    /// Accepts a message of a key, or returns the reason for dropping it.
     pub(crate) fn take(&mut self, key: &str, now: Duration) -> Result<(), Flooded> {
         if key.len() > MAX_KEY_BYTES {
             return Err(Flooded::KeyTooLong);
@@ -57,7 +62,7 @@ impl FloodGate {
             return allowance.take(now);
         }
         if self.keys.len() >= MOST_KEYS {
-            // those that have been quiet are as good as new
+            // Inactive keys have a full allowance, so that they need no entry.
             self.keys
                 .retain(|_, allowance| allowance.gained(now) < AT_ONCE);
             if self.keys.len() >= MOST_KEYS {
@@ -76,10 +81,10 @@ impl FloodGate {
 }
 
 impl Allowance {
-    /// Messages that it may have now.
+    /// Returns the number of messages that the key may send now.
     fn gained(&self, now: Duration) -> u32 {
         let gained = now.saturating_sub(self.as_of).as_secs_f64() * f64::from(PER_SECOND);
-        // beyond u32 it saturates
+        // The cast saturates at the limit of u32.
         self.left.saturating_add(gained as u32).min(AT_ONCE)
     }
 

@@ -1,8 +1,9 @@
-//! Brings the blocks of a lossless stream into order, and says what to fetch.
+//! Ordering and recovery of the blocks of a lossless stream.
 //!
-//! A pure state machine: blocks and answers go in; what to deliver, what to fetch and what is lost come out. Whatever
-//! is dropped, doubled, reordered or cut into other blocks on the way, every item is delivered exactly once and in
-//! order, or is part of a gap that is delivered in its place.
+//! [`Follower`] is a pure state machine. It receives blocks and replies, and returns deliveries,
+//! fetches and gaps. Blocks may be dropped, duplicated, reordered or divided differently in
+//! transit. Nevertheless, the reader receives every item exactly once and in order, or a gap in its
+//! place.
 
 use std::collections::BTreeMap;
 use std::collections::VecDeque;
@@ -11,141 +12,151 @@ use crate::message::{Block, CaughtUp, StreamState};
 use crate::range::QueryRange;
 use crate::ring::Answer;
 
-/// Where to start reading.
+/// Start position of a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
-    /// At item 0 of the running epoch; what the source no longer has is a gap.
+    /// Item 0 of the current epoch. Items that the source no longer has become a gap.
     Beginning,
-    /// At the next item that is put.
+    /// The next published item.
     Now,
-    /// At an item, as after a checkpoint; in a later epoch, at its item 0.
+    /// A given item, as after a checkpoint. In a later epoch, its item 0.
     At {
-        /// The epoch of the checkpoint.
+        /// Epoch of the checkpoint.
         epoch: u64,
-        /// Number of the first item wanted.
+        /// Number of the first requested item.
         sequence: u64,
     },
 }
 
-/// Items that can no longer be had.
+/// Items that are no longer available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
-    /// The epoch.
+    /// Epoch of the items.
     pub epoch: u64,
-    /// Number of the first item lost.
+    /// Number of the first lost item.
     pub from: u64,
     /// Number of the first item after the gap.
     pub to: u64,
 }
 
-/// What the reader gets, in order.
+/// Data that the reader receives, in order.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Delivery<B> {
-    /// Items that follow the delivery before; a higher epoch starts anew at item 0.
+    /// Items that follow the previous delivery. A higher epoch starts again at item 0.
     Block(B),
-    /// Items lost for good.
+    /// Permanently lost items.
     Gap(Gap),
 }
 
-/// What the shell has to do, in order.
+/// Instructions for the caller of the state machine, in order.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action<B> {
-    /// Hand this to the reader.
+    /// Pass this delivery to the reader.
     Deliver(Delivery<B>),
-    /// Ask the source, and report with [`Follower::answered`] or [`Follower::unanswered`]; one at a time.
+    /// Query the source, one query at a time. Report the result with [`Follower::answered`] or
+    /// [`Follower::unanswered`].
     Fetch {
-        /// What to ask for.
+        /// The items to request.
         range: QueryRange,
-        /// How often this has failed in a row: the shell pauses accordingly.
+        /// Number of consecutive failures. It determines the pause before the query.
         failures: u32,
     },
 }
 
-/// Why a fetch has brought nothing.
+/// Reason why a fetch returned no items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Silence {
-    /// Nobody has ever been there to answer.
+    /// No source has ever been available to reply.
     NoBuffer,
-    /// Somebody has, but did not answer in time.
+    /// A source was available, but did not reply in time.
     NoAnswer,
-    /// Somebody has answered, but not with what was asked for, or not in a way that could be read.
+    /// The source replied, but without the requested items or with an unreadable reply.
     Denied,
 }
 
-/// How long missing items are asked for.
+/// Duration of the attempts to fetch missing items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Patience {
-    /// Eight times, some 6 s: what came behind them must not be late as well. For samples.
+    /// Eight attempts with pauses of 5.5 s in total, so that later items are not late as well. For
+    /// samples.
     Limited,
-    /// Until the source answers that it no longer has them, however long it is away: it keeps them on disk, or makes them
-    /// again. What it has of an epoch that is over comes before the next epoch. For frames and estimates.
+    /// Attempts until the source replies that it no longer has the items, regardless of its
+    /// downtime.
+    ///
+    /// Such a source stores its items on disk or reproduces them. The remaining items of an epoch
+    /// precede the next epoch. For frames and estimates.
     UntilAnswered,
 }
 
-/// What did not come straight through.
+/// Counts of irregularities of a stream.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FollowCounts {
-    /// Items delivered.
+    /// Number of items delivered.
     pub delivered_items: u64,
-    /// Items that came again.
+    /// Number of duplicate items.
     pub duplicate_items: u64,
-    /// Items that were fetched from the source.
+    /// Number of items that were fetched from the source.
     pub fetched_items: u64,
-    /// Items lost for good.
+    /// Number of permanently lost items.
     pub gap_items: u64,
-    /// Blocks of an epoch that is over.
+    /// Number of blocks of an earlier epoch.
     pub stale_blocks: u64,
-    /// Blocks of another source in the same epoch.
+    /// Number of blocks of another source in the same epoch.
     pub foreign_blocks: u64,
-    /// Blocks of a source that another one has superseded.
+    /// Number of blocks of a superseded leader.
     pub superseded_blocks: u64,
-    /// Blocks ahead of a gap that could not be kept; they are fetched again.
+    /// Number of blocks after a gap that exceeded the buffer and must be fetched again.
     pub unkept_blocks: u64,
-    /// Times that blocks were numbered beyond what their source says that it has put.
+    /// Number of times that received blocks were beyond the end that the source reports.
     pub impossible_blocks: u64,
 }
 
-/// Blocks kept that arrived ahead of a gap; more are fetched again. Enough for a source of 40 blocks per second that keeps
-/// nothing, until its missing items are given up.
+/// Maximum number of buffered blocks after a gap. Further blocks are fetched again.
+///
+/// The buffer suffices for a source of 40 blocks per second without storage, until its missing
+/// items are abandoned.
 const HELD_BLOCKS: usize = 256;
-/// Fetches without an answer after which missing items are given up.
+/// Number of fetches without a reply after which missing items are abandoned.
 const MAX_FAILURES: u32 = 8;
-/// The same where nobody is there to ask: with the pauses between them 0.15 s, so that what came behind the gap is not late
-/// as well. More than one, because the word of who answers may come after the first blocks.
+/// The same limit if no source is available: with the pauses between them 0.15 s, so that the items
+/// after the gap are not late as well.
+///
+/// It is above 1 because the declaration of the source may arrive after its first blocks.
 const MAX_FAILURES_WITHOUT_BUFFER: u32 = 3;
-/// The same for a source whose missing items have been given up before, and that has answered nothing since: it keeps none.
+/// The same limit for a source that has not replied since its missing items were last abandoned.
+/// Such a source has no storage.
 const MAX_FAILURES_OF_A_SILENT_SOURCE: u32 = 1;
 
-/// The state machine of one stream.
+/// State machine of one stream.
 #[derive(Debug)]
 pub struct Follower<B> {
     start: Start,
     limit: u64,
     patience: Patience,
-    /// Highest term of leadership heard of.
+    /// Highest term of a leader that was received.
     term: u64,
     position: Option<Position>,
     held: BTreeMap<u64, B>,
-    /// The first block that came of a later epoch, while something of this one may be left.
+    /// First received block of a later epoch, while items of the current epoch may be missing.
     later: Option<B>,
     fetch: Option<Fetching>,
-    /// Fetches in a row that have brought nothing, and how many of them were answered.
+    /// Number of consecutive fetches without items.
     failures: u32,
     denials: u32,
     source_is_silent: bool,
     counts: FollowCounts,
 }
 
-/// What has been asked, and how far the stream was known to reach then.
+/// The pending fetch, and the known extent of the stream at its start.
 #[derive(Clone, Copy, Debug)]
 struct Fetching {
     after: u64,
     seen_end: u64,
-    /// Whether a later epoch was known of.
+    /// Whether a block of a later epoch had been received.
     later: bool,
 }
 
-/// How far the running epoch has been delivered, and is known to reach.
+/// Delivered and known extent of the current epoch.
 #[derive(Debug)]
 struct Position {
     epoch: u64,
@@ -168,7 +179,7 @@ impl Position {
 }
 
 impl<B: Block> Follower<B> {
-    /// A reader that has nothing yet; it fetches at most `limit` items at a time.
+    /// Creates a reader without items. It fetches at most `limit` items at a time.
     #[must_use]
     pub fn new(start: Start, limit: u64, patience: Patience) -> Self {
         let position = match start {
@@ -191,20 +202,21 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// What did not come straight through so far.
+    /// Returns the counts of irregularities so far.
     #[must_use]
     pub fn counts(&self) -> &FollowCounts {
         &self.counts
     }
 
-    /// A block has arrived as it was put.
+    /// Processes a published block.
     pub fn live(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
         if self.patience == Patience::UntilAnswered && self.leaves_the_epoch(&block) {
             match self.later {
                 Some(_) => self.counts.unkept_blocks += 1,
                 None => self.later = Some(block),
             }
-            return self.fetch_if_missing(actions); // the source knows what is left of this one, and where to go on
+            // The source knows the remaining items of this epoch, and the next position.
+            return self.fetch_if_missing(actions);
         }
         if self.enter_epoch(&block, actions) {
             self.accept(block, actions);
@@ -212,14 +224,14 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// Nothing has arrived for a while: the last block may have been lost.
+    /// Polls the source after a period without blocks, because the last block may have been lost.
     pub fn idle(&mut self, actions: &mut VecDeque<Action<B>>) {
         if self.fetch.is_none() {
             self.request(actions);
         }
     }
 
-    /// The source has answered the fetch.
+    /// Processes the reply of the source to a fetch.
     pub fn answered(&mut self, answer: Answer<B>, actions: &mut VecDeque<Action<B>>) {
         match answer {
             Answer::Block(block) => self.answered_with(block, actions),
@@ -227,11 +239,11 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// The fetch has failed.
+    /// Processes a failed fetch.
     pub fn unanswered(&mut self, silence: Silence, actions: &mut VecDeque<Action<B>>) {
         self.fetch = None;
         if !self.is_missing() {
-            return; // a poll: the next one will tell
+            return; // a poll; the next poll repeats it
         }
         self.failures += 1;
         self.denials += u32::from(silence == Silence::Denied);
@@ -281,7 +293,7 @@ impl<B: Block> Follower<B> {
         self.has_answered();
         let ended = self.position.as_ref().is_some_and(|p| p.ended);
         if progress > 0 && !ended {
-            self.request(actions); // until the source says that this was all
+            self.request(actions); // until the source reports that this was all
         } else {
             self.fetch_if_missing(actions);
         }
@@ -312,19 +324,22 @@ impl<B: Block> Follower<B> {
             self.disbelieve(at.header.sequence, actions);
         } else if self.fetch.is_some_and(|fetch| fetch.later) {
             self.counts.impossible_blocks += 1;
-            self.later = None; // the source is in this epoch: it has not put that block
+            // The source is in this epoch, so it has not published that block.
+            self.later = None;
         }
         self.see_end(at.header.sequence);
         if self.is_missing() {
-            return self.unanswered(Silence::Denied, actions); // it is known to exist, but not to this source: ask again
+            // The item is known to exist, but not to this source: retry.
+            return self.unanswered(Silence::Denied, actions);
         }
         self.fetch = None;
         self.has_answered();
     }
 
-    /// The source was asked after blocks had arrived that are numbered beyond its end: it never put them.
+    /// Drops blocks beyond the end that the source reports. The source never published them.
     ///
-    /// Everything a source puts is in its buffer first. An answer to what was asked before they arrived says nothing of them.
+    /// A source stores every block in its buffer before it publishes the block. A reply does not
+    /// apply to blocks that arrived after the query.
     fn disbelieve(&mut self, end: u64, actions: &mut VecDeque<Action<B>>) {
         self.counts.impossible_blocks += 1;
         self.held.retain(|_, block| block.end() <= end);
@@ -334,9 +349,11 @@ impl<B: Block> Follower<B> {
         self.deliver_held(actions);
     }
 
-    /// Takes up term and epoch of a block; false if the block is not of this stream.
+    /// Adopts the term and epoch of a block. Returns `false` if the block does not belong to the
+    /// stream.
     ///
-    /// Who leads in a higher term puts the same stream, from then on alone: what has come of it stays, and goes on.
+    /// The leader of a higher term is from then on the only publisher of the stream. Items of the
+    /// former leader remain valid, and the stream continues after them.
     fn enter_epoch(&mut self, block: &B, actions: &mut VecDeque<Action<B>>) -> bool {
         let header = block.header();
         if block.term() < self.term {
@@ -376,7 +393,8 @@ impl<B: Block> Follower<B> {
         true
     }
 
-    /// The source of the old epoch is gone: what is missing of it cannot be had any more.
+    /// Changes the epoch. The source of the former epoch is gone, so that its missing items become
+    /// a gap.
     fn change_epoch(&mut self, epoch: u64, source: String, actions: &mut VecDeque<Action<B>>) {
         if let Some(seen_end) = self.position.as_ref().map(|p| p.seen_end) {
             self.deliver_up_to(seen_end, actions);
@@ -391,7 +409,8 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// Whether a block is of a later epoch, and this one may go on behind what has been delivered.
+    /// Returns `true` if a block has a later epoch while the current epoch may have undelivered
+    /// items.
     fn leaves_the_epoch(&self, block: &B) -> bool {
         self.position
             .as_ref()
@@ -404,7 +423,7 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// Whether there is something to ask for: items, or what is left of an epoch.
+    /// Returns `true` if there is a reason to fetch: missing items, or the rest of an epoch.
     fn is_missing(&self) -> bool {
         self.later.is_some() || self.lacks_items()
     }
@@ -413,7 +432,7 @@ impl<B: Block> Follower<B> {
         self.position.as_ref().is_some_and(|p| p.seen_end > p.next)
     }
 
-    /// Delivers the block if it is next, keeps it if it is ahead.
+    /// Delivers the block if it is next, and buffers it if it follows a gap.
     fn accept(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
         self.see_end(block.end());
         let Some(position) = &self.position else {
@@ -433,7 +452,7 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// Delivers what is new of a block that starts at or before the next item.
+    /// Delivers the new items of a block that starts at or before the next item.
     fn deliver(&mut self, mut block: B, actions: &mut VecDeque<Action<B>>) {
         let Some(position) = &mut self.position else {
             return;
@@ -464,7 +483,7 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// Delivers what is kept below `end`, with gaps for what is not.
+    /// Delivers the buffered items below `end`, with gaps for missing items.
     fn deliver_up_to(&mut self, end: u64, actions: &mut VecDeque<Action<B>>) {
         while let Some(position) = &mut self.position {
             if position.next >= end {
@@ -487,7 +506,7 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// The source does not have what is missing: goes on behind it.
+    /// Abandons the missing items that the source does not have, and continues after them.
     fn give_up(&mut self, actions: &mut VecDeque<Action<B>>) {
         if let Some(later) = self.later.take() {
             if self.enter_epoch(&later, actions) {
@@ -510,7 +529,7 @@ impl<B: Block> Follower<B> {
     fn request(&mut self, actions: &mut VecDeque<Action<B>>) {
         let after = match (&self.position, self.start) {
             (Some(position), _) => position.next,
-            (None, Start::Now) => u64::MAX, // only asks where the stream stands
+            (None, Start::Now) => u64::MAX, // only requests the position of the stream
             (None, Start::Beginning | Start::At { .. }) => 0,
         };
         let seen_end = self.position.as_ref().map_or(0, |p| p.seen_end);

@@ -1,13 +1,14 @@
 //! Times of evenly spaced samples, in whole nanoseconds and without drift.
 
-/// Lowest sampling rate accepted, in Hz: one sample in about a quarter of an hour.
+/// Minimum sampling rate, in Hz: one sample in about a quarter of an hour.
 pub const MIN_RATE_HZ: f64 = 1e-3;
-/// Highest sampling rate accepted, in Hz.
+/// Maximum sampling rate, in Hz.
 pub const MAX_RATE_HZ: f64 = 1e6;
 
-/// Evenly spaced times: item k is at `start_ns + round(k·10⁹/rate)`.
+/// Evenly spaced times. The time of item k is `start_ns + round(k·10⁹/rate)`.
 ///
-/// A rate of whole micro-hertz, as every rate of practice, is computed in integers; so frame 10¹⁰ is as exact as frame 1.
+/// If the rate is a whole number of microhertz, as in practice, the computation uses integers.
+/// Frame 10¹⁰ is then as exact as frame 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeGrid {
     start_ns: i64,
@@ -24,9 +25,9 @@ enum Rate {
 const NANOSECONDS_MICROHERTZ: i128 = 1_000_000_000_000_000;
 
 impl TimeGrid {
-    /// A grid from its first time (ns since the Unix epoch) and its rate (Hz).
+    /// Creates a grid from its first time (ns since the Unix epoch) and its rate (Hz).
     ///
-    /// `None` if the rate is not within [`MIN_RATE_HZ`] to [`MAX_RATE_HZ`].
+    /// Returns `None` if the rate is not within [`MIN_RATE_HZ`] to [`MAX_RATE_HZ`].
     #[must_use]
     pub fn new(start_ns: i64, rate_hz: f64) -> Option<Self> {
         if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
@@ -41,13 +42,14 @@ impl TimeGrid {
         Some(Self { start_ns, rate })
     }
 
-    /// Time of item 0, ns since the Unix epoch.
+    /// Returns the time of item 0, ns since the Unix epoch.
     #[must_use]
     pub fn start_ns(&self) -> i64 {
         self.start_ns
     }
 
-    /// Time of item `number`, ns since the Unix epoch; saturates at the ends of the scale.
+    /// Returns the time of item `number`, ns since the Unix epoch. The result saturates at the
+    /// limits of i64.
     #[must_use]
     pub fn time_ns(&self, number: u64) -> i64 {
         let offset = match self.rate {
@@ -60,7 +62,7 @@ impl TimeGrid {
         self.start_ns.saturating_add(offset)
     }
 
-    /// Distance of two items, in ns, rounded up.
+    /// Returns the time between two consecutive items, in ns, rounded up.
     #[must_use]
     pub fn step_ns(&self) -> i64 {
         match self.rate {
@@ -69,10 +71,10 @@ impl TimeGrid {
         }
     }
 
-    /// Number of the item nearest to a time; negative before the start.
+    /// Returns the number of the item nearest to a time; negative before the start.
     ///
-    /// A time half-way between two, give or take 2 ns, belongs to the earlier one: block times are rounded to
-    /// whole ns, so that the same sample may be 1 ns earlier or later when it travels in another block.
+    /// A time within 2 ns of the midpoint of two items belongs to the earlier item. Block times are
+    /// rounded to whole ns, so that the time of a sample can differ by 1 ns between blocks.
     #[must_use]
     pub fn nearest(&self, time_ns: i64) -> i64 {
         const TIE_NS: i128 = 2;

@@ -1,14 +1,18 @@
-//! Encoded blocks one behind the other in pages: live blocks are small, and each in an allocation of its own takes half as much again.
+//! Storage of encoded blocks in pages.
+//!
+//! Live blocks are small. A separate allocation for each block would take one and a half times the
+//! memory.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Bytes of a page: some fifteen blocks of estimates, or fifty of frames, of a building of five storeys in blocks of 50 ms.
+/// Size of a page in bytes. For a building of five storeys and blocks of 50 ms, it contains about
+/// fifteen blocks of estimates, or fifty blocks of frames.
 const PAGE_BYTES: usize = 16 << 10;
-/// Blocks from this size on have a page of their own, of their own size.
+/// Size from which a block has its own page, of exactly its size.
 const OWN_PAGE_BYTES: usize = PAGE_BYTES / 8;
 
-/// A block as it was put.
+/// A stored block as it was published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Kept<'a> {
     pub(crate) sequence: u64,
@@ -23,17 +27,17 @@ impl Kept<'_> {
     }
 }
 
-/// Blocks in their order, each where the one before ends.
+/// Blocks in order. Each block starts at the end of the previous block.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct KeptBlocks {
     pages: VecDeque<Page>,
     blocks: usize,
 }
 
-/// Some blocks, of which the first ones may be forgotten already: their bytes go with the page.
+/// Several consecutive blocks. The bytes of dropped blocks are freed with the whole page.
 #[derive(Clone, Debug)]
 struct Page {
-    /// Number of the first item of its first block, and when that was put.
+    /// Number of the first item of the first block, and the publication time of this block.
     first: u64,
     begun: Instant,
     bytes: Vec<u8>,
@@ -41,7 +45,8 @@ struct Page {
     forgotten: usize,
 }
 
-/// Where a block of a page ends: items and bytes since the page began, and the time from then to when it was put.
+/// End of a block in its page: items and bytes since the start of the page, and the publication
+/// time relative to the page.
 #[derive(Clone, Copy, Debug, Default)]
 struct Place {
     items: u32,
@@ -64,10 +69,10 @@ impl Page {
         self.bytes.capacity() - self.bytes.len() >= payload.len()
     }
 
-    /// Notes a block whose bytes are in the page already; of how many items and at what time it was put.
+    /// Records a block whose bytes are already in the page.
     fn note(&mut self, count: u64, put_at: Instant) {
         let before = self.places.last().copied().unwrap_or_default();
-        // a page has at most 16 KiB of blocks of at most 65,536 items
+        // A page has at most 16 KiB of blocks of at most 65,536 items.
         let items = before
             .items
             .saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
@@ -115,7 +120,7 @@ impl KeptBlocks {
         self.blocks == 0
     }
 
-    /// Adds a block behind the last one, which ends at `sequence`.
+    /// Adds a block that starts at `sequence`, where the previous block ends.
     pub(crate) fn push(&mut self, sequence: u64, count: u64, payload: &[u8], put_at: Instant) {
         self.blocks += 1;
         if payload.len() < OWN_PAGE_BYTES {
@@ -149,7 +154,7 @@ impl KeptBlocks {
             .and_then(|page| page.get(page.places.len().checked_sub(1)?))
     }
 
-    /// Forgets the first block.
+    /// Removes the first block.
     pub(crate) fn pop_front(&mut self) {
         if let Some(page) = self.pages.front_mut() {
             page.forgotten += 1;
@@ -158,7 +163,7 @@ impl KeptBlocks {
         self.pages.pop_front_if(|page| page.is_empty());
     }
 
-    /// Forgets the last block.
+    /// Removes the last block.
     pub(crate) fn pop_back(&mut self) {
         if let Some(page) = self.pages.back_mut() {
             page.places.pop();
@@ -169,7 +174,7 @@ impl KeptBlocks {
         self.pages.pop_back_if(|page| page.is_empty());
     }
 
-    /// The blocks from the first one on that ends behind this number.
+    /// Iterates over the blocks, starting with the first block that ends after item `number`.
     pub(crate) fn after(&self, number: u64) -> impl Iterator<Item = Kept<'_>> {
         let page = self.pages.partition_point(|page| page.end() <= number);
         let blocks = self
@@ -180,7 +185,7 @@ impl KeptBlocks {
         blocks.skip_while(move |block| block.end() <= number)
     }
 
-    /// Bytes of memory that the blocks take.
+    /// Returns the memory of the blocks, in bytes.
     #[cfg(test)]
     pub(crate) fn bytes(&self) -> usize {
         let of_page =
@@ -198,7 +203,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Number, items, bytes and time of a block.
+    /// Number of the first item, number of items, bytes and publication time of a block.
     type Listed = (u64, u64, Vec<u8>, Instant);
 
     fn listed(kept: &KeptBlocks, after: u64) -> Vec<Listed> {

@@ -1,11 +1,11 @@
-//! Every key expression that Spandrel uses, built and parsed here and nowhere else.
+//! Construction and parsing of all key expressions of Spandrel.
 
 use crate::name::{Name, NameError};
 
-/// Root of all key expressions unless configured.
+/// Default root of all key expressions.
 pub const DEFAULT_ROOT: &str = "spandrel";
 
-/// The key expressions of one structure.
+/// Key expressions of one structure.
 ///
 /// ```
 /// use spandrel_bus::{Keys, Name};
@@ -20,27 +20,27 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// Key expressions below `{root}/{structure}`.
+    /// Creates the key expressions below `{root}/{structure}`.
     #[must_use]
     pub fn new(root: Name, structure: Name) -> Self {
         Self { root, structure }
     }
 
-    /// As [`Keys::new`], from unchecked texts.
+    /// Creates the key expressions from unchecked texts.
     ///
     /// # Errors
-    /// A text that is no [`Name`].
+    /// Returns [`NameError`] if one of the texts is not a [`Name`].
     pub fn parse(root: &str, structure: &str) -> Result<Self, NameError> {
         Ok(Self::new(Name::new(root)?, Name::new(structure)?))
     }
 
-    /// The root.
+    /// Returns the root.
     #[must_use]
     pub fn root(&self) -> &Name {
         &self.root
     }
 
-    /// The structure.
+    /// Returns the name of the structure.
     #[must_use]
     pub fn structure(&self) -> &Name {
         &self.structure
@@ -50,236 +50,239 @@ impl Keys {
         format!("{}/{}/{rest}", self.root, self.structure)
     }
 
-    /// Sample blocks of one node.
+    /// Returns the key of the sample blocks of one node.
     #[must_use]
     pub fn samples(&self, node: &Name) -> String {
         self.below(&format!("sensor/{node}/samples"))
     }
 
-    /// Queries for the latest sample blocks of one node, answered by the node.
+    /// Returns the key to query the latest sample blocks of one node. The node replies.
     #[must_use]
     pub fn buffer(&self, node: &Name) -> String {
         self.below(&format!("sensor/{node}/@buffer"))
     }
 
-    /// Frame blocks.
+    /// Returns the key of the frame blocks.
     #[must_use]
     pub fn frames(&self) -> String {
         self.below("frames")
     }
 
-    /// Queries for frame blocks, answered by ingest.
+    /// Returns the key to query frame blocks. Ingest replies.
     #[must_use]
     pub fn recording(&self) -> String {
         self.below("@recording")
     }
 
-    /// Estimate blocks.
+    /// Returns the key of the estimate blocks.
     #[must_use]
     pub fn estimates(&self) -> String {
         self.below("estimates")
     }
 
-    /// Queries for the latest estimate blocks, answered by identify.
+    /// Returns the key to query the latest estimate blocks. Identify replies.
     #[must_use]
     pub fn estimates_buffer(&self) -> String {
         self.below("@estimates")
     }
 
-    /// One parameter at display rate.
+    /// Returns the key of one parameter at display rate.
     #[must_use]
     pub fn parameter(&self, parameter: &Name) -> String {
         self.below(&format!("parameter/{parameter}"))
     }
 
-    /// All parameters at display rate.
+    /// Returns the key expression of all parameters at display rate.
     #[must_use]
     pub fn all_parameters(&self) -> String {
         self.below("parameter/*")
     }
 
-    /// One noise parameter at display rate.
+    /// Returns the key of one noise parameter at display rate.
     #[must_use]
     pub fn noise(&self, name: &Name) -> String {
         self.below(&format!("noise/{name}"))
     }
 
-    /// All noise parameters at display rate.
+    /// Returns the key expression of all noise parameters at display rate.
     #[must_use]
     pub fn all_noise(&self) -> String {
         self.below("noise/*")
     }
 
-    /// Plausibility of the model classes.
+    /// Returns the key of the plausibility of the model classes.
     #[must_use]
     pub fn model_class(&self) -> String {
         self.below("model-class")
     }
 
-    /// The verdict on the fit.
+    /// Returns the key of the verdict on the fit.
     #[must_use]
     pub fn fit(&self) -> String {
         self.below("fit")
     }
 
-    /// Compressed local estimate of one node.
+    /// Returns the key of the compressed local estimate of one node.
     #[must_use]
     pub fn local(&self, node: &Name) -> String {
         self.below(&format!("local/{node}"))
     }
 
-    /// Feedback of the station to one node.
+    /// Returns the key of the station's feedback to one node.
     #[must_use]
     pub fn feedback(&self, node: &Name) -> String {
         self.below(&format!("feedback/{node}"))
     }
 
-    /// Compressed local estimates of all nodes.
+    /// Returns the key expression of the compressed local estimates of all nodes.
     #[must_use]
     pub fn all_local(&self) -> String {
         self.below("local/*")
     }
 
-    /// How one node does in the eyes of the station.
+    /// Returns the key of the station's assessment of one node.
     #[must_use]
     pub fn node(&self, node: &Name) -> String {
         self.below(&format!("node/{node}"))
     }
 
-    /// How all nodes do.
+    /// Returns the key expression of the station's assessments of all nodes.
     #[must_use]
     pub fn all_nodes(&self) -> String {
         self.below("node/*")
     }
 
-    /// Outliers of one channel.
+    /// Returns the key of the outliers of one channel.
     #[must_use]
     pub fn outlier(&self, channel: &Name) -> String {
         self.below(&format!("outlier/{channel}"))
     }
 
-    /// Outliers of all channels.
+    /// Returns the key expression of the outliers of all channels.
     #[must_use]
     pub fn all_outliers(&self) -> String {
         self.below("outlier/*")
     }
 
-    /// Events: restarts, calibrations, exclusions.
+    /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
         self.below("event")
     }
 
-    /// The alert of one parameter.
+    /// Returns the key of the alert of one parameter.
     #[must_use]
     pub fn alert(&self, parameter: &Name) -> String {
         self.below(&format!("alert/{parameter}"))
     }
 
-    /// The alerts of all parameters (not their acknowledgements).
+    /// Returns the key expression of the alerts of all parameters, without their acknowledgements.
     #[must_use]
     pub fn all_alerts(&self) -> String {
         self.below("alert/*")
     }
 
-    /// Queries for the last changes of alerts, answered by the alert service.
+    /// Returns the key to query the latest alert changes. The alert service replies.
     #[must_use]
     pub fn alert_log(&self) -> String {
         self.below("@alert-log")
     }
 
-    /// Acknowledgement of the alert of one parameter.
+    /// Returns the key to acknowledge the alert of one parameter.
     #[must_use]
     pub fn acknowledge(&self, parameter: &Name) -> String {
         self.below(&format!("alert/{parameter}/acknowledge"))
     }
 
-    /// Acknowledgements of all alerts.
+    /// Returns the key expression of the acknowledgements of all alerts.
     #[must_use]
     pub fn all_acknowledgements(&self) -> String {
         self.below("alert/*/acknowledge")
     }
 
-    /// What one service has done.
+    /// Returns the key of the progress of one service.
     #[must_use]
     pub fn progress(&self, service: Service) -> String {
         self.below(&format!("progress/{}", service.as_str()))
     }
 
-    /// Status of one instance of a service.
+    /// Returns the key of the status of one instance of a service.
     #[must_use]
     pub fn status(&self, service: Service, id: &Name) -> String {
         self.below(&format!("status/{}/{id}", service.as_str()))
     }
 
-    /// Status of all instances of one service.
+    /// Returns the key expression of the statuses of all instances of one service.
     #[must_use]
     pub fn statuses(&self, service: Service) -> String {
         self.below(&format!("status/{}/*", service.as_str()))
     }
 
-    /// Status of all instances of all services.
+    /// Returns the key expression of the statuses of all instances of all services.
     #[must_use]
     pub fn all_statuses(&self) -> String {
         self.below("status/*/*")
     }
 
-    /// Liveliness token of one instance of a service; of a sensor, `id` is the node.
+    /// Returns the key of the liveliness token of one instance of a service. For a sensor, `id` is
+    /// the node.
     #[must_use]
     pub fn live(&self, service: Service, id: &Name) -> String {
         self.below(&format!("live/{}/{id}", service.as_str()))
     }
 
-    /// Liveliness tokens of all instances of a service.
+    /// Returns the key expression of the liveliness tokens of all instances of a service.
     #[must_use]
     pub fn all_live(&self, service: Service) -> String {
         self.below(&format!("live/{}/*", service.as_str()))
     }
 
-    /// Liveliness token of a claim to lead the identification, under the name of the claim.
+    /// Returns the key of the liveliness token that claims the lead of the identification. `claim`
+    /// is the name of the claim.
     #[must_use]
     pub fn leader(&self, claim: &Name) -> String {
         self.below(&format!("leader/identify/{claim}"))
     }
 
-    /// Claims of all who would lead the identification.
+    /// Returns the key expression of all claims to lead the identification.
     #[must_use]
     pub fn all_leaders(&self) -> String {
         self.below("leader/identify/*")
     }
 
-    /// Queries for the state of the identification that leads.
+    /// Returns the key to query the state of the leading identification.
     #[must_use]
     pub fn state(&self) -> String {
         self.below("@state")
     }
 
-    /// Queries for the structure file as read.
+    /// Returns the key to query the structure file.
     #[must_use]
     pub fn description(&self) -> String {
         self.below("description")
     }
 
-    /// Queries for the history of one parameter, or of what else has this name (`kind`).
+    /// Returns the key to query the history of one parameter. The query parameter `kind` selects
+    /// another quantity of this name.
     #[must_use]
     pub fn history(&self, parameter: &Name) -> String {
         self.below(&format!("history/{parameter}"))
     }
 
-    /// Queries for any history.
+    /// Returns the key expression of all histories.
     #[must_use]
     pub fn all_history(&self) -> String {
         self.below("history/*")
     }
 
-    /// Queries for what happened: alerts, acknowledgements, events.
+    /// Returns the key to query the log of alerts, acknowledgements and events.
     #[must_use]
     pub fn history_log(&self) -> String {
         self.below("@history-log")
     }
 }
 
-/// The services, as they stand in key expressions.
+/// The services that occur in key expressions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Service {
     /// A sensor node, real, simulated or replayed.
@@ -294,7 +297,7 @@ pub enum Service {
     Alert,
     /// The history service.
     History,
-    /// Who tells people of alerts.
+    /// The service that notifies people of alerts.
     Notify,
     /// The dashboard.
     Dashboard,
@@ -313,7 +316,7 @@ impl Service {
         Self::Dashboard,
     ];
 
-    /// The name of the service in a key expression.
+    /// Returns the name of the service in a key expression.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -333,12 +336,12 @@ impl Service {
     }
 }
 
-/// All keys of one kind, as those who rule over keys need them.
+/// All keys of one kind, for access rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum KeyFamily {
-    /// [`Keys::samples`], of a node
+    /// [`Keys::samples`], one per node
     Samples,
-    /// [`Keys::buffer`], of a node
+    /// [`Keys::buffer`], one per node
     Buffer,
     /// [`Keys::frames`]
     Frames,
@@ -348,41 +351,41 @@ pub enum KeyFamily {
     Estimates,
     /// [`Keys::estimates_buffer`]
     EstimatesBuffer,
-    /// [`Keys::parameter`], of a parameter
+    /// [`Keys::parameter`], one per parameter
     Parameter,
-    /// [`Keys::noise`], of a noise parameter
+    /// [`Keys::noise`], one per noise parameter
     Noise,
     /// [`Keys::model_class`]
     ModelClass,
     /// [`Keys::fit`]
     Fit,
-    /// [`Keys::local`], of a node
+    /// [`Keys::local`], one per node
     Local,
-    /// [`Keys::feedback`], of a node
+    /// [`Keys::feedback`], one per node
     Feedback,
-    /// [`Keys::node`], of a node
+    /// [`Keys::node`], one per node
     Node,
-    /// [`Keys::outlier`], of a channel
+    /// [`Keys::outlier`], one per channel
     Outlier,
     /// [`Keys::event`]
     Event,
-    /// [`Keys::alert`], of a parameter
+    /// [`Keys::alert`], one per parameter
     Alert,
-    /// [`Keys::acknowledge`], of a parameter
+    /// [`Keys::acknowledge`], one per parameter
     Acknowledge,
-    /// [`Keys::progress`], of this service
+    /// [`Keys::progress`] of this service
     Progress(Service),
-    /// [`Keys::status`], of an instance of this service
+    /// [`Keys::status`] of the instances of this service
     Status(Service),
-    /// [`Keys::live`], of an instance of this service
+    /// [`Keys::live`] of the instances of this service
     Live(Service),
-    /// [`Keys::leader`], of a claim
+    /// [`Keys::leader`], one per claim
     Leader,
     /// [`Keys::state`]
     State,
     /// [`Keys::description`]
     Description,
-    /// [`Keys::history`], of a parameter
+    /// [`Keys::history`], one per parameter
     History,
     /// [`Keys::history_log`]
     HistoryLog,
@@ -391,7 +394,9 @@ pub enum KeyFamily {
 }
 
 impl KeyFamily {
-    /// The key expression of the family: of one structure or of all, of one name or of all.
+    /// Returns the key expression of the family.
+    ///
+    /// `None` for `structure` or `of` selects all structures or all names.
     ///
     /// ```
     /// use spandrel_bus::{KeyFamily, Name};
@@ -433,7 +438,9 @@ impl KeyFamily {
         format!("{root}/{}/{rest}", structure.map_or("*", Name::as_str))
     }
 
-    /// The key expression of the families of all services together, of those that have one for each service.
+    /// Returns one key expression for the keys of all services.
+    ///
+    /// Returns `None` if the family does not contain one key per service.
     #[must_use]
     pub fn expression_of_all_services(
         self,
@@ -452,7 +459,7 @@ impl KeyFamily {
         ))
     }
 
-    /// All families.
+    /// Returns all families.
     #[must_use]
     pub fn all() -> Vec<Self> {
         use KeyFamily as K;
@@ -491,7 +498,7 @@ impl KeyFamily {
     }
 }
 
-/// What a concrete key says, the inverse of the methods of [`Keys`].
+/// The content of a concrete key, the inverse of the methods of [`Keys`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Topic {
     /// [`Keys::samples`]
@@ -534,7 +541,9 @@ pub enum Topic {
     History(Name),
 }
 
-/// A key of some structure, taken apart; `None` if it is none of ours or belongs to another root.
+/// Parses a concrete key into its structure and topic.
+///
+/// Returns `None` if the key has another root or is not a Spandrel topic.
 ///
 /// ```
 /// use spandrel_bus::{Topic, parse_key};

@@ -1,8 +1,11 @@
-//! Who leads where several could put one stream: claims, and the rule by which each of them knows where it stands.
+//! Election of the leader if several processes can publish one stream.
 //!
-//! A claim is a liveliness token with a term in its key. The highest term leads, of equal terms the last instance in the order of
-//! names; so all who see the same claims agree, and whoever sees a higher claim than its own steps back. While two do not see each
-//! other both may lead: what they put says in which term, and readers take the highest ([`Block::term`](crate::Block::term)).
+//! A claim is a liveliness token with a term in its key. The highest term leads. Of equal terms,
+//! the instance whose name sorts last leads. All processes that see the same claims therefore
+//! agree, and a process that sees a higher claim than its own withdraws.
+//!
+//! Two processes that do not see each other may both lead. Their blocks contain the term, and
+//! readers accept only the highest ([`Block::term`](crate::Block::term)).
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -19,28 +22,29 @@ use tracing::debug;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::ConsolidationMode;
 
-/// A claim to lead: the higher one counts.
+/// A claim to lead. The highest claim wins.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Claim {
-    // the order of the fields is the rule
+    // The derived order depends on the order of the fields.
     term: u64,
     instance: Name,
 }
 
 impl Claim {
-    /// The claim of an instance of a service, in a term that should be higher than all that it has heard of.
+    /// Creates the claim of an instance of a service. The term should be higher than all terms that
+    /// the instance knows.
     #[must_use]
     pub fn new(term: u64, instance: Name) -> Self {
         Self { term, instance }
     }
 
-    /// Its term.
+    /// Returns the term.
     #[must_use]
     pub fn term(&self) -> u64 {
         self.term
     }
 
-    /// The claim as it stands in a key of [`Keys::leader`]; `None` if it is none.
+    /// Parses the claim in a key of [`Keys::leader`]. Returns `None` if the key is not a claim.
     fn from_key(key: &str) -> Option<Self> {
         let (_, chunk) = key.rsplit_once('/')?;
         let (term, instance) = chunk.split_once('-')?;
@@ -62,35 +66,36 @@ impl std::fmt::Display for Claim {
     }
 }
 
-/// The claim that counts among those of these keys.
+/// Returns the highest claim among these keys.
 fn leading(keys: &BTreeSet<String>) -> Option<Claim> {
     keys.iter().filter_map(|key| Claim::from_key(key)).max()
 }
 
-/// The claims to lead one identification, as they come and go.
+/// The claims to lead one identification, with their changes.
 #[derive(Debug)]
 pub struct Claims {
     watch: LiveWatch,
 }
 
 impl Claims {
-    /// The claim that counts, as far as is known here; that of this process included.
+    /// Returns the highest claim that this process knows, including its own.
     #[must_use]
     pub fn leading(&self) -> Option<Claim> {
         leading(&self.watch.present())
     }
 
-    /// Waits until a claim comes or goes.
+    /// Waits until a claim appears or disappears.
     pub async fn changed(&mut self) {
         self.watch.changed().await;
     }
 }
 
 impl Bus {
-    /// A name of this session that no other has.
+    /// Returns a unique name of this session.
     ///
     /// # Errors
-    /// Zenoh's id of it is no name, which it always is: hexadecimal digits, at most 32.
+    /// Fails if Zenoh's id is not a name. In practice it is, because it consists of at most 32
+    /// hexadecimal digits.
     pub fn instance(&self) -> Result<Name, BusError> {
         Name::new(self.session().zid().to_string()).map_err(|source| BusError::Claim { source })
     }
@@ -98,26 +103,28 @@ impl Bus {
     /// Watches the claims to lead the identification of a structure.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub async fn watch_claims(&self, keys: &Keys) -> Result<Claims, BusError> {
         Ok(Claims {
             watch: self.watch_live(keys.all_leaders()).await?,
         })
     }
 
-    /// Claims to lead the identification of a structure, for as long as the token lives.
+    /// Claims to lead the identification of a structure until the token is dropped.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub async fn claim(&self, keys: &Keys, claim: &Claim) -> Result<LiveToken, BusError> {
         self.announce(claim.key(keys)?).await
     }
 
-    /// Asks the network for the claim that counts now: what others had claimed before this call is in the answer, unless the link to
-    /// them is lost or does not answer in time.
+    /// Queries the network for the highest current claim.
+    ///
+    /// The reply includes all earlier claims of other processes, unless their link is lost or does
+    /// not reply in time.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub async fn ask_who_leads(
         &self,
         keys: &Keys,
@@ -128,10 +135,11 @@ impl Bus {
         ))
     }
 
-    /// Asks the identification that leads for its state; `None` if nobody answers in time, or with nothing that can be read.
+    /// Queries the leading identification for its state. Returns `None` without a valid reply in
+    /// time.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub fn ask_for_state<'a>(
         &'a self,
         keys: &'a Keys,
@@ -143,7 +151,8 @@ impl Bus {
                 .session()
                 .get(&key)
                 .consolidation(ConsolidationMode::None)
-                // megabytes: they wait behind all else, and are not dropped for being many
+                // States have several megabytes. They wait for all other messages, but must not be
+                // dropped.
                 .priority(Priority::DataLow)
                 .congestion_control(CongestionControl::Block)
                 .timeout(timeout)

@@ -1,7 +1,7 @@
-//! What the services say to each other over Zenoh.
+//! Typed messages and lossless streams between the Spandrel services, over Zenoh.
 //!
-//! Messages go in and come out, typed, checked, numbered and complete: the key expressions, the encodings and the
-//! recovery of lost blocks live here and nowhere else.
+//! This crate contains all key expressions and encodings. It numbers and checks messages, and
+//! recovers lost blocks.
 //!
 //! ```
 //! use spandrel_bus::{Block, FrameBlock, Header, Keys, Message, StreamState};
@@ -21,15 +21,20 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! - [`Name`], [`Keys`]: what things are called, and the key expression of everything
+//! - [`Name`], [`Keys`]: names, and the key expressions built from them
 //! - [`Message`], [`Block`]: encoding and checks; numbered blocks of a lossless stream
-//! - [`Ring`], [`Follower`]: keep the latest items of a stream; bring a stream into order (pure, no network)
-//! - [`Bus`]: the session, and what is declared on it: [`NumberedPublisher`] and [`Stream`] for what must be complete,
-//!   [`DisplayPublisher`] and [`Subscription`] for what people look at, [`LiveToken`] and [`LiveWatch`] for who is
-//!   there, [`Claim`] and [`Claims`] for who leads where several could, [`ProgressPublisher`] and [`ProgressWatch`] for how far a service has come
-//! - [`Arrivals`]: which values are measured now, and which are read again from the recording (pure, no network)
+//! - [`Ring`], [`Follower`]: buffer of the latest items of a stream; ordering of received blocks
+//!   (pure, no network)
+//! - [`Bus`]: the session, whose methods declare:
+//!   - [`NumberedPublisher`] and [`Stream`] for streams that must be complete
+//!   - [`DisplayPublisher`] and [`Subscription`] for values that people view
+//!   - [`LiveToken`] and [`LiveWatch`] for the presence of services and nodes
+//!   - [`Claim`] and [`Claims`] for the election of a leader
+//!   - [`ProgressPublisher`] and [`ProgressWatch`] for the progress of a service
+//! - [`Arrivals`]: distinguishes live values from replayed recordings (pure, no network)
 //!
-//! The wrong room for a recording on disk, and for anything that decides: here nothing knows what the numbers mean.
+//! Recordings on disk and decisions do not belong in this crate. It does not interpret the values
+//! that it transports.
 
 mod name;
 
@@ -64,8 +69,10 @@ mod tls;
 #[cfg(test)]
 mod testing;
 
-/// What the services and the bus do over time. Boxed, so that it is compiled once, in its own crate: an `async fn` is compiled again in
-/// every program that awaits it, and there are dozens of test programs.
+/// A boxed future, as returned by long-running methods of the bus and the services.
+///
+/// Boxed code is compiled once, in its own crate. An `async fn` is compiled again in every program
+/// that awaits it, and the project has dozens of test programs.
 pub type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>;
 
 pub use archive::Archive;

@@ -1,4 +1,4 @@
-//! Liveliness: who is there.
+//! Liveliness of services and nodes.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -14,17 +14,18 @@ use crate::BoxedFuture;
 use crate::error::BusError;
 use crate::session::Bus;
 
-/// Says that a service or node is there, until this is dropped, its process ends or its link is lost.
+/// Signals that a service or node is online. The signal ends when this is dropped, its process ends
+/// or its link is lost.
 #[derive(Debug)]
 pub struct LiveToken {
     token: LivelinessToken,
 }
 
 impl LiveToken {
-    /// Takes the token back, and returns once that is on its way.
+    /// Withdraws the token, and returns after the withdrawal was sent.
     ///
     /// # Errors
-    /// The session is closed already.
+    /// Fails if the session is already closed.
     pub fn withdraw(self) -> BoxedFuture<'static, Result<(), BusError>> {
         Box::pin(async move {
             let undeclared = self.token.undeclare().await;
@@ -33,7 +34,7 @@ impl LiveToken {
     }
 }
 
-/// The tokens that match a key expression, as they come and go.
+/// The tokens that match a key expression, with their changes.
 #[derive(Debug)]
 pub struct LiveWatch {
     present: watch::Receiver<Presence>,
@@ -47,22 +48,23 @@ impl Drop for LiveWatch {
     }
 }
 
-/// How long a token that may be gone is asked for before it is asked for again.
+/// Timeout of a query for an uncertain token, and pause before its repetition.
 const DOUBT: Duration = Duration::from_secs(2);
 
-/// The tokens that are there.
+/// The tokens that are online.
 ///
-/// Zenoh tells a new watch of the tokens that its session knows already on a task of its own, and of those that go meanwhile
-/// on another: a token can be said to have come after it was said to have gone, and would then be there for ever.
+/// A new subscription receives the tokens that its session already knows from a separate Zenoh
+/// task. Another task reports tokens that disappear meanwhile. Zenoh can therefore report the
+/// appearance of a token after its disappearance, and the token would remain online forever.
 #[derive(Clone, Debug, Default)]
 struct Presence {
     tokens: BTreeSet<String>,
-    /// Said to have gone before they were said to have come.
+    /// Tokens that disappeared before they were reported to appear.
     gone_before: BTreeSet<String>,
 }
 
 impl Presence {
-    /// A token is said to be there; returns whether that is to be doubted.
+    /// Records that a token has appeared. Returns `true` if this is uncertain.
     fn comes(&mut self, key: &str) -> bool {
         self.tokens.insert(key.to_owned());
         self.gone_before.remove(key)
@@ -74,13 +76,13 @@ impl Presence {
         }
     }
 
-    /// A token in doubt is not there.
+    /// Removes an uncertain token that is offline.
     fn was_gone(&mut self, key: &str) {
         self.tokens.remove(key);
     }
 }
 
-/// Asks for the tokens in doubt, one at a time, until the network has said whether they are there.
+/// Queries the uncertain tokens, one at a time, until the network replies whether they are online.
 async fn settle_doubts(
     session: Session,
     presence: watch::Sender<Presence>,
@@ -100,7 +102,7 @@ async fn settle_doubts(
     }
 }
 
-/// Whether the network knows of a token; `None` when somebody did not answer in time.
+/// Returns whether the network knows a token, or `None` if a host did not reply in time.
 async fn is_there(session: &Session, key: &str) -> Option<bool> {
     let replies = session.liveliness().get(key).timeout(DOUBT).await.ok()?;
     let mut all_answered = true;
@@ -114,10 +116,10 @@ async fn is_there(session: &Session, key: &str) -> Option<bool> {
 }
 
 impl Bus {
-    /// Announces a service or node under its `live` key; to be done when it is ready, and not before.
+    /// Announces a service or node under its `live` key. Call it only when the service is ready.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub fn announce<'a>(&'a self, key: String) -> BoxedFuture<'a, Result<LiveToken, BusError>> {
         Box::pin(async move {
             let declared = self.session().liveliness().declare_token(key.clone()).await;
@@ -128,10 +130,11 @@ impl Bus {
         })
     }
 
-    /// Asks the network which tokens match a `live` key expression now; what does not answer in time is left out.
+    /// Queries the network for the current tokens that match a `live` key expression. Late replies
+    /// are ignored.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub fn ask_who_is_there<'a>(
         &'a self,
         key_expression: &'a str,
@@ -165,10 +168,10 @@ impl Bus {
         })
     }
 
-    /// Watches the tokens that match a `live` key expression, those already there included.
+    /// Watches the tokens that match a `live` key expression, including existing tokens.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub fn watch_live<'a>(
         &'a self,
         key_expression: String,
@@ -187,7 +190,7 @@ impl Bus {
                     told.send_modify(|presence| match sample.kind() {
                         SampleKind::Put => {
                             if presence.comes(key) {
-                                let _ = doubt.send(key.to_owned()); // the watch is over
+                                let _ = doubt.send(key.to_owned()); // the watch may have ended
                             }
                         }
                         SampleKind::Delete => presence.goes(key),
@@ -214,24 +217,24 @@ impl Bus {
 }
 
 impl LiveWatch {
-    /// The keys of the tokens that are there now.
+    /// Returns the keys of the current tokens.
     #[must_use]
     pub fn present(&self) -> BTreeSet<String> {
         self.present.borrow().tokens.clone()
     }
 
-    /// Waits until a token comes or goes, then returns those that are there.
+    /// Waits until a token appears or disappears, and returns the current tokens.
     ///
-    /// A token that comes and goes between two calls may not be seen.
+    /// A token that appears and disappears between two calls may be missed.
     pub async fn changed(&mut self) -> BTreeSet<String> {
         let closed = self.present.changed().await.is_err();
         if closed {
-            std::future::pending().await // nothing changes any more
+            std::future::pending().await // the session is closed, so that nothing changes
         }
         self.present.borrow_and_update().tokens.clone()
     }
 
-    /// Waits until at least one token is there.
+    /// Waits until at least one token is online.
     pub async fn some(&mut self) {
         let closed = self
             .present
@@ -243,7 +246,7 @@ impl LiveWatch {
         }
     }
 
-    /// Waits until no token is there.
+    /// Waits until no token is online.
     pub async fn none(&mut self) {
         // A closed session has no tokens either.
         let _ = self

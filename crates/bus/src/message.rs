@@ -1,4 +1,4 @@
-//! The messages: one file per kind, all encoded, checked and refused in the same way.
+//! Message types, one file per type, with a common encoding and validation.
 
 mod acknowledgement;
 mod alert;
@@ -62,19 +62,19 @@ pub use text::MAX_LABEL_BYTES;
 
 use text::{check_label, check_text};
 
-/// Largest payload accepted, in bytes; nothing larger is ever decoded or sent.
+/// Maximum size of a payload, in bytes. Larger payloads are neither sent nor decoded.
 pub const MAX_MESSAGE_BYTES: usize = 8 << 20;
-/// Most channels of a node or structure, and most parameters.
+/// Maximum number of channels of a node or structure, and of parameters.
 pub const MAX_CHANNELS: usize = 4096;
-/// Most items (samples, frames, estimates) of one block.
+/// Maximum number of items (samples, frames, estimates) in one block.
 pub const MAX_ITEMS: usize = 65_536;
 
-/// How the payload is written.
+/// Format of a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Read by programs, at the sampling rate.
+    /// Binary format for programs, at the sampling rate.
     Postcard,
-    /// Read by people and scripts, at display rate.
+    /// Text format for people and scripts, at display rate.
     Json,
 }
 
@@ -82,20 +82,21 @@ pub enum Format {
 ///
 /// The Zenoh encoding of a message is `application/FORMAT;spandrel.TYPE.vVERSION`.
 pub trait Message: Serialize + DeserializeOwned {
-    /// The type in the encoding, such as `frames`.
+    /// Type in the encoding, such as `frames`.
     const TYPE: &'static str;
-    /// Raised with every change of the fields: postcard is positional.
+    /// Version in the encoding. Every change of the fields increments it, because postcard
+    /// identifies fields by position.
     const VERSION: u16;
-    /// How the payload is written.
+    /// Format of the payload.
     const FORMAT: Format;
 
-    /// Checks what the types cannot say; done after decoding and before encoding.
+    /// Checks constraints that the types do not enforce, after decoding and before encoding.
     ///
     /// # Errors
-    /// The first thing wrong.
+    /// Returns the first violation.
     fn check(&self) -> Result<(), Malformed>;
 
-    /// The Zenoh encoding.
+    /// Returns the Zenoh encoding.
     #[must_use]
     fn encoding() -> String {
         let format = match Self::FORMAT {
@@ -109,10 +110,10 @@ pub trait Message: Serialize + DeserializeOwned {
         )
     }
 
-    /// The payload.
+    /// Encodes the message as a payload.
     ///
     /// # Errors
-    /// A message that a receiver would refuse is not sent.
+    /// Fails if a receiver would reject the message.
     fn encode(&self) -> Result<Vec<u8>, EncodeError> {
         self.check()?;
         let payload = match Self::FORMAT {
@@ -127,12 +128,14 @@ pub trait Message: Serialize + DeserializeOwned {
         Ok(payload)
     }
 
-    /// Reads a message; total on arbitrary bytes.
+    /// Decodes a message. Arbitrary bytes are safe as input.
     ///
-    /// JSON is also taken under plain `application/json`, so that a script needs no schema.
+    /// The encoding of a JSON message may also be plain `application/json`, so that a script needs
+    /// no schema.
     ///
     /// # Errors
-    /// Another type or version, too many bytes, bytes that are no such message, or a message whose parts disagree.
+    /// Fails if the type or version differs, if the payload is too large or cannot be decoded, or
+    /// if the message is malformed.
     fn decode(encoding: &str, payload: &[u8]) -> Result<Self, DecodeError> {
         let expected = Self::encoding();
         let plain_json = Self::FORMAT == Format::Json && encoding == "application/json";
@@ -160,143 +163,143 @@ pub trait Message: Serialize + DeserializeOwned {
     }
 }
 
-/// A message whose parts disagree or lie outside what any structure needs.
+/// A message with inconsistent parts, or with values beyond the needs of any structure.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Malformed {
-    /// The sampling rate is no rate.
+    /// The sampling rate is outside its valid range.
     #[error("sampling rate is {found} Hz, must lie between 0.001 and 1000000")]
     Rate {
-        /// The rate found, Hz.
+        /// Sampling rate found, Hz.
         found: f64,
     },
-    /// A count is zero or absurd.
+    /// A count is outside its valid range.
     #[error("{what} is {found}, must lie between {least} and {most}")]
     Count {
-        /// What is counted.
+        /// Name of the count.
         what: &'static str,
-        /// The count found.
+        /// Count found.
         found: usize,
-        /// The least accepted.
+        /// Minimum.
         least: usize,
-        /// The most accepted.
+        /// Maximum.
         most: usize,
     },
-    /// The number of values does not fit the counts of the message.
+    /// The number of values contradicts the counts in the message.
     #[error("{what} has {found} values, must have {expected}")]
     Length {
-        /// The list.
+        /// Name of the list.
         what: &'static str,
-        /// Its length.
+        /// Length found.
         found: usize,
-        /// The length that the other fields demand.
+        /// Length required by the other fields.
         expected: usize,
     },
-    /// A value is infinite, or not a number where none may be missing.
+    /// A value is infinite, or NaN where no value may be missing.
     #[error("{what} is {found}, must be finite")]
     NotFinite {
-        /// The field.
+        /// Name of the field.
         what: &'static str,
-        /// The value found.
+        /// Value found.
         found: f64,
     },
     /// A value lies outside its range.
     #[error("{what} is {found}, must lie between {low} and {high}")]
     Range {
-        /// The field.
+        /// Name of the field.
         what: &'static str,
-        /// The value found.
+        /// Value found.
         found: f64,
-        /// Lowest value allowed.
+        /// Minimum.
         low: f64,
-        /// Highest value allowed.
+        /// Maximum.
         high: f64,
     },
-    /// A text is longer than allowed.
+    /// A text is too long.
     #[error("{what} has {found} bytes, must have at most {most}")]
     Text {
-        /// The field.
+        /// Name of the field.
         what: &'static str,
-        /// Its length in bytes.
+        /// Length found, in bytes.
         found: usize,
-        /// The most accepted.
+        /// Maximum length, in bytes.
         most: usize,
     },
-    /// A text has a character that is none to be read, and that databases and terminals may not take.
+    /// A text contains a control character that databases and terminals might not accept.
     #[error("{what} has the control character {found:?}, must have {allowed}")]
     Control {
-        /// The field.
+        /// Name of the field.
         what: &'static str,
-        /// The first such character.
+        /// First such character.
         found: char,
-        /// Those that it may have.
+        /// Description of the allowed control characters.
         allowed: &'static str,
     },
-    /// The numbers of the items of the block do not fit 64 bits.
+    /// The sequence numbers of the items exceed 64 bits.
     #[error("block of {count} items starts at number {sequence}, past the end of the numbers")]
     SequenceOverflow {
-        /// Number of the first item.
+        /// Sequence number of the first item.
         sequence: u64,
-        /// Items of the block.
+        /// Number of items in the block.
         count: u64,
     },
 }
 
-/// Why a message could not be written.
+/// Reason why a message cannot be encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
-    /// A receiver would refuse it.
+    /// The message is malformed, so that a receiver would reject it.
     #[error("message is malformed")]
     Malformed(#[from] Malformed),
-    /// A receiver would refuse it.
+    /// The payload is too large, so that a receiver would reject it.
     #[error("message has {bytes} bytes, must have at most {MAX_MESSAGE_BYTES}")]
     TooLarge {
-        /// Its size.
+        /// Size of the payload.
         bytes: usize,
     },
-    /// The serialiser refused.
+    /// Serialisation as postcard failed.
     #[error("cannot write the message as postcard")]
     Postcard(#[from] postcard::Error),
-    /// The serialiser refused.
+    /// Serialisation as JSON failed.
     #[error("cannot write the message as JSON")]
     Json(#[from] serde_json::Error),
 }
 
-/// Why a message was refused.
+/// Reason for rejecting a received message.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// Another type or version.
+    /// The message has another type or version.
     #[error("encoding is {found:?}, expected {expected:?}")]
     Encoding {
-        /// What this program reads.
+        /// Supported encoding.
         expected: String,
-        /// What the message says, at most 128 characters of it.
+        /// Encoding of the message, cut to 128 characters.
         found: String,
     },
-    /// Too large to be looked at.
+    /// The payload is too large to decode.
     #[error("message has {bytes} bytes, must have at most {MAX_MESSAGE_BYTES}")]
     TooLarge {
-        /// Its size.
+        /// Size of the payload.
         bytes: usize,
     },
-    /// No such message.
+    /// The bytes are not a postcard message of this type.
     #[error("bytes are no postcard message of this type")]
     Postcard(#[from] postcard::Error),
-    /// No such message.
+    /// The text is not a JSON message of this type.
     #[error("text is no JSON message of this type")]
     Json(#[from] serde_json::Error),
-    /// Something follows the message.
+    /// Bytes follow the message.
     #[error("{bytes} bytes follow the message")]
     Trailing {
-        /// How many.
+        /// Number of bytes after the message.
         bytes: usize,
     },
-    /// The parts of the message disagree.
+    /// The message is malformed.
     #[error("message is malformed")]
     Malformed(#[from] Malformed),
 }
 
 impl DecodeError {
-    /// The reason under which the refusal is counted.
+    /// Returns the reason under which rejected messages are counted.
     #[must_use]
     pub fn reason(&self) -> &'static str {
         match self {
@@ -338,7 +341,7 @@ fn check_finite_list(what: &'static str, values: &[f64]) -> Result<(), Malformed
         .try_for_each(|value| check_finite(what, *value))
 }
 
-/// NaN is a missing value; infinity is a mistake.
+/// Checks that no value is infinite. NaN represents a missing value.
 fn check_finite_or_missing(what: &'static str, values: &[f64]) -> Result<(), Malformed> {
     match values.iter().find(|v| v.is_infinite()) {
         Some(&found) => Err(Malformed::NotFinite { what, found }),

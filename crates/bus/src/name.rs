@@ -1,14 +1,14 @@
-//! One part of a key expression: the name of a structure, node, parameter or service.
+//! Names: the variable chunks of a key expression, such as a structure, node or parameter.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Longest name accepted, in bytes: key expressions travel with every message.
+/// Maximum length of a name, in bytes. Every message carries its key expression.
 pub const MAX_NAME_BYTES: usize = 64;
 
-/// A checked name, one chunk of a key expression: 1 to 64 characters of `[a-z0-9-]`.
+/// A validated name, one chunk of a key expression: 1 to 64 characters of `[a-z0-9-]`.
 ///
 /// ```
 /// use spandrel_bus::Name;
@@ -19,33 +19,33 @@ pub const MAX_NAME_BYTES: usize = 64;
 #[serde(try_from = "String", into = "String")]
 pub struct Name(String);
 
-/// A text that cannot be a name.
+/// Reason why a text is not a valid name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
-    /// A name has at least one character.
+    /// The text is empty.
     #[error("a name is empty, must have 1 to {MAX_NAME_BYTES} characters of a-z, 0-9 and -")]
     Empty,
-    /// A name has at most [`MAX_NAME_BYTES`] characters.
+    /// The text has more than [`MAX_NAME_BYTES`] bytes.
     #[error("name {found:?} has {} bytes, must have at most {MAX_NAME_BYTES}", found.len())]
     TooLong {
-        /// The text found.
+        /// The rejected text.
         found: String,
     },
-    /// A character that Zenoh or a file system could misread.
+    /// The text contains a character that Zenoh or a file system could misinterpret.
     #[error("name {found:?} contains {character:?}, allowed are a-z, 0-9 and -")]
     Character {
-        /// The text found.
+        /// The rejected text.
         found: String,
-        /// Its first character that is not allowed.
+        /// First invalid character of the text.
         character: char,
     },
 }
 
 impl Name {
-    /// Checks a text.
+    /// Creates a name from a valid text.
     ///
     /// # Errors
-    /// [`NameError`] names what is not allowed.
+    /// Returns [`NameError`] if the text is empty, too long or contains an invalid character.
     pub fn new(text: impl Into<String>) -> Result<Self, NameError> {
         let text = text.into();
         if text.is_empty() {
@@ -64,7 +64,7 @@ impl Name {
         }
     }
 
-    /// The text of the name.
+    /// Returns the name as a text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0

@@ -1,4 +1,4 @@
-//! How far a service has come: put by the service, watched by sources that must not run ahead.
+//! Progress of a service. Sources watch it to limit how far they run ahead.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,14 +16,16 @@ use crate::publish::DisplayPublisher;
 use crate::receive::read;
 use crate::session::Bus;
 
-/// A progress message may be dropped, so the last one is repeated; what has not been told is told then at the latest.
+/// Interval at which the latest progress is repeated, because a message may be dropped. It also
+/// limits the delay of small changes.
 const REPEAT: Duration = Duration::from_millis(300);
-/// Every so many changes are told: sources look a window of thousands of frames ahead.
+/// Number of changes after which one is published at once. Sources run thousands of frames ahead,
+/// so that this suffices.
 const CHANGES: u32 = 4;
-/// And each one by so many frames: a part of such a window.
+/// Number of frames after which a change is published at once, a small part of that lead.
 const STEP: u64 = 256;
 
-/// Puts the progress of a service: soon after it changes, and again while it does not.
+/// Publishes the progress of a service: soon after it changes, and repeatedly while it does not.
 #[derive(Debug)]
 pub struct ProgressPublisher {
     source: String,
@@ -31,7 +33,7 @@ pub struct ProgressPublisher {
     _repeating: JoinSet<()>,
 }
 
-/// The last progress of a service; clones watch the same.
+/// The latest progress of a service. Clones share the subscription.
 #[derive(Clone, Debug)]
 pub struct ProgressWatch {
     latest: watch::Receiver<Option<Progress>>,
@@ -39,10 +41,10 @@ pub struct ProgressWatch {
 }
 
 impl Bus {
-    /// Declares the progress of a service on its `progress` key; `source` is the id of the service.
+    /// Declares the progress of a service on its `progress` key. `source` is the id of the service.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub fn publish_progress<'a>(
         &'a self,
         key: String,
@@ -61,10 +63,10 @@ impl Bus {
         })
     }
 
-    /// Watches the progress put on a `progress` key.
+    /// Watches the progress on a `progress` key.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub fn watch_progress<'a>(
         &'a self,
         key: String,
@@ -103,18 +105,18 @@ async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Recei
     }
 }
 
-/// The last progress, and when one was told.
+/// Latest progress, and the last publication of a change.
 #[derive(Debug, Default)]
 struct Latest {
     progress: Option<Progress>,
-    /// Epoch and frames done of the last one that was told at once.
+    /// Epoch and processed frames of the last change that was published at once.
     told: Option<(u64, u64)>,
-    /// Changes since.
+    /// Number of changes since then.
     untold: u32,
 }
 
 impl Latest {
-    /// Takes a change; returns whether it is to be told at once.
+    /// Records a change. Returns `true` if it must be published at once.
     fn take(&mut self, progress: Progress) -> bool {
         let (epoch, done) = (progress.header.epoch, progress.done);
         self.progress = Some(progress);
@@ -130,13 +132,15 @@ impl Latest {
 }
 
 impl ProgressPublisher {
-    /// Says that all frames of `epoch` below number `done` are done; `time_ns` is the time of the last one,
-    /// ns since the Unix epoch. Never waits.
+    /// Reports that all frames of `epoch` below number `done` are processed. Never waits.
+    ///
+    /// `time_ns` is the time of the last processed frame, ns since the Unix epoch, UTC.
     pub fn set(&self, epoch: u64, done: u64, time_ns: i64) {
         self.set_kept(epoch, done, time_ns, done);
     }
 
-    /// As [`ProgressPublisher::set`], of a service that would need the frames from number `kept` on again if it were killed.
+    /// Reports progress as [`ProgressPublisher::set`] does, with the number `kept` of the first
+    /// frame that the service would need again after a crash.
     pub fn set_kept(&self, epoch: u64, done: u64, time_ns: i64, kept: u64) {
         let header = Header {
             source: self.source.clone(),
@@ -150,13 +154,14 @@ impl ProgressPublisher {
 }
 
 impl ProgressWatch {
-    /// The last progress heard of.
+    /// Returns the latest progress, or `None` if no message has arrived yet.
     #[must_use]
     pub fn latest(&self) -> Option<Progress> {
         self.latest.borrow().clone()
     }
 
-    /// Waits until a progress message arrives that fulfils a condition, and returns it; the last one counts.
+    /// Waits until the latest progress fulfils a condition, and returns it. Waits forever if the
+    /// session is closed.
     pub async fn wait_for(&mut self, mut reached: impl FnMut(&Progress) -> bool) -> Progress {
         let waited = self
             .latest
@@ -164,7 +169,8 @@ impl ProgressWatch {
             .await;
         match waited.map(|progress| progress.clone()) {
             Ok(Some(progress)) => progress,
-            Ok(None) | Err(_) => std::future::pending().await, // the session is closed: nothing arrives any more
+            // The session is closed, so that no message can arrive.
+            Ok(None) | Err(_) => std::future::pending().await,
         }
     }
 }

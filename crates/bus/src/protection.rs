@@ -1,4 +1,4 @@
-//! Refuses a Zenoh configuration that lets others than this machine in without a certificate.
+//! Rejects Zenoh configurations that accept connections from other machines without a certificate.
 
 use std::path::{Path, PathBuf};
 
@@ -9,12 +9,13 @@ use crate::error::BusError;
 use crate::session::{Mode, set};
 use crate::tls::{TlsConfig, read_pair};
 
-/// What Zenoh does unless its configuration says otherwise: a peer listens on all interfaces.
+/// Zenoh's default endpoint: a peer listens on all interfaces.
 const LISTENS_EVERYWHERE: &str = "tcp/[::]:0";
-/// What a peer listens on instead.
+/// Default endpoint of a peer in Spandrel.
 const ANY_LOCAL_PORT: &str = "tcp/127.0.0.1:0";
 
-/// Checks endpoints, certificates and scouting; brings what a file leaves to Zenoh down to this machine.
+/// Checks endpoints, certificates and scouting. Replaces Zenoh's default endpoint by a loopback
+/// endpoint.
 pub(crate) fn check(config: &mut zenoh::Config) -> Result<(), BusError> {
     let mut listen = listen_endpoints(config)?;
     if listen == [LISTENS_EVERYWHERE] {
@@ -63,17 +64,20 @@ pub(crate) fn check(config: &mut zenoh::Config) -> Result<(), BusError> {
     Ok(())
 }
 
-/// The mode that a configuration states.
+/// Returns the mode in a configuration, if any.
 pub(crate) fn mode(config: &zenoh::Config) -> Result<Option<Mode>, BusError> {
     Ok(serde_json::from_value(get(config, "mode")?).unwrap_or(None))
 }
 
-/// The endpoints that a session of this configuration listens on.
+/// Returns the endpoints on which a session with this configuration listens.
 pub(crate) fn listen_endpoints(config: &zenoh::Config) -> Result<Vec<String>, BusError> {
     endpoints(config, "listen/endpoints")
 }
 
-/// Endpoints are a list, or one for each mode; one of them is a text, or an object with further settings.
+/// Returns the endpoints for the mode of the configuration.
+///
+/// The configuration contains one list, or one list per mode. Each endpoint is a text, or an object
+/// with further settings.
 fn endpoints(config: &zenoh::Config, key: &'static str) -> Result<Vec<String>, BusError> {
     let all = get(config, key)?;
     let of_mode = match &all {
@@ -106,15 +110,15 @@ fn get(config: &zenoh::Config, key: &'static str) -> Result<Value, BusError> {
     Ok(serde_json::from_str(&text).unwrap_or(Value::Null))
 }
 
-/// What a configuration says of certificates.
+/// Certificate settings of a configuration.
 struct Certificates {
-    /// Who connects has to show one.
+    /// Whether clients must present a certificate.
     asked_for: bool,
-    /// This session has one to show.
+    /// Whether this session can present a certificate.
     own: bool,
 }
 
-/// Checks the files of certificates that a configuration names.
+/// Checks the certificate files of a configuration.
 fn check_certificates(config: &zenoh::Config) -> Result<Certificates, BusError> {
     let tls = get(config, "transport/link/tls")?;
     let file = |key: &str| tls.get(key).and_then(Value::as_str).map(PathBuf::from);
@@ -138,7 +142,7 @@ fn check_certificates(config: &zenoh::Config) -> Result<Certificates, BusError> 
                 .check()?;
             }
             (Some(certificate), Some(key), None) => drop(read_pair(&certificate, &key)?),
-            // given as text in the file itself, or not at all
+            // The configuration contains the certificate as text, or there is none.
             _ => {}
         }
     }
@@ -161,7 +165,7 @@ mod tests {
         listen_endpoints(&config)
     }
 
-    /// A router file that listens there.
+    /// Returns a router configuration with this endpoint.
     fn router(endpoint: &str, tls: &str) -> String {
         format!(
             "{{mode: \"router\", listen: {{endpoints: [\"{endpoint}\"]}}, \

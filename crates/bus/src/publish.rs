@@ -1,4 +1,4 @@
-//! Puts messages: numbered blocks that can be asked for again, and values for people.
+//! Publication of numbered blocks, which can be queried again, and of display values.
 
 use std::marker::PhantomData;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,10 +20,10 @@ use crate::range::QueryRange;
 use crate::ring::{Answer, Keep, Ring};
 use crate::session::Bus;
 
-/// Queries waiting for an answer; one more is dropped, and its asker asks again.
+/// Maximum number of waiting queries. A further query is dropped, and its client repeats it.
 const QUERIES_WAITING: usize = 64;
 
-/// Where a lossless stream is put, and what its ring keeps.
+/// Keys, position and buffer limits of a lossless stream.
 #[derive(Clone, Debug)]
 pub struct NumberedStream {
     /// Key of the blocks.
@@ -34,25 +34,26 @@ pub struct NumberedStream {
     pub source: String,
     /// Epoch of the first block.
     pub epoch: u64,
-    /// Number of its first item: not 0 for a source that goes on where an earlier life of it was.
+    /// Number of the first item of this epoch. It is not 0 if the source resumes the stream of an
+    /// earlier run.
     pub first: u64,
-    /// Whether that earlier life had ended the epoch.
+    /// Whether the earlier run ended the epoch.
     pub state: StreamState,
-    /// What is kept in memory.
+    /// Limits of the items in memory.
     pub keep: Keep,
 }
 
-/// Where older items of a stream are kept, and how many of them an asker gets that has none yet.
+/// Access to older items of a stream.
 pub struct Older<B> {
-    /// Where they are kept.
+    /// Storage of the older items.
     pub archive: Arc<dyn Archive<B>>,
-    /// Items of the running epoch, counted back from its end.
+    /// Number of latest items of the current epoch for a client that has none yet.
     pub recent: u64,
 }
 
-/// Puts the blocks of a lossless stream, and keeps the latest for those who missed them.
+/// Publishes the blocks of a lossless stream, and stores the latest for readers that miss them.
 ///
-/// A put never waits: what the network cannot take is dropped, and fetched by its readers from the ring.
+/// Publishing never waits. Readers fetch the blocks that the network drops from the ring.
 #[derive(Debug)]
 pub struct NumberedPublisher<B> {
     publisher: Publisher<'static>,
@@ -60,14 +61,15 @@ pub struct NumberedPublisher<B> {
     _answering: Answering,
 }
 
-/// Answers queries for as long as it lives.
+/// Replies to queries until it is dropped.
 #[derive(Debug)]
 struct Answering {
     _queryable: Queryable<()>,
     _tasks: JoinSet<()>,
 }
 
-/// The blocks of a lossless stream that somebody else puts: kept in the same way, for the time when this source leads.
+/// A standby for a lossless stream of another source. It stores the blocks until it becomes the
+/// leader.
 #[derive(Debug)]
 pub struct NumberedStandby<B> {
     publisher: Publisher<'static>,
@@ -79,7 +81,7 @@ impl Bus {
     /// Declares a lossless stream.
     ///
     /// # Errors
-    /// Zenoh refuses a key, or the session is closed.
+    /// Fails if Zenoh rejects a key or the session is closed.
     pub async fn publish_numbered<B: Block>(
         &self,
         stream: NumberedStream,
@@ -87,10 +89,10 @@ impl Bus {
         self.publish_archived(stream, None).await
     }
 
-    /// As [`Bus::publish_numbered`], with older items from an archive.
+    /// Declares a lossless stream with older items from an archive.
     ///
     /// # Errors
-    /// As [`Bus::publish_numbered`].
+    /// Fails if Zenoh rejects a key or the session is closed.
     pub async fn publish_archived<B: Block>(
         &self,
         stream: NumberedStream,
@@ -117,10 +119,12 @@ impl Bus {
         })
     }
 
-    /// Declares a lossless stream that another source puts, and that this one may come to lead: nothing is put nor answered till then.
+    /// Declares a standby for a lossless stream that another source publishes.
+    ///
+    /// The standby neither publishes nor replies until it becomes the leader.
     ///
     /// # Errors
-    /// As [`Bus::publish_numbered`].
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub async fn stand_by_numbered<B: Block>(
         &self,
         stream: NumberedStream,
@@ -159,10 +163,10 @@ impl Bus {
         })
     }
 
-    /// Declares a topic for people and dashboards: a value that the network cannot take is dropped.
+    /// Declares a topic for display values. The network may drop values.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub async fn publish_display<M: Message>(
         &self,
         key: String,
@@ -174,10 +178,10 @@ impl Bus {
         })
     }
 
-    /// Declares a topic whose last value is also given on query.
+    /// Declares a topic whose latest value can also be queried.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub async fn publish_latest<M>(&self, key: String) -> Result<LatestPublisher<M>, BusError>
     where
         M: Message + 'static,
@@ -211,7 +215,8 @@ async fn declare_publisher<M: Message>(
     declared.map_err(|source| BusError::Declare { key, source })
 }
 
-/// The callback only hands over: Zenoh's threads do no work of ours.
+/// Declares a queryable that forwards queries to a queue, because Zenoh's threads must not do our
+/// work.
 pub(crate) async fn declare_queryable(
     session: &Session,
     key: String,
@@ -225,7 +230,7 @@ pub(crate) async fn declare_queryable(
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Nothing that panics runs under these locks; a poisoned one is as good as any.
+    // No code under these locks panics, so that the data of a poisoned lock are valid.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -253,24 +258,27 @@ async fn put_payload(
 }
 
 impl<B: Block> NumberedPublisher<B> {
-    /// Whoever is known to need the items of an epoch needs those before number `first` no more.
+    /// Releases the items before number `first` of an epoch, which no known reader needs any
+    /// longer.
     pub fn release(&self, epoch: u64, first: u64) {
         lock(&self.ring).release(epoch, first);
     }
 
-    /// Takes back the items from number `first` on: this source goes on from there, and puts them again.
+    /// Removes the items from number `first` on. The source continues there and publishes them
+    /// again.
     pub fn take_back(&self, first: u64) {
         lock(&self.ring).take_back(first);
     }
 
-    /// Puts the next block.
+    /// Publishes the next block.
     ///
     /// # Errors
-    /// The block does not continue the stream or is malformed, or the session is closed.
+    /// Fails if the block is malformed or does not continue the stream, or if the session is
+    /// closed.
     pub async fn put(&self, mut block: B) -> Result<(), BusError> {
         block.set_term(lock(&self.ring).term());
         let payload = encode(self.publisher.key_expr(), &block)?;
-        // Into the ring first: whoever sees a gap after this put finds the block there.
+        // Store the block first, so that a reader that detects a gap finds it in the ring.
         push(
             &mut lock(&self.ring),
             self.publisher.key_expr(),
@@ -280,11 +288,12 @@ impl<B: Block> NumberedPublisher<B> {
         put_payload(&self.publisher, payload).await
     }
 
-    /// Puts what is kept from number `after` of an epoch on once more, as far as it is kept: the source before may have died before
-    /// it had put it.
+    /// Publishes the stored items again, from number `after` of an epoch on.
+    ///
+    /// The former leader may have failed before it published them.
     ///
     /// # Errors
-    /// The session is closed.
+    /// Fails if the session is closed.
     pub async fn put_again(&self, epoch: u64, after: u64) -> Result<(), BusError> {
         let mut range = QueryRange {
             after,
@@ -310,24 +319,27 @@ impl<B: Block> NumberedPublisher<B> {
 }
 
 impl<B: Block> NumberedStandby<B> {
-    /// As [`NumberedPublisher::release`].
+    /// Releases items as [`NumberedPublisher::release`] does.
     pub fn release(&mut self, epoch: u64, first: u64) {
         self.ring.release(epoch, first);
     }
 
-    /// Keeps the next block, which somebody else puts.
+    /// Stores the next block of the other source.
     ///
     /// # Errors
-    /// The block does not continue the stream or is malformed.
+    /// Fails if the block is malformed or does not continue the stream.
     pub fn keep(&mut self, block: &B) -> Result<(), BusError> {
         let payload = encode(self.publisher.key_expr(), block)?;
         push(&mut self.ring, self.publisher.key_expr(), block, &payload)
     }
 
-    /// Puts the stream from now on in a term of leadership, which its readers prefer to all lower ones, and answers for what it has kept.
+    /// Becomes the leader in a term: publishes the stream from now on and replies with the stored
+    /// items.
+    ///
+    /// Readers prefer a term to all lower terms.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects the key or the session is closed.
     pub async fn lead(self, bus: &Bus, term: u64) -> Result<NumberedPublisher<B>, BusError> {
         let Self {
             publisher,
@@ -373,7 +385,7 @@ async fn answer_queries<B: Block>(
             Ok(range) => range,
             Err(error) => {
                 warn!(key = %query.key_expr(), %error, "query refused");
-                let _ = query.reply_err(error.to_string()).await; // the asker may be gone
+                let _ = query.reply_err(error.to_string()).await; // the client may be gone
                 continue;
             }
         };
@@ -393,7 +405,7 @@ async fn answer_queries<B: Block>(
     }
 }
 
-/// What an asker wants that is only in the archive; read on a thread that may wait for the disk.
+/// Reads the requested items that only the archive contains, on a thread that may block.
 async fn read_archive<B: Block>(
     ring: &Mutex<Ring<B>>,
     older: &Older<B>,
@@ -402,17 +414,18 @@ async fn read_archive<B: Block>(
     let lookup = Lookup::of(&*lock(ring), range, older.recent)?;
     let archive = older.archive.clone();
     let read = tokio::task::spawn_blocking(move || lookup.read(&*archive));
-    read.await.ok().flatten() // a read does not panic; if it did, the ring answers with what it has
+    // A read does not panic. If it did, the ring would reply with its own contents.
+    read.await.ok().flatten()
 }
 
-/// An asker that is gone asks again when it is back: a failed reply is no error of ours.
+/// Sends a reply. A failure is not an error, because a disconnected client repeats its query.
 async fn reply(query: &Query, key: &KeyExpr<'static>, payload: Vec<u8>, encoding: String) {
     if let Err(error) = query.reply(key, payload).encoding(encoding).await {
         debug!(key = %key, %error, "answer not sent");
     }
 }
 
-/// Puts values for people and dashboards.
+/// Publishes display values.
 #[derive(Debug)]
 pub struct DisplayPublisher<M> {
     publisher: Publisher<'static>,
@@ -420,16 +433,16 @@ pub struct DisplayPublisher<M> {
 }
 
 impl<M: Message> DisplayPublisher<M> {
-    /// Puts a value.
+    /// Publishes a value.
     ///
     /// # Errors
-    /// The value is malformed, or the session is closed.
+    /// Fails if the value is malformed or the session is closed.
     pub async fn put(&self, message: &M) -> Result<(), BusError> {
         put(&self.publisher, message).await
     }
 }
 
-/// Puts values, and gives the last one to whoever asks.
+/// Publishes values and replies to queries with the latest value.
 #[derive(Debug)]
 pub struct LatestPublisher<M> {
     publisher: DisplayPublisher<M>,
@@ -439,10 +452,10 @@ pub struct LatestPublisher<M> {
 }
 
 impl<M: Message> LatestPublisher<M> {
-    /// Puts a value; it is the answer to queries from now on.
+    /// Publishes a value, which also becomes the reply to queries.
     ///
     /// # Errors
-    /// The value is malformed, or the session is closed.
+    /// Fails if the value is malformed or the session is closed.
     pub async fn put(&self, message: &M) -> Result<(), BusError> {
         let publisher = &self.publisher.publisher;
         let payload = encode(publisher.key_expr(), message)?;
@@ -457,10 +470,10 @@ async fn answer_latest<M: Message>(
     queries: flume::Receiver<Query>,
 ) {
     let Ok(key) = KeyExpr::new(key) else {
-        return; // it has been declared, so it is one
+        return; // the key is valid, because it has been declared
     };
     while let Ok(query) = queries.recv_async().await {
-        // The query may be for all parameters: the reply goes to the key of this one.
+        // The query may request all parameters. The reply needs the concrete key of this parameter.
         let payload = lock(&latest).clone();
         if let Some(payload) = payload {
             reply(&query, &key, payload, M::encoding()).await;

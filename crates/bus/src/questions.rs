@@ -1,4 +1,4 @@
-//! Queries that a service answers itself.
+//! Queries to which a service replies itself.
 
 use tracing::debug;
 use zenoh::key_expr::KeyExpr;
@@ -9,7 +9,8 @@ use crate::error::BusError;
 use crate::message::Message;
 use crate::session::Bus;
 
-/// Queries on a key expression, in the order in which they came; one more than wait is dropped, and its asker hears nothing.
+/// Queue of the queries on a key expression, in order of arrival. If it is full, a further query is
+/// dropped without a reply.
 #[derive(Debug)]
 pub struct Questions {
     queries: flume::Receiver<Query>,
@@ -23,10 +24,10 @@ pub struct Question {
 }
 
 impl Bus {
-    /// Takes queries on a key expression; at most `waiting` wait.
+    /// Declares a queryable on a key expression. At most `waiting` queries wait.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub fn questions<'a>(
         &'a self,
         key_expression: String,
@@ -45,7 +46,7 @@ impl Bus {
 }
 
 impl Questions {
-    /// Waits for the next query; safe to drop while waiting. None once the session is closed.
+    /// Waits for the next query. The wait is cancel-safe. Returns `None` if the session is closed.
     pub async fn next(&self) -> Option<Question> {
         let query = self.queries.recv_async().await.ok()?;
         Some(Question { query })
@@ -53,28 +54,28 @@ impl Questions {
 }
 
 impl Question {
-    /// The key expression asked for, which may be a pattern.
+    /// Returns the queried key expression, which may be a pattern.
     #[must_use]
     pub fn key_expression(&self) -> &str {
         self.query.key_expr().as_str()
     }
 
-    /// The parameters, such as `from=0;points=10`.
+    /// Returns the parameters, such as `from=0;points=10`.
     #[must_use]
     pub fn parameters(&self) -> &str {
         self.query.parameters().as_str()
     }
 
-    /// Whether a key is asked for.
+    /// Returns `true` if the query matches a key.
     #[must_use]
     pub fn is_for(&self, key: &str) -> bool {
         KeyExpr::new(key).is_ok_and(|key| self.query.key_expr().intersects(&key))
     }
 
-    /// Answers on a concrete key.
+    /// Replies on a concrete key.
     ///
     /// # Errors
-    /// The message is malformed. That the asker has gone is none.
+    /// Fails if the message is malformed. A disconnected client is not an error.
     pub async fn answer<M: Message>(&self, key: &str, message: &M) -> Result<(), BusError> {
         let payload = message.encode().map_err(|source| BusError::Encode {
             key: key.to_owned(),
@@ -86,7 +87,7 @@ impl Question {
         Ok(())
     }
 
-    /// Answers that it cannot be answered, and why.
+    /// Replies with an error and its reason.
     pub async fn refuse(&self, why: &str) {
         if let Err(error) = self.query.reply_err(why).await {
             debug!(%error, "refusal not sent");

@@ -1,15 +1,16 @@
-//! The parameters of a query for missing items: `?after=SEQUENCE;limit=ITEMS;epoch=EPOCH`.
+//! Parameters of a query for missing items: `?after=SEQUENCE;limit=ITEMS;epoch=EPOCH`.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// Items per answer when the query names none.
+/// Number of items per reply if the query does not specify a limit.
 const DEFAULT_LIMIT: u64 = 1000;
 
-/// Which items are asked for.
+/// The items that a query requests.
 ///
-/// `after` counts: the asker has the first `after` items of the epoch, so the answer starts with item number `after`,
-/// or with the oldest one still held if that is later. If the answerer is in another epoch, it answers with its oldest.
+/// `after` is a count: the client already has the first `after` items of the epoch. The reply
+/// starts with item number `after`, or with the oldest stored item if that is later. If the source
+/// is in another epoch, the reply starts with its oldest item.
 ///
 /// ```
 /// use spandrel_bus::QueryRange;
@@ -19,21 +20,22 @@ const DEFAULT_LIMIT: u64 = 1000;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueryRange {
-    /// Number of items the asker has: number of the first one wanted. Missing means 0.
+    /// Number of items that the client has, which is the number of the first requested item.
+    /// Default 0.
     pub after: u64,
-    /// Most items wanted in the answer; the answerer may give fewer. Missing means 1000.
+    /// Maximum number of items in the reply; the source may return fewer. Default 1000.
     pub limit: u64,
-    /// The epoch in which the asker counts; none if it has seen none yet.
+    /// Epoch in which the client counts. `None` if it has not received any epoch yet.
     pub epoch: Option<u64>,
 }
 
-/// A query parameter that is no number.
+/// A query parameter that is not a whole number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("query parameter {key} is {found:?}, must be a whole number")]
 pub struct RangeError {
-    /// The parameter.
+    /// Name of the parameter.
     pub key: &'static str,
-    /// Its value.
+    /// Rejected value, cut to 32 characters.
     pub found: String,
 }
 

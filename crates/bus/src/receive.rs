@@ -1,4 +1,4 @@
-//! From a sample of Zenoh to a message: limits first, then decoding.
+//! Decoding of received samples, within limits.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,7 @@ use zenoh::sample::Sample;
 use crate::flood::{FloodGate, Flooded};
 use crate::message::{DecodeError, MAX_MESSAGE_BYTES, Message};
 
-/// Reads a message; what is too large is not even brought into one piece.
+/// Decodes a message. Checks its size before its fragments are joined.
 pub(crate) fn read<M: Message>(sample: &Sample) -> Result<M, DecodeError> {
     let bytes = sample.payload().len();
     if bytes > MAX_MESSAGE_BYTES {
@@ -16,7 +16,7 @@ pub(crate) fn read<M: Message>(sample: &Sample) -> Result<M, DecodeError> {
     M::decode(&sample.encoding().to_string(), &sample.payload().to_bytes())
 }
 
-/// A [`FloodGate`] by the clock of the wall.
+/// A [`FloodGate`] that uses the wall clock.
 #[derive(Debug)]
 pub(crate) struct Intake {
     gate: FloodGate,
@@ -36,7 +36,7 @@ impl Intake {
         }
     }
 
-    /// Takes a sample, or says why not.
+    /// Accepts a sample, or returns the reason for dropping it.
     pub(crate) fn take(&mut self, sample: &Sample) -> Result<(), Flooded> {
         let since: Duration = self.start.elapsed();
         self.gate.take(sample.key_expr().as_str(), since)

@@ -1,4 +1,4 @@
-//! The latest items of a stream, kept for those who missed them.
+//! Buffer of the latest items of a stream, for readers that have missed them.
 
 use std::marker::PhantomData;
 use std::time::{Duration, Instant};
@@ -7,41 +7,47 @@ use crate::kept::{Kept, KeptBlocks};
 use crate::message::{Block, CaughtUp, Header, StreamState};
 use crate::range::QueryRange;
 
-/// Most bytes of one answer, roughly: a few Zenoh batches, so that an answer is rarely dropped under load.
+/// Approximate maximum size of one reply, in bytes. A few Zenoh batches are rarely dropped under
+/// load.
 pub(crate) const ANSWER_BYTES: usize = 256 << 10;
 
-/// The last items that a source has put, in their order, as they were encoded: a third of the room that they take decoded.
+/// A bounded buffer of the most recent items of a stream.
 ///
-/// Full means that the oldest block is forgotten; who asks for it gets the oldest one left, and sees the gap.
+/// A publisher stores its latest blocks here, so that subscribers can fetch blocks that they have
+/// missed. Blocks remain encoded, which takes a third of the memory of decoded blocks.
+///
+/// When the ring is full, it drops the oldest block. A query for a dropped block returns the oldest
+/// remaining block, and the subscriber detects the gap from its sequence number.
 #[derive(Clone, Debug)]
 pub struct Ring<B> {
     source: String,
     epoch: u64,
-    /// Term in which the source leads: it answers in that, also with what it kept before.
+    /// Term of the leader. Replies contain this term, also with blocks stored in an earlier term.
     term: u64,
     blocks: KeptBlocks,
     items: u64,
     keep: Keep,
-    /// Number of the first item that somebody may still need who is known.
+    /// Number of the first item that a known reader may still need.
     released: u64,
     next: u64,
     state: StreamState,
     block: PhantomData<fn(B)>,
 }
 
-/// What a ring keeps.
+/// Limits of the contents of a ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keep {
-    /// Items kept at most, but for the rest of a block.
+    /// Maximum number of items, rounded up to whole blocks.
     pub last: u64,
-    /// What is forgotten before that of items that somebody may need; none: nothing.
+    /// Earlier removal of items that a reader may still need. `None`: they stay until the ring is
+    /// full.
     pub needed: Option<Forget>,
-    /// The same of items that were [released](Ring::release); none: as of the others.
+    /// Earlier removal of items that were [released](Ring::release). `None`: as for other items.
     pub released: Option<Forget>,
 }
 
 impl Keep {
-    /// The last so many items, however old.
+    /// Keeps the last `last` items, regardless of their age.
     #[must_use]
     pub fn last(last: u64) -> Self {
         Self {
@@ -52,42 +58,42 @@ impl Keep {
     }
 }
 
-/// What is forgotten before a ring is full: what is this old and not among the last items.
+/// Removal of blocks by age, before a ring is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Forget {
-    /// Items kept however old they are.
+    /// Number of latest items that are kept regardless of their age.
     pub at_least: u64,
-    /// Age from which others are forgotten.
+    /// Age from which other items are removed.
     pub after: Duration,
 }
 
-/// What a ring answers.
+/// Reply of a ring.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer<B> {
-    /// Items, the first at or after the number asked for.
+    /// A block. Its first item is at or after the requested number.
     Block(B),
-    /// There are none yet.
+    /// There are no such items yet.
     CaughtUp(CaughtUp),
 }
 
-/// A block that does not follow the one before.
+/// A block that does not follow the previous block.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "block starts at item {found} of epoch {found_epoch}, expected item {expected} of epoch {epoch} or a later epoch"
 )]
 pub struct NotConsecutive {
-    /// Number expected.
+    /// Expected sequence number.
     pub expected: u64,
     /// Epoch of the stream.
     pub epoch: u64,
-    /// Number found.
+    /// Sequence number found.
     pub found: u64,
     /// Epoch found.
     pub found_epoch: u64,
 }
 
 impl<B: Block> Ring<B> {
-    /// An empty ring.
+    /// Creates an empty ring.
     #[must_use]
     pub fn new(source: String, epoch: u64, keep: Keep) -> Self {
         let (blocks, state) = (KeptBlocks::default(), StreamState::Running);
@@ -105,7 +111,7 @@ impl<B: Block> Ring<B> {
         }
     }
 
-    /// As [`Ring::new`], of a source that goes on at item `first` of its epoch: those before it are kept elsewhere, or nowhere.
+    /// Continues at item `first` of the epoch. The ring does not contain earlier items.
     #[must_use]
     pub fn going_on(self, first: u64, state: StreamState) -> Self {
         Self {
@@ -115,42 +121,43 @@ impl<B: Block> Ring<B> {
         }
     }
 
-    /// Answers in this term of leadership from now on.
+    /// Sets the term of the leader for all replies.
     pub(crate) fn lead(&mut self, term: u64) {
         self.term = term;
     }
 
-    /// Term in which the source leads.
+    /// Returns the term of the leader.
     pub(crate) fn term(&self) -> u64 {
         self.term
     }
 
-    /// The epoch.
+    /// Returns the epoch.
     pub(crate) fn epoch(&self) -> u64 {
         self.epoch
     }
 
-    /// Number of the oldest item kept; that of the next one if none is.
+    /// Returns the number of the oldest stored item, or of the next item if the ring is empty.
     pub(crate) fn first(&self) -> u64 {
         self.blocks
             .front()
             .map_or(self.next, |oldest| oldest.sequence)
     }
 
-    /// Number of the item expected next.
+    /// Returns the number of the next expected item.
     #[must_use]
     pub fn next(&self) -> u64 {
         self.next
     }
 
-    /// Whoever is known to need the items of an epoch needs those before number `first` no more.
+    /// Releases the items before number `first` of an epoch, which no known reader needs any
+    /// longer.
     pub fn release(&mut self, epoch: u64, first: u64) {
         if epoch == self.epoch {
             self.released = first;
         }
     }
 
-    /// Takes back the items from number `first` on: the source will put them again.
+    /// Removes the items from number `first` on. The source will publish them again.
     pub fn take_back(&mut self, first: u64) {
         while let Some(last) = self.blocks.back().filter(|last| last.end() > first) {
             let (sequence, put_at, kept) = (
@@ -173,12 +180,14 @@ impl<B: Block> Ring<B> {
         self.state = StreamState::Running;
     }
 
-    /// Adds the next block with its encoding, put now; one of a higher epoch replaces everything.
+    /// Adds the next block with its encoding, published at `now`. A block of a higher epoch
+    /// replaces the whole contents.
     ///
-    /// The first block of an epoch may start at any number: a source that goes on from a checkpoint does.
+    /// The first block of an epoch may start at any number, because a source can resume from a
+    /// checkpoint.
     ///
     /// # Errors
-    /// The block does not follow the last one, or its epoch is over.
+    /// Fails if the block does not follow the previous block or belongs to an earlier epoch.
     pub fn push(&mut self, block: &B, payload: &[u8], now: Instant) -> Result<(), NotConsecutive> {
         let header = block.header();
         let restarts = header.epoch > self.epoch;
@@ -227,7 +236,8 @@ impl<B: Block> Ring<B> {
         }
     }
 
-    /// The items asked for, joined to one block as far as they fit, or that there are none.
+    /// Returns the requested items, joined to one block up to the size limit, or reports that there
+    /// are none.
     #[must_use]
     pub fn answer(&self, range: &QueryRange) -> Answer<B> {
         let same_epoch = range.epoch.is_none_or(|epoch| epoch == self.epoch);
@@ -261,7 +271,8 @@ impl<B: Block> Ring<B> {
         Some(block)
     }
 
-    /// Whoever has all items may still not know that the stream has ended.
+    /// Replies to a reader that has all items. If the stream has ended, the reader may not know it
+    /// yet.
     fn answer_at_the_end(&self, after: u64) -> Answer<B> {
         let has_all = self.state == StreamState::Ended && after == self.next;
         match self
@@ -288,7 +299,7 @@ impl<B: Block> Ring<B> {
 }
 
 fn decode<B: Block>(kept: &Kept<'_>) -> Option<B> {
-    B::decode(&B::encoding(), kept.payload).ok() // it was encoded here
+    B::decode(&B::encoding(), kept.payload).ok() // encoded by this crate
 }
 
 #[cfg(test)]
@@ -353,7 +364,7 @@ mod tests {
         assert_eq!(numbers(ring.answer(&range(0, 100))), (0, 14));
     }
 
-    /// A ring into which a block of two frames is put each second, and what it has then.
+    /// Creates a ring that received a block of two frames per second for one minute.
     #[expect(
         clippy::disallowed_methods,
         reason = "the beginning of times that are then given"

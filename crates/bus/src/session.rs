@@ -1,4 +1,4 @@
-//! Opens and closes the Zenoh session.
+//! Opening and closing of the Zenoh session.
 
 use std::net::{TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
 use std::num::NonZeroUsize;
@@ -20,33 +20,33 @@ use crate::protection;
 use crate::stream::StreamSettings;
 use crate::tls::TlsConfig;
 
-/// Endpoint of the first Spandrel on a machine: reachable from this machine only.
+/// Endpoint of the first Spandrel process on a machine. Only this machine can reach it.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// Bytes that key, encoding and headers of the link may take around a payload.
+/// Maximum number of bytes that key, encoding and link headers add to a payload.
 pub const AROUND_THE_PAYLOAD: usize = 65_536;
 
-/// Leases that can be kept: shorter ones end links that are merely busy.
+/// Valid leases, s. A shorter lease would end links that are merely busy.
 const LEASES_S: std::ops::RangeInclusive<f64> = 0.5..=3600.0;
 
-/// How long an endpoint is tried again when the reason of a failure is looked for.
+/// Timeout for one endpoint during the diagnosis of a failure.
 const DIAGNOSIS: Duration = Duration::from_millis(500);
 
-/// The part that this session plays in the Zenoh network.
+/// Role of this session in the Zenoh network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", try_from = "String")]
 pub enum Mode {
-    /// Talks to other peers directly.
+    /// Communicates directly with other peers.
     #[default]
     Peer,
-    /// Talks through one router.
+    /// Communicates through one router.
     Client,
-    /// Routes for others.
+    /// Routes messages between other sessions.
     Router,
 }
 
 impl Mode {
-    /// As Zenoh writes it.
+    /// Returns the name of the mode, as in Zenoh's configuration.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -73,29 +73,36 @@ impl std::fmt::Display for Mode {
     }
 }
 
-/// How to join the bus.
+/// Settings of a connection to the bus.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BusConfig {
     /// First chunk of all key expressions.
     pub root: String,
-    /// Peer, client or router; a configuration file takes precedence.
+    /// Peer, client or router. A configuration file takes precedence.
     pub mode: Mode,
-    /// Endpoints to listen on, such as `quic/0.0.0.0:7447`; what others than this machine can reach needs `quic`. Empty: [`DEFAULT_ENDPOINT`] if nothing is to be connected
-    /// to, otherwise any free port of the loopback interface (peers), or none (clients).
+    /// Endpoints to listen on, such as `quic/0.0.0.0:7447`. Endpoints that other machines can reach
+    /// require `quic`.
+    ///
+    /// If the list is empty and there is no configuration file, a peer or router without `connect`
+    /// listens on [`DEFAULT_ENDPOINT`]. A peer with `connect` listens on a free port of the
+    /// loopback interface. Other sessions do not listen.
     pub listen: Vec<String>,
-    /// Endpoints to connect to. All of them must answer (of a client: one).
+    /// Endpoints to connect to. All of them must reply; for a client, one of them.
     pub connect: Vec<String>,
-    /// Time within which they must, s; none: the session opens at once and keeps trying.
+    /// Timeout of these connections, s. `None`: the session opens at once and keeps trying.
     pub connect_timeout_s: Option<f64>,
-    /// Time without a sign of life after which others take this process for gone, s; none: Zenoh's, 10 s.
+    /// Time without a sign of life after which others consider this process gone, s. `None`:
+    /// Zenoh's default, 10 s.
     pub lease_s: Option<f64>,
-    /// Messages that wait for each reader of a lossless stream, at least 1; what finds no room is fetched later.
+    /// Maximum number of waiting messages per reader of a lossless stream, at least 1. Excess
+    /// messages are fetched later.
     pub queue: NonZeroUsize,
-    /// Certificates, for endpoints `quic/…`; both sides have to show one of the same authority.
+    /// Certificates for `quic/…` endpoints. Both sides must present a certificate of the same
+    /// authority.
     pub tls: Option<TlsConfig>,
-    /// A Zenoh configuration file (JSON5), for access control and all else; the settings above that are not empty are
-    /// laid over it.
+    /// A Zenoh configuration file (JSON5), for access control and all other settings. Non-empty
+    /// settings of this struct override it, except `mode`.
     pub config_file: Option<PathBuf>,
 }
 
@@ -116,7 +123,7 @@ impl Default for BusConfig {
 }
 
 impl BusConfig {
-    /// Endpoints to listen on, with the default that the documentation of `listen` promises.
+    /// Returns the endpoints to listen on, with the defaults described at `listen`.
     fn effective_listen(&self) -> Vec<String> {
         let nothing_said = self.listen.is_empty() && self.config_file.is_none();
         match (nothing_said, self.mode, self.connect.is_empty()) {
@@ -148,9 +155,11 @@ impl BusConfig {
         let mut set = |key: &'static str, value: Value| set(&mut config, key, &value);
         if self.config_file.is_none() {
             set("mode", self.mode.as_str().into())?;
-            // On a site network, whoever answers a multicast would become part of the system.
+            // On a site network, any host that replies to a multicast would become part of the
+            // system.
             set("scouting/multicast/enabled", false.into())?;
-            // Zenoh would put together messages of 1 GiB, only to have them refused here.
+            // Zenoh would otherwise reassemble messages of up to 1 GiB, only to have them rejected
+            // here.
             set(
                 "transport/link/rx/max_message_size",
                 (MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD).into(),
@@ -189,7 +198,9 @@ impl BusConfig {
         Ok(config)
     }
 
-    /// Zenoh says little when it cannot open a session: tries what it tried, to name the endpoint and the reason.
+    /// Repeats the steps of opening a session to identify the endpoint and the reason of a failure.
+    ///
+    /// Zenoh itself reports little.
     async fn diagnose(&self, listen: &[String], source: ZenohError) -> BusError {
         for endpoint in listen {
             let parts = Endpoint::new(endpoint);
@@ -244,7 +255,7 @@ impl BusConfig {
         }
     }
 
-    /// Where endpoints to listen on or to connect to were chosen, in the words of who did.
+    /// Returns the setting that specifies the endpoints to listen on or to connect to.
     fn place(&self, what: &str) -> String {
         let is_said_here = match what {
             "connect" => !self.connect.is_empty(),
@@ -269,7 +280,7 @@ pub(crate) fn set(
         .map_err(|source| BusError::Setting { key, value, source })
 }
 
-/// A path as Zenoh takes it.
+/// Converts a path for the Zenoh configuration.
 fn text(path: &Path) -> Result<Value, BusError> {
     let text = path.to_str().ok_or_else(|| BusError::PathNotText {
         path: path.to_owned(),
@@ -277,7 +288,7 @@ fn text(path: &Path) -> Result<Value, BusError> {
     Ok(text.into())
 }
 
-/// Endpoints as Zenoh is given them.
+/// Converts endpoints for the Zenoh configuration.
 fn all_in_order(endpoints: &[String]) -> Value {
     endpoints
         .iter()
@@ -299,7 +310,7 @@ fn reach(address: &str) -> std::io::Result<()> {
     result
 }
 
-/// A session, shared by all services of a process; cloning is cheap.
+/// A session, shared by all services of a process. Cloning is cheap.
 #[derive(Clone, Debug)]
 pub struct Bus {
     session: Session,
@@ -307,10 +318,10 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Opens a session; needs a multi-threaded tokio runtime.
+    /// Opens a session. It requires a multi-threaded tokio runtime.
     ///
     /// # Errors
-    /// An endpoint that is taken or does not answer is named, with what to do about it.
+    /// The error names an endpoint that is in use or does not reply, and suggests a remedy.
     pub fn open<'a>(config: &'a BusConfig) -> BoxedFuture<'a, Result<Self, BusError>> {
         Box::pin(async move {
             if let Some(tls) = &config.tls {
@@ -328,11 +339,13 @@ impl Bus {
         })
     }
 
-    /// Opens a session that does nothing but route, from a configuration file of `zenohd`; needs a multi-threaded tokio
-    /// runtime. Returns it with the endpoints that it listens on.
+    /// Opens a session that only routes, from a configuration file of `zenohd`.
+    ///
+    /// It requires a multi-threaded tokio runtime. Returns the session and the endpoints on which
+    /// it listens.
     ///
     /// # Errors
-    /// What is wrong with the file is named, as is an endpoint that is taken.
+    /// The error names the fault in the file, or an endpoint that is in use.
     pub fn open_router<'a>(
         file: &'a Path,
     ) -> BoxedFuture<'a, Result<(Self, Vec<String>), BusError>> {
@@ -347,7 +360,7 @@ impl Bus {
                     source,
                 })?;
             match protection::mode(&zenoh_config)? {
-                // what zenohd takes a file for that does not say
+                // This is the default mode of zenohd.
                 None => set(&mut zenoh_config, "mode", &"router".into())?,
                 Some(Mode::Router) => {}
                 Some(found @ (Mode::Peer | Mode::Client)) => {
@@ -372,7 +385,7 @@ impl Bus {
         })
     }
 
-    /// Settings for reading a lossless stream, with the queue of the configuration.
+    /// Returns settings to read a lossless stream, with the queue size of the configuration.
     #[must_use]
     pub fn reading(&self, start: Start) -> StreamSettings {
         let settings = StreamSettings::new(start);
@@ -383,21 +396,22 @@ impl Bus {
         }
     }
 
-    /// Whether a router is connected to: it may allow parties what their roles need, and drop the rest.
+    /// Returns `true` if the session is connected to a router. A router may enforce access rules
+    /// and drop messages.
     pub fn reaches_a_router<'a>(&'a self) -> BoxedFuture<'a, bool> {
         Box::pin(async move { self.session.info().routers_zid().await.next().is_some() })
     }
 
-    /// The Zenoh session below, for what this room does not offer.
+    /// Returns the Zenoh session, for functions that this crate does not provide.
     #[must_use]
     pub fn session(&self) -> &Session {
         &self.session
     }
 
-    /// Closes the session: everything declared on it ends, and others see its tokens go.
+    /// Closes the session with all its declarations. Other sessions see its tokens disappear.
     ///
     /// # Errors
-    /// Zenoh could not say goodbye in time.
+    /// Fails if Zenoh cannot close the session in time.
     pub fn close(self) -> BoxedFuture<'static, Result<(), BusError>> {
         Box::pin(async move {
             let closed = self.session.close().await;
@@ -407,10 +421,10 @@ impl Bus {
 }
 
 impl BusConfig {
-    /// The keys of a structure below the root of this configuration.
+    /// Returns the keys of a structure below the root of this configuration.
     ///
     /// # Errors
-    /// The root or the structure is no [`Name`].
+    /// Fails if the root or the structure is not a [`Name`].
     pub fn keys(&self, structure: &str) -> Result<Keys, BusError> {
         let root = Name::new(&*self.root).map_err(|source| BusError::Root { source })?;
         let structure = Name::new(structure).map_err(|source| BusError::Structure { source })?;

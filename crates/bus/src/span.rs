@@ -1,4 +1,4 @@
-//! The parameters of a query for what was: `?from=TIME;to=TIME;points=COUNT;kind=KIND`.
+//! Parameters of a query for the history: `?from=TIME;to=TIME;points=COUNT;kind=KIND`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,13 +7,13 @@ use jiff::Timestamp;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 
-/// Points of an answer when the query names none.
+/// Number of points per reply if the query does not specify it.
 const DEFAULT_POINTS: usize = 1_000;
-/// Most points of an answer.
+/// Maximum number of points per reply.
 const MOST_POINTS: usize = 20_000;
 const NS_PER_S: i64 = 1_000_000_000;
 
-/// Which span of time is asked for, in how many points.
+/// Time span and number of points that a query requests.
 ///
 /// ```
 /// use spandrel_bus::SpanQuery;
@@ -26,34 +26,36 @@ const NS_PER_S: i64 = 1_000_000_000;
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpanQuery {
-    /// First time, ns since the Unix epoch, UTC. Missing means from the first one kept.
+    /// Start of the span, ns since the Unix epoch, UTC. By default, the earliest stored value.
     pub from_ns: i64,
-    /// Last time. Missing means up to now.
+    /// End of the span, ns since the Unix epoch, UTC. By default, the latest stored value.
     pub to_ns: i64,
-    /// Most points wanted, 1 to 20,000. Missing means 1,000.
+    /// Maximum number of points, 1 to 20,000. Default 1,000.
     pub points: usize,
-    /// What kind of quantity is asked for. Missing means `parameter`.
+    /// Kind of the quantity. Default `parameter`.
     pub kind: String,
 }
 
-/// A query parameter that cannot be used.
+/// A query parameter with an invalid name or value.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("query parameter {key} is {found:?}, must be {allowed}")]
 pub struct SpanError {
-    /// The parameter.
+    /// Name of the parameter.
     pub key: String,
-    /// Its value.
+    /// Rejected value.
     pub found: String,
-    /// What it may be.
+    /// Description of the valid values.
     pub allowed: &'static str,
 }
 
-/// What a time may be.
+/// Description of the valid times, for error messages.
 pub const TIMES: &str =
     "seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z or 2026-03-01";
 
-/// Reads a time: seconds since 1970, or ISO 8601; without an offset it is UTC, and a day begins at midnight. Returns ns since the
-/// Unix epoch, UTC.
+/// Parses a time, in seconds since 1970 or ISO 8601, and returns ns since the Unix epoch, UTC.
+///
+/// A time without an offset is UTC. A date without a time is its midnight. Returns `None` if the
+/// text is not a time or is out of range.
 ///
 /// ```
 /// use spandrel_bus::time_ns;
@@ -68,7 +70,7 @@ pub fn time_ns(text: &str) -> Option<i64> {
         return Some(time_ns);
     }
     if let Ok(seconds) = text.parse::<f64>() {
-        // a cast of what no i64 holds stops at its ends
+        // The cast saturates at the limits of i64.
         return (!seconds.is_nan()).then_some((seconds * 1e9) as i64);
     }
     let of_calendar = || {
@@ -78,7 +80,7 @@ pub fn time_ns(text: &str) -> Option<i64> {
             .ok()
             .map(|zoned| zoned.timestamp())
     };
-    // in the address of a page a plus sign that is not escaped is a space
+    // In a URL, a plus sign that is not escaped is a space.
     let with_sign = || {
         text.rsplit_once(' ')
             .and_then(|(time, offset)| format!("{time}+{offset}").parse().ok())
@@ -87,7 +89,7 @@ pub fn time_ns(text: &str) -> Option<i64> {
     i64::try_from(time.as_nanosecond()).ok()
 }
 
-/// Reads seconds in digits alone, to the nanosecond: a floating-point number of them is known to 0.24 µs only.
+/// Parses decimal seconds to the nanosecond. Floating-point seconds are accurate to 0.24 µs only.
 fn decimal_ns(text: &str) -> Option<i64> {
     let (sign, digits) = text
         .strip_prefix('-')
@@ -106,7 +108,7 @@ fn decimal_ns(text: &str) -> Option<i64> {
         .checked_mul(sign)
 }
 
-/// Seconds as digits that are read back as the same nanosecond.
+/// Formats a time in seconds, so that it is parsed as the same nanosecond.
 fn seconds(time_ns: i64) -> String {
     let (sign, size) = (if time_ns < 0 { "-" } else { "" }, time_ns.unsigned_abs());
     let (whole, fraction) = (
@@ -160,7 +162,7 @@ impl FromStr for SpanQuery {
                 },
                 "kind" if value.len() <= 64 => value.clone_into(&mut query.kind),
                 "kind" => return Err(refused("kind", "a word")),
-                _ if key.starts_with('_') => {} // of Zenoh itself
+                _ if key.starts_with('_') => {} // parameters of Zenoh itself
                 _ => {
                     return Err(refused(
                         key,
@@ -196,7 +198,8 @@ impl fmt::Display for SpanQuery {
 mod tests {
     use super::*;
 
-    /// Broke: the end of a span was rounded to what lies behind it, and the first point there came twice.
+    /// Regression test: the end of a span was rounded up to the start of the next span, so that
+    /// both replies contained the first point of the next span.
     #[test]
     fn a_query_is_read_back_to_the_nanosecond() {
         let at_ns = 1_671_532_441_000_000_000;

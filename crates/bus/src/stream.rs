@@ -1,4 +1,4 @@
-//! Reads a lossless stream: joins [`Follower`] to Zenoh.
+//! Readers of lossless streams, which connect [`Follower`] to Zenoh.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
@@ -26,32 +26,33 @@ use crate::receive::{Intake, read};
 use crate::ring::Answer;
 use crate::session::Bus;
 
-/// Longest pause between fetches that fail, and between polls of an idle stream.
+/// Maximum pause between failing fetches, and between polls of an idle stream.
 const LONGEST_PAUSE: Duration = Duration::from_millis(2_400);
-/// Pause before the second try of a fetch; it doubles up to [`LONGEST_PAUSE`].
+/// Pause before the second attempt of a fetch. It doubles up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 
-/// How to read a lossless stream.
+/// Settings of a reader of a lossless stream.
 #[derive(Clone, Debug)]
 pub struct StreamSettings {
-    /// Where to start.
+    /// Start position.
     pub start: Start,
-    /// How long missing items are asked for.
+    /// Duration of the attempts to fetch missing items.
     pub patience: Patience,
-    /// Messages waiting between Zenoh and the reader; when it is full the newest is dropped, and fetched later.
+    /// Maximum number of messages between Zenoh and the reader. If the queue is full, the newest
+    /// message is dropped and fetched later.
     pub queue: usize,
-    /// Blocks waiting for the consumer; when it is full the reader waits.
+    /// Maximum number of blocks that wait for the consumer. If the queue is full, the reader waits.
     pub deliveries: usize,
-    /// Items per fetch.
+    /// Maximum number of items per fetch.
     pub fetch_limit: u64,
-    /// Time without a message after which the source is asked whether one was lost.
+    /// Time without a message after which the reader queries the source for lost messages.
     pub idle: Duration,
-    /// Time within which a fetch must be answered.
+    /// Timeout of a fetch.
     pub fetch_timeout: Duration,
 }
 
 impl StreamSettings {
-    /// Settings for a stream of a few hundred blocks per second.
+    /// Returns settings for a stream of a few hundred blocks per second.
     #[must_use]
     pub fn new(start: Start) -> Self {
         Self {
@@ -65,7 +66,8 @@ impl StreamSettings {
         }
     }
 
-    /// As these, of a source that keeps what it has put: what is missing is asked for until it answers.
+    /// Returns these settings for a source that stores its items. Fetches of missing items are
+    /// repeated until it replies.
     #[must_use]
     pub fn patient(self) -> Self {
         Self {
@@ -75,23 +77,24 @@ impl StreamSettings {
     }
 }
 
-/// What a reader has counted.
+/// Counts of a reader.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StreamCounts {
-    /// What did not come straight through.
+    /// Irregularities of the stream.
     pub follow: FollowCounts,
-    /// Messages that found the queue full.
+    /// Number of messages dropped because the queue was full.
     pub overflowed: u64,
-    /// Messages dropped unread because too many came at once; they are fetched at the pace of the reader.
+    /// Number of messages dropped unread because of the rate limit. The reader fetches them at its
+    /// own pace.
     pub flooded: u64,
-    /// Messages refused, by reason.
+    /// Number of rejected messages, by reason.
     pub refused: BTreeMap<&'static str, u64>,
-    /// Blocks that the reader's own check found unfit, by its reason.
+    /// Number of blocks that the reader's own check rejected, by reason.
     pub unfit: BTreeMap<&'static str, u64>,
 }
 
 impl StreamCounts {
-    /// What was dropped, lost or mended, by reason, for a status message.
+    /// Returns the number of dropped, lost or recovered items by reason, for a status message.
     #[must_use]
     pub fn drops(&self) -> BTreeMap<String, u64> {
         let follow = &self.follow;
@@ -123,7 +126,7 @@ impl StreamCounts {
     }
 }
 
-/// A lossless stream being read; reading ends when this is dropped.
+/// A reader of a lossless stream. Reading ends when it is dropped.
 #[derive(Debug)]
 pub struct Stream<B> {
     deliveries: flume::Receiver<Delivery<B>>,
@@ -131,9 +134,11 @@ pub struct Stream<B> {
     _reading: JoinSet<()>,
 }
 
-/// Several lossless streams that are read by one task into one queue; reading ends when this is dropped.
+/// A reader of several lossless streams with one task and one queue. Reading ends when it is
+/// dropped.
 ///
-/// Blocks of sources that measure together come together: they wake their readers once, not each its own.
+/// Blocks of sources that measure simultaneously arrive together. The group wakes its consumer once
+/// for all of them.
 #[derive(Debug)]
 pub struct StreamGroup<B> {
     deliveries: mpsc::Receiver<(usize, Delivery<B>)>,
@@ -141,20 +146,20 @@ pub struct StreamGroup<B> {
     _reading: JoinSet<()>,
 }
 
-/// A stream to read.
+/// Settings of one stream of a group.
 pub struct Reading<B> {
     /// Key of the blocks.
     pub key: String,
-    /// Key on which missing items are asked for.
+    /// Key of the queries for missing items.
     pub buffer_key: String,
-    /// How to read.
+    /// Settings of the reader.
     pub settings: StreamSettings,
-    /// Says why a block does not fit, if it does not: it is counted under that reason, and changes nothing, whatever its epoch and
-    /// numbers say.
+    /// Check of each block. A rejected block is counted under its reason and changes nothing,
+    /// regardless of its epoch and numbers.
     pub check: Check<B>,
 }
 
-/// What Zenoh hands over of one stream, and what is counted of it.
+/// Subscription of one stream, with its counts.
 #[derive(Debug)]
 struct Source {
     counts: Arc<Mutex<StreamCounts>>,
@@ -176,15 +181,16 @@ impl Source {
 }
 
 impl<B: Block> Stream<B> {
-    /// The items in order; safe to drop while waiting, and may be read from a thread without a runtime.
+    /// Returns the queue of items in order. It can be read from a thread without a runtime, and a
+    /// wait is cancel-safe.
     ///
-    /// It never disconnects while this stream exists.
+    /// The queue disconnects only when the session is closed.
     #[must_use]
     pub fn deliveries(&self) -> &flume::Receiver<Delivery<B>> {
         &self.deliveries
     }
 
-    /// What has been counted so far.
+    /// Returns the counts so far.
     #[must_use]
     pub fn counts(&self) -> StreamCounts {
         self.source.counts()
@@ -192,27 +198,30 @@ impl<B: Block> Stream<B> {
 }
 
 impl<B: Block> StreamGroup<B> {
-    /// Waits for the next item of any stream, and says of which; safe to drop while waiting. `None` never comes while this exists.
+    /// Waits for the next delivery and returns it with the index of its stream. The wait is
+    /// cancel-safe.
+    ///
+    /// Returns `None` if the session is closed or the group has no streams.
     pub async fn next(&mut self) -> Option<(usize, Delivery<B>)> {
         self.deliveries.recv().await
     }
 
-    /// The next item, if one is there.
+    /// Returns the next delivery with the index of its stream, if one is available.
     pub fn next_now(&mut self) -> Option<(usize, Delivery<B>)> {
         self.deliveries.try_recv().ok()
     }
 
-    /// What has been counted so far, by stream.
+    /// Returns the counts so far, per stream.
     pub fn counts(&self) -> impl Iterator<Item = StreamCounts> + '_ {
         self.sources.iter().map(Source::counts)
     }
 }
 
 impl Bus {
-    /// Reads the stream put on `key`, whose missing items are asked for on `buffer_key`.
+    /// Reads the stream on `key`, and queries missing items on `buffer_key`.
     ///
     /// # Errors
-    /// Zenoh refuses the key, or the session is closed.
+    /// Fails if Zenoh rejects a key or the session is closed.
     pub async fn follow<B: Block>(
         &self,
         key: String,
@@ -222,11 +231,13 @@ impl Bus {
         self.follow_fit(key, buffer_key, settings, |_| Ok(())).await
     }
 
-    /// As [`Bus::follow`], of blocks that fit: others are counted under the reason that `check` gives, and change nothing,
-    /// whatever their epoch and numbers say.
+    /// Reads a stream as [`Bus::follow`] does, with a check of every block.
+    ///
+    /// A rejected block is counted under the reason that `check` returns. It changes nothing,
+    /// regardless of its epoch and numbers.
     ///
     /// # Errors
-    /// As [`Bus::follow`].
+    /// Fails if Zenoh rejects a key or the session is closed.
     pub async fn follow_fit<B: Block>(
         &self,
         key: String,
@@ -253,10 +264,10 @@ impl Bus {
         })
     }
 
-    /// Reads several streams into one queue, in which so many blocks wait at most.
+    /// Reads several streams into one queue with room for `deliveries` blocks.
     ///
     /// # Errors
-    /// As [`Bus::follow`].
+    /// Fails if Zenoh rejects a key or the session is closed.
     pub fn follow_group<B: Block>(
         &self,
         streams: Vec<Reading<B>>,
@@ -291,7 +302,8 @@ impl Bus {
             check,
         } = stream;
         let overflowed = Arc::new(AtomicU64::new(0));
-        // In boxes: a queue has room for 32 of what it holds from the first one on, and there is one for each node.
+        // Samples are boxed, because each queue allocates room for 32 elements in advance, and
+        // there is one queue per node.
         let (samples, arrived) = mpsc::channel(settings.queue.max(1));
         let counts = Arc::new(Mutex::new(StreamCounts::default()));
         let flooded = Arc::new(AtomicU64::new(0));
@@ -342,14 +354,14 @@ impl Bus {
 }
 
 impl Bus {
-    /// Asks where a stream stands; none if nobody answers in time.
+    /// Queries the position of a stream. Returns `None` if there is no reply in time.
     pub fn stream_position<'a>(
         &'a self,
         buffer_key: &'a str,
         timeout: Duration,
     ) -> BoxedFuture<'a, Option<CaughtUp>> {
         Box::pin(async move {
-            // Nobody has so many items: the answer can only be where the stream ends.
+            // No source has so many items, so that the reply only contains the end of the stream.
             let range = QueryRange {
                 after: u64::MAX,
                 limit: 1,
@@ -367,7 +379,9 @@ impl Bus {
 }
 
 impl Bus {
-    /// Asks for the last item of a stream, and where it stands; none if nobody answers in time, or there is no item yet.
+    /// Queries the last item and the position of a stream.
+    ///
+    /// Returns `None` if there is no reply in time or no item yet.
     pub async fn last_item<B: Block>(
         &self,
         buffer_key: &str,
@@ -390,14 +404,14 @@ impl Bus {
     }
 }
 
-/// Where a reader puts what it has read.
+/// Destination of the deliveries of a reader.
 enum Out<B> {
     One(flume::Sender<Delivery<B>>),
     Group(usize, mpsc::Sender<(usize, Delivery<B>)>),
 }
 
 impl<B> Out<B> {
-    /// Waits where the queue is full; returns whether somebody still reads it.
+    /// Waits while the queue is full. Returns `false` if the queue no longer has a consumer.
     async fn put(&self, delivery: Delivery<B>) -> bool {
         match self {
             Self::One(queue) => queue.send_async(delivery).await.is_ok(),
@@ -406,7 +420,7 @@ impl<B> Out<B> {
     }
 }
 
-/// Says why a block does not fit its reader, if it does not.
+/// A check that returns the reason why a block does not suit its reader.
 pub type Check<B> = Box<dyn Fn(&B) -> Result<(), &'static str> + Send>;
 
 struct Reader<B> {
@@ -423,8 +437,9 @@ struct Reader<B> {
 
 impl<B: Block> Reader<B> {
     async fn run(mut self, mut arrived: mpsc::Receiver<Box<Sample>>, out: Out<B>) {
-        self.follower.idle(&mut self.actions); // what was put before this reader came
-        // Moved only when it has gone off or lies too far ahead: a timer set anew for each block costs more than reading the block.
+        self.follower.idle(&mut self.actions); // fetch earlier items
+        // The timer is only reset after it has elapsed or if it is too late. A reset per block
+        // would cost more than reading the block.
         let mut idle = std::pin::pin!(sleep(self.idle_pause()));
         loop {
             while let Some(action) = self.actions.pop_front() {
@@ -432,7 +447,7 @@ impl<B: Block> Reader<B> {
                     Action::Deliver(delivery) => {
                         self.log_gap(&delivery);
                         if !out.put(delivery).await {
-                            return; // nobody reads any more
+                            return; // no consumer
                         }
                     }
                     Action::Fetch { range, failures } => self.start_fetch(range, failures),
@@ -445,7 +460,7 @@ impl<B: Block> Reader<B> {
             }
             loop {
                 tokio::select! {
-                    biased; // answers first: they are what the messages after them wait for
+                    biased; // replies first, because the messages after them wait for them
                     fetched = answer_of(&mut self.fetch) => self.fetched(fetched),
                     sample = arrived.recv() => match sample {
                         Some(sample) => self.arrived(&sample),
@@ -501,7 +516,8 @@ impl<B: Block> Reader<B> {
         self.follower.unanswered(silence, &mut self.actions);
     }
 
-    /// Whether a block fits; if not it is counted, and logged each time the count has doubled.
+    /// Returns `true` if the reader's check accepts a block. Otherwise counts it, and logs it each
+    /// time the count has doubled.
     fn fits(&self, block: &B) -> bool {
         let Err(reason) = (self.check)(block) else {
             return true;
@@ -522,7 +538,7 @@ impl<B: Block> Reader<B> {
         false
     }
 
-    /// Counted always, logged each time the count has doubled.
+    /// Counts a rejected message, and logs it each time the count has doubled.
     fn refuse(&mut self, error: &DecodeError) {
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         let count = counts.refused.entry(error.reason()).or_default();
@@ -559,7 +575,7 @@ impl<B: Block> Reader<B> {
     }
 }
 
-/// Waits for the fetch under way, forever if there is none.
+/// Waits for the pending fetch, or forever if there is none.
 async fn answer_of<B>(
     fetch: &mut Option<Pin<Box<dyn Future<Output = Fetched<B>> + Send>>>,
 ) -> Fetched<B> {

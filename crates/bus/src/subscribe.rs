@@ -1,4 +1,4 @@
-//! Reads display topics: the newest values count.
+//! Subscriptions to display topics, whose newest values matter.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,15 +16,16 @@ use crate::name::Name;
 use crate::receive::{Intake, read};
 use crate::session::Bus;
 
-/// Answers to one query that are kept: more parameters than any structure has.
+/// Maximum number of replies to one query, above the number of parameters of any structure.
 const MOST_ANSWERS: usize = 16_384;
 
-/// Before a service that is there, and did not answer, is asked again; each pause is twice the one before.
+/// Pause before the first repetition of a query to a service that is online but did not reply. Each
+/// pause is twice the previous one.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
-/// After this pause it is asked once more and no more.
+/// Last pause. After it, the query is repeated one last time.
 const LAST_PAUSE: Duration = Duration::from_secs(4);
 
-/// Messages of one kind, with the keys they were put on; when the queue is full, the oldest is overwritten.
+/// Messages of one kind, with their keys. A new message replaces the oldest if the queue is full.
 #[derive(Debug)]
 pub struct Subscription<M> {
     messages: flume::Receiver<(String, M)>,
@@ -33,20 +34,23 @@ pub struct Subscription<M> {
 }
 
 impl<M: Message + Send + 'static> Subscription<M> {
-    /// The messages; safe to drop while waiting.
+    /// Returns the queue of messages. A wait for the next message is cancel-safe.
     #[must_use]
     pub fn messages(&self) -> &flume::Receiver<(String, M)> {
         &self.messages
     }
 
-    /// Takes all that waits and says the place of its key (structure and topic); what says another place is left out. A message
-    /// that says none (`None`) is taken.
+    /// Returns all waiting messages whose contents match their key.
+    ///
+    /// `place` returns the structure and topic in the message. Messages with another structure or
+    /// topic than their key are dropped. Messages without this information (`None`) are accepted.
     pub fn gather(
         &self,
         root: &Name,
         place: impl Fn(&M) -> Option<(&Name, Topic)>,
     ) -> impl Iterator<Item = M> {
-        // what comes meanwhile waits: a source at full speed must not keep us here
+        // Leave messages that arrive meanwhile in the queue. Otherwise, a source at full speed
+        // would never let this loop end.
         self.messages
             .try_iter()
             .take(self.messages.len())
@@ -60,7 +64,8 @@ impl<M: Message + Send + 'static> Subscription<M> {
             })
     }
 
-    /// Messages refused, by reason; `overwritten` counts those that a newer one pushed out.
+    /// Returns the number of rejected messages, by reason. `overwritten` counts messages that a
+    /// newer message replaced.
     #[must_use]
     pub fn refused(&self) -> BTreeMap<&'static str, u64> {
         let refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
@@ -76,10 +81,10 @@ fn count(refused: &Mutex<BTreeMap<&'static str, u64>>, reason: &'static str) -> 
 }
 
 impl Bus {
-    /// Subscribes to messages of one kind; at most `queue` wait.
+    /// Subscribes to messages of one kind. At most `queue` messages wait.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub async fn subscribe<M: Message + Send + 'static>(
         &self,
         key_expression: String,
@@ -137,11 +142,14 @@ impl Bus {
         })
     }
 
-    /// Asks a service that is there by its liveliness token, and again while nobody answers: the way to those who answer may be known
-    /// a moment later than the token, and whoever asks once would never learn what they know.
+    /// Queries a service that is online according to its liveliness token, and retries while there
+    /// is no reply.
+    ///
+    /// The route to the service may become known shortly after its token. A single query could
+    /// therefore miss it.
     ///
     /// # Errors
-    /// As [`Bus::ask`].
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub async fn ask_present<M: Message>(
         &self,
         key_expression: &str,
@@ -158,10 +166,10 @@ impl Bus {
         }
     }
 
-    /// Asks for the last values of topics that answer queries; what is no such message is left out.
+    /// Queries the latest values of topics. Invalid replies are dropped.
     ///
     /// # Errors
-    /// Zenoh refuses the key expression, or the session is closed.
+    /// Fails if Zenoh rejects the key expression or the session is closed.
     pub async fn ask<M: Message>(
         &self,
         key_expression: &str,
@@ -179,7 +187,7 @@ impl Bus {
             })?;
         let mut found = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
-            let Ok(sample) = reply.result() else { continue }; // the one asked has nothing
+            let Ok(sample) = reply.result() else { continue }; // the service has no value
             match read(sample) {
                 Ok(message) if found.len() < MOST_ANSWERS => {
                     found.push((sample.key_expr().to_string(), message))

@@ -1,8 +1,9 @@
-//! Builders for the tests of this room.
+//! Helpers for the tests of this crate.
 
 use crate::message::{FrameBlock, Header, StreamState};
 
-/// Frames `sequence..sequence + count` of one channel; the value of a frame is its number.
+/// Returns the frames `sequence..sequence + count` of one channel. The value of a frame is its
+/// number.
 pub(crate) fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
     FrameBlock {
         header: Header {
@@ -19,7 +20,7 @@ pub(crate) fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
     }
 }
 
-/// Puts a block into a ring, as a publisher does.
+/// Adds a block to a ring, as a publisher does.
 #[expect(clippy::disallowed_methods, reason = "a publisher goes by the clock")]
 pub(crate) fn push(
     ring: &mut crate::Ring<FrameBlock>,

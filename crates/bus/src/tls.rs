@@ -1,4 +1,4 @@
-//! Certificates: checked before a session is opened, and again when one cannot be.
+//! Certificates: checks before a session opens, and diagnosis if it does not open.
 
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, Ipv6Addr};
@@ -19,57 +19,59 @@ use serde::{Deserialize, Serialize};
 use tokio::time::timeout;
 use tracing::warn;
 
-/// File of the authority's certificate beside those that it has issued.
+/// Name of the authority's certificate file, in the folder of the certificates that it has issued.
 pub const AUTHORITY_FILE: &str = "authority.pem";
-/// The protocol that Zenoh asks for on its links over QUIC with one stream.
+/// Application protocol that Zenoh uses on QUIC links with one stream.
 const ZENOH_OVER_QUIC: &[u8] = b"zenoh";
-/// From so long before its end on a certificate is warned of.
+/// Time before the expiry of a certificate from which on a warning is logged.
 const WARNED_BEFORE: Duration = Duration::from_secs(30 * 86_400);
 
-/// Who this session is to others, and whom it takes for one of the site.
+/// Certificate of this session, and the authority that it trusts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TlsConfig {
     /// Certificate of this session (PEM), as `spandrel site issue` writes it.
     pub certificate: PathBuf,
-    /// Its private key (PEM); none: the file beside it that ends in `.key`.
+    /// Private key of the certificate (PEM). `None`: the file with the same name and the extension
+    /// `.key`.
     #[serde(default)]
     pub key: Option<PathBuf>,
-    /// Certificate of the authority of the site (PEM); none: [`AUTHORITY_FILE`] beside the certificate.
+    /// Certificate of the site's authority (PEM). `None`: [`AUTHORITY_FILE`] in the folder of the
+    /// certificate.
     #[serde(default)]
     pub authority: Option<PathBuf>,
 }
 
-/// Why a certificate cannot be used. Nothing here holds any part of a private key.
+/// Reason why a certificate cannot be used. It never contains any part of a private key.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
     /// A file cannot be read.
     #[error("{what} {} cannot be read", path.display())]
     File {
-        /// What the file is.
+        /// Kind of the file.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// Error from the operating system.
         source: std::io::Error,
     },
-    /// A file has no section of the kind that is needed.
+    /// A file has no PEM section of the required kind.
     #[error("{what} {}: has no PEM section of that kind, must have at least one", path.display())]
     Empty {
-        /// What the file is.
+        /// Kind of the file.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// A file is not what it should be.
+    /// A file is damaged or of another kind.
     #[error("{what} {}: is damaged, or no such thing", path.display())]
     Damaged {
-        /// What the file is.
+        /// Kind of the file.
         what: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// Key and certificate do not belong together.
+    /// The key does not belong to the certificate.
     #[error("key {} is not that of certificate {}", key.display(), certificate.display())]
     KeyOfAnother {
         /// The key.
@@ -77,30 +79,31 @@ pub enum TlsError {
         /// The certificate.
         certificate: PathBuf,
     },
-    /// It is over, or not valid yet: another clock or another certificate in the same file mends that.
+    /// The certificate has expired or is not yet valid. A correct clock or a new certificate in the
+    /// same file solves this.
     #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
     NotInTime {
         /// The certificate.
         certificate: PathBuf,
         /// The authority.
         authority: PathBuf,
-        /// Why, in words.
+        /// The reason in words.
         why: String,
     },
-    /// The authority has not issued it.
+    /// The authority has not issued the certificate.
     #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
     NotAccepted {
         /// The certificate.
         certificate: PathBuf,
         /// The authority.
         authority: PathBuf,
-        /// Why, in words.
+        /// The reason in words.
         why: String,
     },
 }
 
 impl TlsConfig {
-    /// Certificate with key and authority beside it.
+    /// Creates the settings for a certificate whose key and authority are in the same folder.
     #[must_use]
     pub fn beside(certificate: PathBuf) -> Self {
         Self {
@@ -110,7 +113,7 @@ impl TlsConfig {
         }
     }
 
-    /// The private key.
+    /// Returns the path of the private key.
     #[must_use]
     pub fn key(&self) -> PathBuf {
         self.key
@@ -118,7 +121,7 @@ impl TlsConfig {
             .unwrap_or_else(|| self.certificate.with_extension("key"))
     }
 
-    /// The certificate of the authority.
+    /// Returns the path of the authority's certificate.
     #[must_use]
     pub fn authority(&self) -> PathBuf {
         self.authority
@@ -126,7 +129,7 @@ impl TlsConfig {
             .unwrap_or_else(|| self.certificate.with_file_name(AUTHORITY_FILE))
     }
 
-    /// Makes relative paths count from a folder.
+    /// Makes relative paths relative to a folder.
     pub fn resolve(&mut self, folder: &Path) {
         let paths = [
             Some(&mut self.certificate),
@@ -138,10 +141,12 @@ impl TlsConfig {
         }
     }
 
-    /// Reads all three files, and checks that they belong together and are valid now.
+    /// Reads all three files and checks that they match and are valid now.
+    ///
+    /// Logs a warning if the certificate expires within 30 days.
     ///
     /// # Errors
-    /// [`TlsError`] names the file.
+    /// Returns [`TlsError`] with the path of the file.
     pub fn check(&self) -> Result<(), TlsError> {
         let (chain, _) = read_pair(&self.certificate, &self.key())?;
         let authority = self.authority();
@@ -156,7 +161,7 @@ impl TlsConfig {
         let verifier = verifier.map_err(|error| refused(error.to_string()))?;
         let [own, intermediate @ ..] = chain.as_slice() else {
             return Ok(());
-        }; // read_pair has seen one
+        }; // `read_pair` returns at least one certificate
         let valid = |at: UnixTime| verifier.verify_client_cert(own, intermediate, at);
         valid(UnixTime::now()).map_err(|error| match refused(in_words(&error)) {
             TlsError::NotAccepted {
@@ -178,10 +183,10 @@ impl TlsConfig {
         Ok(())
     }
 
-    /// Tries to connect, only to learn why Zenoh could not: what is wrong with the certificates, if anything.
+    /// Connects to learn why Zenoh could not. Returns the fault of the certificates, if any.
     ///
     /// # Errors
-    /// Nobody answers there.
+    /// Fails if there is no reply.
     pub(crate) async fn reach(
         &self,
         address: &str,
@@ -209,7 +214,8 @@ impl TlsConfig {
             .map_err(|_elapsed| no_answer())?
         {
             Err(error) => error,
-            // what the other side thinks of our certificate comes after the handshake, in answer to nothing
+            // The other side rejects our certificate only after the handshake, in an unsolicited
+            // message.
             Ok(connection) => match timeout(patience, connection.closed()).await {
                 Ok(error) => error,
                 Err(_elapsed) => return Ok(None),
@@ -233,7 +239,7 @@ impl TlsConfig {
         })
     }
 
-    /// How Zenoh connects with these certificates.
+    /// Returns the QUIC settings with which Zenoh connects.
     fn client(&self) -> Option<quinn::ClientConfig> {
         let (chain, key) = read_pair(&self.certificate, &self.key()).ok()?;
         let roots = Arc::new(read_roots(&self.authority()).ok()?);
@@ -253,9 +259,10 @@ impl TlsConfig {
     }
 }
 
-/// What an alert of TLS means that ended a connection over QUIC; `reason` for all that is none, or says more.
+/// Describes the TLS alert that closed a QUIC connection. Returns `reason` for other errors and for
+/// alerts with a text.
 fn in_words_of_alert(code: u64, reason: &str) -> String {
-    // RFC 9001, section 4.8: the alert is added to 0x100
+    // RFC 9001, section 4.8: the error code is 0x100 plus the alert.
     let alert = code
         .checked_sub(0x100)
         .and_then(|alert| u8::try_from(alert).ok())
@@ -273,7 +280,7 @@ fn in_words_of_alert(code: u64, reason: &str) -> String {
     }
 }
 
-/// Whether a certificate was refused for the time at which it was shown.
+/// Returns `true` if a certificate was rejected because it has expired or is not yet valid.
 fn is_of_time(error: &rustls::Error) -> bool {
     let rustls::Error::InvalidCertificate(error) = error else {
         return false;
@@ -287,7 +294,7 @@ fn is_of_time(error: &rustls::Error) -> bool {
     )
 }
 
-/// Why a certificate of our own was refused.
+/// Describes why the session's own certificate was rejected.
 fn in_words(error: &rustls::Error) -> String {
     match error {
         rustls::Error::InvalidCertificate(
@@ -311,10 +318,10 @@ fn provider() -> Arc<CryptoProvider> {
     Arc::new(ring::default_provider())
 }
 
-/// Reads a certificate with what lies between it and its authority, and its key, and checks that they belong together.
+/// Reads a certificate chain and its private key, and checks that they match.
 ///
 /// # Errors
-/// [`TlsError`] names the file.
+/// Returns [`TlsError`] with the path of the file.
 pub fn read_pair(
     certificate: &Path,
     key: &Path,
@@ -337,7 +344,7 @@ pub fn read_pair(
             what: "certificate",
             path: certificate.to_owned(),
         }),
-        // the text of other errors could speak of the key
+        // The text of other errors could contain parts of the key.
         Err(_) => Err(TlsError::Damaged {
             what: "key",
             path: key.to_owned(),

@@ -23,7 +23,7 @@ use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::query::Query;
 
-/// Only ends a hang.
+/// Limits the duration of a hanging test.
 const DEADLINE: Duration = Duration::from_secs(60);
 
 fn free_endpoint() -> String {
@@ -95,7 +95,7 @@ async fn reader(bus: &Bus, settings: StreamSettings) -> Stream<FrameBlock> {
         .unwrap()
 }
 
-/// Reads up to item `end`; everything must be there, in order.
+/// Reads up to item `end`. All items must arrive, in order.
 async fn read_all(stream: &Stream<FrameBlock>, end: u64) {
     read_from(0, stream, end).await;
 }
@@ -216,7 +216,7 @@ async fn what_the_ring_has_forgotten_is_a_gap() {
     assert_eq!((gap.epoch, gap.from, gap.to), (1, 0, 90));
 }
 
-/// A publisher as a program of somebody else has it, who keeps nothing; there is a reader by now.
+/// Declares the publisher of a foreign program, which stores nothing. Waits for a reader.
 async fn publisher_by_hand(bus: &Bus) -> Publisher<'static> {
     let declared = bus
         .session()
@@ -236,7 +236,7 @@ async fn publisher_by_hand(bus: &Bus) -> Publisher<'static> {
     publisher
 }
 
-/// Numbers of the items that come up to item `end`; `None` for a number lost.
+/// Returns the numbers of the received items up to item `end`, or `None` for each lost number.
 async fn numbers_up_to(stream: &Stream<FrameBlock>, end: u64) -> Vec<Option<u64>> {
     let mut numbers = Vec::new();
     while (numbers.len() as u64) < end {
@@ -256,7 +256,7 @@ async fn of_a_source_without_buffer_only_the_blocks_not_sent_are_lost() {
     let (first, second) = pair().await;
     let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
     let publisher = publisher_by_hand(&first).await;
-    // Fewer than find room in the queue of the reader, and behind a gap.
+    // The number of blocks fits into the reader's queue and into its buffer after a gap.
     for block in (0..100).filter(|block| ![3, 70].contains(block)) {
         publisher
             .put(frames(1, block * 10, 10).encode().unwrap())
@@ -282,7 +282,7 @@ async fn a_source_too_busy_to_answer_at_first_loses_nothing() {
     let asked = Arc::new(AtomicUsize::new(0));
     let (counted, missed) = (asked.clone(), frames(1, 5, 5).encode().unwrap());
     let answer = move |query: Query| {
-        // A query that is dropped ends without a reply, as those do that nobody is there for.
+        // A dropped query ends without a reply, as if there were no source.
         if counted.fetch_add(1, Ordering::Relaxed) >= UNANSWERED {
             let key = query.key_expr().clone();
             query
@@ -416,7 +416,7 @@ async fn the_latest_value_is_given_on_query_under_its_own_key() {
     publisher.put(&event).await.unwrap();
     let ask_until_answered = async {
         loop {
-            // Without an answer the declaration of the one to ask is still on its way.
+            // Without a reply, the declaration of the queryable has not yet arrived.
             let found = second
                 .ask::<Event>(&keys().all_alerts(), DEADLINE)
                 .await
@@ -510,7 +510,8 @@ async fn a_source_that_floods_is_dropped_unread_and_counted() {
     }
     let flooded = reader.refused().get("flood").copied().unwrap_or(0);
     let taken = reader.messages().len() as u64;
-    // 20,000 at once, and 10,000 for each second that it took; one second for the rounding at both ends
+    // The limit is 20,000 at once and 10,000 per elapsed second. One second covers the rounding at
+    // both ends.
     let allowed = 30_000 + 10_000 * start.elapsed().as_secs() + 10_000;
     assert_eq!(taken + flooded, PUT);
     assert!(

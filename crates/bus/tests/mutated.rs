@@ -1,5 +1,7 @@
-//! Real messages of every type, damaged in many ways: decoding gives an error or a message that is sound, never panics, and never
-//! takes more memory than the message itself accounts for.
+//! Decoding of real messages of every type, damaged in many ways.
+//!
+//! Decoding must return an error or a valid message. It must never panic, or use more memory than
+//! the message justifies.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,12 +22,14 @@ use spandrel_bus::{
 
 use std::path::Path;
 
-/// What decoding may take beside the message: a list reserves at most 1 MiB ahead of its items, and lists lie in lists.
+/// Memory allowed in addition to the message. A list reserves at most 1 MiB in advance, and lists
+/// are nested.
 const RESERVED_BYTES: u64 = 4 << 20;
-/// A byte of a message takes at most so many in memory: a number of JSON becomes eight bytes of a list that has doubled.
+/// Memory allowed per byte of a message. A number in JSON occupies eight bytes, in a list that may
+/// just have doubled.
 const BYTES_PER_BYTE: u64 = 40;
 
-/// Decodes bytes as one type; what comes out must be sound.
+/// Decodes bytes as one type. A decoded message must be valid.
 type Decode = fn(&[u8]);
 
 fn decode<M: Message>(bytes: &[u8]) {
@@ -35,7 +39,7 @@ fn decode<M: Message>(bytes: &[u8]) {
     }
 }
 
-/// As [`decode`], and does with a block what its readers do.
+/// Decodes a block and processes it as a reader does.
 fn decode_block<B: Block>(bytes: &[u8]) {
     if let Ok(block) = B::decode(&B::encoding(), bytes) {
         let (mut front, mut back) = (block.clone(), block.clone());
@@ -76,7 +80,7 @@ fn motion(count: usize) -> MotionNumbers {
     }
 }
 
-/// A real message of each type with what decodes it.
+/// Returns a real message of each type, with its decoder.
 fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
     fn binary<M: Message>(message: &M, decode: Decode) -> (&'static str, Vec<u8>, Decode) {
         (M::TYPE, message.encode().unwrap(), decode)
@@ -265,7 +269,7 @@ enum Damage {
         at: usize,
         bytes: Vec<u8>,
     },
-    /// A varint that claims as many items as there can be.
+    /// A varint that claims the maximum number of items.
     Claim {
         at: usize,
     },
@@ -331,7 +335,7 @@ impl Damage {
     }
 }
 
-/// Decodes and checks what it took.
+/// Decodes bytes and checks the memory used.
 #[track_caller]
 fn check(name: &str, bytes: &[u8], decode: Decode) {
     let taken = allocation_counter::measure(|| decode(bytes));
@@ -353,7 +357,8 @@ fn every_type_is_among_them_and_decodes() {
     }
 }
 
-/// The fuzzer starts from these messages, each behind the number of its type; `UPDATE_DOCS=1` writes them.
+/// The fuzzer starts from these messages, each preceded by the number of its type. `UPDATE_DOCS=1`
+/// writes them.
 #[test]
 fn the_fuzzer_starts_from_real_messages() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/messages");
@@ -406,7 +411,8 @@ fn what_is_claimed_is_not_reserved() {
 
 #[test]
 fn the_largest_message_takes_what_it_holds() {
-    // as many of the smallest items as there is room for: zeros are absent options, empty lists and small numbers
+    // As many minimal items as possible: zeros decode as absent options, empty lists and small
+    // numbers.
     for (name, bytes, decode) in messages() {
         for fill in [0_u8, 1, b'0', b'[', b' '] {
             let mut large = bytes.clone();
@@ -414,7 +420,7 @@ fn the_largest_message_takes_what_it_holds() {
             check(name, &large, decode);
         }
     }
-    // all of it one list of absent responses, of which each is one byte here and tens in memory
+    // A single list of absent responses. Each takes one byte here and tens of bytes in memory.
     let feedback = FeedbackMessage {
         header: header(),
         node_epoch: 0,
@@ -427,7 +433,7 @@ fn the_largest_message_takes_what_it_holds() {
     };
     let mut bytes = feedback.encode().unwrap();
     bytes.truncate(bytes.len() - 4096 - 2);
-    bytes.extend([0x80, 0x80, 0x80, 0x04]); // a claim of 8,388,608
+    bytes.extend([0x80, 0x80, 0x80, 0x04]); // claims 8,388,608 items
     bytes.resize(MAX_MESSAGE_BYTES, 0);
     let taken = allocation_counter::measure(|| decode::<FeedbackMessage>(&bytes));
     assert!(

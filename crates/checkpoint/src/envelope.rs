@@ -1,34 +1,38 @@
-//! The bytes of a checkpoint: what it is of, the state, and a checksum over both.
+//! The encoding of a checkpoint: its identity, the state, and a checksum over both.
 
 use crate::error::{CheckpointError, Refusal};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use sha2::{Digest, Sha256};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// First bytes of each file.
+/// First bytes of every checkpoint file.
 const MAGIC: &[u8; 8] = b"spandrel";
-/// Layout of the envelope: magic, layout (u16), postcard of [`Label`], postcard of the state, SHA-256 of all before.
+/// Version of the envelope.
+///
+/// The envelope consists of the magic bytes, this version (u16), the [`Label`] and the state in
+/// postcard format, and a SHA-256 of all preceding bytes.
 const LAYOUT: u16 = 1;
 const CHECKSUM_BYTES: usize = 32;
 
-/// What a checkpoint is of; all of it must agree before one is read.
+/// The identity of a checkpoint. A reader uses a checkpoint only if all fields match.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
-    /// The service, such as `identify`; begins the name of its files.
+    /// The service, such as `identify`. File names start with it.
     pub kind: &'static str,
-    /// Version of the layout of the state: raised with every change of its fields.
+    /// Version of the layout of the state. Every change of its fields must increase the version.
     pub version: u16,
-    /// The structure.
+    /// Name of the structure.
     pub of: String,
-    /// The text that the state rests on, such as the structure file: a state does not outlive a change of it.
+    /// The text that the state depends on, such as the structure file. A change of this text
+    /// invalidates the state.
     pub basis: String,
 }
 
 impl Identity {
-    /// Returns the bytes of a checkpoint.
+    /// Encodes a state as a checkpoint.
     ///
     /// # Errors
-    /// The state cannot be written.
+    /// The state cannot be serialised.
     pub fn seal<T: Serialize>(&self, state: &T) -> Result<Vec<u8>, CheckpointError> {
         seal(self, state).map_err(|source| CheckpointError::Encode {
             kind: self.kind,
@@ -36,25 +40,25 @@ impl Identity {
         })
     }
 
-    /// Returns the state in the bytes of a checkpoint of this identity.
+    /// Decodes the state from a checkpoint of this identity.
     ///
     /// # Errors
-    /// They are of something else, or damaged.
+    /// The bytes are damaged, or they belong to another identity.
     pub fn open<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Refusal> {
-        // Where numbers in a state are absurd, what decodes its parts may panic (the sizes of a matrix overflow where that is
-        // checked): such bytes must not end the service at each of its starts.
+        // Extreme numbers in a state may panic in the decoder, for example if the product of matrix
+        // dimensions overflows. Such a file must not terminate the service at every start.
         let opened = catch_unwind(AssertUnwindSafe(|| open(self, bytes)));
         opened.unwrap_or_else(|_| Err(Refusal::Content("a number in it is absurd".to_owned())))
     }
 }
 
-/// Returns the SHA-256 of a text, for a state that keeps by itself what a part of it rests on.
+/// Returns the SHA-256 of a text, for a state that stores the basis of one of its parts itself.
 #[must_use]
 pub fn fingerprint(text: &str) -> [u8; CHECKSUM_BYTES] {
     Sha256::digest(text).into()
 }
 
-/// An identity as it is written.
+/// The encoded form of an [`Identity`].
 #[derive(Debug, Serialize, Deserialize)]
 struct Label {
     kind: String,
@@ -91,7 +95,7 @@ fn open<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Ref
     if checksum != expected {
         return Err(Refusal::Damaged);
     }
-    // From here on the bytes are those that were written: sizes in them can be believed.
+    // The checksum is correct, so lengths in the remaining bytes can be trusted.
     let (layout, content) = content.split_first_chunk::<2>().ok_or(Refusal::Foreign)?;
     let layout = u16::from_le_bytes(*layout);
     if layout != LAYOUT {

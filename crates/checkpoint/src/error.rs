@@ -1,62 +1,62 @@
-//! What can be wrong with a checkpoint.
+//! Errors of saving and reading checkpoints.
 
 use std::path::PathBuf;
 
-/// A checkpoint cannot be kept.
+/// An error that prevents a checkpoint from being saved.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The file system refuses.
+    /// A file system operation failed.
     #[error("{}: cannot {what}: {source}", path.display())]
     Io {
-        /// What was tried.
+        /// The failed operation.
         what: &'static str,
-        /// File or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The state cannot be written.
+    /// The state cannot be encoded.
     #[error("the state of {kind} cannot be written: {source}")]
     Encode {
-        /// Kind of checkpoint.
+        /// The kind of checkpoint.
         kind: &'static str,
-        /// Why.
+        /// The cause.
         source: postcard::Error,
     },
 }
 
-/// Why a file is not read.
+/// The reason why a checkpoint file is not used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
-    /// It is none.
+    /// The file is not a checkpoint of Spandrel.
     #[error("it is no checkpoint of Spandrel")]
     Foreign,
-    /// Bits have changed, or some are missing.
+    /// The content has changed or is truncated.
     #[error("its checksum does not hold: it is damaged")]
     Damaged,
-    /// Of something else.
+    /// The checkpoint belongs to another service or structure.
     #[error("it is of {found}, expected {expected}")]
     OfAnother {
-        /// What it says.
+        /// Service and structure in the file.
         found: String,
-        /// What is wanted.
+        /// Service and structure of the reader.
         expected: String,
     },
-    /// Written by another version of the program.
+    /// Another version of the program wrote the file.
     #[error("it has version {found} of its layout, this program reads {expected}")]
     Version {
-        /// What it says.
+        /// The version in the file.
         found: u16,
-        /// What is wanted.
+        /// The version that this program reads.
         expected: u16,
     },
-    /// What it rests on has changed.
+    /// The basis of the state has changed since the checkpoint was written.
     #[error("what it rests on has changed since it was written (the structure file)")]
     Basis,
-    /// The checksum holds, but the content is no state of this service.
+    /// The checksum is correct, but the content is not a state of this service.
     #[error("its content cannot be read: {0}")]
     Content(String),
-    /// It cannot be read at all.
+    /// The file cannot be read from disk.
     #[error("it cannot be read: {0}")]
     Unreadable(String),
 }

@@ -1,7 +1,9 @@
-//! Failures to keep a state, counted, and told without a flood.
+//! Counts failures to save a state and limits how often they are reported.
 
-/// Failures of one kind: each is counted, and told when the first of a row comes, each time their number in the row has doubled, and when
-/// the row is over.
+/// A counter of consecutive failures that selects the failures to report.
+///
+/// The first failure in a row is due for a report, and then each failure that doubles the length of
+/// the row. The success that ends the row is due for a report as well.
 #[derive(Debug, Default)]
 pub struct Failures {
     total: u64,
@@ -9,7 +11,7 @@ pub struct Failures {
 }
 
 impl Failures {
-    /// Notes a failure; returns whether it is to be told.
+    /// Counts a failure and returns `true` if it must be reported.
     #[must_use]
     pub fn failed(&mut self) -> bool {
         self.total += 1;
@@ -17,20 +19,22 @@ impl Failures {
         self.in_a_row.is_power_of_two()
     }
 
-    /// Notes a success; returns how many failures it ends, if it is the first after any.
+    /// Records a success. Returns the number of consecutive failures that it ends, or `None` if
+    /// there were none.
     #[must_use]
     pub fn succeeded(&mut self) -> Option<u64> {
         let ended = std::mem::take(&mut self.in_a_row);
         (ended > 0).then_some(ended)
     }
 
-    /// Failures since the last success.
+    /// Returns the number of failures since the last success.
     #[must_use]
     pub fn in_a_row(&self) -> u64 {
         self.in_a_row
     }
 
-    /// What a status tells of them: their number so far under `checkpoints-not-kept`, or nothing.
+    /// Returns the total number of failures under the status key `checkpoints-not-kept`, or `None`
+    /// if it is 0.
     #[must_use]
     pub fn drops(&self) -> Option<(String, u64)> {
         (self.total > 0).then(|| ("checkpoints-not-kept".to_owned(), self.total))
@@ -41,7 +45,8 @@ impl Failures {
 mod tests {
     use super::*;
 
-    /// They were told at powers of two of all there had ever been: a second time of trouble began without a word.
+    /// The second row must start at its own first failure. Powers of two of the total count would
+    /// hide its start.
     #[test]
     fn each_row_of_failures_is_told_from_its_first_one_on_and_when_it_is_over() {
         let mut failures = Failures::default();

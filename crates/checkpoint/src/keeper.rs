@@ -1,4 +1,4 @@
-//! Keeps states in the background: a service waits for no disk while it works.
+//! Saves states in the background, so that a service never waits for the disk while it works.
 
 use crate::error::CheckpointError;
 use crate::failures::Failures;
@@ -10,8 +10,10 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tracing::{info, warn};
 
-/// A moment of the last `period`, from which on its ends are counted: services that are started together do not all wait for the disk at
-/// the same moments, each with a thread of its own.
+/// Returns a random instant within the last `period`, as the start of a periodic task.
+///
+/// The random phase spreads services that start together. Otherwise they would all wait for the
+/// disk at the same moment, each on its own thread.
 #[must_use]
 pub fn moment_within(period: Duration) -> Instant {
     let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
@@ -20,9 +22,10 @@ pub fn moment_within(period: Duration) -> Instant {
         .unwrap_or_else(Instant::now)
 }
 
-/// Keeps the states of a service, one at a time, on a thread that may wait for the disk.
+/// A background task that saves the states of a service, one at a time, on a blocking thread.
 ///
-/// A failure is told as [`Failures`] are, and the next state is tried again.
+/// [`Failures`] limits how often failures are logged. After a failure, the next call of `keep`
+/// tries again with a newer state.
 #[derive(Debug)]
 pub struct Keeper {
     checkpoints: Checkpoints,
@@ -33,7 +36,7 @@ pub struct Keeper {
 }
 
 impl Keeper {
-    /// Keeps states among these checkpoints, with so much time between two of them.
+    /// Creates a keeper that saves to `checkpoints`, at most once per interval `every`.
     #[must_use]
     pub fn new(checkpoints: Checkpoints, every: Duration) -> Self {
         Self {
@@ -45,27 +48,29 @@ impl Keeper {
         }
     }
 
-    /// The checkpoints.
+    /// Returns the checkpoints.
     #[must_use]
     pub fn checkpoints(&self) -> &Checkpoints {
         &self.checkpoints
     }
 
-    /// What could not be kept so far.
+    /// Returns the failures so far.
     #[must_use]
     pub fn failures(&self) -> &Failures {
         &self.failures
     }
 
-    /// Whether it is time for a state, and the one before it is on the disk.
+    /// Returns `true` if the interval has elapsed and no save is in progress.
     #[must_use]
     pub fn is_due(&self) -> bool {
         self.last.elapsed() >= self.every
             && self.saving.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Begins to keep a state, when the one before it is on the disk; of those before, `needed` is kept as in
-    /// [`Checkpoints::forget_before`].
+    /// Starts to save a state, after waiting for the previous save to finish.
+    ///
+    /// Afterwards, [`Checkpoints::forget_before`] removes old checkpoints, with `needed` as its
+    /// argument.
     pub async fn keep<T: Serialize + Send + 'static>(
         &mut self,
         place: Place,
@@ -81,7 +86,7 @@ impl Keeper {
         }));
     }
 
-    /// Waits for what is being kept.
+    /// Waits until the current save has finished, and logs its result.
     pub async fn finish(&mut self) {
         let Some(saving) = self.saving.take() else {
             return;
@@ -158,7 +163,7 @@ mod tests {
         let mut keeper = keeper(&folder.path().join("below"), Duration::ZERO);
         keeper.keep(at(1), 1_u64, None).await;
         keeper.finish().await;
-        // a folder in its way: the file cannot be renamed to its place
+        // A folder with the final name prevents the rename.
         std::fs::create_dir(
             folder
                 .path()

@@ -1,4 +1,6 @@
-//! What a service remembers over its own death: its state at a place of a numbered stream, in files that are whole or refused.
+//! Checkpoints: the state of a service at one position of a numbered stream, saved in atomic files.
+//!
+//! A service that restarts loads its newest checkpoint and resumes from that position.
 //!
 //! ```
 //! use spandrel_checkpoint::{Checkpoints, Identity, Place};
@@ -10,18 +12,20 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! - [`Checkpoints`]: the checkpoints of one service and structure, the newest and those before it
-//! - [`Identity`]: what a checkpoint must be of to be read
-//! - [`fingerprint`]: what a part of a state rests on, for services that judge its parts one by one
+//! - [`Checkpoints`]: the checkpoint files of one service and structure
+//! - [`Identity`]: the service, version, structure and basis that a checkpoint must match
+//! - [`fingerprint`]: a hash of the input that part of a state depends on, for services that
+//!   validate parts separately
 //! - [`Place`]: an item of a numbered stream
-//! - [`Keeper`]: keeps states in the background, no more often than is asked for
-//! - [`Failures`]: those to keep a state, counted, and told without a flood
-//! - [`Remembering`]: where a service keeps them, and how often
+//! - [`Keeper`]: saves states in the background, at most once per interval
+//! - [`Failures`]: counts failed saves and limits how often they are reported
+//! - [`Remembering`]: the folder and interval of the checkpoints
 //!
-//! A file is written beside its place, forced to the disk and renamed, so that there is never half of one under a name that
-//! counts. What is read is checked by a SHA-256 of all of it; a corrupt or foreign file is renamed and told of, never read.
+//! `save` writes a temporary file, syncs it to disk and renames it. A file with a checkpoint name
+//! is therefore always complete. Every read verifies the SHA-256 of the whole file. A corrupt or
+//! foreign file is renamed and reported, but never used.
 //!
-//! The wrong room for recordings and for what people ask for later.
+//! Checkpoints are not recordings and do not serve queries.
 
 mod envelope;
 mod error;

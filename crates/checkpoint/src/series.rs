@@ -1,4 +1,4 @@
-//! The checkpoints of one service and structure: one file for each place.
+//! The checkpoints of one service and structure: one file per stream position.
 
 use crate::envelope::Identity;
 use crate::error::{CheckpointError, Refusal};
@@ -10,54 +10,54 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// Ending of the files.
+/// Extension of checkpoint files.
 const ENDING: &str = "checkpoint";
-/// Ending that a refused file gets.
+/// Extension that is appended to a rejected file.
 const SET_ASIDE: &str = "refused";
-/// Nothing larger is read: a state of a thousand entries takes 8 MB.
+/// Maximum size of a file that is read, in bytes. A state with a thousand entries takes 8 MB.
 const MAX_BYTES: u64 = 1 << 30;
-/// Files kept at most, so that a reader that is away for ever fills no disk.
+/// Maximum number of files kept, so that a permanently absent reader cannot fill the disk.
 const MOST_KEPT: usize = 64;
 
-/// An item of a numbered stream: the first one that is not in the state.
+/// A position in a numbered stream: the first item that is not part of the state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Place {
     /// Epoch of the stream.
     pub epoch: u64,
-    /// Number of the item in it.
+    /// Sequence number of the item within the epoch.
     pub sequence: u64,
 }
 
-/// Where a service remembers, and how often.
+/// Folder and interval of the checkpoints of a service.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Remembering {
     /// Folder of the checkpoints of one structure.
     pub folder: PathBuf,
-    /// Time between two checkpoints: what has to be done again after a crash.
+    /// Time between two checkpoints: the maximum work to repeat after a crash.
     pub every: Duration,
 }
 
-/// The checkpoints in a folder that are of one identity.
+/// The checkpoints of one identity in a folder.
 #[derive(Debug, Clone)]
 pub struct Checkpoints {
     folder: PathBuf,
     identity: Identity,
 }
 
-/// What was found.
+/// The result of loading a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Loaded<T> {
-    /// The state, and the place up to which it holds; none where there was none that may be read.
+    /// The state and its position; `None` if there is no usable checkpoint.
     pub found: Option<(Place, T)>,
-    /// Files that may not be read, under their new names, and why.
+    /// Rejected files under their new names, and the reasons.
     pub refused: Vec<(PathBuf, Refusal)>,
 }
 
 impl Checkpoints {
-    /// Uses a folder, which is made if it is missing.
+    /// Opens a folder of checkpoints and creates it if it does not exist.
     ///
     /// # Errors
-    /// It cannot be made or read.
+    /// The folder cannot be created or read.
     pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
         let failed = |source| CheckpointError::Io {
             what: "make the folder",
@@ -69,32 +69,36 @@ impl Checkpoints {
             folder: folder.to_owned(),
             identity,
         };
-        checkpoints.places()?; // a folder that cannot be read is told of at the start
+        // An unreadable folder must be reported at the start.
+        checkpoints.places()?;
         Ok(checkpoints)
     }
 
-    /// Keeps a state; on return it is on the disk itself.
+    /// Saves a state. On return, the state is synced to disk.
     ///
     /// # Errors
-    /// The disk is full, or the file system refuses; what was kept before is untouched.
+    /// The disk is full, or the file system reports another error. Earlier checkpoints remain
+    /// intact.
     pub fn save<T: Serialize>(&self, place: Place, state: &T) -> Result<(), CheckpointError> {
         let bytes = self.identity.seal(state)?;
         let path = self.path(place);
         let beside = path.with_extension("new");
         let written = write_whole(&beside, &path, &bytes, &self.folder);
         if written.is_err() {
-            let _ = fs::remove_file(&beside); // half of it may fill what little room there is
+            // The incomplete file may occupy the last free space.
+            let _ = fs::remove_file(&beside);
         }
         written
     }
 
-    /// Renames the checkpoint of a place, whose state does not fit although its file is whole, so that it is not read again.
+    /// Renames the checkpoint at `place`, whose content is invalid although its file is intact, so
+    /// that it is not read again.
     pub fn refuse(&self, place: Place, why: String) -> (PathBuf, Refusal) {
         let why = Refusal::Content(why);
         (set_aside(&self.path(place), &why), why)
     }
 
-    /// Returns the newest state that may be read; files that may not are set aside.
+    /// Returns the newest usable state. Unusable files are renamed.
     #[must_use]
     pub fn load_latest<T: DeserializeOwned>(&self) -> Loaded<T> {
         self.load(
@@ -103,9 +107,10 @@ impl Checkpoints {
         )
     }
 
-    /// Returns the newest state, as [`Checkpoints::load_latest`], and converts a state of version `former` of the layout.
+    /// Returns the newest usable state, and converts it if its layout has version `former`.
     ///
-    /// `F` is the state as that version laid it out.
+    /// `F` is the state as laid out in version `former`. Otherwise this function works like
+    /// [`Checkpoints::load_latest`].
     #[must_use]
     pub fn load_latest_or_former<T, F>(&self, former: u16) -> Loaded<T>
     where
@@ -132,7 +137,8 @@ impl Checkpoints {
         self.load(self.places().unwrap_or_default().into_iter().rev(), open)
     }
 
-    /// Returns what `restore` makes of the newest state that may be read and that it takes; other files are set aside.
+    /// Returns the result of `restore` for the newest usable state that `restore` accepts. Files
+    /// rejected on the way are renamed.
     pub fn recall<T: DeserializeOwned, R, E: Display>(
         &self,
         mut restore: impl FnMut(T) -> Result<R, E>,
@@ -154,7 +160,7 @@ impl Checkpoints {
             })
     }
 
-    /// Returns the oldest state that may be read; files that may not are set aside.
+    /// Returns the oldest usable state. Unusable files are renamed.
     #[must_use]
     pub fn load_oldest<T: DeserializeOwned>(&self) -> Loaded<T> {
         self.load(self.places().unwrap_or_default().into_iter(), |bytes| {
@@ -162,7 +168,10 @@ impl Checkpoints {
         })
     }
 
-    /// Forgets what nobody needs: all but the last two, the newest one at or before `needed`, and those after it.
+    /// Removes the checkpoints that are no longer required.
+    ///
+    /// Keeps the last two, the newest one at or before `needed`, and all later ones, but at most
+    /// `MOST_KEPT` files.
     ///
     /// # Errors
     /// A file cannot be removed.
@@ -181,7 +190,7 @@ impl Checkpoints {
         for place in &places[..first] {
             let path = self.path(*place);
             match fs::remove_file(&path) {
-                // somebody has made room by hand
+                // A user has already deleted the file.
                 Err(source) if source.kind() == io::ErrorKind::NotFound => {}
                 removed => removed.map_err(|source| CheckpointError::Io {
                     what: "remove",
@@ -193,7 +202,7 @@ impl Checkpoints {
         Ok(())
     }
 
-    /// Returns the places of the files that are there, in their order.
+    /// Returns the positions of the existing files in ascending order.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -291,7 +300,7 @@ fn read(path: &Path) -> Result<Vec<u8>, Refusal> {
     fs::read(path).map_err(unreadable)
 }
 
-/// Renames a file, so that it is neither read again nor lost; returns its name from then on.
+/// Renames a file, so that it is neither read again nor lost. Returns its new path.
 fn set_aside(path: &Path, why: &Refusal) -> PathBuf {
     let aside = path.with_extension(format!("{ENDING}.{SET_ASIDE}"));
     match fs::rename(path, &aside) {
@@ -350,7 +359,7 @@ mod tests {
 
     #[test]
     fn state_of_a_former_version_is_converted_and_of_other_versions_set_aside() {
-        /// Version 2 counted in tens.
+        /// Version 2 stored the count in tens.
         #[derive(serde::Deserialize)]
         struct Tens(u8);
         impl From<Tens> for u64 {
@@ -462,7 +471,7 @@ mod tests {
         assert_eq!(checkpoints.recall(|_: u64| Err::<(), _>("never")), None);
     }
 
-    // Sizes of a matrix whose product overflows ended the service at each start.
+    // The product of matrix dimensions may overflow, and the panic must not terminate the service.
     #[test]
     fn a_state_whose_decoding_panics_is_set_aside_like_a_damaged_one() {
         #[derive(Debug, PartialEq)]

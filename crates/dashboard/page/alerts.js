@@ -1,13 +1,13 @@
-// Alerts of all structures: what stands, what was, and who has seen it.
+// Alerts of all structures: current alerts, past changes and acknowledgements.
 
 import { h, keyed, setText } from "./dom.js";
 import { STATES, canBeSeen, levelOf, place, time } from "./words.js";
 
-/** What was once typed as a name is offered the next time. */
+/** Key of the last entered name in local storage, the default for the next acknowledgement. */
 const NAME_KEY = "spandrel-name";
-/** Time for the alert service to answer an acknowledgement (ms). */
+/** Time limit for the alert service to confirm an acknowledgement (ms). */
 const ANSWER_WITHIN_MS = 6000;
-/** The list is asked for anew so often (ms), and at once when something is raised. */
+/** Interval at which the list is fetched (ms). A raised alert fetches it immediately. */
 const ASK_EVERY_MS = 2000;
 
 export class AlertsPage {
@@ -50,7 +50,7 @@ export class AlertsPage {
       if (!response.ok) return;
       this.answer = await response.json();
     } catch {
-      return; // the line on top says that there is no connection
+      return; // the line at the top reports the lost connection
     }
     const known = [...new Set(this.answer.standing.map((alert) => alert.structure))];
     for (const name of known) {
@@ -105,7 +105,9 @@ function updateAlert(parts, alert) {
   if (parts.button) parts.button.hidden = !canBeSeen(alert);
 }
 
-/** Asks who has seen an alert, sends it, and waits until the alert service says so. */
+/**
+ * Dialog for acknowledging an alert. It sends the name and waits for the alert service to confirm.
+ */
 export class AcknowledgeDialog {
   constructor(sent = () => {}) {
     this.sent = sent;
@@ -146,7 +148,7 @@ export class AcknowledgeDialog {
     (this.who.value ? this.note : this.who).focus();
   }
 
-  /** Closes once the alert service has said that it is acknowledged. */
+  /** Closes the dialog as soon as the alert service has confirmed the acknowledgement. */
   update(alerts) {
     if (!this.waiting) return;
     const own = alerts.find(({ structure, parameter }) => structure === this.alert.structure && parameter === this.alert.parameter);
@@ -172,7 +174,7 @@ export class AcknowledgeDialog {
         const { error, allowed } = await response.json();
         return this.#failed(`${error}; ${allowed}`);
       }
-      if (response.status === 200) { // the alert service has taken it
+      if (response.status === 200) { // the alert service has accepted it
         this.element.close();
         return this.sent();
       }

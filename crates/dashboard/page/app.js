@@ -1,4 +1,4 @@
-// Starts the page, and shows what the address names: all structures, one structure, or the alerts.
+// Starts the page and shows the view in the address: all structures, one structure, or the alerts.
 
 import { AlertsPage } from "./alerts.js";
 import { Connection } from "./connection.js";
@@ -41,7 +41,7 @@ function mark(id, isHere) {
   else link.removeAttribute("aria-current");
 }
 
-/** Says whether the page hears the server, and how old what it shows is. */
+/** Shows whether the page is connected to the server, and the age of its data. */
 function showState() {
   const link = document.getElementById("link");
   const lost = document.getElementById("lost");
@@ -57,7 +57,7 @@ function showState() {
   if (isLost) setText(lost, `✕ No connection to Spandrel: what is shown is ${duration(silence)} old. Trying again …`);
 }
 
-/** Says in the title, and to who cannot see it, when an alert is raised. */
+/** Shows raised alerts in the title, and announces new ones to screen readers. */
 function showAlerts({ structures }) {
   const raised = structures.reduce((sum, structure) => sum + structure.raised, 0);
   const count = document.getElementById("alert-count");

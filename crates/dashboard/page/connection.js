@@ -1,8 +1,11 @@
-// The WebSocket: tells what comes, opens itself again, and knows how old everything is.
+// The WebSocket connection. It passes messages to its listeners, reconnects, and records when the
+// last message arrived.
 
-/** Pauses between attempts (s): they grow, and never become long for somebody who waits. */
+/** Pauses between attempts to connect (s). They grow, but stay short for a waiting user. */
 const PAUSES_S = [0.5, 1, 2, 4, 8];
-/** The server says something twice a second; after this silence (s) the connection counts as lost. */
+/**
+ * Silence after which the connection counts as lost (s). The server sends a message twice a second.
+ */
 const SILENT_AFTER_S = 5;
 
 export class Connection {
@@ -22,23 +25,23 @@ export class Connection {
     });
   }
 
-  /** Listens until the function that is returned is called. */
+  /** Adds a listener and returns a function that removes it. */
   on(kind, listener) {
     this.#listeners[kind].push(listener);
     return () => (this.#listeners[kind] = this.#listeners[kind].filter((other) => other !== listener));
   }
 
-  /** Whether something was heard just now. */
+  /** Whether a message has arrived recently. */
   get isOpen() {
     return this.#opened && this.silence_s < SILENT_AFTER_S;
   }
 
-  /** How long nothing was heard (s); infinite before the first message. */
+  /** Time since the last message (s), infinite before the first. */
   get silence_s() {
     return this.#heard === null ? Infinity : (performance.now() - this.#heard) / 1000;
   }
 
-  /** Listens to the points of a structure, or to none. */
+  /** Connects for the points of a structure, or without points if it is null. */
   listen(structure) {
     if (structure === this.#structure && this.#socket) return;
     this.#structure = structure;
@@ -81,7 +84,7 @@ export class Connection {
     this.#attempts = attempts + 1;
     const pause_s = PAUSES_S[Math.min(attempts, PAUSES_S.length - 1)];
     clearTimeout(this.#timer);
-    // not all browsers at the same moment
+    // The random factor prevents all browsers from reconnecting at the same moment.
     this.#timer = setTimeout(() => this.#open(), 1000 * pause_s * (0.75 + Math.random() / 2));
     this.#tell("state");
   }

@@ -1,4 +1,4 @@
-// Makes elements. Text is always set as text: names and sentences come from elsewhere.
+// Creates elements. Text is always set as text, because names and sentences come from outside.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -13,28 +13,34 @@ function fill(element, properties, children) {
   return element;
 }
 
-/** An HTML element. */
+/** Creates an HTML element. */
 export function h(tag, properties, ...children) {
   return fill(document.createElement(tag), properties, children);
 }
 
-/** An SVG element. */
+/** Creates an SVG element. */
 export function s(tag, properties, ...children) {
   return fill(document.createElementNS(SVG, tag), properties, children);
 }
 
-/** Sets a text where it has changed, so that nothing is selected or read out anew without a reason. */
+/**
+ * Sets a text only if it has changed. Otherwise a selection would be lost, or a screen reader would
+ * repeat the text.
+ */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Sets an attribute where it has changed; null takes it away. */
+/** Sets an attribute if it has changed; null removes it. */
 export function setAttribute(element, name, value) {
   if (value === null) element.removeAttribute(name);
   else if (element.getAttribute(name) !== String(value)) element.setAttribute(name, value);
 }
 
-/** Keeps children in the order of keys: known ones are moved and updated, new ones made, others taken away. */
+/**
+ * Keeps one child per item, in the order of the items. Moves and updates existing children, creates
+ * new ones and removes others.
+ */
 export function keyed(parent, items, key, make, update) {
   parent.parts ??= new Map();
   const wanted = new Set(items.map(key));

@@ -1,4 +1,5 @@
-// The structure as its file describes it, coloured by probability of loss, with its sensors.
+// The structure and its sensors as described by the structure file, coloured by probability of
+// loss.
 
 import { h, s, setAttribute, setText } from "./dom.js";
 import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
@@ -7,22 +8,30 @@ import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
 const WIDTH = 420;
 const HEIGHT = 360;
 const MARGIN = 34;
-/** Heights of parts (in units of the drawing) from which there is room for their names. */
+/** Minimum height of a part for a name inside (in units of the drawing). */
 const NAMED_FROM = 13;
-/** Distance of the names beside parts that are too small for them, and how far from the part they begin. */
+/**
+ * Distance between the names beside parts that are too small, and distance of the names from the
+ * part.
+ */
 const CALLOUT_ROW = 13;
 const CALLOUT_FROM = 20;
-/** Probability of loss from which on the worst part has a name however small it is; among sound parts the order means nothing. */
+/**
+ * Probability of loss from which the worst part has a name even if it is too small. The order of
+ * sound parts means nothing.
+ */
 const WORTH_NAMING = 0.05;
-/** What is flatter is drawn higher than it is. */
+/** Minimum height of the drawing. Flatter structures are drawn with exaggerated heights. */
 const FLATTEST = 110;
-/** More parameters than this are named only where something is found. */
+/**
+ * Maximum number of parameters that are all named. With more, only parts with a finding are named.
+ */
 const MOST_NAMES = 12;
 
 export class Drawing {
   #parts = [];
   #sensors = [];
-  /** Names beside parts that are too small for them, and the heights at which others stand. */
+  /** Names beside parts that are too small, and the heights of the other names. */
   #callouts = [];
   #named = [];
 
@@ -67,13 +76,16 @@ export class Drawing {
     }
   }
 
-  /** Names the parts that have probably lost, and the worst one, where they are too small for a name of their own. */
+  /**
+   * Names the parts with a probable loss, and the worst part, if they are too small for a name
+   * inside.
+   */
   #callOut(found) {
     const worstOf = ({ names }) => Math.max(...names.map((name) => found.get(name)?.worst ?? 0));
     const most = Math.max(...[...found.values()].map(({ worst }) => worst ?? 0));
     const shown = this.#callouts.filter((callout) => worstOf(callout) >= Math.min(0.5, Math.max(most, WORTH_NAMING)));
     for (const callout of this.#callouts) setAttribute(callout.element, "visibility", shown.includes(callout) ? null : "hidden");
-    // from the lowest one upwards, each at its part or at the next free height
+    // Places callouts from the lowest part upwards, each at its part or at the next free height.
     const taken = [...this.#named];
     for (const { names, text, value, leader, y, edge } of shown.toSorted((a, b) => b.y - a.y)) {
       const isFree = (height) => taken.every((other) => Math.abs(other - height) >= CALLOUT_ROW);
@@ -103,18 +115,18 @@ export class Drawing {
         continue;
       }
       const text = s("text", { x: left - CALLOUT_FROM, class: "callout", "dominant-baseline": "central" }, first.parts[0]);
-      // beyond the sensors
+      // To the right of the sensors.
       const value = s("text", { x: left + width + 14 + 15 * abreast, class: "callout beside", "dominant-baseline": "central" });
       const leader = s("path", { class: "leader" });
       const element = s("g", { visibility: "hidden", "data-callout": first.parts[0] }, leader, text, value);
       this.#callouts.push({ element, text, value, leader, y, edge: left, names: together.map((member) => member.parts.join(", ")) });
     }
-    // from the top, so that the lowest of a group, which has its name, lies in front
+    // From the top, so that the lowest storey of a group, which shows the name, is drawn in front.
     for (const member of members.toReversed()) {
       const [y0, y1] = member.ends.map(level);
       const shape = { x: left, y: Math.min(y0, y1), width, height: Math.abs(y0 - y1) };
       const together = group(member);
-      // storeys that are scaled together are named once, in their middle
+      // Storeys that are scaled together have one name, in their middle.
       const isNamed = together[0] === member && member.parameters.length > 0 && together.length * storey >= NAMED_FROM;
       const middle = (y0 + level(together.at(-1).ends[1])) / 2;
       const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;
@@ -208,7 +220,7 @@ export class Drawing {
   }
 }
 
-/** Lines across what has probably lost: it is told without colour as well. */
+/** Creates the hatching of parts with a probable loss, which shows the loss without colour. */
 function hatches() {
   const pattern = (id, distance) =>
     s("pattern", { id, width: distance, height: distance, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, s("path", { d: `M0 0V${distance}`, class: "hatch-line" }));

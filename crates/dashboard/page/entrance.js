@@ -1,18 +1,18 @@
-// Asks for a token where the server wants one. The token is sent once, and kept nowhere on this page.
+// Requests a token if the server requires one. The page sends the token once and does not store it.
 
 import { h, setText } from "./dom.js";
 
 const ADDRESS = "/api/session";
-/** Pause between questions whether the session has ended (ms). */
+/** Minimum interval between checks whether the session has ended (ms). */
 const ASKED_EVERY_MS = 5000;
 
-/** Returns once this browser is let in; shows a form until then. */
+/** Returns as soon as this browser is admitted. Shows a form until then. */
 export async function letIn(place) {
   if (!(await isRefused())) return;
   await new Promise((resolve) => place.replaceChildren(form(resolve)));
 }
 
-/** Loads the page anew, and so asks for a token again, when the session has ended. */
+/** Reloads the page, which then requests a token, when the session has ended. */
 export function watchSession(connection) {
   let asked = 0;
   connection.on("state", async () => {
@@ -22,7 +22,7 @@ export function watchSession(connection) {
   });
 }
 
-/** Whether the server answers and does not know who asks. */
+/** Returns whether the server replies but requires a token. */
 async function isRefused() {
   try {
     return (await fetch(ADDRESS)).status === 401;

@@ -1,13 +1,19 @@
-// Where the words of moments stand above a plot: each at its own line, and at no other.
+// Places the labels of marks above a plot, each at its own line.
 
-/** Most rows of words. */
+/** Maximum number of rows of labels. */
 const ROWS = 3;
-/** Between a line and its word, and between two words (px). */
+/** Gap between a line and its label, and between two labels (px). */
 const GAP = 4;
 
 /**
- * The marks { x, text } that are seen, with `at` (px from the left, where the line is), and row (the lowest is 0), from and to (px) of the word. Those
- * that come first have their words first; of one that has no room the row is -1, its line says when.
+ * Places the labels of marks.
+ *
+ * Returns the visible marks { x, text } with these fields:
+ * - `at`: distance of the line from the left (px)
+ * - `row`: row of the label, 0 for the lowest, or -1 if there is no room for the label
+ * - `from`, `to`: ends of the label (px)
+ *
+ * Earlier marks have priority. A mark without a label still shows its time by its line.
  */
 export function flags(marks, { min, max }, width, measure) {
   if (!(max > min)) return [];
@@ -26,14 +32,20 @@ export function flags(marks, { min, max }, width, measure) {
   return seen;
 }
 
-/** Where a word may stand: to the right of its line or else to the left, in the highest row first, so that others find room below. */
+/**
+ * Returns the possible places of a label: right of its line or else left, the highest row first, so
+ * that lower rows stay free.
+ */
 function places(at, wide, width) {
   const rows = Array.from({ length: ROWS }, (_, row) => ROWS - 1 - row);
   const [right, left] = [{ from: at + GAP, to: at + GAP + wide }, { from: at - GAP - wide, to: at - GAP }];
   return [right, left].filter(({ from, to }) => from >= 0 && to <= width).flatMap((ends) => rows.map((row) => ({ row, ...ends })));
 }
 
-/** Whether a word at this place lies on another one, or one of the two on the line that goes up to the other. */
+/**
+ * Returns whether a label at this place overlaps another label, or either label overlaps the line
+ * that leads to the other.
+ */
 function isInTheWay(at, place, other) {
   const isCrossed = (line, { from, to }) => line > from - GAP && line < to + GAP;
   if (place.row === other.row) return place.from < other.to + 2 * GAP && other.from < place.to + 2 * GAP;

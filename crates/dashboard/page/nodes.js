@@ -1,4 +1,4 @@
-// The nodes that identify for themselves, each in a row as its station sees it.
+// The nodes in distributed identification, one row per node, as the station reports them.
 
 import { h, keyed, setText } from "./dom.js";
 import { NODES, bytes, number, percent, time } from "./words.js";
@@ -9,12 +9,15 @@ export class NodeTable {
   constructor() {
     this.rows = h("tbody");
     const heads = h("tr", {}, HEADS.map((text) => h("th", { scope: "col" }, text)));
-    // what scrolls can be reached by keyboard
+    // Makes the scrollable area accessible by keyboard.
     const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": "Nodes" };
     this.element = h("div", { class: "card" }, h("div", scroll, h("table", { class: "nodes" }, h("thead", {}, heads), this.rows)));
   }
 
-  /** `nodes` by name, as the station tells of them; in the order of the structure file. */
+  /**
+   * Shows `nodes` (by name, as the station reports them) in the order of `names` in the structure
+   * file.
+   */
   update(names, nodes) {
     const make = () => {
       const cells = HEADS.map((text, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", column >= 2 ? { class: "number" } : {})));

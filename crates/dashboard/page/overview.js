@@ -1,4 +1,4 @@
-// All structures, what needs attention first.
+// All structures, the most urgent first.
 
 import { h, keyed, setText } from "./dom.js";
 import { LEVELS, STATES, duration, fitWord, lag, percent, place, probability, ratio, time } from "./words.js";
@@ -90,25 +90,28 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
   setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
-  // of a record the time says more than the age
+  // For a record, the time is more informative than the age.
   setText(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
   const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
   setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");
 }
 
-/** Says beside the sentence of an alert, which stays that of its change, what the newest value says. */
+/**
+ * Shows the loss by the newest value beside the sentence of an alert, which describes the time of
+ * its change.
+ */
 export function showNow(line, now, age_s) {
   line.hidden = !now;
   if (now) setText(line, `${age_s === null || age_s > 3 ? "By the last value" : "Now"}: ${now}`);
 }
 
-/** Says beside any other level that nothing new comes. */
+/** Shows beside any other level that no new data arrives. */
 export function showStale(badge, { age_s, level }) {
   badge.hidden = level === "stale" || level === "learning" || level === "undecided" || (age_s !== null && age_s < 3);
   if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? "no data yet" : `no new data for ${duration(age_s)}`}`);
 }
 
-/** How old the data of a structure are. */
+/** Returns the age of a structure's data in words. */
 export function age({ age_s }) {
   if (age_s === null) return "none since this page was started";
   return age_s < 1.5 ? "new" : `${duration(age_s)} old`;

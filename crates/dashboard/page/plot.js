@@ -1,4 +1,5 @@
-// One plot over time: uPlot with the colours of the page, a shared crosshair, marks, and a file of what is seen.
+// One plot over time, drawn with uPlot: the page's colours, a shared crosshair, marks, and export
+// to a file.
 
 import { h, s, setText } from "./dom.js";
 import { flags } from "./marks.js";
@@ -7,19 +8,24 @@ import { clock, isWithoutDate, recordTime } from "./words.js";
 /* global uPlot */
 
 const HEIGHT = 220;
-/** Height of a row of words above a plot, size of the words, and the room above a plot without them (px). */
+/**
+ * Height of a row of labels above a plot, size of the labels, and room above a plot without labels
+ * (px).
+ */
 const WORD_ROW = 15;
 const WORD_SIZE = 12;
 const TOP_ROOM = 8;
-/** A hole in time this many usual steps long is drawn as a hole. */
+/** Minimum gap in time, in usual steps, that is drawn as a gap. */
 const HOLE_STEPS = 8;
 
-/** Colours of lines, far apart for those who tell red from green badly (Okabe and Ito). */
+/** Colours of lines, distinguishable with red-green colour blindness (Okabe and Ito). */
 export const COLOURS = ["--line-1", "--line-2", "--line-3", "--line-4", "--line-5", "--line-6", "--line-7"];
-/** Dashes tell lines apart without colour. */
+/** Dashes that distinguish lines without colour. */
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3], [4, 4], [14, 4], [1, 5]];
 
-/** Colour and dash of a line: as many lines as there are pairs of both look different. */
+/**
+ * Returns the colour and dash of a line. They differ for as many lines as there are pairs of both.
+ */
 export function look(index) {
   const rounds = Math.floor(index / COLOURS.length);
   return { colour: COLOURS[index % COLOURS.length], dash: DASHES[(index + rounds) % DASHES.length] };
@@ -36,8 +42,14 @@ export class Plot {
   #wasFetched = false;
 
   /**
-   * `plot`: title, unit, names (series), series and bands of uPlot, rows(columns by name) to its data, readout(data, index) to
-   * a text, marks() to lines: { y, text, colour } or { x, text, colour }, those first whose words count most, range of the y axis if it is fixed.
+   * `plot` has these fields:
+   * - `title`, `unit`, `names`: title, unit and names of the series
+   * - `series`, `bands`: series and bands of uPlot
+   * - `rows(columns by name)`: returns the data of uPlot
+   * - `readout(data, index)`: returns a text
+   * - `marks()`: returns lines { y, text, colour } or { x, text, colour }, the most important
+   *   labels first
+   * - `range`: range of the y axis, if it is fixed
    */
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
@@ -45,7 +57,7 @@ export class Plot {
     const keys = "arrow keys move the crosshair, with shift the span, plus and minus zoom, home goes back to the newest data";
     this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
     const legend = (plot.legend ?? []).map(({ name, colour, dash }) => {
-      // an area, or a line with its dashes
+      // An area, or a line with its dashes.
       const drawn = () => s("svg", { class: "key-line", width: 32, height: 8, "aria-hidden": "true" }, s("line", { x1: 0, y1: 4, x2: 32, y2: 4, "stroke-dasharray": dash.join(" ") }));
       const key = dash ? drawn() : h("span", { class: "key", "aria-hidden": "true" });
       key.style.setProperty("--key", `var(${colour})`);
@@ -71,14 +83,14 @@ export class Plot {
     this.#uplot = null;
   }
 
-  /** The span has changed: what is in it has to come anew. */
+  /** Refetches the data after a change of the span. */
   restart() {
     this.#wasFetched = false;
     this.#isDirty = true;
     if (this.#isSeen) this.#fetch();
   }
 
-  /** The colours have changed. */
+  /** Redraws after a change of the colours. */
   recolour() {
     this.#uplot?.destroy();
     this.#uplot = null;
@@ -86,12 +98,12 @@ export class Plot {
     this.draw();
   }
 
-  /** Points or marks have come. */
+  /** Requests a redraw for new points or marks. */
   dirty() {
     this.#isDirty = true;
   }
 
-  /** Draws, if there is something new and somebody who sees it. */
+  /** Draws if there is new data and the plot is visible. */
   draw() {
     if (!this.#isSeen || !this.#isDirty || this.holder.clientWidth === 0) return;
     this.#isDirty = false;
@@ -105,13 +117,13 @@ export class Plot {
     if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
     else this.#uplot.setData(data, false);
     this.#uplot.setScale("x", this.span.shown);
-    // a mark that is new in the same span changes the room above
+    // A new mark in the same span changes the room above the plot.
     const { room } = this;
     if (this.#room(this.#uplot) !== room) this.#uplot.redraw(false, true);
     this.#read(this.#uplot.cursor.idx ?? null);
   }
 
-  /** What the mouse can do, by keyboard. */
+  /** Provides the functions of the mouse by keyboard. */
   #key(event) {
     if (!this.#uplot || event.ctrlKey || event.altKey || event.metaKey) return;
     const { min, max } = this.span.shown;
@@ -134,14 +146,14 @@ export class Plot {
     event.preventDefault();
   }
 
-  /** Moves the crosshair of all plots by one point of this one, within what is seen. */
+  /** Moves the crosshair of all plots by one point of this plot, within the visible range. */
   #step(direction) {
     const u = this.#uplot;
     const times = u.data[0];
     const { min, max } = u.scales.x;
     let index = u.cursor.idx ?? null;
     if (index === null) index = direction > 0 ? times.findIndex((time) => time >= min) : times.findLastIndex((time) => time <= max);
-    else index = Math.min(index, times.length) + direction; // what was fetched anew may be shorter
+    else index = Math.min(index, times.length) + direction; // refetched data may have fewer rows
     const time = times[index];
     if (time === undefined || time < min || time > max) return;
     u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, true, true);
@@ -171,7 +183,7 @@ export class Plot {
   #read(index) {
     const data = this.#uplot.data;
     const last = lastOf(data);
-    // what was fetched anew may have fewer rows than lay under the crosshair
+    // Refetched data may have fewer rows than the crosshair's index.
     const at = last === null ? null : Math.min(index ?? last, last);
     const text = at === null ? "" : `${clock(data[0][at])} · ${this.plot.readout(data, at)}`;
     setText(this.readout, text);
@@ -215,16 +227,16 @@ export class Plot {
     this.span.fix(from, to);
   }
 
-  /** Room above the plot for the words of its marks (px). */
+  /** Returns the room above the plot for the labels of its marks (px). */
   #room(u) {
     const rows = this.#flags(u).reduce((most, { row }) => Math.max(most, row + 1), 0);
     return (this.room = rows > 0 ? rows * WORD_ROW + 4 : TOP_ROOM);
   }
 
-  /** The marks of moments that are seen, with the places of their words. */
+  /** Returns the visible marks of moments with the places of their labels. */
   #flags(u) {
     const { ctx } = u;
-    ctx.save(); // uPlot does not set again what it has set before
+    ctx.save(); // uPlot caches its settings and does not set them again
     ctx.font = `${WORD_SIZE}px system-ui, sans-serif`;
     const width = u.bbox.width / devicePixelRatio || this.holder.clientWidth;
     const all = flags(this.plot.marks?.() ?? [], u.scales.x, width, (text) => ctx.measureText(text).width);
@@ -247,7 +259,7 @@ export class Plot {
       ctx.lineTo(...to);
       ctx.stroke();
     };
-    // with a rim, so that it is read across lines and bands
+    // With an outline, so that the text is legible on lines and bands.
     const write = (text, x, y, colour) => {
       ctx.setLineDash([]);
       [ctx.strokeStyle, ctx.lineWidth] = [css("--card"), 4 * size];
@@ -265,13 +277,13 @@ export class Plot {
       const isHigh = y < bbox.top + 16 * size;
       write(mark.text, left + 6 * size, isHigh ? y + 14 * size : y - 4 * size, colour);
     }
-    // a line goes up to its word
+    // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);
     for (const { text, colour, row, from } of flags.filter(({ row }) => row >= 0)) write(text, left + from * size, bbox.top - (row * WORD_ROW + 4) * size, css(colour));
     ctx.restore();
   }
 
-  /** Writes what is seen to a file, with its title on a ground of its own. */
+  /** Saves the visible plot to a file, with its title and background. */
   #png() {
     if (!this.#uplot) return;
     const source = this.#uplot.ctx.canvas;
@@ -292,14 +304,17 @@ export class Plot {
   }
 }
 
-/** A range with a little room, which is not nothing for a line that is flat. */
+/** Returns a range with a small margin, which is not empty for a constant line. */
 function padded(_, least, largest) {
   if (least === null || largest === null || !Number.isFinite(least)) return [0, 1];
   const room = Math.max((largest - least) * 0.08, Math.abs(largest) * 0.01, 1e-12);
   return [least - room, largest + room];
 }
 
-/** Times of the axis as fine as its steps, the date where it changes; of a record without dates those of the record. */
+/**
+ * Formats the times of the axis at the resolution of its steps, with the date where it changes. A
+ * record without dates shows its own time.
+ */
 function timeTicks(splits, step) {
   if (splits.length > 0 && isWithoutDate(splits.at(-1))) return splits.map((split) => recordTime(split, step >= 1 ? 0 : step >= 0.1 ? 1 : 3));
   let date = "";
@@ -323,7 +338,7 @@ function lastOf(data) {
   return data[0].length > 0 ? data[0].length - 1 : null;
 }
 
-/** Puts a row of nothing where nothing was measured for long, so that no line leads over it. */
+/** Inserts an empty row into long gaps of the data, so that no line crosses them. */
 function withHoles(data) {
   const times = data[0];
   if (times.length < 3) return data;

@@ -1,4 +1,4 @@
-// What is plotted of a structure.
+// The plots of a structure.
 
 import { COLOURS, Plot, css, look } from "./plot.js";
 import { STATES, number, percent, probability, ratio, unit } from "./words.js";
@@ -10,13 +10,13 @@ const HALF_WIDTHS = [
   ["50 %", 0.6745],
 ];
 
-/** Where marks are dense the words of these are written first. */
+/** States of alerts in the order of priority of their labels. */
 const WORDS_FIRST = ["raised", "unconfirmed", "acknowledged", "cleared", "pending", "undecided", "learning", "normal"];
 
 const line = (index, more) => ({ stroke: () => css(look(index).colour), width: 2, dash: look(index).dash, ...more });
 const edge = { stroke: "transparent", width: 0 };
 
-/** Mean and bands: data are time, mean, then low and high of each band. */
+/** Returns mean and bands: time, mean, then low and high of each band. */
 function meanWithBands(columns) {
   const [times, mean, std] = columns;
   const ends = HALF_WIDTHS.flatMap(([, half]) => [mean.map((one, index) => one - half * std[index]), mean.map((one, index) => one + half * std[index])]);
@@ -30,7 +30,7 @@ const bandFills = () => [
   { series: [7, 6], fill: css("--band-50") },
 ];
 
-/** A parameter: estimate with bands, threshold, and marks of its alerts. */
+/** Creates the plot of a parameter: estimate with bands, threshold, and marks of its alerts. */
 export function parameterPlot(parameter, standing, points, span, id) {
   const name = `parameter/${parameter.name}`;
   const threshold = () => {
@@ -56,7 +56,8 @@ export function parameterPlot(parameter, standing, points, span, id) {
       rows: (columns) => [...meanWithBands(columns.get(name)), columns.get(name)[3]],
       series: () => [...bandSeries(), { show: false }],
       bands: bandFills,
-      // the threshold stays in sight, and the wide bands of the first seconds do not make all else flat
+      // Keeps the threshold in view, and prevents the wide bands of the first seconds from
+      // flattening the rest.
       range: (u) => {
         const { min, max } = span.shown;
         const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= min && u.data[0][row] <= max);
@@ -86,7 +87,7 @@ function quantile(values, share) {
   return [...values].sort((a, b) => a - b)[Math.round(share * (values.length - 1))];
 }
 
-/** A noise level: the variance with bands. */
+/** Creates the plot of a noise level: the variance with bands. */
 export function noisePlot(level, points, span) {
   const name = `noise/${level.name}`;
   const square = level.unit ? `variance, (${unit(level.unit)})²` : "level ψ (1)";
@@ -106,7 +107,9 @@ export function noisePlot(level, points, span) {
   );
 }
 
-/** Innovations of a channel: between the least and the largest of each interval. */
+/**
+ * Creates the plot of a channel's innovations, between the minimum and maximum of each interval.
+ */
 export function innovationPlot(sensor, points, span) {
   const name = `innovation/${sensor.channel}`;
   return new Plot(
@@ -126,7 +129,7 @@ export function innovationPlot(sensor, points, span) {
   );
 }
 
-/** How well model and data agree. */
+/** Creates the plot of the agreement between model and data. */
 export function consistencyPlot(points, span) {
   return new Plot(
     {
@@ -145,7 +148,7 @@ export function consistencyPlot(points, span) {
   );
 }
 
-/** Screening of a channel. */
+/** Creates the plot of a channel's outlier screening. */
 export function outlierPlot(channel, points, span) {
   const name = `outlier/${channel}`;
   return new Plot(
@@ -164,7 +167,7 @@ export function outlierPlot(channel, points, span) {
   );
 }
 
-/** Plausibilities of the model classes, stacked to 1. */
+/** Creates the plot of the plausibilities of the model classes, stacked to 1. */
 export function classPlot(classes, points, span) {
   const names = classes.map((name) => `class/${name}`);
   return new Plot(
@@ -175,7 +178,7 @@ export function classPlot(classes, points, span) {
       unit: "plausibility (1)",
       names,
       rows: (columns) => stacked(names.map((name) => columns.get(name))),
-      // drawn from the top: the first one lies in front
+      // Drawn from the top, so that the first class is in front.
       series: () => names.map((_, index) => line(index, { width: 1, fill: () => css(`${COLOURS[index % COLOURS.length]}-fill`) })).toReversed(),
       range: () => [0, 1],
       readout: (data, at) => {
@@ -188,7 +191,10 @@ export function classPlot(classes, points, span) {
   );
 }
 
-/** Sums from the first class on, the largest sum first; a class that does not compete at a time counts nothing. */
+/**
+ * Returns cumulative sums over the classes, the largest first. A class without a value at a time
+ * counts as 0.
+ */
 function stacked(series) {
   const known = series.map((columns) => new Map(columns ? columns[0].map((time, row) => [time, columns[1][row]]) : []));
   const times = [...new Set(known.flatMap((one) => [...one.keys()]))].sort((a, b) => a - b);
@@ -197,7 +203,7 @@ function stacked(series) {
   return [times, ...sums.toReversed()];
 }
 
-/** Distances of the nodes that identify for themselves, each from all others. */
+/** Creates the plot of the distances of the distributed nodes, each from all others. */
 export function nodePlot(nodes, points, span) {
   const names = nodes.map((name) => `node/${name}`);
   return new Plot(
@@ -216,7 +222,7 @@ export function nodePlot(nodes, points, span) {
   );
 }
 
-/** Columns of one time axis: a distance for each node, then the limit. */
+/** Returns the columns on a common time axis: one distance per node, then the limit. */
 function aligned(series) {
   const rows = new Map();
   series.forEach((columns, node) => {

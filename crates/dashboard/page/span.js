@@ -1,10 +1,10 @@
-// The span of time that all plots of a page share, and the points in it.
+// The time span that all plots of a page share, and the points within it.
 
-/** Points asked for per series: about as many as a plot has columns. */
+/** Number of points to request per series, about the number of columns of a plot. */
 const POINTS = 1000;
-/** With more than this a series is asked for anew, combined by the server. */
+/** Number of points above which a series is refetched, combined by the server. */
 const MOST_POINTS = 3000;
-/** What can be chosen (s). */
+/** Selectable lengths (s). */
 export const LENGTHS = [
   [60, "1 min"],
   [600, "10 min"],
@@ -15,14 +15,14 @@ export const LENGTHS = [
   [10 * 365 * 86400, "10 years"],
 ];
 
-/** What is looked at: the newest so many seconds, or from one moment to another. */
+/** The visible time span: the newest data of a given length, or a fixed range. */
 export class Span {
   #fixed = null;
   #listeners = [];
   length_s = 600;
   /** Time of the newest point of any series (s since 1970). */
   newest_s = null;
-  /** From when on all that is asked for is kept (s since 1970). */
+  /** Time from which all requested data is available (s since 1970). */
   keptFrom_s = null;
 
   get isLive() {
@@ -37,13 +37,16 @@ export class Span {
     return this.#fixed ? this.#fixed[1] : (this.newest_s ?? 0);
   }
 
-  /** What plots show of it: a live span begins no earlier than what is kept, so that little data fill the plot as well. */
+  /**
+   * Range that the plots show. A live span starts no earlier than the available data, so that
+   * little data also fills the plot.
+   */
   get shown() {
     const min = this.isLive && this.lacks ? Math.min(this.keptFrom_s, this.to_s - 1) : this.from_s;
     return { min, max: Math.max(this.to_s, min + 1) };
   }
 
-  /** Whether more is asked for than is kept. */
+  /** Whether the span starts before the available data. */
   get lacks() {
     return this.keptFrom_s !== null && this.newest_s !== null && this.from_s < this.keptFrom_s - 1;
   }
@@ -54,7 +57,7 @@ export class Span {
     this.#set(null);
   }
 
-  /** Stays at a span. */
+  /** Fixes the span to a range. */
   fix(from_s, to_s) {
     this.#set([from_s, to_s]);
   }
@@ -69,7 +72,7 @@ export class Span {
   }
 }
 
-/** The points of one structure, as far as plots that are seen need them. */
+/** The points of one structure, as far as the visible plots need them. */
 export class Points {
   #series = new Map();
 
@@ -78,17 +81,17 @@ export class Points {
     this.span = span;
   }
 
-  /** The columns of a series, the time first; none before they have come. */
+  /** Returns the columns of a series, the time first, or nothing before they have arrived. */
   columns(name) {
     return this.#series.get(name)?.columns ?? null;
   }
 
-  /** Address of what is shown of some series, as CSV. */
+  /** Returns the address of the visible data of some series as CSV. */
   csv(names) {
     return this.#address(names, 20000) + "&format=csv";
   }
 
-  /** Asks for the span anew. Returns whether something came. */
+  /** Refetches the span. Returns whether data has arrived. */
   async fetch(names) {
     for (const name of names) this.#entry(name).asked = true;
     const response = await fetch(this.#address(names, POINTS));
@@ -109,13 +112,13 @@ export class Points {
     return true;
   }
 
-  /** Takes points as they come; returns the names of what they changed. */
+  /** Adds received points and returns the names of the changed series. */
   take(series) {
     const changed = [];
     for (const [name, { generation, data }] of Object.entries(series)) {
       const entry = this.#series.get(name);
       const newest = data[0].at(-1);
-      // measurement that begins anew may lie before what was there
+      // A new run of measurement may start before the points already shown.
       if (entry && entry.generation !== null && entry.generation !== generation) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
       else this.span.newest_s = Math.max(newest, this.span.newest_s ?? -Infinity);
       if (!entry?.columns || !this.span.isLive) continue;
@@ -128,7 +131,7 @@ export class Points {
     return changed;
   }
 
-  /** Forgets what nobody looks at any more. */
+  /** Drops a series that no plot shows any more. */
   forget(name) {
     this.#series.delete(name);
   }
@@ -146,7 +149,7 @@ export class Points {
   #trim(name, entry) {
     const times = entry.columns[0];
     const first = times.findIndex((time) => time >= this.span.from_s);
-    // now and then many, instead of one at every message
+    // Removes many points at once instead of one per message.
     if (first > 200) entry.columns = entry.columns.map((column) => column.slice(first - 1));
     if (times.length > MOST_POINTS && !entry.refetching) {
       entry.refetching = true;
@@ -163,7 +166,7 @@ export class Points {
   }
 }
 
-/** The rows after a time. */
+/** Returns the rows after a time. */
 function after(columns, time) {
   const first = columns[0].findIndex((one) => one > time);
   return first < 0 ? columns.map(() => []) : columns.map((column) => column.slice(first));

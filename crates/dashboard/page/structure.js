@@ -1,4 +1,4 @@
-// One structure: why it needs attention, its drawing, its parameters, and everything over time.
+// One structure: why it needs attention, its drawing, its parameters, and all series over time.
 
 import { AcknowledgeDialog } from "./alerts.js";
 import { h, keyed, setText } from "./dom.js";
@@ -9,11 +9,11 @@ import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlie
 import { LENGTHS, Points, Span } from "./span.js";
 import { FITS, HEALTH, LEVELS, STATES, canBeSeen, duration, fitWord, lag, levelOf, number, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
 
-/** How often plots are drawn (ms), however often points come. */
+/** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
-/** Probability of loss from which on the course of a part is put on top. */
+/** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
-/** Seconds shown on each side of a moment that a link leads to. */
+/** Time shown on each side of a moment that a link leads to (s). */
 const AROUND_S = 60;
 
 export class StructurePage {
@@ -34,7 +34,7 @@ export class StructurePage {
     this.#leave = [
       connection.on("structure", ({ standing }) => this.#show(standing)),
       connection.on("points", ({ series }) => this.#take(series)),
-      // what came while nothing was heard, or belongs to another life of the server
+      // Fetches points that were published while disconnected or by an earlier run of the server.
       connection.on("opened", () => this.#respan()),
       connection.on("overview", ({ structures }) => structures.filter((structure) => structure.name === name).forEach((own) => this.#attend(own))),
     ];
@@ -55,7 +55,7 @@ export class StructurePage {
     this.#plots.forEach((plot) => plot.close());
   }
 
-  /** Another moment or parameter of the same structure. */
+  /** Shows another moment or parameter of the same structure. */
   takes([kind, name], parameters) {
     if (kind !== "structure" || name !== this.name || !this.about) return false;
     this.#goto(parameters);
@@ -127,7 +127,7 @@ export class StructurePage {
     for (const parameter of about.parameters) this.#plot("parameters", parameter.name, () => parameterPlot(parameter, standing, this.points, this.span));
   }
 
-  /** Makes a plot once there is something to plot. */
+  /** Creates a plot as soon as it has data. */
   #plot(group, key, make) {
     const id = `${group}/${key}`;
     if (this.#made.has(id)) return;
@@ -138,10 +138,10 @@ export class StructurePage {
     this.groups[group].holder.append(plot.element);
   }
 
-  /** Puts the course of the part that has most probably lost stiffness where it is seen first. */
+  /** Shows the plot of the part with the highest probability of loss at the top. */
   #showWorst({ worst }) {
     const { parameters } = this.about;
-    // among sound parts the order changes all the time and means nothing
+    // Among sound parts the order changes constantly and means nothing.
     const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (this.worstPlot?.name ?? parameters[0]?.name);
     const parameter = parameters.find((parameter) => parameter.name === name);
     if (!parameter || this.worstPlot?.name === name) return;
@@ -265,7 +265,7 @@ export class StructurePage {
     }
   }
 
-  /** A series that was not there before may need a plot of its own. */
+  /** Creates plots for new series. */
   #discover(name) {
     const [kind, of] = [name.slice(0, name.indexOf("/")), name.slice(name.indexOf("/") + 1)];
     if (kind === "innovation") {
@@ -277,7 +277,7 @@ export class StructurePage {
       this.classes ??= [];
       if (this.classes.includes(of)) return;
       this.classes.push(of);
-      // another class changes the whole stack
+      // A new class changes the whole stack.
       const old = this.#made.get("classes/all");
       if (old) {
         this.#drop(old);
@@ -299,7 +299,7 @@ export class StructurePage {
     this.#plots.forEach((plot) => plot.restart());
   }
 
-  /** Goes to the parameter, and the moment, that the address names. */
+  /** Scrolls to the parameter in the address and shows its moment. */
   #goto(parameters) {
     const at = Number(parameters.get("at"));
     if (at > 0) this.span.fix(at - AROUND_S, at + AROUND_S);
@@ -313,7 +313,7 @@ export class StructurePage {
   }
 }
 
-/** Chooses the span of all plots. */
+/** Buttons that select the span of all plots. */
 class RangeBar {
   constructor(span) {
     this.span = span;

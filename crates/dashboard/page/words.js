@@ -1,6 +1,6 @@
-// How things are called and numbers are written.
+// Names of states and formats of numbers.
 
-/** What a level of attention is called, and its sign: shape and word tell it without colour. */
+/** Names and signs of the levels of attention. Sign and word distinguish them without colour. */
 export const LEVELS = {
   alarm: { sign: "▲", word: "Alarm" },
   stale: { sign: "✕", word: "No data" },
@@ -11,7 +11,7 @@ export const LEVELS = {
   normal: { sign: "✓", word: "Normal" },
 };
 
-/** The same for the states of an alert. */
+/** Names, signs and levels of the states of an alert. */
 export const STATES = {
   raised: { sign: "▲", word: "raised", level: "alarm" },
   unconfirmed: { sign: "△", word: "unconfirmed", level: "alarm" },
@@ -23,14 +23,14 @@ export const STATES = {
   normal: { sign: "✓", word: "normal", level: "normal" },
 };
 
-/** And for verdicts on the fit. */
+/** Signs and levels of the verdicts on the fit. */
 export const FITS = {
   supported: { sign: "✓", level: "normal" },
   doubtful: { sign: "◆", level: "learning" },
   contradicted: { sign: "✕", level: "warning" },
 };
 
-/** And for sensors. */
+/** Names, signs and levels of the health of sensors. */
 export const HEALTH = {
   alive: { sign: "●", word: "delivers", level: "normal" },
   gone: { sign: "✕", word: "gone", level: "warning" },
@@ -41,7 +41,7 @@ export const HEALTH = {
   unknown: { sign: "○", word: "not heard of yet", level: "learning" },
 };
 
-/** And for nodes that identify for themselves. */
+/** Names, signs and levels of the states of distributed nodes. */
 export const NODES = {
   used: { sign: "●", word: "alive", level: "normal" },
   silent: { sign: "○", word: "silent", level: "warning" },
@@ -49,22 +49,22 @@ export const NODES = {
   ended: { sign: "■", word: "ended", level: "learning" },
 };
 
-/** The level of an alert: one that stands and that somebody has seen is no alarm. */
+/** Returns the level of an alert. An acknowledged alert is not an alarm. */
 export function levelOf(alert) {
   return alert.state === "unconfirmed" && alert.acknowledged_by ? "notice" : STATES[alert.state].level;
 }
 
-/** Whether somebody can acknowledge an alert. */
+/** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);
 }
 
-/** The verdict on the fit in one word. */
+/** Returns the verdict on the fit in one word. */
 export function fitWord(verdict) {
   return verdict ? `${FITS[verdict].sign} ${verdict}` : "not judged";
 }
 
-/** Steps of the probability of loss: the drawing and its key use the same. */
+/** Steps of the probability of loss, shared by the drawing and its key. */
 export const STEPS = [
   { below: 0.05, text: "below 5 %" },
   { below: 0.5, text: "5 to 50 %" },
@@ -73,16 +73,19 @@ export const STEPS = [
   { below: Infinity, text: "99 % and above" },
 ];
 
-/** The step of a probability; none where it is not known. */
+/** Returns the step of a probability, or null if it is unknown. */
 export function step(probability) {
   if (probability === null || probability === undefined) return null;
   return STEPS.findIndex((one) => probability < one.below);
 }
 
-/** Most digits after the point of a probability in per cent. */
+/** Maximum number of decimals of a probability in per cent. */
 const MOST_DIGITS = 6;
 
-/** A probability in per cent, without a certainty that nobody has, and on the side of the one asked for on which it lies. */
+/**
+ * Formats a probability in per cent, never as certainty, and with enough digits to show on which
+ * side of `asked` it is.
+ */
 export function probability(value, asked) {
   if (value === null || value === undefined) return "–";
   const percent = 100 * value;
@@ -96,17 +99,17 @@ export function probability(value, asked) {
   }
 }
 
-/** A share in per cent. */
+/** Formats a share in per cent. */
 export function percent(share, digits = 1) {
   return `${(100 * share).toFixed(digits)} %`;
 }
 
-/** A ratio to the nominal value. */
+/** Formats a ratio to the nominal value. */
 export function ratio(value) {
   return value.toFixed(3);
 }
 
-/** A number of any size in few digits. */
+/** Formats a number of any size with few digits. */
 export function number(value) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   const size = Math.abs(value);
@@ -114,17 +117,20 @@ export function number(value) {
   return String(Number(value.toPrecision(4)));
 }
 
-/** An amount of payload. */
+/** Formats an amount of payload. */
 export function bytes(count) {
   if (count < 1000) return `${count} B`;
   if (count < 1e6) return `${(count / 1e3).toFixed(1)} kB`;
   return `${(count / 1e6).toFixed(1)} MB`;
 }
 
-/** Times before this are those of a record that begins at 0: three years, longer than any. */
+/**
+ * Times below this limit belong to a record that starts at 0. It is three years, longer than any
+ * record.
+ */
 const WITHOUT_DATES_BEFORE_S = 1e8;
 
-/** How long something is, in words. */
+/** Formats a duration in words. */
 export function duration(seconds) {
   const size = Math.abs(seconds);
   if (size < 1) return `${size.toFixed(1)} s`;
@@ -134,24 +140,27 @@ export function duration(seconds) {
   return `${Math.round(size / 86400)} days`;
 }
 
-/** Whether a time is that of a record that begins at 0. */
+/** Returns whether a time belongs to a record that starts at 0. */
 export function isWithoutDate(seconds) {
   return Math.abs(seconds) < WITHOUT_DATES_BEFORE_S;
 }
 
-/** A time of measurement, UTC as in the sentences of the alerts; of a record without dates the second of the record. */
+/**
+ * Formats a measurement time in UTC, as in the sentences of alerts, or the time in a record without
+ * dates.
+ */
 export function time(seconds) {
   if (isWithoutDate(seconds)) return `${seconds.toFixed(2)} s`;
   return new Date(1000 * seconds).toISOString().replace("T", " ").replace(/\.\d+Z/, " UTC");
 }
 
-/** The time of day alone; of a record without dates the second of the record. */
+/** Formats the time of day only, or the time in a record without dates. */
 export function clock(seconds) {
   if (isWithoutDate(seconds)) return time(seconds);
   return `${new Date(1000 * seconds).toISOString().slice(11, 21)} UTC`;
 }
 
-/** A time of a record without dates, in hours, minutes and seconds: 0:01:30. */
+/** Formats a time in a record without dates in hours, minutes and seconds: 0:01:30. */
 export function recordTime(seconds, digits = 0) {
   const unit = 10 ** digits;
   const size = Math.round(Math.abs(seconds) * unit) / unit;
@@ -160,7 +169,10 @@ export function recordTime(seconds, digits = 0) {
   return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
 }
 
-/** How far behind the sensors the identification is; the times of a record or a simulation say nothing of it. */
+/**
+ * Formats the lag of the identification behind the sensors. It has no meaning for a record or a
+ * simulation.
+ */
 export function lag(seconds, replayed) {
   if (replayed) return "replayed or simulated";
   if (seconds === null) return "–";
@@ -168,17 +180,17 @@ export function lag(seconds, replayed) {
   return duration(Math.max(seconds, 0));
 }
 
-/** A channel with what it measures, as the structure file names it. */
+/** Returns the name of a channel with its quantity, as in the structure file. */
 export function sensorName({ channel, quantity, unit: of }) {
   return `${channel} (${quantity.replaceAll("-", " ")}, ${unit(of)})`;
 }
 
-/** Units as people write them. */
+/** Returns a unit with typographic symbols. */
 export function unit(text) {
   return text.replace("m/s2", "m/s²");
 }
 
-/** Address of a structure's page, with a moment and a parameter if there is one. */
+/** Returns the address of a structure's page, optionally with a parameter and a moment. */
 export function place(structure, parameter, seconds) {
   const query = new URLSearchParams();
   if (parameter) query.set("parameter", parameter);

@@ -1,35 +1,35 @@
-//! What the structure file says that the page needs: it does not change while the dashboard runs.
+//! Data from the structure file that the page needs. It does not change while the dashboard runs.
 
 use serde::Serialize;
 use spandrel_structure::{Drawing, Structure};
 
-/// A structure without any measurement.
+/// Description of a structure, without measurements.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct About {
     pub(crate) name: String,
     pub(crate) description: String,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
-    /// Whether nodes identify for themselves and a station fuses them.
+    /// Whether nodes identify the structure from their own samples and a station fuses the results.
     pub(crate) distributed: bool,
     pub(crate) parameters: Vec<AboutParameter>,
     pub(crate) noise: Vec<AboutNoise>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
-    /// Position in the drawing's sensors of each observed channel.
+    /// Index of each observed channel in the drawing's list of sensors.
     #[serde(skip)]
     pub(crate) observed: Vec<usize>,
 }
 
-/// An identified parameter, a ratio to its nominal value.
+/// An identified parameter, as a ratio to its nominal value.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct AboutParameter {
     pub(crate) name: String,
     /// Whether 1 − θ is a loss of stiffness.
     pub(crate) stiffness: bool,
-    /// Loss that the first rule on it asks about, a share of the reference.
+    /// Loss threshold of the first rule on this parameter, as a share of the reference.
     pub(crate) loss: f64,
-    /// What the loss is counted from, ratio to nominal.
+    /// Reference for the loss, as a ratio to nominal.
     pub(crate) reference: f64,
 }
 
@@ -99,7 +99,7 @@ impl About {
         }
     }
 
-    /// The name of an observed channel, by its number in the innovations.
+    /// Returns the name of an observed channel from its index in the innovations.
     pub(crate) fn observed_channel(&self, row: usize) -> Option<&str> {
         self.drawing
             .sensors

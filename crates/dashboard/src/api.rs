@@ -1,4 +1,4 @@
-//! The HTTP interface: what can be asked, and what a mistake is answered with.
+//! The HTTP interface: its routes, and the error responses.
 
 use crate::entrance::{self, SESSION_PATH, pass, signed};
 use crate::gate::{SessionEnd, Visitor};
@@ -29,21 +29,22 @@ use spandrel_bus::{Acknowledgement, AlertState, Name};
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
-/// The description of this interface.
+/// OpenAPI description of this interface.
 const OPENAPI: &str = include_str!("../openapi.json");
-/// Largest body of a request (bytes).
+/// Maximum size of a request body (bytes).
 const LARGEST_BODY: usize = 16 * 1024;
-/// Longest name of a person, and longest note (characters).
+/// Maximum length of a person's name, and of a note (characters).
 const LONGEST_NAME: usize = 100;
 const LONGEST_NOTE: usize = 1_000;
-/// Time for a whole request, mostly for its body: the answer takes seconds at most.
+/// Time limit for a whole request, mostly for receiving its body. A reply takes a few seconds at
+/// most.
 const REQUEST_WITHIN: Duration = Duration::from_secs(30);
-/// Largest message of a browser on the WebSocket (bytes): nothing is asked there.
+/// Maximum size of a WebSocket message from a browser (bytes). The server ignores these messages.
 const LARGEST_MESSAGE: usize = 4 * 1024;
 
 type Shared = State<Arc<Server>>;
 
-/// All that can be asked, as in the description: path, method and what answers.
+/// Returns all routes of the description: path, method and handler.
 fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
     vec![
         ("/api/structures", Method::GET, get(structures)),
@@ -70,7 +71,7 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
     ]
 }
 
-/// Puts interface and page together.
+/// Combines the interface and the page into one router.
 pub(crate) fn router(server: Arc<Server>) -> Router {
     let with_page = ASSETS.iter().fold(Router::new(), |router, asset| {
         router.route(asset.path, get(*asset))
@@ -93,7 +94,7 @@ pub(crate) fn router(server: Arc<Server>) -> Router {
         .with_state(server)
 }
 
-/// Gives a request up that does not end.
+/// Aborts a request that exceeds its time limit.
 async fn in_time(request: Request, next: Next) -> Response {
     tokio::time::timeout(REQUEST_WITHIN, next.run(request))
         .await
@@ -108,7 +109,7 @@ async fn in_time(request: Request, next: Next) -> Response {
         })
 }
 
-/// Tells browsers that came over TLS to come over nothing else.
+/// Adds the header that makes browsers connect over TLS only, if the page is served over TLS.
 async fn with_transport_security(State(server): Shared, mut response: Response) -> Response {
     if server.gate().is_secure() {
         response.headers_mut().insert(
@@ -119,7 +120,7 @@ async fn with_transport_security(State(server): Shared, mut response: Response) 
     response
 }
 
-/// An answer that says what is wrong, and what is allowed.
+/// An error response that states the mistake and the permitted values.
 #[derive(Debug)]
 pub(crate) struct Mistake {
     status: StatusCode,
@@ -205,7 +206,7 @@ async fn wrong_method(method: Method, uri: Uri) -> Mistake {
     )
 }
 
-/// Finds the picture of a structure.
+/// Returns the store of a structure.
 fn find<'s>(server: &'s Server, name: &str) -> Result<MutexGuard<'s, Store>, Mistake> {
     server.store(name).ok_or_else(|| {
         let allowed = format!("must be one of: {}", server.names().join(", "));
@@ -217,7 +218,8 @@ fn find<'s>(server: &'s Server, name: &str) -> Result<MutexGuard<'s, Store>, Mis
     })
 }
 
-/// Refuses what the page of another site sends: browsers say where a request comes from, scripts do not.
+/// Rejects requests from pages of other sites. Browsers send the origin of a request, and scripts
+/// do not.
 pub(crate) fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
     let Some(origin) = headers.get(ORIGIN) else {
         return Ok(());
@@ -335,7 +337,7 @@ async fn alerts(
     Ok(Json(json!({"standing": standing, "changes": changed})).into_response())
 }
 
-/// Who acknowledges, and why.
+/// Body of an acknowledgement: who acknowledges, and why.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Seen {
@@ -430,7 +432,7 @@ async fn acknowledge(
     }
 }
 
-/// The state of an alert that somebody can have seen.
+/// Returns the state of an alert that can be acknowledged.
 fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<AlertState, Mistake> {
     if !store
         .about

@@ -1,4 +1,4 @@
-//! The door of the page: takes connections, over TLS where there is a certificate.
+//! Accepts connections to the page, over TLS if there is a certificate.
 
 use crate::error::DashboardError;
 use crate::places::{Place, Places};
@@ -17,19 +17,20 @@ use tokio_rustls::server::TlsStream;
 use tokio_util::either::Either;
 use tracing::{debug, warn};
 
-/// Handshakes at the same time; who comes meanwhile waits in the queue of the system.
+/// Maximum number of concurrent handshakes. Further connections wait in the queue of the operating
+/// system.
 const MOST_HANDSHAKES: usize = 64;
-/// Time for a handshake.
+/// Time limit for a handshake.
 const HANDSHAKE_WITHIN: Duration = Duration::from_secs(10);
-/// Pause after the system could not take a connection, mostly for want of file descriptors.
+/// Pause after a failure to accept a connection, usually because file descriptors ran out.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// A certificate and its private key (PEM).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PageCertificate {
-    /// The certificate, with what lies between it and its authority.
+    /// Path of the certificate, with all intermediate certificates up to its authority.
     pub certificate: PathBuf,
-    /// Its private key.
+    /// Path of the private key.
     pub key: PathBuf,
 }
 
@@ -52,7 +53,7 @@ impl PageCertificate {
     }
 }
 
-/// Somebody at the door.
+/// An accepted connection.
 #[derive(Debug)]
 pub(crate) struct Guest {
     pub(crate) stream: Either<TcpStream, Box<TlsStream<TcpStream>>>,
@@ -60,8 +61,10 @@ pub(crate) struct Guest {
     pub(crate) place: Place,
 }
 
-/// Takes connections. Handshakes are done beside each other: who does not finish one keeps nobody else out. Where there is no place
-/// any more a connection is closed at once.
+/// Accepts connections.
+///
+/// Handshakes run concurrently, so an unfinished handshake does not block other connections. If
+/// there is no free place, the door closes a new connection immediately.
 #[derive(Debug)]
 pub(crate) struct Door {
     guests: mpsc::Receiver<Guest>,
@@ -79,7 +82,7 @@ impl Door {
         }
     }
 
-    /// The next one; none only when all is at its end.
+    /// Returns the next connection, or `None` after accepting has ended.
     pub(crate) async fn next(&mut self) -> Option<Guest> {
         self.guests.recv().await
     }

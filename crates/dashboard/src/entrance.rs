@@ -1,4 +1,4 @@
-//! What stands before every request: who asks, from where, and under which name.
+//! Authentication of every request: the visitor, the client address and the host name.
 
 use crate::api::Mistake;
 use crate::gate::{Refusal, Visitor};
@@ -19,10 +19,12 @@ use serde_json::json;
 use spandrel_bus::is_loopback;
 use std::sync::Arc;
 
-/// Where a browser shows its token.
+/// Path at which a browser presents its token.
 pub(crate) const SESSION_PATH: &str = "/api/session";
 
-/// Lets a request pass, or answers it. The files of the page are for everybody: there is nothing of a site in them.
+/// Forwards a permitted request and replies to all others.
+///
+/// The page's files are public, because they contain no data of a site.
 pub(crate) async fn pass(
     State(server): State<Arc<Server>>,
     ConnectInfo(address): ConnectInfo<ClientAddress>,
@@ -65,8 +67,11 @@ pub(crate) async fn pass(
     }
 }
 
-/// Without tokens the page is for this machine only. The page of another site can give a name of its own the address of this
-/// machine, and would then read here what it likes; under that name it is not answered.
+/// Checks that the request uses a name or address of this machine.
+///
+/// Without tokens, the page is for this machine only. Another site could resolve its own name to
+/// this machine's address, and its page could then read this interface. Requests under such a name
+/// are rejected.
 fn check_host(headers: &HeaderMap) -> Result<(), Mistake> {
     let host = headers
         .get(HOST)
@@ -117,14 +122,14 @@ fn refused(refusal: Refusal) -> Response {
     }
 }
 
-/// A token, as the page sends it.
+/// A token as the page sends it.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Shown {
     token: String,
 }
 
-/// Says whether a token is needed, and who shows one.
+/// Reports whether a token is required, and whom the request's token identifies.
 pub(crate) async fn who(
     State(server): State<Arc<Server>>,
     ConnectInfo(address): ConnectInfo<ClientAddress>,
@@ -144,7 +149,7 @@ pub(crate) async fn who(
     }
 }
 
-/// Takes a token and begins a session.
+/// Checks a token and starts a session.
 pub(crate) async fn enter(
     State(server): State<Arc<Server>>,
     ConnectInfo(address): ConnectInfo<ClientAddress>,
@@ -152,7 +157,7 @@ pub(crate) async fn enter(
     shown: Result<Json<Shown>, JsonRejection>,
 ) -> Result<Response, Mistake> {
     crate::api::check_origin(&headers)?;
-    // what serde says of a wrong body could quote the token
+    // serde's error for an invalid body could quote the token.
     let allowed = "must be {\"token\": \"…\"}";
     let Ok(Json(Shown { token })) = shown else {
         return Err(Mistake::new(
@@ -195,7 +200,8 @@ pub(crate) async fn leave(
     Ok(([(SET_COOKIE, cookie)], Json(json!({"left": true}))).into_response())
 }
 
-/// Who acknowledges: what somebody calls themselves, and whose token it is.
+/// Returns the name of the person who acknowledges, followed by the name on the token if the names
+/// differ.
 pub(crate) fn signed(who: String, visitor: Option<&Extension<Visitor>>) -> String {
     match visitor {
         Some(Extension(Visitor { name, .. })) if *name.as_str() != who => format!("{who} ({name})"),

@@ -1,4 +1,4 @@
-//! Who is let in: tokens, the sessions of browsers that have shown one, and a limit for wrong ones.
+//! Admission to the page: tokens, browser sessions, and a limit for wrong tokens.
 
 use crate::error::DashboardError;
 use crate::tokens::{PageRole, Tokens, hash, hexadecimal, random};
@@ -11,63 +11,65 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// How long a browser need not show its token again.
+/// Duration of a browser session. After it, the browser must present its token again.
 const SESSION_LASTS: Duration = Duration::from_secs(12 * 3600);
-/// Most sessions at the same time; the oldest gives way.
+/// Maximum number of concurrent sessions. A further session replaces the oldest.
 const MOST_SESSIONS: usize = 1024;
-/// Wrong tokens that one address may show at once, and how often it gets one more.
+/// Number of wrong tokens that one address may present in a row, and the interval after which it
+/// may present one more.
 const WRONG_AT_ONCE: u32 = 10;
 const ONE_MORE_EVERY: Duration = Duration::from_secs(6);
-/// Most addresses that are remembered for wrong tokens; while all are taken, those not among them are refused.
+/// Maximum number of addresses with recorded wrong tokens. If the record is full, addresses outside
+/// it are rejected.
 const MOST_ADDRESSES: usize = 4096;
-/// Name of the cookie.
+/// Name of the session cookie.
 const COOKIE_NAME: &str = "spandrel-session";
 
-/// Somebody who was let in.
+/// An admitted person or program.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Visitor {
     pub(crate) name: Name,
     pub(crate) role: PageRole,
 }
 
-/// The end of the session of a browser, for what outlives a request.
+/// The end of a browser session, for connections that outlast a request.
 #[derive(Clone, Debug)]
 pub(crate) struct SessionEnd {
     until: Duration,
-    /// Says nothing; its other side goes with the session.
+    /// Receives nothing. Its sender is dropped with the session.
     left: watch::Receiver<()>,
 }
 
 impl SessionEnd {
-    /// Waits until the session is over by time, was left, or gave way to a newer one.
+    /// Waits until the session expires, is ended by its user, or is replaced by a newer one.
     pub(crate) async fn wait(mut self, now: Duration) {
         let left = async { while self.left.changed().await.is_ok() {} };
-        // either is the end
+        // Both outcomes mean the end of the session.
         let _ = tokio::time::timeout(self.until.saturating_sub(now), left).await;
     }
 }
 
-/// Why somebody is not let in.
+/// Reason for a rejection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Refusal {
-    /// No token, or a wrong one.
+    /// The token is missing or wrong.
     Unknown,
-    /// Too many wrong tokens: after so long one more is looked at.
+    /// There were too many wrong tokens. After this time, the gate checks one more.
     Later(Duration),
 }
 
-/// Lets in, or not. Times count from the start of the page.
+/// Admits or rejects requests. Times count from the start of the page.
 #[derive(Debug, Default)]
 pub(crate) struct Gate {
     tokens: Tokens,
-    /// Browsers are to send the cookie over TLS only.
+    /// Whether browsers must send the cookie over TLS only.
     is_secure: bool,
     inner: Mutex<Inner>,
 }
 
 #[derive(Debug, Default)]
 struct Inner {
-    /// By the hash of what the cookie says.
+    /// Sessions by the hash of the cookie's value.
     sessions: BTreeMap<String, Session>,
     wrong: BTreeMap<IpAddr, Wrong>,
 }
@@ -79,7 +81,7 @@ struct Session {
     left: watch::Sender<()>,
 }
 
-/// Wrong tokens of one address: how many more it may show, as of when.
+/// Wrong tokens of one address: the number of remaining attempts, and the time of that count.
 #[derive(Clone, Copy, Debug)]
 struct Wrong {
     left: u32,
@@ -94,7 +96,7 @@ impl Wrong {
             .min(u64::from(WRONG_AT_ONCE));
         let as_of =
             self.as_of + ONE_MORE_EVERY.saturating_mul(u32::try_from(gained).unwrap_or(u32::MAX));
-        // at most WRONG_AT_ONCE, which is a u32
+        // At most WRONG_AT_ONCE, which is a u32.
         Self {
             left: u32::try_from(left).unwrap_or(WRONG_AT_ONCE),
             as_of: as_of.min(now),
@@ -111,17 +113,17 @@ impl Gate {
         }
     }
 
-    /// Whether everybody may do everything.
+    /// Returns `true` if everybody may do everything, because there are no tokens.
     pub(crate) fn is_open(&self) -> bool {
         self.tokens.is_empty()
     }
 
-    /// Whether browsers come over TLS.
+    /// Returns `true` if browsers connect over TLS.
     pub(crate) fn is_secure(&self) -> bool {
         self.is_secure
     }
 
-    /// Who asks, by the token or cookie of a request.
+    /// Returns the visitor from the token or cookie of a request.
     pub(crate) fn admit(
         &self,
         headers: &HeaderMap,
@@ -132,7 +134,9 @@ impl Gate {
             .map(|(visitor, _)| visitor)
     }
 
-    /// The same with the end of the session, for those who came by one; a token is good as long as the page runs.
+    /// Returns the visitor and the end of the session.
+    ///
+    /// The end is `None` for a token, which remains valid as long as the page runs.
     pub(crate) fn admit_for_long(
         &self,
         headers: &HeaderMap,
@@ -156,7 +160,7 @@ impl Gate {
         Ok((session.visitor.clone(), Some(end)))
     }
 
-    /// Whose token this is; wrong ones are counted against the address.
+    /// Returns the visitor of a token. Each wrong token counts against the address.
     pub(crate) fn check(
         &self,
         secret: &str,
@@ -197,7 +201,7 @@ impl Gate {
         Err(Refusal::Unknown)
     }
 
-    /// Begins the session of a browser; returns the header that tells it.
+    /// Starts a browser session and returns the header that sets the cookie.
     pub(crate) fn begin(
         &self,
         visitor: Visitor,
@@ -226,7 +230,7 @@ impl Gate {
         self.cookie(&secret, SESSION_LASTS)
     }
 
-    /// Ends the session of a browser; returns the header that makes it forget.
+    /// Ends a browser session and returns the header that deletes the cookie.
     pub(crate) fn end(&self, headers: &HeaderMap) -> Result<HeaderValue, DashboardError> {
         if let Some(cookie) = cookie(headers) {
             self.lock().sessions.remove(&hash(cookie));
@@ -240,17 +244,18 @@ impl Gate {
         let text = format!(
             "{COOKIE_NAME}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={lasts}{secure}"
         );
-        // digits and letters
+        // The text consists of digits and letters.
         HeaderValue::try_from(text).map_err(|_| DashboardError::NoRandom)
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        // what a panic leaves is whole: each change is one call
+        // A panic leaves consistent data, because each change is one call.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Who has one address of IPv6 has the 2⁶⁴ around it.
+/// Returns the /64 network of an IPv6 address, because its holder can use all 2⁶⁴ addresses of the
+/// network.
 pub(crate) fn network_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6((address.to_bits() & !u128::from(u64::MAX)).into()),
@@ -287,7 +292,7 @@ mod tests {
         Duration::from_secs(seconds)
     }
 
-    /// A gate with a token of a viewer.
+    /// Returns a gate with the token of one viewer.
     fn gate() -> (Gate, String) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");

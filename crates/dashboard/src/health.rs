@@ -1,4 +1,4 @@
-//! Whether all is there: for whoever starts, watches and replaces processes.
+//! Health checks for service managers and monitoring.
 
 use crate::server::Server;
 use crate::store::Store;
@@ -10,16 +10,16 @@ use serde_json::json;
 use spandrel_bus::Service;
 use std::sync::Arc;
 
-/// Paths that need no token: they name no structure.
+/// Paths that require no token. Their replies contain no structure name.
 pub(crate) const LIVE_PATH: &str = "/health/live";
 pub(crate) const READY_PATH: &str = "/health/ready";
 
-/// Answers as long as the process does.
+/// Replies as long as the process runs.
 pub(crate) async fn live() -> Response {
     Json(json!({"live": true})).into_response()
 }
 
-/// Answers whether each structure has the services that turn samples into alerts.
+/// Reports whether each structure has the services that turn samples into alerts.
 pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
     let (mut structures, mut missing) = (0_u64, 0_u64);
     for store in server.stores() {
@@ -36,7 +36,9 @@ pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
     (code, Json(answer)).into_response()
 }
 
-/// Estimates come of ingest and identify, or of the station where nodes identify for themselves.
+/// Returns `true` if all required services are present.
+///
+/// Estimates come from ingest and identify, or in distributed identification from the station.
 fn has_all(store: &Store) -> bool {
     let has = |wanted: Service| store.present.iter().any(|(service, _)| *service == wanted);
     let estimates = has(Service::Fuse) || (has(Service::Ingest) && has(Service::Identify));

@@ -1,8 +1,9 @@
-//! Spans of time: which are asked for, and what is known of them.
+//! Queries for spans of time.
 //!
-//! Every span that the page or a script asks for goes through [`read`]. It answers from what the dashboard has kept since
-//! its start, and says what it lacks: that is for the history service, whose answers [`Span::put_before`] takes. Without one the
-//! answer says from when on it has everything.
+//! [`read`] handles all spans that the page or a script requests. It returns the data that the
+//! dashboard has collected since its start, and lists the missing parts. The history service
+//! supplies these, and [`Span::put_before`] inserts its replies. Without a history service, the
+//! reply states the time from which the data is complete.
 
 use crate::series::{Series, Table};
 use crate::store::Store;
@@ -12,20 +13,20 @@ use spandrel_bus::{HistorySpan, Name, Service, SpanQuery, TIMES, is_without_date
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Points of each series unless asked otherwise: about as many as a screen has columns.
+/// Default number of points of each series, about the number of columns on a screen.
 const POINTS: usize = 1_000;
-/// Most points of each series.
+/// Maximum number of points of each series.
 const MOST_POINTS: usize = 20_000;
-/// Most series in one request.
+/// Maximum number of series in one request.
 const MOST_SERIES: usize = 256;
 
-/// A request as it comes.
+/// A request before validation.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Asked {
-    /// Names, separated by commas.
+    /// Names of series, separated by commas.
     series: Option<String>,
-    /// Seconds since the Unix epoch, UTC, or ISO 8601.
+    /// Seconds since the Unix epoch (UTC), or ISO 8601.
     from: Option<String>,
     to: Option<String>,
     points: Option<usize>,
@@ -33,7 +34,7 @@ pub(crate) struct Asked {
     pub(crate) format: Format,
 }
 
-/// How the answer is written.
+/// Format of the reply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Format {
@@ -42,7 +43,7 @@ pub(crate) enum Format {
     Csv,
 }
 
-/// A request that has been checked.
+/// A validated request.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Request {
     series: Vec<SeriesName>,
@@ -51,18 +52,19 @@ pub(crate) struct Request {
     points: usize,
 }
 
-/// Why a request is refused, in the words of the answer.
+/// Reason for rejecting a request, in the wording of the reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Refused {
     pub(crate) what: String,
     pub(crate) allowed: String,
 }
 
-/// What is known of a span.
+/// Data of a time span.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Span {
     structure: String,
-    /// From when on everything asked for is kept (s since the Unix epoch, UTC); none where nothing is.
+    /// Time from which all requested series are complete (s since the Unix epoch, UTC). `None` if
+    /// there is no data.
     kept_from_s: Option<f64>,
     series: Vec<SpanOfSeries>,
 }
@@ -70,10 +72,11 @@ pub(crate) struct Span {
 #[derive(Clone, Debug, Serialize)]
 struct SpanOfSeries {
     name: String,
-    /// How often measurement has begun anew: points of another number do not belong together.
+    /// Number of restarts of the measurement. Points of different generations do not belong
+    /// together.
     generation: u64,
     columns: Vec<&'static str>,
-    /// Column by column, the first one the time (s since the Unix epoch, UTC).
+    /// Data by column. The first column is the time (s since the Unix epoch, UTC).
     data: Vec<Vec<f64>>,
     #[serde(skip)]
     table: Table,
@@ -83,17 +86,17 @@ struct SpanOfSeries {
     kept_from_ns: Option<i64>,
 }
 
-/// What lies before that which a dashboard has kept itself.
+/// A query for data from before the dashboard's own data.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Earlier {
-    /// Which series of the span.
+    /// Index of the series in the span.
     place: usize,
     pub(crate) name: Name,
     pub(crate) query: SpanQuery,
 }
 
 impl Request {
-    /// Checks a request; without names it is for all that is kept.
+    /// Checks a request. Without names, it covers all stored series.
     pub(crate) fn new(asked: &Asked, store: &Store) -> Result<Self, Refused> {
         let refuse = |what: String, allowed: &str| {
             Err(Refused {
@@ -169,7 +172,8 @@ impl Request {
     }
 }
 
-/// Reads what is known of a span here, and tells what the history service may know of it.
+/// Reads the stored data of a span, and returns the queries for earlier data that the history
+/// service may have.
 pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     let mut series = Vec::new();
     let mut earlier = Vec::new();
@@ -183,7 +187,7 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
         let mut points = request.points;
         if has_history && request.from_ns < first_ns.unwrap_or(i64::MAX) {
             let query = before(request, name.kind, first_ns);
-            // the rest of the points is for what is here
+            // The remaining points are for the data stored here.
             points = (points - query.points).max(1);
             earlier.extend(Name::new(name.of.clone()).ok().map(|name| Earlier {
                 place,
@@ -191,7 +195,7 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
                 query,
             }));
         }
-        // what may come and has not yet is empty
+        // A possible series without data yet is empty.
         let span = |series: &Series| series.span(request.from_ns, request.to_ns, points);
         let width = name.kind.columns().len();
         let table = found.map_or_else(|| Table::of(width, std::iter::empty()), span);
@@ -216,7 +220,8 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     (span, earlier)
 }
 
-/// What to ask for before the first point that is here: a share of the points that is that of its time.
+/// Returns the query for data from before the first stored point. Its share of the points is its
+/// share of the span.
 fn before(request: &Request, kind: Kind, first_ns: Option<i64>) -> SpanQuery {
     let end_ns = first_ns.map_or(request.to_ns, |first_ns| {
         request.to_ns.min(first_ns.saturating_sub(1))
@@ -227,7 +232,7 @@ fn before(request: &Request, kind: Kind, first_ns: Option<i64>) -> SpanQuery {
     } else {
         length(end_ns) / length(request.to_ns).max(1.0)
     };
-    // a span without a beginning or an end says nothing of shares
+    // A span without a start or an end has no share.
     let is_bounded = request.from_ns > i64::MIN && request.to_ns < i64::MAX;
     let share = if is_bounded || first_ns.is_none() {
         share
@@ -247,7 +252,7 @@ fn before(request: &Request, kind: Kind, first_ns: Option<i64>) -> SpanQuery {
     }
 }
 
-/// The columns of a table, the time (s) first.
+/// Returns the columns of a table, the time (s) first.
 pub(crate) fn columns(table: &Table, width: usize) -> Vec<Vec<f64>> {
     let times = table
         .times_ns()
@@ -258,7 +263,7 @@ pub(crate) fn columns(table: &Table, width: usize) -> Vec<Vec<f64>> {
 }
 
 impl Span {
-    /// Puts what the history service knows before what is known here.
+    /// Inserts a reply of the history service before the stored data.
     pub(crate) fn put_before(&mut self, earlier: &Earlier, answer: &HistorySpan) {
         let Some(series) = self.series.get_mut(earlier.place) else {
             return;
@@ -271,13 +276,14 @@ impl Span {
                     vec![rows.mean[row], rows.std[row], rows.probability_of_loss[row]]
                 }
                 Kind::Noise => vec![rows.mean[row], rows.std[row]],
-                Kind::Outlier | Kind::Node => vec![rows.largest[row]], // the rest is not kept
+                // the history does not store the other columns
+                Kind::Outlier | Kind::Node => vec![rows.largest[row]],
                 Kind::Class => vec![rows.mean[row]],
                 Kind::Innovation | Kind::Consistency => Vec::new(),
             };
             (nearest_ns(rows.time_s[row]), values)
         };
-        // a time in seconds is rounded, and must not come after what follows
+        // A time in seconds is rounded. It must not exceed the times of the following rows.
         let end_ns = earlier.query.to_ns;
         let rows = (0..rows.time_s.len())
             .map(row)
@@ -300,14 +306,17 @@ impl Span {
         self.kept_from_s = last.map(|time_ns| time_ns as f64 / 1e9);
     }
 
-    /// One row per time (ISO 8601, UTC; seconds of a record without dates), one column per series and value; empty where a series has no point.
+    /// Returns the span as CSV, with one row per time and one column per series and value.
+    ///
+    /// Times are ISO 8601 in UTC, or seconds for a record without dates. A cell is empty if its
+    /// series has no point at that time.
     pub(crate) fn csv(&self) -> String {
         let mut rows: BTreeMap<i64, Vec<(usize, f64)>> = BTreeMap::new();
         let mut header = "time".to_owned();
         let mut width = 0;
         for series in &self.series {
             for column in series.columns.iter().skip(1) {
-                // writing to a String does not fail
+                // Writing to a string cannot fail.
                 let _ = write!(header, ",{}", quoted(&format!("{}.{column}", series.name)));
             }
             for (row, time_ns) in series.table.times_ns().enumerate() {
@@ -332,7 +341,10 @@ impl Span {
     }
 }
 
-/// A time in seconds as nanoseconds: of a date to the microsecond, because a number of seconds since 1970 tells no more.
+/// Converts a time in seconds to nanoseconds.
+///
+/// A date is rounded to microseconds, because seconds since 1970 in double precision are no more
+/// precise.
 fn nearest_ns(time_s: f64) -> i64 {
     let time_ns = (time_s * 1e9).round() as i64;
     if is_without_date(time_ns) {
@@ -342,9 +354,10 @@ fn nearest_ns(time_s: f64) -> i64 {
     }
 }
 
-/// A number in the fewest digits that are read back as the same, with an exponent where zeros would be written instead.
+/// Formats a number with the fewest digits that read back as the same number. It uses an exponent
+/// instead of many zeros.
 fn shortest(value: f64) -> String {
-    /// Sizes that are read more easily without an exponent.
+    /// Range of magnitudes that are more legible without an exponent.
     const PLAIN: std::ops::Range<f64> = 1e-5..1e16;
     if value == 0.0 || PLAIN.contains(&value.abs()) {
         value.to_string()
@@ -353,7 +366,7 @@ fn shortest(value: f64) -> String {
     }
 }
 
-/// A time: by the calendar, or in seconds where there is no date.
+/// Formats a time as a date, or in seconds if the record has no dates.
 fn written(time_ns: i64) -> String {
     let dated = (!is_without_date(time_ns))
         .then(|| jiff::Timestamp::from_nanosecond(i128::from(time_ns)).ok())
@@ -361,7 +374,10 @@ fn written(time_ns: i64) -> String {
     dated.map_or_else(|| shortest(time_ns as f64 / 1e9), |time| time.to_string())
 }
 
-/// A name as a field of CSV; a leading sign that a spreadsheet would take for a formula cannot come from a kind.
+/// Quotes a name as a CSV field.
+///
+/// A spreadsheet would take a leading sign for a formula, but no name starts with a sign, because
+/// it starts with its kind.
 fn quoted(name: &str) -> String {
     if name.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", name.replace('"', "\"\""))
@@ -370,7 +386,7 @@ fn quoted(name: &str) -> String {
     }
 }
 
-/// The beginning of what somebody else wrote.
+/// Returns the first 64 characters of external text.
 fn shortened(text: &str) -> String {
     text.chars().take(64).collect()
 }

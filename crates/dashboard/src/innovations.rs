@@ -1,21 +1,24 @@
-//! Innovations from the sampling rate to the display rate: the ends of an interval, so that no spike is lost.
+//! Reduces innovations from the sampling rate to the display rate. It keeps the minimum and maximum
+//! of each interval, so that no spike is lost.
 
 use spandrel_bus::{Estimate, EstimateBlock, Phase};
 
-/// What one interval of the display rate held.
+/// Innovations of one interval of the display rate.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Interval {
-    /// Time of its last frame, ns since the Unix epoch, UTC.
+    /// Time of the last frame (ns since the Unix epoch, UTC).
     pub(crate) time_ns: i64,
-    /// Least and largest innovation of each observed channel (unit of the channel); NaN where none was used.
+    /// Minimum and maximum innovation of each observed channel (unit of the channel). NaN if no
+    /// sample was used.
     pub(crate) ends: Vec<(f64, f64)>,
-    /// Mean of the normalised innovation squared per channel used; NaN where none was.
+    /// Mean of the normalised innovation squared per used channel. NaN if no channel was used.
     pub(crate) consistency: f64,
-    /// Whether all estimates in it are to be trusted.
+    /// Working if all estimates of the interval are in the working phase, otherwise another phase
+    /// that occurred.
     pub(crate) phase: Phase,
 }
 
-/// Gathers estimates to intervals.
+/// Collects estimates into intervals.
 #[derive(Clone, Debug)]
 pub(crate) struct Innovations {
     interval_ns: i64,
@@ -31,7 +34,7 @@ struct Open {
 }
 
 impl Innovations {
-    /// Gathers over intervals of `1/display_rate_hz` s.
+    /// Creates a collector with intervals of `1/display_rate_hz` s.
     pub(crate) fn new(display_rate_hz: f64) -> Self {
         Self {
             interval_ns: (1e9 / display_rate_hz).round().max(1.0) as i64,
@@ -39,7 +42,7 @@ impl Innovations {
         }
     }
 
-    /// Takes a block; every interval that is over is added to `done`.
+    /// Processes a block and appends every completed interval to `done`.
     pub(crate) fn handle(&mut self, block: &EstimateBlock, done: &mut Vec<Interval>) {
         let Some(grid) = block.grid() else { return };
         for (number, estimate) in block.iter() {
@@ -64,7 +67,7 @@ impl Innovations {
             open.interval.phase = estimate.flags.phase;
         }
         for (ends, innovation) in open.interval.ends.iter_mut().zip(&estimate.innovations) {
-            // NaN gives way to any number
+            // `min` and `max` return the number if the other value is NaN.
             *ends = (ends.0.min(*innovation), ends.1.max(*innovation));
         }
         open.squares += estimate.normalised_innovation_squared;

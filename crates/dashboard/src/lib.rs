@@ -1,7 +1,8 @@
-//! Shows structures, estimates and alerts on a web page.
+//! A web page that shows structures, estimates and alerts.
 //!
-//! What people look at on the bus goes in; out come a page, an HTTP interface described at `/api/openapi.json`, and a
-//! WebSocket. An acknowledgement of an alert is the only thing that goes back.
+//! The dashboard subscribes to the topics for display. It serves a page, an HTTP interface that
+//! `/api/openapi.json` describes, and a WebSocket. The only message that it publishes for a user is
+//! the acknowledgement of an alert.
 //!
 //! ```no_run
 //! use spandrel_bus::{Bus, BusConfig, Name};
@@ -12,20 +13,24 @@
 //! let config = BusConfig::default();
 //! let (bus, keys) = (Bus::open(&config).await?, config.keys(structure.name())?);
 //! let id = Name::new("dashboard")?;
-//! let dashboard = DashboardService::start(&[(&structure, keys)], &bus, &Listen::Default.into(), id).await?;
+//! let dashboard =
+//!     DashboardService::start(&[(&structure, keys)], &bus, &Listen::Default.into(), id).await?;
 //! dashboard.run(std::future::pending()).await?;
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! Types: `topic`, `series` (what is kept over time, and no more), `about` (what the structure file says).
+//! Types: `topic`, `series` (bounded data over time), `about` (data from the structure file).
 //!
-//! Logic: `store` (messages in, a picture out), `innovations` (to the display rate), `sensors` and `overview` (who needs
-//! attention, and why), `view` (what is shown), `history` (spans of time).
+//! Logic: `store` (collects messages), `innovations` (reduces them to the display rate), `sensors`
+//! and `overview` (what needs attention, and why), `view` (data for the page), `history` (spans of
+//! time).
 //!
-//! Shell: `listen` (the bus), `api`, `live`, `page` and `server` (browsers), [`DashboardService`] (all of it).
+//! Shell: `listen` (the bus), `api`, `live`, `page` and `server` (browsers), [`DashboardService`]
+//! (the whole service).
 //!
-//! The wrong room for deciding on anything, and for keeping more than the last hours: nothing is on disk here.
+//! The dashboard makes no decisions. It keeps the last hours in memory only and writes nothing to
+//! disk.
 
 mod error;
 

@@ -1,4 +1,4 @@
-//! Listens to everything that people look at of one structure.
+//! Subscribes to all topics for display of one structure.
 
 use crate::store::Input;
 use spandrel_bus::{
@@ -12,15 +12,18 @@ use std::time::Duration;
 use tokio::task::JoinSet;
 use tracing::warn;
 
-/// Values of the display rate that wait to be taken; at full speed the oldest are overwritten and counted.
+/// Queue length for values at the display rate. At full speed, new values overwrite the oldest,
+/// which are counted.
 const VALUES_WAITING: usize = 8_192;
-/// Blocks of estimates that wait; of those only innovations are taken, and a lost one is a hole in a plot.
+/// Queue length for blocks of estimates. Only the innovations are used, so a lost block is a gap in
+/// a plot.
 const BLOCKS_WAITING: usize = 256;
-/// Alerts and what else must not be missed: far more than come in a tick.
+/// Queue length for alerts and other messages that must not be lost. It far exceeds the number of
+/// messages per tick.
 const ALERTS_WAITING: usize = 4_096;
-/// Alerts, acknowledgements and events that are asked of the history.
+/// Number of past alerts, acknowledgements and events to query from the history.
 const PAST: usize = 1_000;
-/// Time for the alert service to say how its alerts stand.
+/// Time limit for the alert service to reply with its current alerts.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
 /// All subscriptions of one structure.
@@ -80,14 +83,14 @@ impl Listening {
         Ok(listening)
     }
 
-    /// Asks how the alerts stand; the answer comes with what is gathered later.
+    /// Queries the current alerts. A later call of `gather` collects the reply.
     fn ask(&mut self) {
         let (bus, alerts) = (self.bus.clone(), self.keys.all_alerts());
         self.asked
             .spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
     }
 
-    /// Asks what happened before; the answer comes with what is gathered later.
+    /// Queries past changes. A later call of `gather` collects the reply.
     fn ask_past(&mut self) {
         let log = format!(
             "{}?{}",
@@ -102,10 +105,10 @@ impl Listening {
             .spawn(async move { bus.ask_present(&log, ANSWER_WITHIN).await });
     }
 
-    /// Adds what has come since the last time; what is on a key that says otherwise is left out.
+    /// Appends all messages since the last call. Drops messages that contradict their key.
     pub(crate) fn gather(&mut self, inputs: &mut Vec<Input>) {
         self.gather_present(inputs);
-        // before the values: it says which of them are live
+        // Before the values, because it determines which of them are live.
         let ingested = self.ingested.latest();
         if ingested != self.last_ingested {
             inputs.extend(ingested.clone().map(Input::Ingested));
@@ -158,8 +161,8 @@ impl Listening {
                         .into_iter()
                         .map(|(_, alert)| Input::StandingAlert(alert)),
                 ),
-                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
-                Err(error) => warn!(%error, "question for the last alerts is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
+                Err(error) => warn!(%error, "query for recent alerts failed"),
             }
         }
         while let Some(answer) = self.past.try_join_next() {
@@ -181,7 +184,7 @@ impl Listening {
         if present == self.present {
             return;
         }
-        // one that has come back, or that was reached again, may stand otherwise than we know
+        // A service that restarted or reconnected may have a different state.
         let new = |wanted: Service| {
             present
                 .difference(&self.present)
@@ -198,7 +201,7 @@ impl Listening {
         inputs.push(Input::Present(present));
     }
 
-    /// Messages that newer ones have pushed out or that were refused, by reason.
+    /// Returns the number of overwritten and rejected messages by reason.
     pub(crate) fn refused(&self) -> std::collections::BTreeMap<String, u64> {
         let all = [
             self.parameters.refused(),

@@ -1,7 +1,8 @@
-//! The WebSocket: how things stand first, then what is new.
+//! The WebSocket. It sends the current state first, and then new data.
 //!
-//! Nothing is queued for a client. Each has a place in the series it reads, and gets at every tick what lies behind that
-//! place; who is slow gets it combined to fewer points, and who takes nothing for [`SEND_WITHIN`] is dropped.
+//! The server queues nothing for a client. Each client has a position in every series it reads. At
+//! every tick it receives the points after that position. A slow client receives fewer, combined
+//! points. A client that accepts no message for [`SEND_WITHIN`] is disconnected.
 
 use crate::gate::SessionEnd;
 use crate::history::columns;
@@ -15,16 +16,16 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 
-/// How often points are sent: as often as an eye follows, whatever the display rate.
+/// Interval between messages with points, short enough for smooth motion at any display rate.
 const TICK: Duration = Duration::from_millis(100);
-/// Every so many ticks how things stand is sent.
+/// Number of ticks between messages with the current state.
 const TICKS_PER_STANDING: u32 = 5;
-/// Most new points of a series in one message; more are combined.
+/// Maximum number of new points of a series in one message. More points are combined.
 const MOST_POINTS: usize = 200;
-/// A client that takes no message for so long is dropped.
+/// Time limit for sending a message, after which the client is disconnected.
 const SEND_WITHIN: Duration = Duration::from_secs(10);
 
-/// Serves one client until it goes, is too slow, its session ends, or the dashboard stops.
+/// Serves one client until it disconnects, is too slow, its session ends, or the dashboard stops.
 pub(crate) async fn serve(
     mut socket: WebSocket,
     server: Arc<Server>,
@@ -55,13 +56,13 @@ pub(crate) async fn serve(
             _ = &mut ended => return,
             () = &mut session_ended => {
                 let why = CloseFrame { code: close_code::POLICY, reason: "the session is over".into() };
-                // who does not take it is gone
+                // A client that does not accept the message is disconnected anyway.
                 let _ = tokio::time::timeout(SEND_WITHIN, socket.send(Message::Close(Some(why)))).await;
                 return;
             }
             incoming = socket.recv() => match incoming {
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
-                Some(Ok(_)) => {} // nothing is asked of the server here
+                Some(Ok(_)) => {} // the server ignores messages from clients
             },
             _ = tick.tick() => for text in client.messages(&server) {
                 let sent = tokio::time::timeout(SEND_WITHIN, socket.send(Message::text(text))).await;
@@ -73,7 +74,7 @@ pub(crate) async fn serve(
     }
 }
 
-/// What a client has been told.
+/// State of a client: the data already sent.
 #[derive(Debug)]
 struct Client {
     ticks: u32,
@@ -83,7 +84,7 @@ struct Client {
 }
 
 impl Client {
-    /// What is to be told at this tick.
+    /// Returns the messages of this tick.
     fn messages(&mut self, server: &Server) -> Vec<String> {
         let mut messages = Vec::new();
         let is_first = self.ticks == 0;
@@ -104,7 +105,7 @@ impl Client {
                 }
             }
             let news = store.news(&mut self.read, MOST_POINTS);
-            // what was there before is asked for as history
+            // The client fetches earlier points from the history interface.
             if !is_first && !news.is_empty() {
                 messages.push(points(news).to_string());
             }

@@ -1,4 +1,4 @@
-//! How things stand, for Prometheus: `GET /metrics`.
+//! Metrics for Prometheus at `GET /metrics`.
 
 use crate::overview::overview;
 use crate::sensors::{SensorHealth, sensor_states};
@@ -13,14 +13,14 @@ use spandrel_bus::{AlertState, FitReason, FitVerdict, UndecidedBecause};
 use std::fmt;
 use std::sync::atomic::AtomicU64;
 
-/// What is answered: OpenMetrics, which Prometheus reads.
+/// Content type of the reply, OpenMetrics.
 pub(crate) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 type Labels = Vec<(&'static str, String)>;
 type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
 type Counters = Family<Labels, Counter>;
 
-/// All metrics of one answer.
+/// All metrics of one reply.
 #[derive(Default)]
 struct Metrics {
     mean: Gauges,
@@ -48,10 +48,10 @@ struct Metrics {
     up: Gauges,
 }
 
-/// Writes how all structures stand.
+/// Writes the metrics of all structures.
 ///
 /// # Errors
-/// None: writing to a text does not fail.
+/// None in practice, because writing to a string cannot fail.
 pub(crate) fn metrics<'s>(
     stores: impl Iterator<Item = impl std::ops::Deref<Target = Store> + 's>,
 ) -> Result<String, fmt::Error> {
@@ -307,7 +307,7 @@ impl Metrics {
                 ("id", id.to_string()),
             ];
             if let Some(lag_s) = status.lag_s.filter(|_| store.has_lag()) {
-                // the lag grows while nobody says anything
+                // The lag grows while the service publishes nothing.
                 let silent_s = now_ns().saturating_sub(status.time_ns) as f64 / 1e9;
                 self.lag
                     .get_or_create(&labels)

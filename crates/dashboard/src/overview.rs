@@ -1,4 +1,4 @@
-//! What somebody has to know first: whether a structure needs attention, and why.
+//! Overview of a structure: whether it needs attention, and why.
 
 use crate::sensors::{SensorHealth, sensor_states};
 use crate::store::Store;
@@ -6,79 +6,82 @@ use serde::Serialize;
 use spandrel_bus::{AlertMessage, AlertState, FitVerdict, Service, Standing, UndecidedBecause};
 use std::time::Duration;
 
-/// For so long a structure of which nothing has come yet may just be starting.
+/// Time after which a structure without any data counts as stale. Before, it may still be starting.
 const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 
-/// How urgent a structure is, the most urgent first.
+/// Urgency of a structure, the most urgent first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Level {
-    /// An alert is raised, and nobody has said that he looks at it.
+    /// An alert is raised and not acknowledged.
     Alarm,
-    /// Nothing is measured any more, so that nobody knows.
+    /// No new data arrives, so the current condition is unknown.
     Stale,
-    /// A loss is credible but not yet for long enough, or what the estimates rest on is not sound.
+    /// A loss is credible but has not lasted long enough, or the basis of the estimates is not
+    /// sound.
     Warning,
-    /// An alert stands that somebody has seen, or is over.
+    /// An alert is acknowledged or cleared.
     Notice,
-    /// Too little is learnt to decide on a part.
+    /// There is too little information to decide on a part.
     Undecided,
-    /// Nothing is decided yet.
+    /// There is no decision yet.
     Learning,
     /// No loss was found.
     Normal,
 }
 
-/// A structure in one line.
+/// Summary of a structure.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Overview {
     pub(crate) name: String,
     pub(crate) description: String,
     pub(crate) level: Level,
-    /// Why it has this level, for a person.
+    /// Reason for the level, for people.
     pub(crate) sentence: String,
-    /// What the newest value says of the alert of the sentence, where that is newer.
+    /// Loss by the newest value, if it is newer than the alert in the sentence.
     pub(crate) now: Option<String>,
     pub(crate) worst: Option<Worst>,
-    /// Wall clock less time of the last frame identified (s); none where nothing comes, or not as it is measured.
+    /// Wall clock minus time of the last identified frame (s). `None` if no data arrives, or if the
+    /// data is not live.
     pub(crate) lag_s: Option<f64>,
     /// Whether the samples come from a record or a simulation.
     pub(crate) replayed: bool,
-    /// How long ago something was heard (s).
+    /// Time since the last message with data (s).
     pub(crate) age_s: Option<f64>,
-    /// Time of measurement of the newest value (s since the Unix epoch, UTC).
+    /// Measurement time of the newest value (s since the Unix epoch, UTC).
     pub(crate) time_s: Option<f64>,
     pub(crate) sensors: SensorCount,
-    /// The verdict on the fit; none where nobody judges it.
+    /// Verdict on the fit. `None` if no service judges it.
     pub(crate) fit: Option<FitVerdict>,
     pub(crate) last_alert: Option<LastAlert>,
-    /// Alerts that are raised, and that nobody has acknowledged.
+    /// Number of raised alerts that are not acknowledged.
     pub(crate) raised: usize,
 }
 
-/// The parameter that has most probably lost stiffness.
+/// The parameter with the highest probability of a stiffness loss.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Worst {
     pub(crate) parameter: String,
     pub(crate) probability_of_loss: f64,
-    /// The probability from which on its rule calls for an alert; none where no alert has been decided on.
+    /// Probability at which the parameter's rule requires an alert. `None` if there is no alert
+    /// decision on the parameter yet.
     pub(crate) credibility: Option<f64>,
-    /// The loss that the probability is asked for, a share of the reference.
+    /// Loss to which the probability refers, as a share of the reference.
     pub(crate) loss: f64,
     pub(crate) mean: f64,
     pub(crate) std: f64,
 }
 
-/// How many channels there are, and do their work.
+/// Number of channels, and of channels that work.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct SensorCount {
     pub(crate) alive: usize,
     pub(crate) total: usize,
-    /// Those that are known not to.
+    /// Names of the channels known not to work.
     pub(crate) troubled: Vec<String>,
 }
 
-/// The last change of an alert that people should know of.
+/// Last relevant change of an alert.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct LastAlert {
     pub(crate) parameter: String,
@@ -87,7 +90,7 @@ pub(crate) struct LastAlert {
     pub(crate) why: String,
 }
 
-/// Looks at a structure as a whole.
+/// Returns the overview of a structure.
 pub(crate) fn overview(store: &Store) -> Overview {
     let sensors = sensor_count(store);
     let (level, sentence) = attention(store, &sensors);
@@ -100,7 +103,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         .parameters
         .values()
         .filter(|display| is_stiffness(store, display.parameter.as_str()));
-    // among several that are certain the one that has lost most
+    // If several losses are certain, the largest loss is the worst.
     let worst = worst.max_by(|a, b| {
         let ratio = |display: &spandrel_bus::ParameterDisplay| display.mean / display.reference;
         a.probability_of_loss
@@ -158,7 +161,9 @@ fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMes
         .filter(move |alert| alert.state == state)
 }
 
-/// The lag of who puts the estimates: the station where nodes identify for themselves, the one that leads where others stand by.
+/// Returns the lag of the service that publishes the estimates.
+///
+/// This is the station in distributed identification, and the leader if there are standbys.
 fn lag_s(store: &Store) -> Option<f64> {
     let source = if store.about.distributed {
         Service::Fuse
@@ -168,7 +173,7 @@ fn lag_s(store: &Store) -> Option<f64> {
     let of_source = store.statuses.iter().filter(|((service, _), (status, _))| {
         *service == source && status.state.is_none_or(|state| state == Standing::Leading)
     });
-    // of one that is gone the last status stays
+    // The last status of a terminated service remains, so take the newest.
     of_source
         .max_by_key(|(_, (_, heard))| *heard)
         .and_then(|(_, (status, _))| status.lag_s)
@@ -191,7 +196,7 @@ fn sensor_count(store: &Store) -> SensorCount {
 }
 
 fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
-    // the largest loss first
+    // The largest loss first.
     let largest = |a: &&AlertMessage, b: &&AlertMessage| {
         a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0))
     };
@@ -201,7 +206,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     let concerns = concerns(store, sensors);
     let told = || concerns.iter().map(|(_, sentence)| sentence.as_str());
     if store.is_stale() {
-        // what somebody has to look at is not over because no data come
+        // Open concerns remain when the data stops.
         let as_it_was = "nothing is measured: what is shown is how it was";
         return (
             Level::Stale,
@@ -242,7 +247,8 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     )
 }
 
-/// What somebody should look at beside alerts that are raised, the most urgent first: one sentence of each kind.
+/// Returns further matters that need attention besides raised alerts, the most urgent first. Each
+/// kind has one sentence.
 fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
     let alerts = |state| {
         alerts_in(store, state)
@@ -263,7 +269,7 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         (Level::Warning, contradicted_fit(store)),
         (Level::Warning, troubled),
         (Level::Warning, missing),
-        // it waits for somebody who has seen it
+        // A cleared alert waits for its acknowledgement.
         (Level::Notice, alerts(AlertState::Cleared)),
         (Level::Notice, alerts(AlertState::Acknowledged)),
         (Level::Notice, seen_unconfirmed(store)),
@@ -273,8 +279,10 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         .collect()
 }
 
-/// The sentence of an alert on which nothing is decided: because something is wrong, or because nothing is learnt yet or in the
-/// quiet.
+/// Returns the sentence of an undecided alert.
+///
+/// With `is_wrong`, the cause is a fault. Otherwise too little has been learnt or the noise
+/// training continues.
 fn undecided(store: &Store, is_wrong: bool) -> Option<String> {
     let is_of_kind = |alert: &&AlertMessage| match alert.undecided_because {
         Some(UndecidedBecause::NothingLearnt | UndecidedBecause::NoiseTraining) => !is_wrong,
@@ -290,19 +298,19 @@ fn undecided(store: &Store, is_wrong: bool) -> Option<String> {
         .map(|first| with_others(store, first))
 }
 
-/// Alerts that stand and that nobody has acknowledged.
+/// Returns the active alerts that are not acknowledged.
 fn unseen(store: &Store) -> impl Iterator<Item = &AlertMessage> {
     store.alerts.values().filter(|alert| alert.is_unseen())
 }
 
-/// The sentence of an alert that somebody has seen, and that the data do not confirm now.
+/// Returns the sentence of an acknowledged alert that the current data does not confirm.
 fn seen_unconfirmed(store: &Store) -> Option<String> {
     alerts_in(store, AlertState::Unconfirmed)
         .find(|alert| !alert.is_unseen())
         .map(|first| with_others(store, first))
 }
 
-/// What is wrong with the fit, where no alert says so.
+/// Returns the reason for a contradicted fit, unless an alert already reports it.
 fn contradicted_fit(store: &Store) -> Option<String> {
     let fit = store
         .fit
@@ -315,7 +323,7 @@ fn contradicted_fit(store: &Store) -> Option<String> {
     (!is_told).then(|| fit.words())
 }
 
-/// The sentence of an alert, and how many more are in the same state.
+/// Returns the sentence of an alert and the number of further alerts in the same state.
 fn with_others(store: &Store, first: &AlertMessage) -> String {
     let state = first.state.as_str();
     match alerts_in(store, first.state).count() - 1 {
@@ -325,7 +333,7 @@ fn with_others(store: &Store, first: &AlertMessage) -> String {
     }
 }
 
-/// The first service that was there and is not any more.
+/// Returns the first required service that was present and has disappeared.
 fn missing_service(store: &Store) -> Option<Service> {
     let needed = [
         Service::Identify,

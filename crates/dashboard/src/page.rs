@@ -1,4 +1,4 @@
-//! The page: files that are part of the program, and the headers under which a browser gets them.
+//! The page: files embedded in the program, and the headers of every response.
 
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
@@ -7,11 +7,13 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
-/// What the page may do: load its own files, talk to its own server, and nothing else.
+/// Content security policy. The page may load its own files and connect to its own server, and
+/// nothing else.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Pages of other sites neither hold this one nor load anything of it, and it uses no device.
+/// Headers that prevent pages of other sites from opening or loading this page, and deny it the use
+/// of devices.
 const OTHERS: [(&str, &str); 3] = [
     ("cross-origin-opener-policy", "same-origin"),
     ("cross-origin-resource-policy", "same-origin"),
@@ -21,7 +23,7 @@ const OTHERS: [(&str, &str); 3] = [
     ),
 ];
 
-/// For so long (s) a browser that has come over TLS comes over nothing else: a year.
+/// Header value that makes a browser use only TLS for a year (31 536 000 s).
 pub(crate) const TRANSPORT_SECURITY: &str = "max-age=31536000";
 
 /// A file of the page.
@@ -45,7 +47,7 @@ macro_rules! asset {
     };
 }
 
-/// All files.
+/// All files of the page.
 pub(crate) const ASSETS: &[Asset] = &[
     asset!("/", "text/html; charset=utf-8", "../page/index.html"),
     asset!("/icon.svg", "image/svg+xml", "../page/icon.svg"),
@@ -79,7 +81,7 @@ impl IntoResponse for Asset {
     }
 }
 
-/// Adds the headers that every answer has.
+/// Adds the headers that every response has.
 pub(crate) async fn with_headers(mut response: Response) -> Response {
     let headers: &mut HeaderMap = response.headers_mut();
     headers.insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
@@ -92,7 +94,7 @@ pub(crate) async fn with_headers(mut response: Response) -> Response {
             HeaderValue::from_static(value),
         );
     }
-    // what is shown must be of this program, not of the one before its update
+    // Browsers must not show cached files of an earlier program version.
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     response
 }

@@ -1,4 +1,4 @@
-//! Places for connections: so many in all, and so many for one address.
+//! Limits on the number of connections, in total and per address.
 
 use crate::gate::network_of;
 use std::collections::HashMap;
@@ -6,12 +6,14 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
-/// Connections at the same time, handshakes among them. Browsers that listen have places of their own once they do.
+/// Maximum number of concurrent connections, including handshakes. Active WebSockets have a
+/// separate limit.
 const MOST_CONNECTIONS: usize = 256;
-/// The same from one address (of IPv6: a /64). This machine has no such limit: a proxy on it speaks for many.
+/// Maximum number of connections from one address (for IPv6, from one /64 network). The loopback
+/// interface has no such limit, because a local proxy serves many clients.
 const MOST_OF_ONE_ADDRESS: usize = 32;
 
-/// Counts who is there; cloning is cheap.
+/// A shared count of open connections. Clones share the count.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Places(Arc<Mutex<Taken>>);
 
@@ -22,7 +24,7 @@ struct Taken {
     refused: u64,
 }
 
-/// A place; it is free again when this is dropped.
+/// A place for one connection. It becomes free when dropped.
 #[derive(Debug)]
 pub(crate) struct Place {
     places: Places,
@@ -30,7 +32,7 @@ pub(crate) struct Place {
 }
 
 impl Places {
-    /// A place for a connection from an address; none where all are taken.
+    /// Reserves a place for a connection from an address. Returns `None` if all places are taken.
     pub(crate) fn take(&self, address: IpAddr) -> Option<Place> {
         let address = network_of(address);
         let mut taken = self.lock();
@@ -55,7 +57,7 @@ impl Places {
     }
 
     fn lock(&self) -> MutexGuard<'_, Taken> {
-        // nothing in here panics
+        // No code that holds this lock panics.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

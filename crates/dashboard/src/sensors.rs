@@ -1,4 +1,4 @@
-//! How each sensor does, from all that is said of it.
+//! The health of each sensor, derived from all messages about it.
 
 use crate::store::{ALL_CHANNELS, Store};
 use crate::topic::{Kind, SeriesName};
@@ -6,31 +6,31 @@ use serde::Serialize;
 use spandrel_bus::{ChannelState, Name, NodeHealth, Service};
 use spandrel_structure::DrawnSensor;
 
-/// Measurement time (ns) for which a channel must not have been used before it counts as silent.
+/// Measurement time without a used sample after which a channel counts as silent (ns).
 const SILENT_AFTER_NS: i64 = 3_000_000_000;
 
-/// What is known of a channel.
+/// Health of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum SensorHealth {
-    /// It delivers.
+    /// Its samples arrive and are used.
     Alive,
-    /// Its node was there and has gone.
+    /// Its node was present and has disappeared.
     Gone,
-    /// Its samples do not come, or none could be used.
+    /// No samples arrive, or none were usable.
     Silent,
     /// Its samples are wrong and are not used.
     Faulty,
-    /// Its node disagrees with the others and is left out.
+    /// Its node disagrees with the other nodes and is excluded.
     Excluded,
-    /// Its samples have come to their end, as those of a record.
+    /// Its record or simulation has ended.
     Ended,
-    /// Nothing was heard of it yet.
+    /// No message about the channel has arrived yet.
     Unknown,
 }
 
 impl SensorHealth {
-    /// Whether somebody should look after it.
+    /// Returns `true` if the sensor needs attention.
     pub(crate) fn is_trouble(self) -> bool {
         match self {
             Self::Gone | Self::Silent | Self::Faulty | Self::Excluded => true,
@@ -39,7 +39,7 @@ impl SensorHealth {
     }
 }
 
-/// A channel and how it does.
+/// A channel and its health.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct SensorState {
     pub(crate) channel: String,
@@ -47,7 +47,7 @@ pub(crate) struct SensorState {
     pub(crate) health: SensorHealth,
 }
 
-/// All channels in frame order.
+/// Returns the state of all channels in frame order.
 pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState> {
     let sensors = store.about.drawing.sensors.iter();
     let state = |sensor: &DrawnSensor| SensorState {
@@ -101,14 +101,17 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
     }
 }
 
-/// Since when estimates have been heard.
+/// Returns the time of the first received estimate.
 fn began_ns(store: &Store) -> Option<i64> {
     store
         .series(&SeriesName::new(Kind::Consistency, ALL_CHANNELS))?
         .first_ns()
 }
 
-/// Whether no node is there any more: a record or simulation that has ended, or everything is off, which silence tells.
+/// Returns `true` if no node is present.
+///
+/// Either a record or simulation has ended, or everything is switched off. The silence of the data
+/// reveals the latter.
 fn all_nodes_left(store: &Store) -> bool {
     !store
         .present

@@ -1,32 +1,33 @@
-//! What is kept of one quantity over time: the latest points all of them, older ones combined, and no more than that.
+//! Bounded storage of one quantity over time: recent points individually, older points combined.
 
 use std::collections::VecDeque;
 
-/// Points kept as they came: ten minutes at 10 Hz.
+/// Number of points kept individually, ten minutes at 10 Hz.
 const FINE_KEPT: usize = 6_000;
-/// Points that become one when they are kept for longer.
+/// Number of points that are combined into one for longer storage.
 const COMBINED: usize = 10;
-/// Combined points kept: 100 minutes at 10 Hz.
+/// Number of combined points kept, 100 minutes at 10 Hz.
 const COARSE_KEPT: usize = 6_000;
 
-/// What lies before the last point by no more than this (ns) is what has been shown already: identify puts it again after a crash, and so
-/// does a standby that takes over.
+/// Maximum distance before the last point (ns) at which a point counts as a repetition.
+///
+/// After a crash, identify publishes some points again. A standby that takes over does the same.
 const AGAIN_NS: i64 = 10_000_000_000;
 
-/// How several values of one column become one.
+/// How several values of one column are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Combine {
-    /// The newest stands for all.
+    /// The newest value.
     Last,
-    /// The least, of lower ends.
+    /// The minimum, for lower bounds.
     Least,
-    /// The largest, of upper ends.
+    /// The maximum, for upper bounds.
     Largest,
-    /// All together, of counts.
+    /// The sum, for counts.
     Sum,
 }
 
-/// One quantity over time, in as many columns as `combine` has.
+/// One quantity over time, with one column per entry of `combine`.
 #[derive(Clone, Debug)]
 pub(crate) struct Series {
     combine: &'static [Combine],
@@ -61,8 +62,10 @@ impl Series {
         }
     }
 
-    /// Adds a point; what lies well before the last one begins a new run of measurement, and the old one is forgotten. What lies just
-    /// before it comes again, and is left out.
+    /// Adds a point.
+    ///
+    /// A point well before the last one starts a new run of measurement and clears the series. A
+    /// point just before the last one is a repetition and is skipped.
     pub(crate) fn push(&mut self, time_ns: i64, values: &[f64]) {
         match self.fine.times_ns.back() {
             Some(last) if time_ns < last.saturating_sub(AGAIN_NS) => {
@@ -86,23 +89,23 @@ impl Series {
         }
     }
 
-    /// How many points were pushed so far.
+    /// Returns the number of points added so far.
     pub(crate) fn pushed(&self) -> u64 {
         self.pushed
     }
 
-    /// How often time has gone back so far.
+    /// Returns the number of times that time has jumped back.
     pub(crate) fn generation(&self) -> u64 {
         self.generation
     }
 
-    /// Time of the oldest point that is kept.
+    /// Returns the time of the oldest stored point.
     pub(crate) fn first_ns(&self) -> Option<i64> {
         let firsts = [self.coarse.times_ns.front(), self.fine.times_ns.front()];
         firsts.into_iter().flatten().min().copied()
     }
 
-    /// The points that were pushed after the first `pushed` ones, as far as they are kept, combined to at most `most`.
+    /// Returns the stored points after the first `pushed` ones, combined to at most `most`.
     pub(crate) fn since(&self, pushed: u64, most: usize) -> Table {
         let new = usize::try_from(self.pushed.saturating_sub(pushed))
             .unwrap_or(usize::MAX)
@@ -111,7 +114,7 @@ impl Series {
             .combined(self.fine.len() - new..self.fine.len(), most, self.combine)
     }
 
-    /// The points from one time to another, both included, combined to at most `most`.
+    /// Returns the points from one time to another, both inclusive, combined to at most `most`.
     pub(crate) fn span(&self, from_ns: i64, to_ns: i64, most: usize) -> Table {
         let fine_from = self.fine.times_ns.front().copied().unwrap_or(i64::MAX);
         let mut all = Table {
@@ -133,17 +136,17 @@ impl Series {
 }
 
 impl Table {
-    /// Number of rows.
+    /// Returns the number of rows.
     pub(crate) fn len(&self) -> usize {
         self.times_ns.len()
     }
 
-    /// Times of the rows (ns since the Unix epoch, UTC).
+    /// Returns the times of the rows (ns since the Unix epoch, UTC).
     pub(crate) fn times_ns(&self) -> impl Iterator<Item = i64> {
         self.times_ns.iter().copied()
     }
 
-    /// The values of one column.
+    /// Returns the values of one column.
     pub(crate) fn column(&self, column: usize) -> impl Iterator<Item = f64> {
         self.values
             .iter()
@@ -152,14 +155,14 @@ impl Table {
             .copied()
     }
 
-    /// The values of one row.
+    /// Returns the values of one row.
     pub(crate) fn row(&self, row: usize) -> impl Iterator<Item = f64> {
         self.values
             .range(row * self.width..(row + 1) * self.width)
             .copied()
     }
 
-    /// A table of some rows, each of `width` values.
+    /// Creates a table from rows of `width` values each.
     pub(crate) fn of(width: usize, rows: impl Iterator<Item = (i64, Vec<f64>)>) -> Self {
         let mut table = Self {
             width,
@@ -169,7 +172,7 @@ impl Table {
         table
     }
 
-    /// Adds the rows of another table of the same width.
+    /// Appends the rows of another table of the same width.
     pub(crate) fn append(&mut self, mut other: Self) {
         self.times_ns.append(&mut other.times_ns);
         self.values.append(&mut other.values);
@@ -177,7 +180,7 @@ impl Table {
 
     fn push(&mut self, time_ns: i64, values: &[f64]) {
         self.times_ns.push_back(time_ns);
-        // a row of another width would move all that follow
+        // A row of another width would shift all following rows.
         let filled = values.iter().copied().chain(std::iter::repeat(f64::NAN));
         self.values.extend(filled.take(self.width));
     }
@@ -194,14 +197,14 @@ impl Table {
         self.values.clear();
     }
 
-    /// The rows from one time to another, both included.
+    /// Returns the indices of the rows from one time to another, both inclusive.
     fn within(&self, from_ns: i64, to_ns: i64) -> std::ops::Range<usize> {
         let from = self.times_ns.partition_point(|time| *time < from_ns);
         let to = self.times_ns.partition_point(|time| *time <= to_ns);
         from..to.max(from)
     }
 
-    /// Some rows, neighbours put together until there are at most `most`.
+    /// Combines neighbouring rows until at most `most` remain.
     fn combined(&self, rows: std::ops::Range<usize>, most: usize, combine: &[Combine]) -> Self {
         let mut out = Self {
             width: self.width,
@@ -217,7 +220,7 @@ impl Table {
         out
     }
 
-    /// Adds one row to `out` that stands for several here, at the time of the last of them.
+    /// Combines several rows into one row of `out`, at the time of the last one.
     fn combine_into(&self, out: &mut Self, rows: std::ops::Range<usize>, combine: &[Combine]) {
         let Some(last) = rows.clone().last() else {
             return;
@@ -229,7 +232,7 @@ impl Table {
                 .map(|row| self.values[row * self.width + column]);
             out.values.push_back(match combine {
                 Combine::Last => self.values[last * self.width + column],
-                // NaN, a missing value, gives way to any number
+                // `min` and `max` ignore NaN, which marks a missing value.
                 Combine::Least => values.fold(f64::NAN, f64::min),
                 Combine::Largest => values.fold(f64::NAN, f64::max),
                 Combine::Sum => values.sum(),
@@ -275,7 +278,7 @@ mod tests {
         assert!(times.is_sorted_by(|a, b| a < b));
         assert_eq!((times[0], times[1]), (9, 19));
         assert_eq!(times.len(), 1_400 + FINE_KEPT);
-        // nothing is counted twice, and only what has not been combined yet is missing
+        // No point is counted twice, and only points not yet combined are missing.
         assert_eq!(table.column(1).sum::<f64>(), 20_000.0);
     }
 
@@ -322,7 +325,7 @@ mod tests {
         );
     }
 
-    /// The plots of all that had been shown were gone when a second was put again.
+    /// Regression test: a second that was published again cleared all plots.
     #[test]
     fn what_comes_again_changes_nothing() {
         let mut series = ramp(500);

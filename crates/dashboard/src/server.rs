@@ -1,4 +1,4 @@
-//! What all requests share: the pictures of the structures, and the way to the bus.
+//! State shared by all requests: the stores of the structures, and access to the bus.
 
 use crate::gate::Gate;
 use crate::history::Earlier;
@@ -12,19 +12,19 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::warn;
 
-/// Browsers that may listen at the same time.
+/// Maximum number of concurrent WebSocket clients.
 const MOST_CLIENTS: usize = 64;
 
-/// Time for the history service to answer.
+/// Time limit for a reply of the history service.
 const HISTORY_WITHIN: Duration = Duration::from_secs(3);
 
-/// Time for the alert service to answer an acknowledgement.
+/// Time limit for the alert service to confirm an acknowledgement.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
-/// Changes of one alert that wait to be compared with an acknowledgement.
+/// Queue length for changes of an alert while waiting for the confirmation.
 const CHANGES_WAITING: usize = 64;
 
-/// Shared by the requests and by what listens to the bus.
+/// State shared by the requests and the subscriber to the bus.
 #[derive(Debug)]
 pub(crate) struct Server {
     bus: Bus,
@@ -36,7 +36,7 @@ pub(crate) struct Server {
     started: Instant,
 }
 
-/// A place among the clients; it is free again when this is dropped.
+/// A place for one WebSocket client. It becomes free when dropped.
 #[derive(Debug)]
 pub(crate) struct ClientPlace(std::sync::Arc<Server>);
 
@@ -74,22 +74,22 @@ impl Server {
         }
     }
 
-    /// Who is let in.
+    /// Returns the gate, which admits visitors.
     pub(crate) fn gate(&self) -> &Gate {
         &self.gate
     }
 
-    /// Why acknowledgements would be dropped on their way, if they would be.
+    /// Returns the reason why the router would drop acknowledgements, or `None` if it would not.
     pub(crate) fn cannot_acknowledge(&self) -> Option<&str> {
         self.cannot_acknowledge.as_deref()
     }
 
-    /// How long the page has been served.
+    /// Returns the time since the start of the page.
     pub(crate) fn since_start(&self) -> Duration {
         self.started.elapsed()
     }
 
-    /// The picture of one structure.
+    /// Returns the store of one structure.
     pub(crate) fn store(&self, name: &str) -> Option<MutexGuard<'_, Store>> {
         let (_, store) = self
             .structures
@@ -98,19 +98,19 @@ impl Server {
         Some(lock(store))
     }
 
-    /// The pictures of all structures, one after the other.
+    /// Returns the stores of all structures in sequence.
     pub(crate) fn stores(&self) -> impl Iterator<Item = MutexGuard<'_, Store>> {
         self.structures.iter().map(|(_, store)| lock(store))
     }
 
-    /// All structures in one line each, what is most urgent first.
+    /// Returns the overviews of all structures, the most urgent first.
     pub(crate) fn overviews(&self) -> Vec<Overview> {
         let mut all: Vec<Overview> = self.stores().map(|store| overview(&store)).collect();
         all.sort_by(|a, b| a.level.cmp(&b.level).then(a.name.cmp(&b.name)));
         all
     }
 
-    /// The names of the structures.
+    /// Returns the names of the structures.
     pub(crate) fn names(&self) -> Vec<&str> {
         self.structures
             .iter()
@@ -118,8 +118,10 @@ impl Server {
             .collect()
     }
 
-    /// Puts an acknowledgement of an alert that is `before` on the bus; returns what the alert service has made of it, `None` where it
-    /// does not say so in time. Whoever asks afterwards is told of it.
+    /// Publishes an acknowledgement of an alert with state `before` and returns the new state.
+    ///
+    /// Returns `None` if the alert service does not confirm in time. Later requests see the
+    /// acknowledgement.
     pub(crate) async fn acknowledge(
         &self,
         acknowledgement: &Acknowledgement,
@@ -138,7 +140,7 @@ impl Server {
         else {
             return Ok(None);
         };
-        // before it is put: the answer may come at once
+        // Before publishing, because the confirmation may arrive at once.
         let alerts = self
             .bus
             .subscribe::<AlertMessage>(keys.alert(parameter), CHANGES_WAITING)
@@ -153,7 +155,7 @@ impl Server {
                 AlertState::Raised | AlertState::Unconfirmed => {
                     alert.acknowledged_by.as_ref() == Some(who)
                 }
-                _ => !alert.is_unseen(), // what is over, or only pending, has no name beside it
+                _ => !alert.is_unseen(), // a cleared or pending alert has no name of a person
             };
             is_taken && alert.structure == *structure && alert.parameter == *parameter
         };
@@ -169,14 +171,15 @@ impl Server {
             return Ok(None);
         };
         let state = alert.state;
-        // what is gathered from the bus comes a little later
+        // The regular subscription delivers these messages a little later.
         let mut store = lock(store);
         store.handle(Input::Acknowledgement(acknowledgement.clone()));
         store.handle(Input::Alert(alert));
         Ok(Some(state))
     }
 
-    /// Asks the history service for what lies before what is kept here; what it does not answer in time is left out.
+    /// Queries the history service for data from before the stored data. Omits data for which no
+    /// reply arrives in time.
     pub(crate) async fn ask_history(
         &self,
         structure: &str,
@@ -198,7 +201,7 @@ impl Server {
                 let answers = answers
                     .inspect_err(|error| warn!(%error, "cannot ask for the history"))
                     .ok()?;
-                // of several services that keep it, the one that knows the most
+                // If several services reply, take the reply with the most rows.
                 let most = answers
                     .into_iter()
                     .map(|(_, span)| span)
@@ -209,7 +212,7 @@ impl Server {
         asked.join_all().await.into_iter().flatten().collect()
     }
 
-    /// A place for one more client; none where all are taken.
+    /// Reserves a place for one more client. Returns `None` if all places are taken.
     pub(crate) fn admit(self: &std::sync::Arc<Self>) -> Option<ClientPlace> {
         let admitted = self
             .clients
@@ -219,23 +222,24 @@ impl Server {
         admitted.is_ok().then(|| ClientPlace(self.clone()))
     }
 
-    /// Tells all requests to end.
+    /// Requests the end of all connections.
     pub(crate) fn stop(&self) {
         self.stopped.send_replace(true);
     }
 
-    /// Whether all requests are to end.
+    /// Returns a receiver that becomes `true` when all connections must end.
     pub(crate) fn stopped(&self) -> watch::Receiver<bool> {
         self.stopped.subscribe()
     }
 }
 
-/// A picture that a thread left while it panicked is still whole: each input is taken at once.
+/// Locks a store. After a panic the store is still consistent, because each input is processed in
+/// one call.
 fn lock(store: &Mutex<Store>) -> MutexGuard<'_, Store> {
     store.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The wall clock (ns since the Unix epoch, UTC).
+/// Returns the wall clock time (ns since the Unix epoch, UTC).
 pub(crate) fn now_ns() -> i64 {
     #[expect(
         clippy::disallowed_methods,
@@ -246,7 +250,7 @@ pub(crate) fn now_ns() -> i64 {
         .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
-/// The same in seconds.
+/// Returns the wall clock time (s since the Unix epoch, UTC).
 pub(crate) fn now_s() -> f64 {
     now_ns() as f64 / 1e9
 }

@@ -1,4 +1,4 @@
-//! Joins the dashboard to bus and browsers.
+//! Connects the dashboard to the bus and to browsers.
 
 use crate::about::About;
 use crate::api::router;
@@ -22,40 +22,41 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
-/// Address of the first dashboard on a machine: reachable from this machine only.
+/// Address of the first dashboard on a machine, reachable only from this machine.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
-/// How often what has come from the bus is taken.
+/// Interval at which messages from the bus are processed.
 const GATHER_EVERY: Duration = Duration::from_millis(50);
-/// How often the status is put.
+/// Interval at which the status is published.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
-/// Time for requests to end after a stop.
+/// Time limit for requests to end after a stop.
 const END_WITHIN: Duration = Duration::from_secs(2);
 
-/// Where the page is served.
+/// Address at which the page is served.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Listen {
-    /// At [`DEFAULT_ADDRESS`], or on a free port of the loopback interface if that is taken.
+    /// [`DEFAULT_ADDRESS`], or a free port of the loopback interface if that port is in use.
     Default,
-    /// Here and nowhere else; port 0 is any free one.
+    /// Exactly this address. Port 0 means any free port.
     At(String),
 }
 
-/// Where and how the page is served.
+/// Settings of the page.
 #[derive(Clone, Debug)]
 pub struct PageSettings {
-    /// Where it listens.
+    /// Address of the page.
     pub listen: Listen,
-    /// Served over TLS with this certificate; none: over plain HTTP, on this machine only.
+    /// Certificate for TLS. `None` means plain HTTP, on this machine only.
     pub certificate: Option<PageCertificate>,
-    /// Who is let in; none: everybody, on this machine only.
+    /// Tokens of the admitted visitors. Without tokens, everybody on this machine is admitted.
     pub tokens: Tokens,
-    /// Why an acknowledgement of this page would be dropped on its way, if it would be: whoever sends one is told.
+    /// Reason why the router would drop an acknowledgement from this page, for the error response.
+    /// `None` if it would not.
     pub cannot_acknowledge: Option<String>,
 }
 
 impl From<Listen> for PageSettings {
-    /// A page for this machine, without certificate and tokens.
+    /// Returns settings for a page on this machine, without certificate and tokens.
     fn from(listen: Listen) -> Self {
         Self {
             listen,
@@ -76,7 +77,7 @@ pub struct DashboardService {
     id: Name,
 }
 
-/// What is heard of one structure, and what is said of it.
+/// Subscriptions and publishers of one structure.
 #[derive(Debug)]
 struct Source {
     keys: Keys,
@@ -87,11 +88,13 @@ struct Source {
 }
 
 impl DashboardService {
-    /// Takes the address, listens to the bus and shows its liveliness tokens; `id` names this instance.
+    /// Binds the address, subscribes to the bus and declares the liveliness tokens. `id` names this
+    /// instance.
     ///
     /// # Errors
-    /// When the address cannot be listened on, others can reach it without certificate and token, or the bus refuses a
-    /// declaration.
+    /// - The process cannot listen on the address.
+    /// - Other machines can reach the address, and the certificate or tokens are missing.
+    /// - The bus rejects a declaration.
     pub fn start<'a>(
         structures: &'a [(&'a Structure, Keys)],
         bus: &'a Bus,
@@ -141,7 +144,7 @@ impl DashboardService {
         })
     }
 
-    /// Where the page is served.
+    /// Returns the address of the page.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.address
@@ -150,7 +153,7 @@ impl DashboardService {
     /// Runs until `stop`.
     ///
     /// # Errors
-    /// When the bus is closed underneath, or browsers can no longer be served.
+    /// The bus is closed, or browsers cannot be served any further.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -163,7 +166,7 @@ impl DashboardService {
         stop: BoxedFuture<'_, ()>,
     ) -> BoxedFuture<'_, Result<(), DashboardError>> {
         Box::pin(async move {
-            // a set, because it ends with this life: the next one serves at the same address
+            // The set aborts the task when dropped, so that the next run can use the same address.
             let mut browsers = JoinSet::new();
             browsers.spawn(serve(
                 self.door,
@@ -180,7 +183,7 @@ impl DashboardService {
                 .await
                 .is_err()
             {
-                // one that keeps its connection open must not keep the program
+                // A client that keeps its connection open must not block the program.
                 browsers.abort_all();
             }
             for source in self.sources {
@@ -243,7 +246,7 @@ async fn bind(page: &PageSettings) -> Result<TcpListener, DashboardError> {
     }
 }
 
-/// Takes from the bus, and puts the status, for ever.
+/// Processes messages from the bus and publishes the status, without end.
 async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<(), DashboardError> {
     #[expect(
         clippy::disallowed_methods,

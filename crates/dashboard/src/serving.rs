@@ -1,4 +1,4 @@
-//! Answers the requests of all connections.
+//! Serves the requests of all connections.
 
 use crate::door::{Door, Guest};
 use axum::Router;
@@ -17,14 +17,14 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::debug;
 
-/// Time for the head of a request, and between the requests of one connection.
+/// Time limit for the head of a request, and for the pause between requests of a connection.
 const HEAD_WITHIN: Duration = Duration::from_secs(20);
 
-/// Where a request comes from.
+/// Address of the client of a request.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ClientAddress(pub(crate) IpAddr);
 
-/// Takes connections until it is to stop; then what has been asked is still answered.
+/// Accepts connections until `stopped`, then finishes the requests in progress.
 pub(crate) async fn serve(mut door: Door, router: Router, stopped: watch::Receiver<bool>) {
     let mut connections = JoinSet::new();
     let mut stopping = stopped.clone();
@@ -35,7 +35,7 @@ pub(crate) async fn serve(mut door: Door, router: Router, stopped: watch::Receiv
                 None => break,
             },
             Some(_) = connections.join_next() => {}
-            // a sender that is gone stops as well
+            // A dropped sender also means stop.
             _ = stopping.wait_for(|stopped| *stopped) => break,
         }
     }
@@ -43,7 +43,7 @@ pub(crate) async fn serve(mut door: Door, router: Router, stopped: watch::Receiv
     while connections.join_next().await.is_some() {}
 }
 
-/// Answers the requests of a connection until it ends, or is one of a WebSocket.
+/// Serves the requests of a connection until the connection ends or becomes a WebSocket.
 async fn answer(
     Guest {
         stream,
@@ -70,7 +70,7 @@ async fn answer(
             .with_upgrades()
     );
     let stop = async move {
-        // a sender that is gone stops as well
+        // A dropped sender also means stop.
         let _ = stopped.wait_for(|stopped| *stopped).await;
     };
     let ended = tokio::select! {

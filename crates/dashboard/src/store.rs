@@ -1,4 +1,4 @@
-//! Everything heard of one structure, bounded: messages in, a picture out. Knows no clock, no network.
+//! Bounded state of one structure, updated from messages. It uses neither clock nor network.
 
 use crate::about::About;
 use crate::innovations::{Innovations, Interval};
@@ -13,21 +13,22 @@ use spandrel_bus::{
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Changes of alerts kept; the oldest make room.
+/// Maximum number of changes of alerts. A further change replaces the oldest.
 const CHANGES_KEPT: usize = 500;
-/// Events kept; the oldest make room.
+/// Maximum number of events. A further event replaces the oldest.
 const EVENTS_KEPT: usize = 200;
-/// Model classes of which plausibilities are kept; more are shown as they stand, but not over time.
+/// Maximum number of model classes whose plausibility is stored over time. Further classes are only
+/// shown at their current value.
 const MOST_CLASSES: usize = 64;
-/// Name of what is about all channels together.
+/// Name of series that concern all channels together.
 pub(crate) const ALL_CHANNELS: &str = "all";
-/// After this silence data are old: display topics come at 10 Hz, status at 1 Hz.
+/// Silence after which data is stale. Display topics are published at 10 Hz, the status at 1 Hz.
 pub(crate) const STALE_AFTER: Duration = Duration::from_secs(3);
 
-/// What the picture reacts to.
+/// An input of the store.
 #[derive(Debug)]
 pub(crate) enum Input {
-    /// The time since some fixed moment: what follows is heard then.
+    /// Time since a fixed moment. Later inputs are received at this time.
     Now(Duration),
     Parameter(ParameterDisplay),
     Noise(NoiseDisplay),
@@ -38,20 +39,20 @@ pub(crate) enum Input {
     Estimates(EstimateBlock),
     /// The alert of a parameter has changed.
     Alert(AlertMessage),
-    /// An alert as it stood when somebody was asked for it.
+    /// The state of an alert in reply to a query.
     StandingAlert(AlertMessage),
     Acknowledgement(Acknowledgement),
     Event(Event),
     Status(Status),
-    /// How far ingest has come.
+    /// Progress of ingest.
     Ingested(Progress),
-    /// Everybody who is there now.
+    /// All services and nodes that are present.
     Present(BTreeSet<(Service, Name)>),
-    /// What happened before, as the history service keeps it.
+    /// Past changes from the history service.
     Past(HistoryLog),
 }
 
-/// One structure as far as it was heard.
+/// State of one structure from all received messages.
 #[derive(Debug)]
 pub(crate) struct Store {
     pub(crate) about: About,
@@ -65,20 +66,20 @@ pub(crate) struct Store {
     pub(crate) fit: Option<FitDisplay>,
     pub(crate) phase: Option<Phase>,
     pub(crate) alerts: BTreeMap<String, AlertMessage>,
-    /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
+    /// Alerts whose service has disappeared, and which no other service has confirmed yet.
     pub(crate) stale_alerts: BTreeSet<String>,
     pub(crate) notes: BTreeMap<String, Acknowledgement>,
-    /// Newest first.
+    /// Changes of alerts, newest first.
     pub(crate) changes: VecDeque<AlertMessage>,
-    /// Newest first.
+    /// Events, newest first.
     pub(crate) events: VecDeque<Event>,
     pub(crate) statuses: BTreeMap<(Service, Name), (Status, Duration)>,
     pub(crate) present: BTreeSet<(Service, Name)>,
-    /// Nodes and services that were there at some time.
+    /// Nodes and services that have ever been present.
     pub(crate) seen: BTreeSet<(Service, Name)>,
-    /// Channels that an event says are not used.
+    /// Channels that an event reported as excluded.
     pub(crate) excluded: BTreeSet<String>,
-    /// Measurement time (ns) at which each channel was last used, of what has arrived live.
+    /// Measurement time (ns) at which each channel was last used in live data.
     pub(crate) used_ns: BTreeMap<String, i64>,
     arrivals: Arrivals,
     innovations: Innovations,
@@ -114,7 +115,7 @@ impl Store {
         }
     }
 
-    /// Takes one input; names that the structure file does not have are left out.
+    /// Processes one input. Ignores names that are not in the structure file.
     pub(crate) fn handle(&mut self, input: Input) {
         match input {
             Input::Now(now) => self.now = now,
@@ -149,7 +150,8 @@ impl Store {
             Input::Alert(alert) => self.take_alert(alert),
             Input::StandingAlert(alert) => {
                 let name = alert.parameter.as_str();
-                // what came by itself meanwhile is at least as new, unless it is that of an earlier life
+                // A change received by subscription is at least as new, unless it comes from an
+                // earlier run.
                 let known = self.alerts.get(name);
                 if known.is_none_or(|known| {
                     known.time_ns < alert.time_ns || self.stale_alerts.contains(name)
@@ -181,9 +183,10 @@ impl Store {
         self.time_ns = Some(time_ns);
     }
 
-    /// Takes how far ingest has come; of what was used before its first word only what it does not know to be recorded counts.
+    /// Updates the progress of ingest. Of the earlier uses of channels, keeps only those that
+    /// ingest has not yet recorded.
     fn take_ingested(&mut self, progress: &Progress) {
-        // samples of nodes that identify for themselves are not read again from a recording
+        // In distributed identification, samples are not replayed from a recording.
         if self.about.distributed
             || !self
                 .arrivals
@@ -284,7 +287,7 @@ impl Store {
     fn take_interval(&mut self, interval: &Interval) {
         self.phase = Some(interval.phase);
         if self.about.distributed {
-            return; // a station has estimates, but no innovations
+            return; // a station has estimates but no innovations
         }
         for (row, (least, largest)) in interval.ends.iter().enumerate() {
             let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else {
@@ -326,7 +329,7 @@ impl Store {
         self.alerts.insert(alert.parameter.to_string(), alert);
     }
 
-    /// Puts a revision in the place of what it revises; returns `false` where it revises nothing that is kept.
+    /// Replaces a stored alert by its revision. Returns `false` if it revises no stored alert.
     fn revise(&mut self, alert: &AlertMessage) -> bool {
         let is_same = |known: &&mut AlertMessage| {
             alert.revises(known) || known.revises(alert) || **known == *alert
@@ -373,7 +376,9 @@ impl Store {
         }
     }
 
-    /// Whether there is room for one more service or node: some for each declared node and then for a few more.
+    /// Returns `true` if there is room for one more service or node.
+    ///
+    /// The limit is a multiple of the number of declared nodes plus a constant.
     fn has_room(&self, key: &(Service, Name)) -> bool {
         const OTHERS: usize = 64;
         self.seen.contains(key)
@@ -400,7 +405,8 @@ impl Store {
         self.present = present;
     }
 
-    /// Adds what is not known yet to what happened; how alerts stand now is for the alert service to say.
+    /// Adds past changes that are not known yet. Only the alert service determines the current
+    /// state of alerts.
     fn take_past(&mut self, log: HistoryLog) {
         for alert in log.alerts {
             if tells_something(&alert) && !self.revise(&alert) {
@@ -428,17 +434,17 @@ impl Store {
         }
     }
 
-    /// When the last value was heard that rests on what has arrived live.
+    /// Returns the time of the last message with live data.
     pub(crate) fn data_heard(&self) -> Option<Duration> {
         self.arrivals.heard()
     }
 
-    /// How long nothing was measured; `None` before the first value.
+    /// Returns the time since the last live data, or `None` before the first.
     pub(crate) fn silence(&self) -> Option<Duration> {
         Some(self.now.saturating_sub(self.data_heard()?))
     }
 
-    /// Whether data come no longer, or do not come although somebody has decided on some before.
+    /// Returns `true` if data has stopped, or if alerts exist but no data has arrived.
     pub(crate) fn is_stale(&self) -> bool {
         match self.silence() {
             Some(silence) => silence > STALE_AFTER,
@@ -446,20 +452,21 @@ impl Store {
         }
     }
 
-    /// The note of whoever acknowledged an alert.
+    /// Returns the note of the person who acknowledged an alert.
     pub(crate) fn note(&self, alert: &AlertMessage) -> Option<&str> {
         let note = self.notes.get(alert.parameter.as_str())?;
         let same = alert.acknowledged_by.as_deref() == Some(note.who.as_str());
         (same && !note.note.is_empty()).then_some(note.note.as_str())
     }
 
-    /// What the newest value of a parameter says of the loss that its alert is about.
+    /// Returns the loss of an alert's parameter by its newest value, in words.
     pub(crate) fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
         alert.loss_by(self.parameters.get(alert.parameter.as_str())?)
     }
 
-    /// Whether the samples come from a record or a simulation, whose times are their own, so that a lag behind the clock on the wall
-    /// says nothing.
+    /// Returns `true` if the samples come from a record or a simulation.
+    ///
+    /// Their times are independent of the wall clock, so a lag has no meaning.
     pub(crate) fn is_replayed(&self) -> bool {
         let Some(time_ns) = self.time_ns else {
             return false;
@@ -467,12 +474,13 @@ impl Store {
         is_without_date(time_ns) || self.pace() == Some(Pace::Replayed)
     }
 
-    /// Whether a lag behind the clock on the wall says something: of samples that are known to come as they are measured.
+    /// Returns `true` if a lag behind the wall clock is meaningful, because the samples are known
+    /// to be live.
     pub(crate) fn has_lag(&self) -> bool {
         self.pace() == Some(Pace::Live) && !self.is_replayed()
     }
 
-    /// A lag behind the clock on the wall, where it says something and data come.
+    /// Returns the lag behind the wall clock if it is meaningful and data arrives.
     pub(crate) fn told_lag(&self, lag_s: Option<f64>) -> Option<f64> {
         let is_told =
             self.has_lag() && self.silence().is_some_and(|silence| silence <= STALE_AFTER);
@@ -483,12 +491,12 @@ impl Store {
         pace_told(self.statuses.values().map(|(status, _)| status))
     }
 
-    /// One series over time.
+    /// Returns one series over time.
     pub(crate) fn series(&self, name: &SeriesName) -> Option<&Series> {
         self.series.get(name)
     }
 
-    /// Whether there is or may come to be a series of this name.
+    /// Returns `true` if a series with this name exists or can exist.
     pub(crate) fn may_have(&self, name: &SeriesName) -> bool {
         let of = name.of.as_str();
         match name.kind {
@@ -510,12 +518,13 @@ impl Store {
         }
     }
 
-    /// The names of all series that have points.
+    /// Returns the names of all series with points.
     pub(crate) fn series_names(&self) -> impl Iterator<Item = &SeriesName> {
         self.series.keys()
     }
 
-    /// What was added to each series since a reader has last looked; its place is moved on.
+    /// Returns the new points of each series since a reader's last call, and advances the reader's
+    /// positions.
     pub(crate) fn news(
         &self,
         read: &mut BTreeMap<SeriesName, u64>,
@@ -537,7 +546,8 @@ impl Store {
     }
 }
 
-/// Whether an alert of a parameter of which nothing was known is worth a line: that all is well is not.
+/// Returns `true` if the first known alert of a parameter counts as a change. A normal or undecided
+/// state does not.
 fn tells_something(alert: &AlertMessage) -> bool {
     !matches!(
         alert.state,

@@ -14,7 +14,7 @@ pub(crate) fn name(text: &str) -> Name {
     Name::new(text).unwrap()
 }
 
-/// The store of the demo, of which nothing was heard.
+/// Returns the store of the demo before any message.
 pub(crate) fn demo() -> Store {
     let text = include_str!("../../../docs/examples/demo.toml");
     Store::new(About::new(
@@ -49,7 +49,7 @@ pub(crate) fn fit(verdict: FitVerdict, reasons: &[FitReason]) -> Input {
     })
 }
 
-/// An alert on which nothing is decided.
+/// Returns an undecided alert.
 pub(crate) fn undecided(of: &str, state: AlertState, because: UndecidedBecause) -> Input {
     Input::Alert(AlertMessage {
         undecided_because: Some(because),

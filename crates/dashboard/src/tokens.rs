@@ -1,4 +1,5 @@
-//! Tokens of people and programs: kept as hashes, so that who reads the file cannot use them.
+//! Tokens of people and programs. The file stores hashes, so that its readers cannot use the
+//! tokens.
 
 use crate::error::DashboardError;
 use rustls::crypto::ring::default_provider;
@@ -10,30 +11,31 @@ use std::io::{ErrorKind, Write as _};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// Random bytes of a token: too many to be guessed, so that one fast hash is enough to keep it.
+/// Number of random bytes in a token. It is too large to guess, so a single fast hash suffices for
+/// storage.
 const TOKEN_BYTES: usize = 32;
-/// Beginning of a token, by which people and scanners know one.
+/// Prefix of a token, by which people and scanners recognise it.
 const PREFIX: &str = "spandrel-";
-/// What the file of tokens allows: its owner, and nobody else.
+/// Permissions of the token file. Only the owner has access.
 const FILE_MODE: u32 = 0o600;
 
-/// What somebody may do on the page.
+/// Rights of a visitor on the page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PageRole {
-    /// Reads.
+    /// Read access.
     Viewer,
-    /// Reads and acknowledges.
+    /// Read access and the right to acknowledge alerts.
     Operator,
 }
 
-/// A token as it is kept.
+/// A token as stored in the file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Token {
-    /// Whose it is.
+    /// Name of the holder.
     pub name: Name,
-    /// What it allows.
+    /// Rights of the holder.
     pub role: PageRole,
     /// SHA-256 of the token, hexadecimal.
     sha256: String,
@@ -47,7 +49,7 @@ impl Tokens {
     /// Reads the file that [`Tokens::issue`] writes.
     ///
     /// # Errors
-    /// A file that cannot be read or is none.
+    /// The file cannot be read or is not a token file.
     pub fn read(path: &Path) -> Result<Self, DashboardError> {
         let text = std::fs::read_to_string(path);
         let text = text.map_err(|source| DashboardError::TokenFile {
@@ -56,7 +58,7 @@ impl Tokens {
         })?;
         match serde_json::from_str(&text) {
             Ok(tokens) => Ok(Self(tokens)),
-            // the text of the error could quote the file
+            // The text of the error could quote the file.
             Err(error) => Err(DashboardError::NotTokens {
                 path: path.to_owned(),
                 line: error.line(),
@@ -64,10 +66,12 @@ impl Tokens {
         }
     }
 
-    /// Makes a token and adds its hash to a file, which is made if it is not there. Returns the token, which is kept nowhere.
+    /// Creates a token, adds its hash to a file, and returns the token.
+    ///
+    /// Creates the file if it is missing. The token itself is not stored.
     ///
     /// # Errors
-    /// A name that has a token, unless that is to be replaced; a file that cannot be read or written.
+    /// The name has a token that must not be replaced, or the file cannot be read or written.
     pub fn issue(
         path: &Path,
         name: Name,
@@ -102,7 +106,7 @@ impl Tokens {
         Ok(secret)
     }
 
-    /// Writes the file anew and puts it in the place of the old one, so that nobody reads half of it.
+    /// Writes a new file and renames it over the old one, so that no reader sees half a file.
     fn write(&self, path: &Path) -> Result<(), DashboardError> {
         let failed = |source| DashboardError::TokenFile {
             path: path.to_owned(),
@@ -123,20 +127,22 @@ impl Tokens {
         std::fs::rename(&beside, path).map_err(failed)
     }
 
-    /// Whether there is none.
+    /// Returns `true` if there are no tokens.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whose token this is. Only hashes are compared: how long that takes says nothing about a token.
+    /// Returns the stored token that matches a secret.
+    ///
+    /// The comparison uses hashes only, so its duration reveals nothing about a token.
     pub(crate) fn find(&self, secret: &str) -> Option<&Token> {
         let hash = hash(secret);
         self.0.iter().find(|token| token.sha256 == hash)
     }
 }
 
-/// Random bytes for a token or session.
+/// Returns random bytes for a token or session.
 pub(crate) fn random() -> Result<[u8; TOKEN_BYTES], DashboardError> {
     let mut bytes = [0; TOKEN_BYTES];
     default_provider()
@@ -146,7 +152,7 @@ pub(crate) fn random() -> Result<[u8; TOKEN_BYTES], DashboardError> {
     Ok(bytes)
 }
 
-/// SHA-256 of a text, hexadecimal.
+/// Returns the SHA-256 of a text, hexadecimal.
 pub(crate) fn hash(text: &str) -> String {
     hexadecimal(&Sha256::digest(text.as_bytes()))
 }
@@ -155,7 +161,7 @@ pub(crate) fn hexadecimal(bytes: &[u8]) -> String {
     bytes
         .iter()
         .fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-            // writing to a String does not fail
+            // Writing to a string cannot fail.
             let _ = write!(text, "{byte:02x}");
             text
         })

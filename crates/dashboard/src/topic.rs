@@ -1,24 +1,27 @@
-//! The names of what is kept over time: a kind and, of that kind, which one.
+//! Names of series: a kind, and an item of that kind.
 
 use crate::series::{Combine, Series};
 use std::fmt;
 
-/// What is kept over time.
+/// Kind of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
-    /// A parameter: mean and standard deviation (ratios to nominal), probability of loss.
+    /// A parameter: mean and standard deviation (ratios to nominal), and probability of loss.
     Parameter,
     /// A noise level: mean and standard deviation of a variance (unit²).
     Noise,
-    /// Innovations of a channel: least and largest of an interval (unit of the channel).
+    /// Innovations of a channel: minimum and maximum of an interval (unit of the channel).
     Innovation,
-    /// How well model and data agree: normalised innovation squared per channel used, 1 when all is well.
+    /// Agreement of model and data: normalised innovation squared per used channel, 1 in the ideal
+    /// case.
     Consistency,
-    /// Screening of a channel: share of rejected samples among the late ones, and how many were rejected.
+    /// Screening of a channel: share of rejected samples among the recent ones, and number of
+    /// rejected samples.
     Outlier,
     /// Plausibility of a model class.
     Class,
-    /// A sensor node that identifies for itself: distance from the others, and the one from which on it is suspicious.
+    /// A node in distributed identification: its distance from the other nodes, and the distance at
+    /// which it is suspicious.
     Node,
 }
 
@@ -34,7 +37,7 @@ impl Kind {
         Self::Node,
     ];
 
-    /// The word in requests.
+    /// Returns the word for the kind in requests.
     pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Parameter => "parameter",
@@ -47,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// The names of the columns.
+    /// Returns the names of the columns.
     pub(crate) fn columns(self) -> &'static [&'static str] {
         match self {
             Self::Parameter => &["mean", "std", "probability_of_loss"],
@@ -60,7 +63,7 @@ impl Kind {
         }
     }
 
-    /// An empty series of this kind.
+    /// Creates an empty series of this kind.
     pub(crate) fn series(self) -> Series {
         Series::new(match self {
             Self::Parameter => &[Combine::Last, Combine::Last, Combine::Largest],
@@ -73,11 +76,11 @@ impl Kind {
     }
 }
 
-/// The name of one series, in requests `parameter/storey-2`.
+/// Name of one series, written `parameter/storey-2` in requests.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct SeriesName {
     pub(crate) kind: Kind,
-    /// The parameter, noise level, channel, class or node.
+    /// Name of the parameter, noise level, channel, class or node.
     pub(crate) of: String,
 }
 
@@ -89,7 +92,7 @@ impl SeriesName {
         }
     }
 
-    /// Reads a name; none if it is no kind, a slash and something.
+    /// Parses a name. Returns `None` unless it is a kind, a slash and a non-empty text.
     pub(crate) fn parse(text: &str) -> Option<Self> {
         let (kind, of) = text.split_once('/')?;
         let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind)?;

@@ -1,4 +1,4 @@
-//! What the page and scripts get to see of a structure.
+//! Views of a structure for the page and for scripts.
 
 use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
@@ -9,12 +9,12 @@ use spandrel_bus::{
 };
 use std::collections::BTreeMap;
 
-/// Changes of alerts sent at a time; all that are kept are at `/api/alerts`.
+/// Maximum number of alert changes in one message. `/api/alerts` returns all stored changes.
 const CHANGES_SHOWN: usize = 50;
-/// Events sent at a time.
+/// Maximum number of events in one message.
 const EVENTS_SHOWN: usize = 50;
 
-/// A structure as it stands now, beside its overview.
+/// Current state of a structure, in addition to its overview.
 #[derive(Debug, Serialize)]
 pub(crate) struct Standing<'s> {
     parameters: &'s BTreeMap<String, ParameterDisplay>,
@@ -22,7 +22,7 @@ pub(crate) struct Standing<'s> {
     outliers: &'s BTreeMap<String, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
     nodes: &'s BTreeMap<String, NodeDisplay>,
-    /// The verdict on the fit, with its words.
+    /// Verdict on the fit, with its explanation.
     fit: Option<FitView<'s>>,
     training: bool,
     alerts: Vec<AlertView<'s>>,
@@ -30,24 +30,24 @@ pub(crate) struct Standing<'s> {
     events: Vec<&'s Event>,
     sensors: Vec<SensorState>,
     services: Vec<ServiceView<'s>>,
-    /// What is kept over time, by the names that history takes.
+    /// Names of the stored series, as `history` accepts them.
     series: Vec<String>,
 }
 
-/// An alert with what the dashboard knows of it beside.
+/// An alert with additional data of the dashboard.
 #[derive(Debug, Serialize)]
 pub(crate) struct AlertView<'s> {
     #[serde(flatten)]
     pub(crate) message: &'s AlertMessage,
-    /// Whether the service that said so has gone.
+    /// Whether the service that published the alert has disappeared.
     pub(crate) stale: bool,
-    /// What was written with the acknowledgement.
+    /// Note from the acknowledgement.
     pub(crate) note: Option<&'s str>,
-    /// What the newest value says of the loss, where that is newer than the sentence of the alert.
+    /// Loss by the newest value, if that is newer than the sentence of the alert.
     pub(crate) now: Option<String>,
 }
 
-/// The verdict on the fit as the page shows it.
+/// Verdict on the fit as the page shows it.
 #[derive(Debug, Serialize)]
 struct FitView<'s> {
     #[serde(flatten)]
@@ -55,13 +55,13 @@ struct FitView<'s> {
     words: String,
 }
 
-/// A service and what it says of itself.
+/// A service and its last status.
 #[derive(Debug, Serialize)]
 struct ServiceView<'s> {
     service: &'static str,
     id: &'s str,
     present: bool,
-    /// Its lag, where that says something.
+    /// Lag of the service, if it is meaningful.
     lag_s: Option<f64>,
     status: Option<&'s Status>,
 }
@@ -100,7 +100,7 @@ impl<'s> Standing<'s> {
     }
 }
 
-/// The alert of each parameter.
+/// Returns the alert of each parameter.
 pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
     store.alerts.iter().map(|(name, message)| AlertView {
         message,
@@ -110,7 +110,7 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
     })
 }
 
-/// The changes of alerts, newest first.
+/// Returns the changes of alerts, newest first.
 pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
     store.changes.iter().map(|message| AlertView {
         message,

@@ -1,4 +1,4 @@
-//! Who is let in: tokens and sessions over real sockets, over TLS and without.
+//! Tests of admission with tokens and sessions, over real sockets with and without TLS.
 
 #![allow(
     clippy::unwrap_used,
@@ -207,7 +207,7 @@ impl Site {
         ))
     }
 
-    /// The status of a request with this token.
+    /// Returns the status of a request with this token.
     async fn status(&self, method: &str, path: &str, token: &str) -> u16 {
         let headers = format!("Authorization: Bearer {token}\r\n");
         self.request(method, path, &headers, "{\"who\":\"Grace\"}")
@@ -229,7 +229,7 @@ impl Site {
 async fn exchange(mut socket: impl AsyncRead + AsyncWrite + Unpin, request: &str) -> String {
     socket.write_all(request.as_bytes()).await.unwrap();
     let mut text = Vec::new();
-    // a server that ends a connection need not say goodbye
+    // The server may close a connection without a TLS close message.
     let _ = socket.read_to_end(&mut text).await;
     String::from_utf8(text).unwrap()
 }
@@ -460,7 +460,7 @@ async fn a_socket_ends_with_the_session_of_its_browser() {
         (why.code, why.reason.as_str()),
         (CloseCode::Policy, "the session is over")
     );
-    // a token is no session
+    // A connection with a token has no session that could end.
     for _ in 0..10 {
         assert!(matches!(next(&mut listening[1]).await, Message::Text(_)));
     }
@@ -528,7 +528,7 @@ async fn plain_http_is_not_answered_where_there_is_a_certificate() {
         "{}",
         String::from_utf8_lossy(&answer)
     );
-    // connections that never begin a handshake keep nobody out
+    // Connections that never start a handshake block no other connection.
     let mut idle = Vec::new();
     for _ in 0..32 {
         idle.push(TcpStream::connect(site.address).await.unwrap());

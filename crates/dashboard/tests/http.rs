@@ -1,4 +1,4 @@
-//! The HTTP interface and the WebSocket, over a real Zenoh session and a real socket.
+//! Tests of the HTTP interface and the WebSocket, over a real Zenoh session and a real socket.
 
 #![allow(
     clippy::unwrap_used,
@@ -30,7 +30,7 @@ fn name(text: &str) -> Name {
     Name::new(text).unwrap()
 }
 
-/// A dashboard of the demo, and the bus behind it.
+/// A dashboard of the demo, and its bus.
 struct Site {
     bus: Bus,
     keys: Keys,
@@ -41,7 +41,7 @@ struct Site {
     running: JoinHandle<Result<(), DashboardError>>,
 }
 
-/// Who asks a dashboard.
+/// An HTTP client of a dashboard.
 struct Client {
     address: SocketAddr,
 }
@@ -220,7 +220,7 @@ impl Client {
         .await
     }
 
-    /// Asks for the structures until one is as it must become.
+    /// Queries the structures until the first one satisfies `is_there`.
     async fn wait(&self, what: &str, is_there: impl Fn(&Value) -> bool) -> Value {
         let waited = async {
             loop {
@@ -372,7 +372,8 @@ async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
     site.end().await;
 }
 
-/// Broke: who asked for the alerts just after the answer was told that it is raised.
+/// Regression test: a request for the alerts just after the confirmation still returned the raised
+/// state.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
     let site = Site::start().await;
@@ -408,7 +409,8 @@ async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
     site.end().await;
 }
 
-/// Broke: it was answered as sent, and the router dropped it.
+/// Regression test: the interface reported the acknowledgement as sent although the router dropped
+/// it.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_acknowledgement_that_would_be_dropped_is_refused_with_who_may() {
     let why = "role dashboard may not acknowledge; roles that may: server, operator";
@@ -558,7 +560,7 @@ async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
             break message;
         }
     };
-    // the point that was there before is for history
+    // The client fetches the earlier point from the history interface.
     assert_eq!(
         points["series"]["parameter/storey-2"]["data"][0],
         json!([2.0])
@@ -568,7 +570,7 @@ async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
         json!([0.9])
     );
     site.end().await;
-    // a stop of the dashboard ends the socket
+    // A stop of the dashboard closes the socket.
     let ended = async { while let Some(Ok(_)) = socket.next().await {} };
     tokio::time::timeout(DEADLINE, ended)
         .await

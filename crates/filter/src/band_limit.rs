@@ -1,34 +1,38 @@
-//! The declared band limit: one causal low-pass, the same on every channel of a structure.
+//! Low-pass filter that limits all channels of a structure to the same band.
 //!
-//! A linear structure filtered alike in its input and in all its outputs obeys the same equation of motion, so that the
-//! filter may work on the band in which its model is right. Butterworth sections by the bilinear transform with prewarping,
-//! in direct form II transposed.
+//! If the input and all outputs of a linear structure pass the same filter, they still obey the
+//! same equation of motion. The identification can therefore work on the band in which its model is
+//! valid.
+//!
+//! The filter is causal: Butterworth sections from the bilinear transform with prewarping, in
+//! direct form II transposed.
 
 use crate::error::FilterError;
 use serde::{Deserialize, Serialize};
 
-/// Coefficients of one section of second order, `b0 b1 b2 a1 a2` with `a0 = 1`.
+/// Coefficients of one second-order section, `b0 b1 b2 a1 a2` with `a0 = 1`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Section {
     b: [f64; 3],
     a: [f64; 2],
 }
 
-/// The low-pass of all channels, with its memory.
+/// A low-pass for all channels, with its filter state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BandLimit {
     sections: Vec<Section>,
-    /// two numbers a section and channel
+    /// Two state variables per section and channel.
     memory: Vec<[f64; 2]>,
-    /// the last value of each channel, NaN before the first: what fills in for a missing sample
+    /// Last value of each channel, NaN before the first sample. It replaces a missing sample.
     last: Vec<f64>,
 }
 
 impl BandLimit {
-    /// Makes a Butterworth low-pass of even `order` with its −3 dB point at `frequency_hz`.
+    /// Creates a Butterworth low-pass of even `order` with its −3 dB point at `frequency_hz`.
     ///
     /// # Errors
-    /// When the order is odd or zero, or the frequency does not lie between 0 and half the sampling rate.
+    /// Returns [`FilterError::Setting`] if the order is odd or zero, or if the frequency is not
+    /// between 0 and half the sampling rate.
     pub fn low_pass(
         order: usize,
         frequency_hz: f64,
@@ -54,7 +58,7 @@ impl BandLimit {
         let warped = (std::f64::consts::PI * frequency_hz / sampling_rate_hz).tan();
         let sections: Vec<Section> = (0..order / 2)
             .map(|k| {
-                // damping of the k-th pole pair of the Butterworth circle
+                // Damping of the k-th pole pair on the Butterworth circle.
                 let angle = std::f64::consts::PI * (2 * k + 1) as f64 / (2 * order) as f64;
                 let twice_damping = 2.0 * angle.sin();
                 let scale = 1.0 / (1.0 + twice_damping * warped + warped * warped);
@@ -76,28 +80,29 @@ impl BandLimit {
         })
     }
 
-    /// Forgets all samples: the next one is taken as the first.
+    /// Clears the filter state, so that the next sample of each channel counts as its first.
     pub fn reset(&mut self) {
         self.memory.fill([0.0; 2]);
         self.last.fill(f64::NAN);
     }
 
-    /// Filters one frame in place; a missing channel (NaN) stays missing.
+    /// Filters one frame in place. A missing channel (NaN) stays missing.
     ///
-    /// The first value of a channel is taken as if it had always been there, so that an offset starts no transient. A missing
-    /// sample enters the memory as the one before it.
+    /// The first value of a channel sets the filter to its steady state, so that an offset causes
+    /// no transient. For a missing sample, the filter state advances with the last value of the
+    /// channel.
     pub fn apply(&mut self, frame: &mut [f64]) {
         let count = self.sections.len();
         for (channel, value) in frame.iter_mut().enumerate() {
             let missing = value.is_nan();
             let mut x = if missing { self.last[channel] } else { *value };
             if x.is_nan() {
-                continue; // nothing has come yet
+                continue; // no sample yet
             }
             let memory = &mut self.memory[channel * count..(channel + 1) * count];
             if self.last[channel].is_nan() {
                 for (section, state) in self.sections.iter().zip(memory.iter_mut()) {
-                    // the steady state of unit gain
+                    // Steady state for an input of constant `x`; the gain at 0 Hz is 1.
                     state[1] = (section.b[2] - section.a[1]) * x;
                     state[0] = (section.b[1] - section.a[0]) * x + state[1];
                 }
@@ -137,7 +142,8 @@ mod tests {
 
     #[test]
     fn gain_is_that_of_a_butterworth_filter() {
-        // |H|² = 1/(1 + (tan(πf/fs)/tan(πfc/fs))^(2·order)), the analytic response of the bilinear Butterworth
+        // |H|² = 1/(1 + (tan(πf/fs)/tan(πfc/fs))^(2·order)): the analytic response of the bilinear
+        // Butterworth filter.
         for (order, corner, frequency) in [
             (4, 12.0, 12.0),
             (4, 12.0, 6.0),

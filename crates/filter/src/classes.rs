@@ -1,17 +1,20 @@
-//! Several models of one system, compared while they run: real-time model class selection.
+//! Real-time model class selection: compares several models of one system while they run.
 //!
-//! Source: Huang & Yuen (2023), chapter 5. A model class says which components of a structure share a stiffness multiplier.
-//! Every class has an extended Kalman filter; the density that each predicts for the coming datum moves its plausibility,
-//! and the simplest class that explains the data wins, because a prior spread over more parameters predicts less sharply.
+//! Source: Huang & Yuen (2023), chapter 5. A model class specifies which components of a structure
+//! share a stiffness multiplier. Each class has its own extended Kalman filter. Each filter
+//! predicts a density for the next datum, and this density updates the plausibility of its class.
+//! The simplest class that explains the data wins, because a prior spread over more parameters
+//! predicts less sharply.
 //!
 //! - [`Grouping`]: a class, that is, a partition of the components
-//! - [`ClassPlan`]: which classes there are, and whether the nominal model is calibrated by the winner
-//! - [`ClassBank`]: the filters with their plausibilities, and what they say together
-//! - [`ComponentSystem`]: how a model is made for a class
+//! - [`ClassPlan`]: the list of classes, and whether the winner calibrates the nominal model
+//! - [`ClassBank`]: the filters with their plausibilities, and the combined estimate
+//! - [`ComponentSystem`]: creates the model of a class
 //!
-//! The components are parameters of the system one by one; a class reports each of them, whatever it groups. The noise levels
-//! and the screening of outliers are those of the most plausible class: all classes see the same data with the same noise,
-//! so that their evidences can be compared.
+//! In the full model, each component is a parameter of its own. A class reports an estimate of
+//! every component, whatever its grouping. The noise levels and the outlier screening come from the
+//! most plausible class. All classes therefore see the same data with the same noise, so that their
+//! evidences are comparable.
 
 mod bank;
 mod grouping;
@@ -27,40 +30,47 @@ use crate::error::FilterError;
 use crate::model::{ObservationModel, ProcessModel};
 use serde::{Deserialize, Serialize};
 
-/// A system whose components can be scaled singly or in groups.
+/// A system whose components can be scaled individually or in groups.
 ///
-/// Its full model has all components as parameters, among others such as damping, in the order that
-/// [`FilterSettings`](crate::FilterSettings) has them; the model of a class has one multiplier per group first, and then the
-/// other parameters in their order.
+/// The parameters of its full model are all components and other parameters such as damping, in the
+/// order of [`FilterSettings`](crate::FilterSettings). In the model of a class, one multiplier per
+/// group comes first. The other parameters follow in their order.
 pub trait ComponentSystem {
     /// The model of one class.
     type Model: ProcessModel + ObservationModel + Send;
 
-    /// Returns the place of each component among the parameters of the full model (N_k, increasing).
+    /// Returns the index of each component among the parameters of the full model (N_k,
+    /// increasing).
     fn components(&self) -> &[usize];
 
-    /// Returns the number of parameters of the full model, components and others.
+    /// Returns the number of parameters of the full model, including the components.
     fn parameter_len(&self) -> usize;
 
-    /// Makes the model of a class, with each component's nominal value scaled by its entry of `factors` (N_k).
+    /// Creates the model of a class.
+    ///
+    /// The nominal value of each component is scaled by its entry of `factors` (N_k).
     fn grouped(&self, grouping: &Grouping, factors: &[f64]) -> Self::Model;
 }
 
-/// Which classes there are, and what their winner does.
+/// The list of model classes, and the effect of a winning class.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ClassPlan {
-    /// Classes that stay as they are, §5.3: the most plausible one reports.
+    /// Fixed classes, §5.3. The most plausible class reports the estimates.
     Predefined {
         /// The classes.
         classes: Vec<Grouping>,
     },
-    /// Class 0 has one multiplier for everything; whenever another one wins, its estimates become the nominal model of all
-    /// of them, §5.4.
+    /// Class 0, the baseline, has one multiplier for all components, §5.4.
+    ///
+    /// When another class wins, its estimates become the nominal model of all classes.
     SelfCalibrating {
-        /// The classes from 1 on.
+        /// The classes from number 1.
         classes: Vec<Grouping>,
     },
-    /// As before, from coarse to fine, §5.5: first which substructure has changed, then which component of it.
+    /// Self-calibration from coarse to fine, §5.5.
+    ///
+    /// The first level finds the changed substructure, the second level the changed component in
+    /// it.
     Hierarchical {
         /// The substructures, as groups of components.
         substructures: Grouping,
@@ -97,10 +107,11 @@ impl ClassPlan {
         })
     }
 
-    /// Checks that there are classes, that each groups all components, and that no two of one level are the same.
+    /// Checks the classes of this plan.
     ///
     /// # Errors
-    /// With the first thing that is wrong.
+    /// Returns an error for the first problem found: no classes, a class that does not group all
+    /// components, or two equal partitions on one level.
     pub fn check(&self, components: usize) -> Result<(), FilterError> {
         let groupings: Vec<&Grouping> = match self {
             Self::Predefined { classes } | Self::SelfCalibrating { classes } => {
@@ -137,7 +148,8 @@ impl ClassPlan {
         for level in levels {
             let classes = self.classes(level, components)?;
             for (class, grouping) in classes.iter().enumerate() {
-                // what cannot be told apart would take turns for ever
+                // Classes with equal partitions would alternate forever, because the data cannot
+                // distinguish them.
                 if classes[..class]
                     .iter()
                     .any(|earlier| earlier.is_same_partition(grouping))
@@ -158,7 +170,7 @@ impl ClassPlan {
     }
 }
 
-/// Whether substructures or components compete.
+/// The level of the competition: substructures or components.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Level {
     /// The classes of the plan; substructures in a hierarchy.
@@ -170,82 +182,88 @@ pub(crate) enum Level {
     },
 }
 
-/// Names a class.
+/// Identifies a class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ClassId {
-    /// Class of the plan, as it counts them (from 0).
+    /// A class of a predefined plan, by its index in the plan (from 0).
     Predefined(usize),
-    /// One multiplier for everything.
+    /// One multiplier for all components.
     Baseline,
-    /// Class of a self-calibrating plan (from 0).
+    /// A class of a self-calibrating plan (from 0).
     Calibrating(usize),
-    /// One substructure against the rest (from 0).
+    /// One substructure with its own multiplier (from 0), against all other components.
     Substructure(usize),
-    /// One component against the rest, and the substructure it belongs to.
+    /// One component with its own multiplier, against all other components.
     Component {
         /// The component (from 0).
         component: usize,
-        /// Its substructure (from 0).
+        /// The substructure of the component (from 0).
         substructure: usize,
     },
 }
 
-/// What happened to the classes at a step.
+/// A change of the classes in one step.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ClassEvent {
-    /// Another class has been the most plausible one for long enough to be believed.
+    /// Another class has been the most plausible class for long enough to be accepted.
     Leading {
-        /// The class that led before.
+        /// The former leading class.
         from: ClassId,
-        /// The class that leads.
+        /// The new leading class.
         to: ClassId,
     },
     /// The estimates of a class became the nominal model.
     Calibrated {
         /// The class.
         by: ClassId,
-        /// What each component was multiplied by (N_k).
+        /// The factor that multiplied each component (N_k).
         factors: Vec<f64>,
     },
-    /// The components of a substructure compete from now on.
+    /// The components of one substructure now compete.
     LevelUp {
         /// The substructure (from 0).
         substructure: usize,
     },
     /// The substructures compete again.
     LevelDown {
-        /// What each component was multiplied by (N_k).
+        /// The factor that multiplied each component (N_k).
         factors: Vec<f64>,
     },
-    /// The filter of a class was lost and continues from the most plausible class.
+    /// The filter of a class diverged and continues from the most plausible class.
     Restarted {
         /// The class.
         class: ClassId,
     },
 }
 
-/// How classes are compared.
+/// Settings of the class comparison.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClassSettings {
     /// The classes.
     pub plan: ClassPlan,
-    /// `P_l`: no plausibility is below this; 0 for none. Below one over the number of classes.
+    /// `P_l`: lower limit of each plausibility, 0 for none.
+    ///
+    /// It must be below 1 over the number of classes.
     pub floor: f64,
-    /// `N_t` (steps): how long a class must lead before it is acted on, and how long nothing is acted on at the start.
+    /// `N_t` (steps): required duration of a lead before the bank acts on it.
+    ///
+    /// It is also the length of the initial training stage, in which the bank does not act.
     pub persistence_steps: usize,
-    /// What counts as a lasting lead.
+    /// The criterion for a lasting lead.
     pub persistence_rule: PersistenceRule,
-    /// Standard deviation of a multiplier after a calibration; the source has 1/3.
+    /// Standard deviation of a multiplier after a calibration, 1/3 in the source.
     pub reset_std: f64,
 }
 
 impl ClassSettings {
-    /// Floor for plans that calibrate: a small one lets healthy components be calibrated in error.
+    /// The floor for plans that calibrate.
+    ///
+    /// A smaller floor allows the calibration of healthy components in error.
     pub const FLOOR: f64 = 1e-4;
 
-    /// Makes the settings of the source, with its rule of persistence.
+    /// Returns the settings of the source, with its rule of persistence.
     ///
-    /// No floor for predefined classes, and `P_l = 10⁻⁴` for the others.
+    /// The floor is 0 for predefined classes and `P_l = 10⁻⁴` for all other plans.
     #[must_use]
     pub fn published(plan: ClassPlan, persistence_steps: usize) -> Self {
         let floor = if matches!(plan, ClassPlan::Predefined { .. }) {

@@ -1,9 +1,15 @@
-//! What a linear time-invariant model needs to compute only once: its transition, and the paths of its noises.
+//! Quantities that a linear time-invariant model computes only once: its transition and the effect
+//! of its excitation noise.
 //!
-//! Notation: Yuen, Liang & Kuok (2013). `ẏ = A y + B f` becomes `y_{k+1} = A_d y_k + B_d f_k + R (f_{k+1} − f_k)` with
-//! `A_d = exp(A Δt)`, `B_d = ∫₀^Δt exp(A s) ds B` and `R = ∫₀^Δt exp(A (Δt − s)) s ds B/Δt`, the effect of an excitation that
-//! runs in a straight line instead of being held. All of them are blocks of one matrix exponential, which needs no inverse
-//! of `A`.
+//! Notation: Yuen, Liang & Kuok (2013). `ẏ = A y + B f` becomes
+//! `y_{k+1} = A_d y_k + B_d f_k + R (f_{k+1} − f_k)` with
+//!
+//! - `A_d = exp(A Δt)`
+//! - `B_d = ∫₀^Δt exp(A s) ds B`
+//! - `R = ∫₀^Δt exp(A (Δt − s)) s ds B/Δt`, for an excitation that varies linearly over the step
+//!   instead of being held
+//!
+//! All three are blocks of one matrix exponential, which does not require an inverse of `A`.
 
 use crate::dense::{add_scaled_mut, symmetrise_mut};
 use crate::error::FilterError;
@@ -28,15 +34,17 @@ pub struct ConstantTransition {
 enum Transition {
     /// `A_d` (n × n)
     Dense(DMatrix<f64>),
-    /// The four diagonals of `A_d` for a state `[q, q̇]` of uncoupled modes: row by row, a pair of entries per mode.
+    /// The four diagonals of `A_d` for a state `[q, q̇]` of uncoupled modes. Each mode has one 2 ×
+    /// 2 block, stored row by row.
     Modal(Vec<[f64; 4]>),
 }
 
 impl ConstantTransition {
-    /// Makes the transition of `ẏ = A y + B f` over `step_s` (s) from `A` (n × n, 1/s) and `B` (n × N_f).
+    /// Creates the transition of `ẏ = A y + B f` over `step_s` (s) from `A` (n × n, 1/s) and `B` (n
+    /// × N_f).
     ///
     /// # Errors
-    /// When `A` is not square or `B` does not fit it.
+    /// Returns [`FilterError::Dimension`] if `A` is not square or `B` does not have `n` rows.
     pub fn dense(
         system: &DMatrix<f64>,
         input: &DMatrix<f64>,
@@ -63,12 +71,16 @@ impl ConstantTransition {
         })
     }
 
-    /// Makes the transition of uncoupled modes, `q̈_j + c_j q̇_j + ω_j² q_j = Σ_b p_jb f_b`, for the state `[q, q̇]`.
+    /// Creates the transition of uncoupled modes for the state `[q, q̇]`.
     ///
-    /// `stiffness`: `ω²` (N_m, 1/s²); `damping`: `c = 2ζω` (N_m, 1/s); `participation`: `p` (N_m × N_f).
+    /// Each mode follows `q̈_j + c_j q̇_j + ω_j² q_j = Σ_b p_jb f_b`.
+    ///
+    /// - `stiffness`: `ω²` (N_m, 1/s²)
+    /// - `damping`: `c = 2ζω` (N_m, 1/s)
+    /// - `participation`: `p` (N_m × N_f)
     ///
     /// # Errors
-    /// When the lengths differ.
+    /// Returns [`FilterError::Dimension`] if the lengths differ.
     pub fn modal(
         stiffness: &[f64],
         damping: &[f64],
@@ -119,7 +131,7 @@ impl ConstantTransition {
         &self.held
     }
 
-    /// Replaces `X` (n × c) by `A_d X`; `column` (n): scratch.
+    /// Replaces `X` (n × c) by `A_d X`. `column` (n) is scratch space.
     pub(crate) fn mul_mut(&self, x: &mut DMatrix<f64>, column: &mut DVector<f64>) {
         match &self.transition {
             Transition::Dense(a) => {
@@ -141,7 +153,10 @@ impl ConstantTransition {
         }
     }
 
-    /// Replaces the mean (n) by `A_d y + B_d f + R Δf`; `ramp` is `Δf` (N_f), `None` where the excitation is held.
+    /// Replaces the mean (n) by `A_d y + B_d f + R Δf`.
+    ///
+    /// `held` is `f` and `ramp` is `Δf` (N_f each). `ramp` is `None` if the excitation is held over
+    /// the step.
     fn predict_mean_mut(
         &self,
         mean: &mut DVector<f64>,
@@ -162,7 +177,7 @@ impl ConstantTransition {
         }
     }
 
-    /// Writes `A_d y` (n).
+    /// Writes `A_d y` (n) into `mean`, where `column` is `y`.
     fn move_to(&self, column: &DVector<f64>, mean: &mut DVector<f64>) {
         match &self.transition {
             Transition::Dense(a) => mean.gemv(1.0, a, column, 0.0),
@@ -176,7 +191,7 @@ impl ConstantTransition {
         }
     }
 
-    /// Writes `A_d Σ A_dᵀ` (n × n) into `out`; `column` (n): scratch.
+    /// Writes `A_d Σ A_dᵀ` (n × n) into `out`. `column` (n) is scratch space.
     pub(crate) fn propagate_covariance_to(
         &self,
         covariance: &DMatrix<f64>,
@@ -217,7 +232,7 @@ impl ConstantTransition {
     }
 }
 
-/// Reads `A_d`, `B_d` and `R` off `exp` of `[[A, B, 0], [0, 0, I/Δt], [0, 0, 0]] Δt`.
+/// Returns `A_d`, `B_d` and `R` from the exponential of `[[A, B, 0], [0, 0, I/Δt], [0, 0, 0]] Δt`.
 fn exponential_blocks(
     system: &DMatrix<f64>,
     input: &DMatrix<f64>,
@@ -239,7 +254,8 @@ fn exponential_blocks(
         .map(|(start, columns)| exponential.view((0, start), (n, columns)).into_owned())
 }
 
-/// Writes `A_d Σ A_dᵀ` for uncoupled modes: a 2 × 2 product from both sides for every pair of modes.
+/// Writes `A_d Σ A_dᵀ` for uncoupled modes: each pair of modes needs a 2 × 2 product from both
+/// sides.
 fn propagate_modal_to(blocks: &[[f64; 4]], covariance: &[f64], out: &mut [f64]) {
     let modes = blocks.len();
     let n = 2 * modes;
@@ -266,7 +282,7 @@ fn propagate_modal_to(blocks: &[[f64; 4]], covariance: &[f64], out: &mut [f64]) 
     }
 }
 
-/// What a covariance `C` (N_f × N_f) of the excitation does in one step, per unit of its level.
+/// Effect of an excitation covariance `C` (N_f × N_f) in one step, per unit of its level.
 #[derive(Debug, Clone)]
 pub(crate) struct NoiseSpread {
     /// `B_d C B_dᵀ` (n × n)
@@ -299,16 +315,16 @@ pub(crate) struct ConstantPath {
     pub(crate) transition: ConstantTransition,
     /// `H B_d` (N_0 × N_f)
     pub(crate) h_b: DMatrix<f64>,
-    /// of the known part of `Σ_f`; `None` when it is zero
+    /// Effect of the known part of `Σ_f`; `None` if that part is zero.
     known: Option<NoiseSpread>,
-    /// of each noise parameter; `None` where it scales the sensors
+    /// Effect of each noise parameter; `None` for a parameter that scales the sensor noise.
     pub(crate) levels: Vec<Option<NoiseSpread>>,
-    /// scratch (n)
+    /// Scratch space (n).
     pub(crate) column: DVector<f64>,
     dense: Option<DenseProducts>,
 }
 
-/// The covariance by a full `A_d`: what its products need.
+/// Operands for the products with a dense `A_d`.
 #[derive(Debug, Clone)]
 struct DenseProducts {
     factors: Factors,
@@ -345,7 +361,7 @@ impl DenseProducts {
         }
     }
 
-    /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`; both triangles get the same bits.
+    /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`. Both triangles are bit-identical.
     fn propagate_covariance_to(
         &mut self,
         covariance: &DMatrix<f64>,
@@ -399,7 +415,7 @@ impl ConstantPath {
         }
     }
 
-    /// Replaces the mean (n) as [`ConstantTransition::predict_mean_mut`] does.
+    /// Replaces the mean (n), like [`ConstantTransition::predict_mean_mut`].
     pub(crate) fn predict_mean_mut(
         &mut self,
         mean: &mut DVector<f64>,
@@ -449,7 +465,9 @@ impl ConstantPath {
         }
     }
 
-    /// Adds to the covariance of the datum what the known part of `Σ_f` does; `missing` as in [`Self::add_noise_mut`].
+    /// Adds the effect of the known part of `Σ_f` to the covariance of the datum (N_0 × N_0).
+    ///
+    /// `missing` is as in [`Self::add_noise_mut`].
     pub(crate) fn add_known_datum_mut(
         &self,
         fading: f64,
@@ -469,9 +487,11 @@ impl ConstantPath {
         }
     }
 
-    /// Adds the whole excitation noise of the step to `P` (n × n), `P Hᵀ` (n × N_0) and `H P Hᵀ` (N_0 × N_0).
+    /// Adds the excitation noise of the step to `P` (n × n), `P Hᵀ` (n × N_0) and `H P Hᵀ` (N_0 ×
+    /// N_0).
     ///
-    /// `missing` (N_f): the variance of a measured excitation whose sample is missing, else 0.
+    /// `missing` (N_f) is the variance of each measured excitation whose sample is missing, and 0
+    /// for all others.
     pub(crate) fn add_noise_mut(
         &self,
         psi: &DVector<f64>,
@@ -500,7 +520,7 @@ impl ConstantPath {
     }
 }
 
-/// Adds `weight · u vᵀ`, to both triangles alike where `u` is `v`.
+/// Adds `weight · u vᵀ`. The result is exactly symmetric if `u` equals `v`.
 fn add_outer_mut(target: &mut DMatrix<f64>, weight: f64, u: &[f64], v: &[f64]) {
     if weight == 0.0 {
         return;

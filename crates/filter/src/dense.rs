@@ -1,11 +1,16 @@
-//! Small dense kernels that allocate nothing: nalgebra's own give up their storage on failure or pack into new buffers.
+//! Small dense kernels that do not allocate.
+//!
+//! The equivalents in nalgebra lose their storage if they fail, or pack their operands into new
+//! buffers.
 
 use nalgebra::{DMatrix, DVector};
 use pulp::{Arch, Simd, WithSimd};
 
-/// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`; zeroes the rest.
+/// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`
+/// and sets the rest to zero.
 ///
-/// Returns the row at which a pivot was not positive.
+/// # Errors
+/// Returns the first row whose pivot is not positive and finite.
 pub(crate) fn cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), usize> {
     let n = matrix.nrows();
     for j in 0..n {
@@ -13,7 +18,7 @@ pub(crate) fn cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), usize> {
         for k in 0..j {
             pivot -= matrix[(j, k)] * matrix[(j, k)];
         }
-        // written so that NaN fails too
+        // This form of the condition also rejects NaN.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return Err(j);
         }
@@ -100,7 +105,8 @@ impl WithSimd for SolveLowerOfRows<'_> {
 }
 
 impl SolveLowerOfRows<'_> {
-    /// Solves for `R` registers of rows from row `first` on: what is known of them stays in the nearest memory.
+    /// Solves for `R` registers of rows, starting with row `first`. The solved entries of these
+    /// rows remain in the fastest cache.
     #[inline(always)]
     fn rows<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
         let Self { factor, columns } = self;
@@ -182,7 +188,7 @@ pub(crate) fn add_scaled_slice_mut(target: &mut [f64], scale: f64, x: &[f64]) {
     }
 }
 
-/// Below this length a loop ends before better instructions are chosen.
+/// Length below which a plain loop finishes before a faster instruction set could be selected.
 const SHORT: usize = 24;
 
 struct AddScaled<'m> {
@@ -202,13 +208,15 @@ impl WithSimd for AddScaled<'_> {
 
 #[inline(always)]
 fn add_scaled(target: &mut [f64], scale: f64, x: &[f64]) {
-    // slices: several times faster than the iterators of nalgebra
+    // Slices are several times faster here than the iterators of nalgebra.
     for (entry, addend) in target.iter_mut().zip(x) {
         *entry += scale * addend;
     }
 }
 
-/// Adds `scale · X C Xᵀ` to a symmetric matrix, with `X` (n × c) and a symmetric `C` (c × c) of few columns.
+/// Adds `scale · X C Xᵀ` to a symmetric matrix.
+///
+/// `X` is n × c and the symmetric `C` is c × c. The method suits a small `c`.
 pub(crate) fn add_quadratic_form_mut(
     target: &mut DMatrix<f64>,
     x: &DMatrix<f64>,
@@ -232,7 +240,8 @@ pub(crate) fn add_quadratic_form_mut(
     }
 }
 
-/// Subtracts `Vᵀ V` from a symmetric matrix (n × n), with `V` (m × n); both triangles get the same bits.
+/// Subtracts `Vᵀ V` from a symmetric matrix (n × n), with `V` (m × n). Both triangles are
+/// bit-identical.
 pub(crate) fn subtract_gram_mut(target: &mut DMatrix<f64>, v: &DMatrix<f64>) {
     let n = target.nrows();
     let m = v.nrows();

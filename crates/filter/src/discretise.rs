@@ -1,31 +1,42 @@
-//! Moves states and covariances over one time step with the Jacobian as an operator, without inverting it.
+//! Propagation of states and covariances over one time step, without inverting the Jacobian.
 //!
-//! Notation: Huang & Yuen (2023), §2.4. `A_i = exp(A_y Δt)` (2.54), `Γ = ∫₀^Δt exp(A_y s) ds`, which equals the
-//! `A_y⁻¹(A_i − I)` of (2.55) and (2.56) where that exists, and `Γ₂ = ∫₀^Δt exp(A_y(Δt − s)) s ds` for an input that
-//! varies linearly over the step. All are Taylor series applied to given columns, so that a singular `A_y` (constant
-//! parameters make it singular) is no special case.
+//! The Jacobian is an operator. Notation: Huang & Yuen (2023), §2.4.
+//!
+//! - `A_i = exp(A_y Δt)` (2.54)
+//! - `Γ = ∫₀^Δt exp(A_y s) ds`, which equals `A_y⁻¹(A_i − I)` of (2.55) and (2.56) if that inverse
+//!   exists
+//! - `Γ₂ = ∫₀^Δt exp(A_y(Δt − s)) s ds`, for an input that varies linearly over the step
+//!
+//! All three are Taylor series applied to given columns. A singular `A_y` is therefore not a
+//! special case; constant parameters make it singular.
 
 use crate::model::ProcessModel;
 use nalgebra::DMatrix;
 
-/// The series ends where its next term is below this, relative to the sum: the rounding of a double.
+/// Size of the next term, relative to the sum, at which the series ends: the rounding error of a
+/// double.
 const SERIES_TOLERANCE: f64 = 1e-16;
 
-/// Up to this `ρ h` the series converges without cancellation of its terms; longer steps are cut into substeps.
+/// Largest `ρ h` at which the series converges without cancellation of its terms. Longer steps are
+/// divided into substeps.
 pub(crate) const LARGEST_STEP: f64 = 1.5;
 
-/// How a known excitation runs between two frames.
+/// Course of a known excitation between two frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InputHold {
-    /// Held at the older frame's value, as the source's examples are simulated.
+    /// The value of the older frame, held over the step. The examples of the source are simulated
+    /// in this way.
     Zero,
-    /// A straight line from the older frame to the newer one, which follows a recorded motion without half a step of delay. A motion
-    /// that is smooth exceeds the line where it bends; the filter adds that on average over the step.
+    /// A straight line from the older frame to the newer frame, which follows a recorded motion
+    /// without a delay of half a step.
+    ///
+    /// A smooth motion deviates from this line where it is curved. The filter adds the average
+    /// deviation over the step.
     First,
 }
 
-/// Says how a step is cut: substeps and terms of the series in each.
+/// Number of substeps of a time step, and number of series terms in each substep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Series {
     /// Number of equal substeps.
@@ -35,11 +46,12 @@ pub struct Series {
 }
 
 impl Series {
-    /// Chooses substeps and order for a step of `step_s` (s) and a spectral radius of at most `rate_bound` (1/s).
+    /// Selects the substeps and the order for a step of `step_s` (s) and a spectral radius of at
+    /// most `rate_bound` (1/s).
     #[must_use]
     pub fn choose(rate_bound: f64, step_s: f64) -> Self {
         let reach = rate_bound * step_s;
-        // A bound that is not finite is met by the check of the filtered state, which comes next.
+        // If the bound is not finite, the check of the filtered state reports the error afterwards.
         let substeps = if reach.is_finite() {
             ((reach / LARGEST_STEP).ceil() as usize).clamp(1, 10_000)
         } else {
@@ -48,7 +60,8 @@ impl Series {
         let short = reach / substeps as f64;
         let mut order = 2;
         let mut term = short * short / 2.0;
-        // one order more than the estimate asks for: Jacobians of structures are not normal
+        // One order more than the estimate requires, because Jacobians of structures are not
+        // normal.
         while term > SERIES_TOLERANCE && order < 40 {
             order += 1;
             term *= short / order as f64;
@@ -60,7 +73,7 @@ impl Series {
     }
 }
 
-/// Scratch space of the series, made once.
+/// Scratch space of the series, allocated once.
 #[derive(Debug, Clone)]
 pub(crate) struct Workspace {
     /// n × n
@@ -88,7 +101,8 @@ impl Workspace {
     }
 }
 
-/// Replaces `X` (n × c) by `exp(A_y h) X` for one substep `h`; `term`, `next`: scratch of the size of `X`.
+/// Replaces `X` (n × c) by `exp(A_y h) X` for one substep `h`. `term` and `next` are scratch space
+/// of the size of `X`.
 fn exponential_mul(
     model: &impl ProcessModel,
     h: f64,
@@ -106,7 +120,7 @@ fn exponential_mul(
     }
 }
 
-/// Writes `A_i Σ A_iᵀ` (n × n) into `out`, without fading and process noise, equation (2.61).
+/// Writes `A_i Σ A_iᵀ` (n × n) into `out`: equation (2.61) without fading and process noise.
 pub(crate) fn propagate_covariance(
     model: &impl ProcessModel,
     step_s: f64,
@@ -151,10 +165,12 @@ pub(crate) fn transition_mul_narrow(
     }
 }
 
-/// Replaces the columns of `inputs` (n × (1 + N_f)), which holds `[g, B_y]`, by `[Γ g + Γ₂ ramp, Γ B_y]`.
+/// Replaces the columns of `inputs` (n × (1 + N_f)), which contain `[g, B_y]`, by
+/// `[Γ g + Γ₂ ramp, Γ B_y]`.
 ///
-/// The first column becomes the increment of the mean (2.67), the others `B_i` (2.55). `ramp` (n) is `B_y ḟ`, the slope
-/// of the known excitation through the step (zero under [`InputHold::Zero`]).
+/// The first column becomes the increment of the mean (2.67). The other columns become `B_i`
+/// (2.55). `ramp` (n) is `B_y ḟ`, where `ḟ` is the slope of the known excitation over the step. It
+/// is `None` under [`InputHold::Zero`].
 pub(crate) fn integrate_inputs(
     model: &impl ProcessModel,
     step_s: f64,

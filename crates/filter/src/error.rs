@@ -1,8 +1,8 @@
-//! What can go wrong while a filter is built or steps.
+//! Errors of building, stepping and restoring a filter.
 
 use thiserror::Error;
 
-/// Why a filter could not be built, could not step, or could not take a checkpoint.
+/// Reason why a filter could not be built, could not step or could not restore a checkpoint.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum FilterError {
@@ -13,7 +13,7 @@ pub enum FilterError {
         what: &'static str,
         /// Its length.
         found: usize,
-        /// The length that the model needs.
+        /// The length that the model requires.
         expected: usize,
     },
     /// A setting lies outside its range.
@@ -23,10 +23,11 @@ pub enum FilterError {
         what: &'static str,
         /// Its value.
         found: f64,
-        /// What is allowed.
+        /// The allowed range.
         allowed: &'static str,
     },
-    /// The innovation covariance is not positive definite beyond repair; the filter must be restarted.
+    /// The innovation covariance is not positive definite, even with jitter. The filter must be
+    /// restarted.
     #[error("innovation covariance is not positive definite at channel {pivot}")]
     InnovationCovariance {
         /// The row at which the factorisation failed.
@@ -40,37 +41,39 @@ pub enum FilterError {
         /// The row at which the factorisation failed.
         pivot: usize,
     },
-    /// A state or a variance is no longer finite; the filter must be restarted.
+    /// A state, a variance or another quantity is not finite. If a step fails with this error, the
+    /// filter must be restarted.
     #[error("{what} {index} is not finite")]
     NotFinite {
-        /// What is not finite: mean or variance of a state, a noise level, the normalised innovation.
+        /// The quantity, such as the mean or variance of a state, a noise level or the normalised
+        /// innovation.
         what: &'static str,
-        /// Which one, from 0.
+        /// Index of the entry, from 0.
         index: usize,
     },
-    /// A linear system has no stationary filter, or the filter in question is not stable.
+    /// A linear system has no stationary filter, or the given filter is not stable.
     #[error(
         "no stationary filter: a mode is neither damped nor observed, or the gain does not make the error decay"
     )]
     NoStationaryFilter,
-    /// A variance has become negative beyond rounding; the filter must be restarted.
+    /// A variance is negative by more than the rounding error. The filter must be restarted.
     #[error("variance of state {index} is {variance:e}")]
     NegativeVariance {
-        /// The entry of the state.
+        /// Index of the state, from 0.
         index: usize,
         /// Its variance.
         variance: f64,
     },
-    /// No particle explains the datum, or none has a finite state; the filter must be restarted.
+    /// No particle explains the datum, or none has a finite state. The filter must be restarted.
     #[error("none of {particles} particles has any weight left")]
     Depleted {
-        /// How many there are.
+        /// Number of particles.
         particles: usize,
     },
     /// The threads of a particle filter could not be started.
     #[error("threads of the particle filter did not start: {reason}")]
     Threads {
-        /// What the system said.
+        /// Error message of the operating system.
         reason: String,
     },
 }

@@ -1,51 +1,58 @@
-//! How a measured excitation runs between two frames.
+//! Course of a measured excitation between two frames.
 //!
-//! A straight line between samples cuts the crests of a smooth motion: at the frequency `ω` it leaves `1 − (ωΔt)²/12` of the
-//! amplitude, which is 13 % too little at 10 Hz and 50 samples a second. On average over a step, a smooth motion exceeds the line
-//! by `−Δt² f̈/12`; the second difference of the last three samples stands for `Δt² f̈`. (K. E. Atkinson, *An Introduction to
-//! Numerical Analysis*, 2nd ed. 1989, §5.2: the corrected trapezoidal rule.)
+//! A straight line between samples cuts the crests of a smooth motion. At the frequency `ω`, it
+//! preserves `1 − (ωΔt)²/12` of the amplitude. At 10 Hz and 50 samples per second, the line is 13 %
+//! too low. On average over a step, a smooth motion exceeds the line by `−Δt² f̈/12`. The second
+//! difference of the last three samples approximates `Δt² f̈`.
 //!
-//! An excitation that is independent from sample to sample, as simulations draw it, has no curvature that its samples could tell. The
-//! two are told apart by the mean square of the second differences over that of the first: 3 for independent samples, and below 1
-//! for a motion of up to a fifth of the sampling rate.
+//! Source: K. E. Atkinson, *An Introduction to Numerical Analysis*, 2nd ed. 1989, §5.2 (corrected
+//! trapezoidal rule).
+//!
+//! If the samples of an excitation are independent, as in simulations, its curvature cannot be
+//! derived from them. The mean square of the second differences, divided by the mean square of the
+//! first differences, distinguishes the two cases. This ratio is 3 for independent samples. For a
+//! sine, it is `4 sin²(ωΔt/2)`: 1 at a sixth of the sampling rate, and 2 at a quarter.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Ratio of the mean squares up to which an excitation is smooth, and from which on it is not.
+/// Ratio of the mean squares up to which an excitation is smooth, and the ratio from which it is
+/// rough.
 const SMOOTH: f64 = 2.0;
 const ROUGH: f64 = 2.4;
 
-/// Time constant of the mean squares, in samples. The ratio of independent samples is then 3.00 ± 0.05.
+/// Time constant of the mean squares, in samples. The ratio of independent samples is then 3.00 ±
+/// 0.05.
 const MEMORY: f64 = 1000.0;
 
-/// Samples before which nothing is concluded: up to then independent samples may look smooth.
+/// Number of samples required for a decision. With fewer samples, independent samples may look
+/// smooth.
 const LEAST_SAMPLES: f64 = 200.0;
 
-/// Samples before the last one that a step asks for.
+/// Number of consecutive samples before the last one that `make_up` requires.
 const ENOUGH: u8 = 2;
 
-/// What past samples tell of the course of the known excitation (N_f each).
+/// Statistics of past samples that describe the course of the known excitation (N_f each).
 ///
-/// The second difference that a step needs is that of its middle; known is that of its older frame. What is missing shows with the
-/// next sample, and is then added to the filtered state.
+/// A step needs the second difference at its middle, but only the one at its older frame is known.
+/// The next sample yields the remainder, which is then added to the filtered state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ExcitationCourse {
-    /// samples without a gap before the last one, up to [`ENOUGH`]
+    /// Number of samples without a gap before the last one, up to [`ENOUGH`].
     unbroken: Vec<u8>,
-    /// the sample before the last
+    /// The sample before the last one.
     before_last: DVector<f64>,
-    /// second difference of the last three samples
+    /// Second difference of the last three samples.
     last_bend: DVector<f64>,
     first_squares: DVector<f64>,
     second_squares: DVector<f64>,
     samples: DVector<f64>,
-    /// `B` of the last step (n × N_f); only the columns of smooth components are kept up to date
+    /// `B` of the last step (n × N_f). Only the columns of smooth components are kept up to date.
     input_matrix: DMatrix<f64>,
 }
 
 impl ExcitationCourse {
-    /// Makes the course of `inputs` components that drive `n` states.
+    /// Creates the course of `inputs` components that act on `n` states.
     pub(crate) fn new(n: usize, inputs: usize) -> Self {
         let zeros = || DVector::zeros(inputs);
         Self {
@@ -59,7 +66,8 @@ impl ExcitationCourse {
         }
     }
 
-    /// Returns the numbers of states and components; `None` where the lengths disagree, as in a damaged checkpoint.
+    /// Returns the numbers of states and components, or `None` if the lengths disagree, as in a
+    /// damaged checkpoint.
     pub(crate) fn shape(&self) -> Option<(usize, usize)> {
         let Self {
             unbroken,
@@ -82,7 +90,8 @@ impl ExcitationCourse {
             .then_some((n, inputs))
     }
 
-    /// Returns what component `j` is larger, on average over the step, than on the straight line from `last` to `next`.
+    /// Returns the average over the step by which component `j` exceeds the straight line from
+    /// `last` to `next`.
     pub(crate) fn above_the_line(&self, j: usize, last: f64, next: f64) -> f64 {
         let share = self.smooth_share(j);
         match self.bend(j, last, next) {
@@ -91,7 +100,8 @@ impl ExcitationCourse {
         }
     }
 
-    /// Adds to the filtered state `mean` (n) what the last step left out of component `j`, as `next` shows now.
+    /// Adds the part of component `j` that the last step omitted to the filtered state `mean` (n).
+    /// `next` now reveals it.
     pub(crate) fn make_up(&self, j: usize, last: f64, next: f64, mean: &mut DVector<f64>) {
         let share = self.smooth_share(j);
         if let Some(bend) = self.bend(j, last, next)
@@ -103,18 +113,21 @@ impl ExcitationCourse {
         }
     }
 
-    /// Returns the second difference of the last three samples; `None` where one is missing.
+    /// Returns the second difference of the last three samples, or `None` if one of them is
+    /// missing.
     fn bend(&self, j: usize, last: f64, next: f64) -> Option<f64> {
         let bend = next - 2.0 * last + self.before_last[j];
         (self.unbroken[j] > 0 && !bend.is_nan()).then_some(bend)
     }
 
-    /// Returns the mean square of the second differences over that of the first; NaN while the excitation is silent.
+    /// Returns the mean square of the second differences divided by that of the first differences.
+    ///
+    /// The result is NaN while the excitation is zero.
     fn ratio(&self, j: usize) -> f64 {
         self.second_squares[j] / self.first_squares[j]
     }
 
-    /// Returns how far a component counts as smooth, 0 to 1.
+    /// Returns the degree to which a component counts as smooth, from 0 (rough) to 1 (smooth).
     fn smooth_share(&self, j: usize) -> f64 {
         let share = (ROUGH - self.ratio(j)) / (ROUGH - SMOOTH);
         if self.samples[j] < LEAST_SAMPLES || share.is_nan() {
@@ -124,7 +137,8 @@ impl ExcitationCourse {
         }
     }
 
-    /// Starts anew with the frame to come: what was before it tells nothing of what follows.
+    /// Marks a gap before the next frame, because earlier samples do not show how the excitation
+    /// continues.
     pub(crate) fn interrupt(&mut self) {
         self.unbroken.fill(0);
     }
@@ -136,7 +150,10 @@ impl ExcitationCourse {
         self
     }
 
-    /// Takes the next sample of each component, NaN where it is missing, after `last`, and `B` (n × N_f) of the step between.
+    /// Updates the statistics with the next sample of each component.
+    ///
+    /// `last` is the frame before (N_f), and `next` is NaN where a sample is missing.
+    /// `input_matrix` is `B` (n × N_f) of the step between both frames.
     pub(crate) fn take(&mut self, last: &DVector<f64>, next: &[f64], input_matrix: &DMatrix<f64>) {
         let fade = 1.0 - 1.0 / MEMORY;
         for (j, (last, next)) in last.iter().zip(next).enumerate() {
@@ -167,7 +184,8 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Runs over samples, and returns the mean square of the error of the step averages of `truth`: with the correction and without.
+    /// Processes the samples and returns the mean square error of the step averages against
+    /// `truth`, with the correction and without.
     fn errors(samples: &[f64], truth: impl Fn(usize) -> f64) -> (f64, f64) {
         let mut course = ExcitationCourse::new(1, 1);
         let unit = DMatrix::from_element(1, 1, 1.0);
@@ -190,7 +208,8 @@ mod tests {
 
     #[test]
     fn crests_of_a_smooth_motion_are_followed() {
-        // 10 Hz at 50 and 100 samples a second, and a second sine so that phases do not repeat
+        // 10 Hz at 50 and at 100 samples per second, with a second sine so that the phases do not
+        // repeat.
         for (rate, most_left) in [(50.0, 0.3), (100.0, 0.1)] {
             let sine = |k: f64, hz: f64| (std::f64::consts::TAU * hz * k / rate).sin();
             let samples: Vec<f64> = (0..3000)
@@ -231,7 +250,7 @@ mod tests {
         };
         (0..500).for_each(|_| course.take(&silent, &[0.0], &unit));
         assert!(!corrects(&course, 0.0, 1.0));
-        // a smooth motion, and gaps in it
+        // A smooth motion, then gaps in it.
         let at = |k: usize| DVector::from_element(1, (0.1 * k as f64).sin());
         (0..500).for_each(|k| course.take(&at(k), at(k + 1).as_slice(), &unit));
         assert!(corrects(&course, at(500)[0], at(501)[0]));

@@ -1,7 +1,7 @@
-//! The adaptive extended Kalman filter: a chain of stages around predict and update.
+//! The adaptive extended Kalman filter: predict and update, with the stages around them.
 //!
-//! Source: Huang & Yuen (2023), §2.4 (fading memory) and §3.2 (noise parameters); the order of one step is that of
-//! equations (3.14) to (3.18) with the noise parameters updated before the state.
+//! Source: Huang & Yuen (2023), §2.4 (fading memory) and §3.2 (noise parameters). A step follows
+//! the order of equations (3.14) to (3.18) and updates the noise parameters before the state.
 
 mod marginal;
 mod settings;
@@ -28,72 +28,86 @@ use crate::update::{self, ExcitationPosterior, ExcitationSpread};
 use nalgebra::{DMatrix, DVector};
 use workspace::Workspace;
 
-/// A negative variance below this, relative to the largest, is rounding: at the start of a wide prior the smallest
-/// eigenvalue sits there in every form of the update.
+/// Largest magnitude of a negative variance, relative to the largest variance, that counts as
+/// rounding.
+///
+/// At the start of a wide prior, every form of the update leaves the smallest eigenvalue at this
+/// level.
 const ROUNDING: f64 = 1e-12;
 
-/// Above this normalised innovation squared per entry of the state, a step is no measure of the motion.
+/// Largest normalised innovation squared, per entry of the state, of a step that may update the
+/// mean square of the motion.
 const CREDIBLE: f64 = 25.0;
 
-/// While the start-up aid raises the noise of the sensors more than this, residuals do not have the size that screening asks for.
+/// Largest factor of the start-up aid at which residuals can set the scales of the outlier
+/// screening.
+///
+/// A larger factor also enlarges the residuals. The scales are estimated again when the factor
+/// falls to this value.
 const LARGEST_SCREENED_ANNEALING: f64 = 2.0;
 
-/// Standard deviations of a normal variable that hold 95 % on both sides.
+/// Quantile of the standard normal distribution for a two-sided interval of 95 %.
 const QUANTILE_95: f64 = 1.96;
 
-/// One instant as the filter sees it.
+/// Samples of all channels at one time step.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
     /// `z` (N_0, sensor units); NaN marks a missing channel.
     pub observations: &'a [f64],
-    /// The known part of the excitation at this instant (N_f): 0 where it is not measured, NaN where its sample is missing.
+    /// The known part of the excitation (N_f): 0 for an unmeasured component, NaN for a missing
+    /// sample.
     pub excitation: &'a [f64],
 }
 
-/// What one step found; estimates are read from the filter.
+/// Result of one step. The estimates themselves are available from the filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// `νᵀ S⁻¹ ν`, χ² with [`Step::used_channels`] degrees of freedom when all is right.
+    /// `νᵀ S⁻¹ ν`. If the model is right, it follows χ² with [`Step::used_channels`] degrees of
+    /// freedom.
     pub normalised_innovation_squared: f64,
     /// `ln p(z | D)` of this frame.
     pub log_evidence: f64,
-    /// Channels that took part; 0 makes the step a prediction.
+    /// Number of channels used in the update. With 0 channels, the step is a prediction only.
     pub used_channels: usize,
-    /// Channels whose sample was there and was rejected, as an outlier or of a faulty sensor.
+    /// Number of channels whose sample was rejected, as an outlier or because the sensor is faulty.
     pub rejected_channels: usize,
-    /// Entries of the state that had to be brought back to their limits.
+    /// Number of state entries that were clamped to their limits.
     pub limited_states: usize,
-    /// Variances that had reached their bound.
+    /// Number of variances that exceeded their bound and were reduced to it.
     pub bounded_variances: usize,
     /// Phase of the noise parameters after the step.
     pub noise_phase: NoisePhase,
-    /// The training of the noise parameters ended at this step.
+    /// `true` if the training of the noise parameters ended at this step.
     pub training_ended: bool,
-    /// The training of the noise parameters should have ended at this step, but a level is still uncertain.
+    /// `true` if the training of the noise parameters reached its limit at this step without
+    /// ending.
     pub training_overdue: bool,
-    /// The noise parameters went back to training at this step, because the innovations kept disagreeing with them.
+    /// `true` if the noise parameters returned to training at this step, because the innovations
+    /// kept disagreeing with them.
     pub training_restarted: bool,
 }
 
 /// A joint filter of state and parameters with fading memory and identified noise levels.
 ///
-/// One call of [`ExtendedKalmanFilter::step`] is one time step; it allocates nothing and is deterministic to the bit. The
-/// first frame updates the prior without a prediction: the prior is for its instant.
+/// Each call of [`ExtendedKalmanFilter::step`] is one time step. It does not allocate, and its
+/// results are bit-identical for the same frames. The first frame updates the prior without a
+/// prediction, because the prior applies to the time of that frame.
 #[derive(Debug, Clone)]
 pub struct ExtendedKalmanFilter<M> {
     model: M,
     settings: FilterSettings,
     state: FilterState,
     work: Workspace,
-    /// noise levels and rejected channels come from another filter of the same frames
+    /// `true` if another filter of the same frames provides the noise levels and the rejected
+    /// channels.
     follows: bool,
 }
 
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
-    /// Makes a filter at its prior.
+    /// Creates a filter at its prior.
     ///
     /// # Errors
-    /// When a setting does not fit the model or lies outside its range.
+    /// Returns an error if a setting does not fit the model or is outside its range.
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, FilterError> {
         settings.check(&model)?;
         let work = Workspace::new(&model, &settings)?;
@@ -107,9 +121,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         })
     }
 
-    /// Goes back to the prior: what a diverged filter is left with.
+    /// Resets a diverged filter to its prior.
     ///
-    /// The structure need not be at rest: the motion starts as uncertain as it has been large.
+    /// The structure need not be at rest. The prior variance of each physical state is increased by
+    /// the running mean square of that state.
     pub fn restart(&mut self) {
         let motion_mean_square = self.state.motion_mean_square.clone();
         let excitation_mean_square = self.state.excitation_mean_square.clone();
@@ -123,10 +138,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         ) = (motion_mean_square, excitation_mean_square);
     }
 
-    /// Forgets the motion and keeps the parameters and noise levels: after a gap too long to be bridged.
+    /// Resets the motion and keeps the parameters and noise levels, after a gap that is too long to
+    /// bridge.
     ///
-    /// The physical state is taken as zero, as uncertain as the motion has been large, and uncorrelated with the parameters:
-    /// the structure need not have come to rest. The next frame updates it without a prediction.
+    /// The physical state returns to its prior mean and becomes uncorrelated with the parameters.
+    /// The structure need not be at rest: the running mean square of the motion is added to the
+    /// prior variance. The next frame updates this state without a prediction.
     pub fn forget_motion(&mut self) {
         let moving = self.model.state_len() - self.model.parameter_len();
         let FilterState {
@@ -155,11 +172,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
     }
 
-    /// Takes one frame.
+    /// Processes one frame.
     ///
     /// # Errors
-    /// When the frame does not fit the model, which leaves the filter as it was, or when the filter has diverged and must
-    /// be restarted.
+    /// Returns an error if the frame does not fit the model; the filter is then unchanged. Any
+    /// other error means that the filter has diverged and must be restarted.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
         self.check_frame(frame)?;
         self.take_excitation(frame);
@@ -208,12 +225,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         })
     }
 
-    /// Sets the noise parameters to levels that are known from elsewhere, such as a schedule.
+    /// Sets the noise parameters `psi` (N_ψ) to known levels, for example from a schedule.
     ///
-    /// `psi` (N_ψ). The coming step takes them; under any rule but [`NoiseRule::Fixed`] it then moves them.
+    /// The next step starts from these levels. Every rule except [`NoiseRule::Fixed`] then updates
+    /// them.
     ///
     /// # Errors
-    /// When their number is not that of the model, or one of them is not positive.
+    /// Returns an error if the number of levels does not fit the model, or if a level is not
+    /// positive and finite.
     pub fn set_noise_parameters(&mut self, psi: &[f64]) -> Result<(), FilterError> {
         let (found, expected) = (psi.len(), self.state.noise.mean.len());
         if found != expected {
@@ -256,12 +275,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.state.covariance
     }
 
-    /// Returns what is known of the noise parameters.
+    /// Returns the estimates of the noise parameters.
     pub fn noise(&self) -> &NoiseState {
         &self.state.noise
     }
 
-    /// Returns what is known of the misfit of the parameters; `None` where it is not measured.
+    /// Returns the misfit of the parameters, or `None` if it is not measured.
     pub fn misfit(&self) -> Option<&MisfitState> {
         self.state.misfit.as_ref()
     }
@@ -275,14 +294,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .unwrap_or_default()
     }
 
-    /// Returns the measures of fit of each channel (N_0); empty where they are not taken.
+    /// Returns the measures of fit of each channel (N_0), or an empty slice if the fit is not
+    /// measured.
     pub fn channel_fits(&self) -> &[ChannelFit] {
         self.state.fit.as_ref().map_or(&[], FitState::channels)
     }
 
-    /// Returns the covariance of two parameters (from 0) that includes the error of the model, as far as it shows.
+    /// Returns the covariance of parameters `i` and `j` (from 0), including the detectable model
+    /// error.
     ///
-    /// It is the filter's own where misfit is not measured.
+    /// If the misfit is not measured, it is the filter's own covariance. In both cases, it includes
+    /// [`FilterSettings::considered_std`].
     pub fn parameter_covariance(&self, i: usize, j: usize) -> f64 {
         let first = self.model.state_len() - self.model.parameter_len();
         let own = self.state.covariance[(first + i, first + j)];
@@ -292,23 +314,26 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         scaled + self.settings.considered_std[first + i] * self.settings.considered_std[first + j]
     }
 
-    /// Returns what is known of outliers in each channel; `None` where they are not screened.
+    /// Returns the state of the outlier screening, or `None` if outliers are not screened.
     pub fn outliers(&self) -> Option<&OutlierState> {
         self.state.outliers.as_ref()
     }
 
-    /// Returns the innovation of the last step (N_0), NaN where a channel was missing or rejected.
+    /// Returns the innovation of the last step (N_0), NaN for a missing or rejected channel.
     pub fn innovation(&self) -> &DVector<f64> {
         &self.work.update.innovation
     }
 
-    /// Returns `S` of the last step (N_0 × N_0); rows of missing channels are those of the identity.
+    /// Returns `S` of the last step (N_0 × N_0). The rows of missing channels are those of the
+    /// identity.
     pub fn innovation_covariance(&self) -> &DMatrix<f64> {
         &self.work.update.innovation_covariance
     }
 
-    /// Returns the number of terms by which the last prediction moved a row of the covariance, for models that have a
-    /// [`ProportionalForm`](crate::ProportionalForm): what a step costs follows from it.
+    /// Returns the number of terms with which the last prediction moved one row of the covariance.
+    ///
+    /// The cost of a step follows from this number. It is `None` for models without a
+    /// [`ProportionalForm`](crate::ProportionalForm).
     pub fn transition_term_count(&self) -> Option<usize> {
         self.work
             .proportional
@@ -316,7 +341,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .map(proportional::Transition::term_count)
     }
 
-    /// Returns the number of frames taken.
+    /// Returns the number of processed frames.
     pub fn steps(&self) -> u64 {
         self.state.steps
     }
@@ -326,20 +351,23 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.state
     }
 
-    /// Returns the known excitation of the last frame (N_f), NaN where it was missing; zero before the first.
+    /// Returns the known excitation of the last frame (N_f): NaN for a missing sample, zero before
+    /// the first frame.
     pub(crate) fn last_excitation(&self) -> &DVector<f64> {
         &self.state.last_excitation
     }
 
-    /// Returns what the last frame says of its unknown excitation, for models with a direct term.
+    /// Returns the posterior of the unknown excitation of the last frame, or `None` for a model
+    /// without a direct term.
     pub(crate) fn excitation_posterior(&self) -> Option<&ExcitationPosterior> {
         self.state.posterior.as_ref()
     }
 
-    /// Takes the state of a checkpoint; the next step gives the same bits as if the filter had never stopped.
+    /// Restores the state from a checkpoint. Subsequent steps are bit-identical to those of an
+    /// uninterrupted filter.
     ///
     /// # Errors
-    /// When the state does not fit the model.
+    /// Returns [`FilterError::Dimension`] if the state does not fit the model or the settings.
     pub fn restore(&mut self, state: FilterState) -> Result<(), FilterError> {
         let n = self.model.state_len();
         let [(states, inputs), (own_states, own_inputs)] =
@@ -392,7 +420,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// At its prior, takes the motion to be as large as another filter has seen it.
+    /// Widens the prior of the motion by the mean square of the motion that another filter has
+    /// observed.
     pub(crate) fn expect_motion_of<N>(
         &mut self,
         other: &ExtendedKalmanFilter<N>,
@@ -409,22 +438,25 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .copy_from(&other.state.excitation_mean_square);
     }
 
-    /// From now on the noise levels are `psi` (N_ψ), and no outliers are screened: another filter of the same frames does
-    /// both.
+    /// Fixes the noise levels at `psi` (N_ψ) and stops the outlier screening, because another
+    /// filter of the same frames does both.
     pub(crate) fn follow(&mut self, psi: &[f64]) {
         self.follows = true;
         self.state.noise.mean.copy_from_slice(psi);
     }
 
-    /// From now on identifies the noise levels and screens outliers, continuing from what another filter knew of them.
+    /// Starts to identify noise levels and to screen outliers, from the estimates of another
+    /// filter.
     pub(crate) fn lead(&mut self, noise: NoiseState, outliers: Option<OutlierState>) {
         self.follows = false;
         (self.state.noise, self.state.outliers) = (noise, outliers);
     }
 
-    /// Takes over mean and covariance, and what filter `source` of the same motion knows besides them.
+    /// Continues from the state of another filter of the same motion, with the given mean and
+    /// covariance.
     ///
-    /// `origin` says which entry of the state of `source` an entry of this one's is, if any.
+    /// `origin` returns the index in the state of `source` for an index in the state of this
+    /// filter, or `None` for a new entry.
     pub(crate) fn continue_from(
         &mut self,
         source: &FilterState,
@@ -476,7 +508,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Sorts out what is known of the excitation at both ends of the step, and writes its covariances.
+    /// Writes the known excitation at both ends of the step and the variances of missing samples.
+    ///
+    /// It also adds the part of the excitation that the last step omitted to the filtered state.
     fn take_excitation(&mut self, frame: Frame<'_>) {
         let Self { state, work, .. } = self;
         for j in 0..work.older.len() {
@@ -497,7 +531,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
     }
 
-    /// Writes `Σ_f` of the coming step and of the frame, and `Σ_n`, for the noise parameters as they now are.
+    /// Writes `Σ_f` of the coming step, `Σ_f` of the frame and `Σ_n` for the current noise
+    /// parameters.
     fn write_noise_covariances(&mut self, frame: Frame<'_>) {
         let Self {
             settings,
@@ -514,7 +549,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .covariance_to(NoiseTarget::Excitation, psi, &mut work.step_excitation);
         work.frame_excitation.copy_from(&work.step_excitation);
         for j in 0..work.older.len() {
-            // a missing sample of a measured excitation is as uncertain as the excitation itself is large
+            // A missing sample of a measured excitation has the mean square of that excitation as
+            // its variance.
             work.step_excitation[(j, j)] += work.missing[j];
             if frame.excitation[j].is_nan() {
                 work.frame_excitation[(j, j)] += state.excitation_mean_square[j];
@@ -522,7 +558,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
     }
 
-    /// Writes mean, `λ A Σ Aᵀ` and `B` of the coming instant; the first frame finds the prior.
+    /// Writes mean, `λ A Σ Aᵀ` and `B` for the time of the new frame. The first frame uses the
+    /// prior instead.
     fn predict(&mut self) {
         let Self {
             model,
@@ -573,7 +610,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         model.derivative(&mut work.inputs.as_mut_slice()[..n]);
         work.inputs.as_mut_slice()[n..].copy_from_slice(work.input_matrix.as_slice());
         let ramp = (settings.input_hold == InputHold::First).then(|| {
-            work.older.axpy(1.0, &work.newer, -1.0); // the slope, per step
+            work.older.axpy(1.0, &work.newer, -1.0); // slope, per step
             work.older += &work.above_the_line;
             work.ramp
                 .gemv(1.0 / settings.step_s, &work.input_matrix, &work.older, 0.0);
@@ -613,7 +650,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             }
         }
         for (mean, increment) in work.mean.iter_mut().zip(&work.inputs.as_slice()[..n]) {
-            *mean += increment; // y ← y + Γ g                                      (2.67)
+            *mean += increment; // y ← y + Γ g (2.67)
         }
         work.input_matrix
             .as_mut_slice()
@@ -621,7 +658,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.finish_prediction();
     }
 
-    /// Adds what the frame before has told of the excitation, given `A C` in the scratch space.
+    /// Adds the excitation posterior of the previous frame to the prediction. `work.cross` must
+    /// contain `A C`.
     fn finish_prediction(&mut self) {
         let Self {
             settings,
@@ -632,8 +670,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let Some(ExcitationPosterior { covariance, .. }) = &state.posterior else {
             return;
         };
-        // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step. Half of the last
-        // goes to each of the two before, so that many forces cost no more than the state is long
+        // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the last frame has already measured the excitation of
+        // this step. Half of the last term is added to each of the two terms before it. This leaves
+        // one product of rank 2N_f, which is cheap even with many forces.
         let inputs = work.cross.ncols();
         for b in 0..inputs {
             work.cross
@@ -657,13 +696,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .add_symmetric_mut(left, &work.by_pair, &mut work.covariance, variances);
     }
 
-    /// Writes innovation, `S`, `P Hᵀ` and `P`; screens outliers and moves the noise parameters in between.
+    /// Writes innovation, `S`, `P Hᵀ` and `P`. Screens outliers and updates the noise parameters in
+    /// between.
+    ///
+    /// Returns the noise events and the number of rejected channels.
     fn predict_observation(&mut self, frame: Frame<'_>) -> (NoiseEvents, usize) {
         let Self { model, work, .. } = self;
         model.linearise_observation(work.mean.as_slice(), work.newer.as_slice());
         model.observe(work.update.innovation.as_mut_slice());
         for (innovation, datum) in work.update.innovation.iter_mut().zip(frame.observations) {
-            *innovation = datum - *innovation; // NaN where the channel is missing
+            *innovation = datum - *innovation; // NaN for a missing channel
         }
         let is_known = work.constant.is_some() && work.by_h_t.is_packed(); // H never changes
         if is_known || model.observation_matrix(&mut work.h_t) {
@@ -704,7 +746,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         (events, rejected)
     }
 
-    /// Rejects outliers, by the noise levels as they were before this step; returns how many there are.
+    /// Rejects outliers, using the noise levels from before this step. Returns the number of
+    /// rejected channels.
     fn screen_outliers(&mut self, frame: Frame<'_>) -> usize {
         if self.follows || self.settings.outliers.is_none() {
             return 0;
@@ -757,7 +800,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         )
     }
 
-    /// Returns the factor by which the start-up aid raises the noise of the sensors at this step.
+    /// Returns the factor by which the start-up aid increases the sensor noise at this step.
     fn annealing(&self) -> f64 {
         self.annealing_at(self.state.steps)
     }
@@ -776,7 +819,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         )
     }
 
-    /// Moves the noise parameters by what this frame says of them.
+    /// Updates the noise parameters with this frame.
     fn update_noise(&mut self, frame: Frame<'_>) -> NoiseEvents {
         let fixed = self.settings.noise.parameters.is_empty()
             || self.settings.noise_settings.rule == NoiseRule::Fixed;
@@ -791,10 +834,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ..
         } = self;
         if state.fresh && frame.observations.iter().all(|datum| datum.is_nan()) {
-            return NoiseEvents::default(); // the prior is for this very instant: nothing has aged
+            // The prior applies to the time of this frame, so no information has faded.
+            return NoiseEvents::default();
         }
         let lambda = settings.fading.value();
-        // What the excitation of this step adds is already in S₀ when the frame before has told of it.
+        // After a posterior from the previous frame, S₀ already contains the excitation of this
+        // step.
         let felt = state.posterior.is_some() && !state.fresh;
         let path = match &work.constant {
             _ if felt => ExcitationPath::Felt,
@@ -809,7 +854,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.step_excitation.copy_from(&settings.noise.excitation);
         work.frame_excitation.copy_from(&settings.noise.excitation);
         for j in 0..work.older.len() {
-            // a missing sample of a measured excitation is as uncertain as the excitation itself is large
+            // A missing sample of a measured excitation has the mean square of that excitation as
+            // its variance.
             work.step_excitation[(j, j)] += work.missing[j];
             if frame.excitation[j].is_nan() {
                 work.frame_excitation[(j, j)] += state.excitation_mean_square[j];
@@ -840,15 +886,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .update(&settings.noise, &settings.noise_settings, objective)
     }
 
-    /// Tells whether the unknown excitation of the coming step adds to the predicted covariance by its matrix `B`.
+    /// Returns `true` if the unknown excitation of the coming step adds to the predicted covariance
+    /// through its matrix `B`.
     ///
-    /// It does not where the frame before has told of it, or where the model is constant and has other means.
+    /// It returns `false` if the previous frame already provided a posterior of this excitation. A
+    /// constant model adds the excitation noise in `add_noises`.
     fn excitation_is_fresh(&self) -> bool {
         let felt = self.state.posterior.is_some() && !self.state.fresh;
         self.work.constant.is_none() && !felt
     }
 
-    /// Adds the noises to `P Hᵀ` and `S`, and to `P` where the model is constant.
+    /// Adds the noise covariances to `P Hᵀ` and `S`, and also to `P` for a constant model.
     fn add_noises(&mut self) {
         let annealing = self.annealing();
         let Self {
@@ -902,7 +950,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         *innovation_covariance += &work.sensors;
     }
 
-    /// Measures what the misfit does to the parameters, tempers what this step taught of them, and follows jumps.
+    /// Measures the effect of misfit on the parameters, reduces the corrections of this step
+    /// accordingly and follows jumps.
     fn answer_misfit(&mut self, normalised_innovation_squared: f64) {
         let Self {
             model,
@@ -986,9 +1035,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         );
     }
 
-    /// Brings entries of the state back to their limits; the covariance stays.
+    /// Clamps the entries of the state to their limits. The covariance remains unchanged.
     ///
-    /// Returns how many were beyond them, and whether the data put one of them there: its interval excludes the prior mean.
+    /// Returns the number of clamped entries. Also returns `true` if the data moved a parameter to
+    /// its limit, so that its interval excludes the prior mean.
     fn limit_state(&mut self) -> (usize, bool) {
         let Self {
             model,
@@ -1007,7 +1057,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let (mut limited, mut rests_on_bound) = (0, false);
         for j in 0..work.mean.len() {
             let inside = work.mean[j].clamp(settings.lower[j], settings.upper[j]);
-            // NaN is no reason to count here: the check of the result finds it
+            // NaN does not count here, because `check_result` reports it.
             if inside != work.mean[j] && !work.mean[j].is_nan() {
                 work.mean[j] = inside;
                 limited += 1;
@@ -1021,7 +1071,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         (limited, rests_on_bound)
     }
 
-    /// Scales the covariance so that no variance exceeds its bound; returns how many did.
+    /// Scales the covariance so that no variance exceeds its bound. Returns the number of variances
+    /// that did.
     fn bound_variances(&mut self) -> usize {
         let Self { settings, work, .. } = self;
         let (variances, bounds) = (&mut work.update.variances, &settings.variance_bound);
@@ -1030,7 +1081,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .zip(bounds)
             .all(|(variance, bound)| variance <= bound)
         {
-            return 0; // without a look at the covariance: its diagonal is as far apart as its columns are long
+            // `variances` already contains the diagonal. Reading it from the covariance is slow,
+            // because its entries are a column length apart.
+            return 0;
         }
         let bounded = bound_variances_mut(&mut work.covariance, bounds);
         diagonal_to(&work.covariance, variances);
@@ -1076,7 +1129,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Makes the result of the step the state.
+    /// Commits the result of the step to the state.
     fn commit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64) {
         let Self {
             model,
@@ -1112,7 +1165,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                     weight * (known * known - state.excitation_mean_square[j]);
             }
         }
-        // a filter that diverges tells nothing of how large the motion is
+        // A diverging filter gives no information about the size of the motion.
         if normalised_innovation_squared <= CREDIBLE * work.mean.len().max(1) as f64 {
             for (mean_square, value) in state.motion_mean_square.iter_mut().zip(&state.mean) {
                 *mean_square += weight * (value * value - *mean_square);

@@ -1,4 +1,5 @@
-//! Forgetting: the fading factor, and the bound on what it would let grow without end.
+//! Forgetting: the fading factor, and a bound on the variances that it would increase without
+//! limit.
 //!
 //! Notation: Huang & Yuen (2023), (2.66) and (2.71).
 
@@ -15,10 +16,10 @@ impl FadingFactor {
     /// No forgetting.
     pub const NONE: Self = Self(1.0);
 
-    /// Makes a factor from its value.
+    /// Creates a factor from its value.
     ///
     /// # Errors
-    /// When it is below 1 or not finite.
+    /// Returns [`FilterError::Setting`] if the value is below 1 or not finite.
     pub fn new(value: f64) -> Result<Self, FilterError> {
         if value.is_finite() && value >= 1.0 {
             Ok(Self(value))
@@ -31,12 +32,14 @@ impl FadingFactor {
         }
     }
 
-    /// Makes the factor of a half-life of `half_life_steps`, `λ = 2^(2/N_λ)`, equation (2.71).
+    /// Creates the factor for a half-life of `half_life_steps` (`N_λ`): `λ = 2^(2/N_λ)`, equation
+    /// (2.71).
     ///
-    /// After `N_λ` steps the weight of a sample on the residual has halved; its information halves after `N_λ/2`.
+    /// After `N_λ` steps, the weight of a sample on the residual has halved. Its information halves
+    /// after `N_λ/2` steps.
     ///
     /// # Errors
-    /// When the half-life is not positive.
+    /// Returns [`FilterError::Setting`] if the half-life is not positive.
     pub fn from_half_life(half_life_steps: f64) -> Result<Self, FilterError> {
         if half_life_steps > 0.0 {
             Self::new(2f64.powf(2.0 / half_life_steps))
@@ -55,7 +58,8 @@ impl FadingFactor {
         self.0
     }
 
-    /// Returns the averaging length in information, `1/ln λ` steps; infinite without forgetting.
+    /// Returns the averaging length of the information, `1/ln λ` steps; infinite without
+    /// forgetting.
     #[must_use]
     pub fn memory_steps(self) -> f64 {
         1.0 / self.0.ln()
@@ -76,10 +80,11 @@ impl From<FadingFactor> for f64 {
     }
 }
 
-/// Scales rows and columns of a covariance so that no variance exceeds its bound; returns how many did.
+/// Scales rows and columns of a covariance so that no variance exceeds its bound. Returns the
+/// number of variances that did.
 ///
-/// Forgetting multiplies the variance of every direction that the data do not inform by `λ` at each step. Scaling keeps
-/// the correlations and positive definiteness.
+/// Forgetting multiplies the variance of every direction without information from the data by `λ`
+/// at each step. The scaling preserves the correlations and positive definiteness.
 pub(crate) fn bound_variances_mut(covariance: &mut DMatrix<f64>, bounds: &DVector<f64>) -> usize {
     let n = covariance.nrows();
     let mut bounded = 0;

@@ -1,22 +1,23 @@
-//! How well the model explains the data, measured in ways that an adapting noise level cannot hide.
+//! Measures of how well the model explains the data.
 //!
-//! The noise levels adapt until the innovations have the size that the filter expects. A wrong model therefore shows
-//! elsewhere: its innovations are correlated in time, they follow the measured excitation, or the noise found exceeds the
-//! noise stated. [`Fit`] combines these measures into one [`FitVerdict`] with its reasons.
+//! The noise levels adapt until the innovations have the size that the filter expects. Their size
+//! therefore cannot reveal a wrong model. A wrong model has other effects: its innovations are
+//! correlated in time, they follow the measured excitation, or the identified noise exceeds the
+//! stated noise. [`Fit`] combines these measures into one [`FitVerdict`] with its reasons.
 
 use crate::misfit::{MisfitSettings, MisfitState};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-/// Whether the data support the model.
+/// Degree to which the data support the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FitVerdict {
     /// No measure disagrees with the model.
     Supported,
-    /// The model leaves out something that matters; intervals are widened for it.
+    /// The model omits an important effect. The intervals are widened accordingly.
     Doubtful,
-    /// The data contradict the model: an estimate has no meaning.
+    /// The data contradict the model, and its estimates are meaningless.
     Contradicted,
 }
 
@@ -28,22 +29,22 @@ pub enum FitReason {
     CorrelatedInnovations,
     /// The corrections of a parameter keep the same sign for longer than white innovations allow.
     WanderingParameters,
-    /// The innovations follow the measured excitation.
+    /// The innovations are correlated with the measured excitation.
     ExcitationInInnovations,
     /// The model explains too little of the response.
     LittleExplained,
-    /// The noise found is much larger than the noise stated.
+    /// The identified noise is much larger than the stated noise.
     ExcessNoise,
-    /// A parameter rests on its bound.
+    /// A parameter is at its bound.
     ParameterAtBound,
     /// A parameter lies far outside its prior.
     FarFromPrior,
-    /// The innovations exceed what the filter expects, all at once.
+    /// The innovations suddenly exceed the size that the filter expects.
     InnovationBurst,
 }
 
 impl FitReason {
-    /// All reasons, in the order in which they are reported.
+    /// All reasons, in reporting order.
     pub const ALL: [Self; 8] = [
         Self::InnovationBurst,
         Self::ParameterAtBound,
@@ -56,7 +57,7 @@ impl FitReason {
     ];
 }
 
-/// The verdict on the fit after one step.
+/// Verdict on the fit after one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Fit {
     verdict: Option<FitVerdict>,
@@ -65,7 +66,8 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Returns the verdict; `None` where the fit is not measured, and before there are enough steps to judge it.
+    /// Returns the verdict, or `None` if the fit is not measured or too few steps have been
+    /// processed.
     #[must_use]
     pub fn verdict(&self) -> Option<FitVerdict> {
         self.verdict
@@ -79,13 +81,15 @@ impl Fit {
             .filter(move |reason| reasons & reason.bit() != 0)
     }
 
-    /// Returns `true` while the filter follows a sudden change: the estimates are still moving.
+    /// Returns `true` while the filter follows a sudden change, so that the estimates are still
+    /// moving.
     #[must_use]
     pub fn follows_jump(&self) -> bool {
         self.follows_jump
     }
 
-    /// Takes a measure: beyond `doubtful` it is a reason for doubt, beyond `contradicted` for a contradiction.
+    /// Adds the verdict on one measure: doubtful or contradicted, if the measure exceeds the
+    /// respective limit.
     fn judge(&mut self, reason: FitReason, measure: f64, limits: Limits) {
         let verdict = if measure > limits.contradicted {
             FitVerdict::Contradicted
@@ -105,7 +109,7 @@ impl FitReason {
     }
 }
 
-/// Where a measure begins to disagree with the model, and where it contradicts it.
+/// Values of a measure above which it disagrees with the model, or contradicts it.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
     doubtful: f64,
@@ -113,7 +117,7 @@ struct Limits {
 }
 
 impl Limits {
-    /// Returns limits beyond which there is doubt, and never a contradiction.
+    /// Returns the same limits without a contradiction.
     fn for_doubt(self) -> Self {
         Self {
             contradicted: f64::INFINITY,
@@ -122,103 +126,119 @@ impl Limits {
     }
 }
 
-/// Share of every channel that a model explains whose parameters are where the data put them, however far that is from the
-/// prior.
+/// Smallest explained share of every channel with which a parameter far from its prior is
+/// plausible.
 const WELL_EXPLAINED: f64 = 0.5;
-/// Ratio of the long-run variance of the scores to their information: the intervals are widened by it.
+/// Limits of the long-run variance of the scores divided by their information. The intervals are
+/// widened by this ratio.
 const WANDERING: Limits = Limits {
     doubtful: 3.0,
     contradicted: f64::INFINITY,
 };
-/// Noise found over noise stated, as standard deviations. What matters is its share of the motion.
+/// Limits of the identified noise divided by the stated noise, as standard deviations.
+///
+/// There is no contradiction, because the share of the noise in the motion is what matters.
 const NOISE: Limits = Limits {
     doubtful: 3.0,
     contradicted: f64::INFINITY,
 };
-/// Share of the variance of a channel that is left in its innovations, beyond the stated noise. Models of real bridges leave a third and
-/// more, and follow their stiffness nonetheless.
+/// Limits of the share of a channel's variance that remains in its innovations, beyond the stated
+/// noise.
+///
+/// Models of real bridges leave a third or more, and still track their stiffness.
 const UNEXPLAINED: Limits = Limits {
     doubtful: 0.1,
     contradicted: 0.9,
 };
-/// Autocorrelation of the innovations. A band limit alone correlates the noise, and the intervals are widened for it.
+/// Limits of the autocorrelation of the innovations.
+///
+/// There is no contradiction, because a band limit alone correlates the noise. The intervals are
+/// widened for it.
 const CORRELATION: Limits = Limits {
     doubtful: 0.3,
     contradicted: f64::INFINITY,
 };
-/// Correlation of the innovations with the excitation: the intervals are widened for what it does to the parameters.
+/// Limits of the correlation of the innovations with the excitation.
+///
+/// There is no contradiction, because the intervals are widened for the effect on the parameters.
 const WITH_EXCITATION: Limits = Limits {
     doubtful: 0.3,
     contradicted: f64::INFINITY,
 };
-/// Prior deviations by which a parameter exceeds its prior mean: no event stiffens a structure so. Where the motion is well
-/// explained, the number of the file is wrong.
+/// Limits of the distance by which a parameter exceeds its prior mean, in prior standard
+/// deviations.
+///
+/// No event stiffens a structure this much. If the motion is well explained, the prior mean in the
+/// structure file is wrong.
 const STIFFER: Limits = Limits {
     doubtful: 3.0,
     contradicted: 4.0,
 };
-/// Factor by which a parameter falls below its prior mean, if it also leaves the standard deviation of its prior. Severe damage
-/// reaches six; ten is a mistake of units. Where the motion is well explained, a loss against a reference has a meaning in
-/// both cases.
+/// Limits of the factor by which a parameter falls below its prior mean by more than its prior
+/// standard deviation.
+///
+/// Severe damage reaches a factor of six. A factor of ten is a wrong unit. If the motion is well
+/// explained, a loss relative to a reference is meaningful in both cases.
 const SOFTER: Limits = Limits {
     doubtful: 4.0,
     contradicted: 8.0,
 };
-/// Normalised innovation squared per channel, over a period.
+/// Limits of the normalised innovation squared per channel, averaged over a period.
 const BURST: Limits = Limits {
     doubtful: 4.0,
     contradicted: 16.0,
 };
-/// Share of the time at which a parameter was brought back to its bound.
+/// Limits of the share of time for which a parameter is at its bound.
 const AT_BOUND: Limits = Limits {
     doubtful: 0.01,
     contradicted: 0.2,
 };
 
-/// The lags at which innovations are compared: powers of two.
+/// Lags at which the innovations are compared, in steps: powers of two.
 const LAGS: [usize; 8] = [1, 2, 4, 8, 16, 32, 64, 128];
 
-/// What one step shows of the fit.
+/// Data of one step from which the fit is judged.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shown<'a> {
-    /// `z` (N_0), NaN where missing
+    /// `z` (N_0), NaN for a missing channel.
     pub(crate) observations: &'a [f64],
-    /// `ν` (N_0), NaN where missing or rejected
+    /// `ν` (N_0), NaN for a missing or rejected channel.
     pub(crate) innovations: &'a [f64],
-    /// the known excitation (N_f)
+    /// Known excitation (N_f).
     pub(crate) excitation: &'a [f64],
-    /// covariance of the measurement noise as found (N_0 × N_0)
+    /// Identified covariance of the measurement noise (N_0 × N_0).
     pub(crate) noise: &'a DMatrix<f64>,
-    /// `νᵀ S⁻¹ ν` per used channel
+    /// `νᵀ S⁻¹ ν` per used channel.
     pub(crate) normalised_innovation_squared: f64,
-    /// diagonal of `S − R` (N_0): what the innovations owe to the state and to the excitation
+    /// Diagonal of `S − R` (N_0): the part of the innovations that state and excitation cause.
     pub(crate) predicted_variances: &'a [f64],
     pub(crate) at_bound: bool,
     pub(crate) parameters: ShownParameters<'a>,
 }
 
-/// What one step shows of the parameters (N_θ each).
+/// Parameters of one step from which the fit is judged (N_θ each).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShownParameters<'a> {
     pub(crate) means: &'a [f64],
-    /// variances of the filter's own
+    /// The filter's own variances.
     pub(crate) variances: &'a [f64],
     pub(crate) prior_means: &'a [f64],
     pub(crate) prior_stds: &'a [f64],
-    /// deviations of errors that no data reveal, such as those by an unmeasured excitation
+    /// Standard deviations of errors that no data reveal, such as those caused by an unmeasured
+    /// excitation.
     pub(crate) considered_stds: &'a [f64],
 }
 
-/// The measures of fit between two steps.
+/// State of the fit measures between two steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FitState {
     channels: Vec<ChannelState>,
     fits: Vec<ChannelFit>,
-    /// the last innovations and excitations, a row a step
+    /// The latest innovations and excitations, one row per step.
     history: Vec<f64>,
     excitation_square: Vec<f64>,
     steps: u64,
-    /// faded share of the steps at a bound, and mean normalised innovation squared of a period
+    /// Faded share of the steps at a bound, and mean normalised innovation squared of a period.
     at_bound: f64,
     burst: f64,
     fit: Fit,
@@ -231,7 +251,7 @@ struct ChannelState {
     observation: f64,
     observation_square: f64,
     square: f64,
-    /// part of the squares that an unmeasured excitation causes
+    /// Part of the squared innovations that an unmeasured excitation causes.
     from_excitation: f64,
     lagged: Vec<f64>,
     with_excitation: Vec<f64>,
@@ -239,7 +259,7 @@ struct ChannelState {
 }
 
 impl FitState {
-    /// Starts without knowledge; `stated_noise` is the variance of the noise of each channel as stated (N_0).
+    /// Creates an empty state. `stated_noise` is the stated noise variance of each channel (N_0).
     pub(crate) fn new(
         settings: &MisfitSettings,
         stated_noise: impl Iterator<Item = f64>,
@@ -283,7 +303,8 @@ impl FitState {
         &self.fits
     }
 
-    /// Returns the number of values remembered; 0 where the lengths disagree, as in a damaged checkpoint.
+    /// Returns the number of stored values, or 0 if the lengths disagree, as in a damaged
+    /// checkpoint.
     pub(crate) fn remembered_len(&self) -> usize {
         let (channels, inputs) = (self.channels.len(), self.excitation_square.len());
         let lags = self
@@ -301,7 +322,7 @@ impl FitState {
         }
     }
 
-    /// Takes one step.
+    /// Processes one step.
     pub(crate) fn take(
         &mut self,
         settings: &MisfitSettings,
@@ -315,7 +336,8 @@ impl FitState {
         let row = (self.steps as usize % rows.max(1)) * width;
         let shown_values = shown.innovations.iter().chain(shown.excitation);
         for (kept, value) in self.history[row..row + width].iter_mut().zip(shown_values) {
-            *kept = if value.is_nan() { 0.0 } else { *value }; // a missing value adds nothing to a product
+            // A missing value adds nothing to a product.
+            *kept = if value.is_nan() { 0.0 } else { *value };
         }
         let fade = (-1.0 / settings.memory_steps).exp();
         let follows_jump = misfit.follows_jump(settings);
@@ -342,7 +364,7 @@ impl FitState {
             channel.observation_square =
                 fade * channel.observation_square + (observation - channel.observation).powi(2);
             channel.square = fade * channel.square + innovation * innovation;
-            // no model predicts an excitation that nobody measures
+            // No model predicts an unmeasured excitation.
             let from_excitation = if settings.excitation_is_measured {
                 0.0
             } else {
@@ -399,7 +421,7 @@ impl FitState {
             considered_stds,
         } = shown.parameters;
         for j in 0..misfit.parameter_len() {
-            // a considered error covers a part of the wandering
+            // A considered error explains a part of the wandering.
             let uncovered = variances[j] / (variances[j] + considered_stds[j].powi(2));
             fit.judge(
                 FitReason::WanderingParameters,
@@ -435,7 +457,7 @@ impl FitState {
     }
 }
 
-/// Returns the lags of these settings: up to one fundamental period, and at least one.
+/// Returns the lags for these settings: up to one fundamental period, and at least one lag.
 fn lags(settings: &MisfitSettings) -> &'static [usize] {
     let count = LAGS
         .iter()
@@ -445,14 +467,15 @@ fn lags(settings: &MisfitSettings) -> &'static [usize] {
 }
 
 impl ChannelState {
-    /// Returns `true` once a fundamental period has been seen.
+    /// Returns `true` once a fundamental period has been observed.
     fn is_judged(&self, settings: &MisfitSettings) -> bool {
-        // the weight of a sum that fades stays below its memory
+        // The weight of a fading sum stays below its memory.
         self.weight >= (settings.lag_steps as f64).min(0.5 * settings.memory_steps)
     }
 
     fn measures(&self, noise: f64, excitation_square: &[f64]) -> ChannelFit {
-        // innovations below the stated noise are a quiet structure, whatever their colour
+        // Innovations below the stated noise mean that the structure is quiet, whatever their
+        // correlation.
         let own_square = self.square.max(self.stated_noise * self.weight);
         let of = |product: f64, other: f64| {
             let scale = (own_square * other).sqrt();
@@ -470,8 +493,9 @@ impl ChannelState {
         } else {
             0.0
         };
-        let largest = variance.max(self.stated_noise); // below the stated noise there is no motion to explain
-        // innovations and motion have the same memory; the noise level has another
+        // Below the stated noise, the channel contains no motion that a model could explain.
+        let largest = variance.max(self.stated_noise);
+        // Innovations and motion fade with the same memory, but the noise level has another memory.
         let innovation = if self.weight > 0.0 {
             (self.square - self.from_excitation) / self.weight
         } else {
@@ -496,16 +520,17 @@ impl ChannelState {
     }
 }
 
-/// The measures of one channel, for display.
+/// Fit measures of one channel, for display.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ChannelFit {
-    /// Largest autocorrelation of the innovations over the lags of one period, 0 to 1.
+    /// Largest absolute autocorrelation of the innovations over the lags of one period, 0 to 1.
     pub largest_autocorrelation: f64,
-    /// Share of the variance of the channel that the model explains or the stated noise accounts for, 0 to 1.
+    /// Share of a channel's variance that the model or the stated noise explains, 0 to 1.
     pub explained_share: f64,
-    /// Correlation of the innovations with the measured excitation, −1 to 1; the largest over the lags of one period.
+    /// Correlation of the innovations with the measured excitation, −1 to 1. It is the value with
+    /// the largest magnitude over the lags of one period.
     pub excitation_correlation: f64,
-    /// Noise found divided by the noise stated, as standard deviations.
+    /// Identified noise divided by stated noise, as standard deviations.
     pub noise_ratio: f64,
 }
 
@@ -534,7 +559,9 @@ mod tests {
         excitation_is_measured: true,
     };
 
-    /// Takes steps of a sine of which the innovations leave this share; the parameter is at `mean`, its prior 1 ± 0.2.
+    /// Processes steps of a sine whose innovations are the share `left` of it.
+    ///
+    /// The parameter is at `mean`, with a prior of 1 ± 0.2.
     fn take(fit: &mut FitState, steps: std::ops::Range<u32>, left: f64, mean: f64) {
         let (misfit, noise) = (MisfitState::new(1), DMatrix::from_element(1, 1, 1e-4));
         for step in steps {

@@ -1,21 +1,24 @@
-//! Distributed identification: filters at the sensor nodes, and a station that fuses what they have found.
+//! Distributed identification: a filter at each sensor node, and a station that fuses their
+//! estimates.
 //!
-//! Every node runs a filter of its own on its own channels. Once in a fusion period it sends what it knows of the parameters,
-//! and of the motion in compressed form; the station multiplies the densities and sends the result back. Sources: Huang &
-//! Yuen (2023), chapter 6 (fusion of synchronous nodes) and chapter 7 (nodes out of step, wrong nodes).
+//! Each node filters its own channels. Once per fusion period it sends its density of the
+//! parameters and, in compressed form, of the motion. The station multiplies the densities and
+//! returns the result. Sources: Huang & Yuen (2023), chapter 6 (fusion of synchronous nodes) and
+//! chapter 7 (asynchronous and faulty nodes).
 //!
-//! The published product counts what all nodes share, the density that was sent back to them, once for every node. Here a
-//! node says which density it started the period from, and the station adds only what the node has learnt since; how far
-//! these gains are independent of one another is the [`Sharing`] of the excitation.
+//! All nodes share the density that the station last returned to them. The published product counts
+//! this density once per node. Here, a node names the density from which it started the period, and
+//! the station adds only the information learnt since then. [`Sharing`] sets how far this
+//! information is independent between nodes.
 //!
 //! - [`gaussian`]: densities, their information form, products
-//! - [`compression`]: what a node sends in place of its whole state and covariance
-//! - [`samples`]: nodes that tell one another a few of their samples
-//! - [`local`]: the filter of a node, and how it takes feedback
-//! - [`station`]: fuses on its own clock with what has arrived
-//! - [`detector`]: which nodes are wrong
+//! - [`compression`]: reduced forms of the state and covariance of a node
+//! - [`samples`]: exchange of a few samples between nodes
+//! - [`local`]: the filter of a node, and its use of feedback
+//! - [`station`]: fusion of the received estimates on the station's clock
+//! - [`detector`]: detection of faulty nodes
 //!
-//! Nothing here knows of messages or clocks.
+//! This module does not depend on message transport or clocks.
 
 pub mod compression;
 pub mod detector;

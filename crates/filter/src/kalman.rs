@@ -1,7 +1,7 @@
-//! The standard Kalman filter of a linear system whose matrices are known.
+//! The standard Kalman filter of a linear system with known matrices.
 //!
-//! Source: Huang & Yuen (2023), §2.2 and §2.3, equations (2.17) to (2.35). Dense, for small systems and as the second,
-//! independent route that the extended filter is compared with.
+//! Source: Huang & Yuen (2023), §2.2 and §2.3, equations (2.17) to (2.35). The matrices are dense.
+//! The filter suits small systems and is an independent reference for the extended filter.
 
 use crate::dense::{
     cholesky_mut, ln_determinant, solve_lower_mut, subtract_gram_mut, symmetrise_mut,
@@ -9,7 +9,7 @@ use crate::dense::{
 use crate::error::FilterError;
 use nalgebra::{DMatrix, DVector};
 
-/// `u_{i+1} = A u_i + B f_i` (2.7), `z_i = H u_i + n_i` (2.13).
+/// A discrete linear system: `u_{i+1} = A u_i + B f_i` (2.7), `z_i = H u_i + n_i` (2.13).
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearModel {
     /// `A` (n × n).
@@ -25,9 +25,10 @@ pub struct LinearModel {
 }
 
 impl LinearModel {
-    /// Discretises `u̇ = A_u u + B_u f` for an excitation held over the step; returns `(A, B)`.
+    /// Discretises `u̇ = A_u u + B_u f` for an excitation held over the step and returns `(A, B)`.
     ///
-    /// Both are read off one exponential of the augmented matrix, which needs no inverse of `A_u`; equations (2.8), (2.9).
+    /// Both are blocks of one exponential of an augmented matrix, which does not require an inverse
+    /// of `A_u`. Equations (2.8) and (2.9).
     #[must_use]
     pub fn discretise(
         system: &DMatrix<f64>,
@@ -80,7 +81,7 @@ impl LinearModel {
     }
 }
 
-/// What one update of a [`KalmanFilter`] found.
+/// Result of one update of a [`KalmanFilter`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KalmanStep {
     /// `νᵀ S⁻¹ ν`.
@@ -89,7 +90,7 @@ pub struct KalmanStep {
     pub log_evidence: f64,
 }
 
-/// The filter: mean and covariance of the state after the last update.
+/// A Kalman filter: mean and covariance of the state after the last update.
 #[derive(Debug, Clone)]
 pub struct KalmanFilter {
     model: LinearModel,
@@ -105,10 +106,10 @@ pub struct KalmanFilter {
 }
 
 impl KalmanFilter {
-    /// Makes a filter from `u_{0|0}` (n) and `Σ_{0|0}` (n × n).
+    /// Creates a filter from `u_{0|0}` (n) and `Σ_{0|0}` (n × n).
     ///
     /// # Errors
-    /// When a size does not fit.
+    /// Returns [`FilterError::Dimension`] if a size does not fit.
     pub fn new(
         model: LinearModel,
         mean: DVector<f64>,
@@ -142,10 +143,11 @@ impl KalmanFilter {
         })
     }
 
-    /// Moves mean and covariance by one step, with `input` the known part of the excitation (N_f).
+    /// Predicts mean and covariance for the next step. `input` is the known part of the excitation
+    /// (N_f).
     pub fn predict(&mut self, input: &[f64]) {
         self.next_mean
-            .gemv(1.0, &self.model.transition, &self.mean, 0.0); // A u           (2.17)
+            .gemv(1.0, &self.model.transition, &self.mean, 0.0); // A u (2.17)
         for (b, known) in input.iter().enumerate() {
             self.next_mean
                 .axpy(*known, &self.model.input.column(b), 1.0);
@@ -156,14 +158,15 @@ impl KalmanFilter {
         self.product.transpose_mut();
         self.covariance
             .gemm(1.0, &self.model.transition, &self.product, 0.0); // A Σ Aᵀ
-        self.covariance += &self.process_noise; // + B Σ_f Bᵀ                               (2.21)
+        self.covariance += &self.process_noise; // + B Σ_f Bᵀ (2.21)
         symmetrise_mut(&mut self.covariance);
     }
 
-    /// Takes the datum `z` (N_0).
+    /// Updates the state with the datum `z` (N_0).
     ///
     /// # Errors
-    /// When the innovation covariance is not positive definite.
+    /// Returns [`FilterError::InnovationCovariance`] if the innovation covariance is not positive
+    /// definite.
     pub fn update(&mut self, datum: &[f64]) -> Result<KalmanStep, FilterError> {
         let model = &self.model;
         self.innovation.copy_from_slice(datum);
@@ -173,7 +176,7 @@ impl KalmanFilter {
             .gemm(1.0, &model.observation, &self.covariance, 0.0);
         self.factor.copy_from(&model.sensor_covariance);
         self.factor
-            .gemm(1.0, &self.h_p, &model.observation.transpose(), 1.0); // S         (2.34)
+            .gemm(1.0, &self.h_p, &model.observation.transpose(), 1.0); // S (2.34)
         symmetrise_mut(&mut self.factor);
         cholesky_mut(&mut self.factor)
             .map_err(|pivot| FilterError::InnovationCovariance { pivot })?;

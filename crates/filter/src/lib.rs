@@ -1,31 +1,37 @@
-//! Identifies a dynamical system while it runs: its state, its parameters and the levels of its noises, each with its
-//! uncertainty.
+//! Real-time identification of a dynamical system: its state, parameters and noise levels, with
+//! their uncertainty.
 //!
-//! A system is described by two traits, [`ProcessModel`] (how its state moves) and [`ObservationModel`] (what is observed
-//! of it), whose Jacobians are operators. Frames of samples go in, one call a time step; estimates with covariance come
-//! out. The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023). A linear model without
-//! parameters makes the filter a plain Kalman filter, whose noise levels can also be estimated by the two-stage rule of
-//! Yuen, Liang & Kuok (2013).
+//! Two traits describe a system: [`ProcessModel`] (how its state moves) and [`ObservationModel`]
+//! (which quantities are observed). Their Jacobians are operators. A filter takes one frame of
+//! samples per time step and returns estimates with their covariance.
+//!
+//! The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023). For a
+//! linear model without parameters, the filter is a plain Kalman filter. Its noise levels can then
+//! also be estimated with the two-stage rule of Yuen, Liang & Kuok (2013).
 //!
 //! - [`model`]: the two traits
-//! - [`fading`]: how old data are forgotten
-//! - [`noise`]: the noise levels and how they are identified
-//! - [`fit`]: how well the model explains the data
-//! - [`outlier`]: which samples are too far off to be used
+//! - [`fading`]: forgetting of old data
+//! - [`noise`]: noise levels and their identification
+//! - [`fit`]: measures of how well the model explains the data
+//! - [`misfit`]: effect of a wrong model on the parameters
+//! - [`outlier`]: screening of outliers and faulty sensors
 //! - [`discretise`]: one time step without inverting the Jacobian
-//! - [`proportional`]: the same, several times faster, for linear structures with proportional damping
-//! - [`update`]: the forms of the measurement update
-//! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
+//! - [`proportional`]: the same, several times faster, for linear structures with proportional
+//!   damping
+//! - [`update`]: forms of the measurement update
+//! - [`extended`]: the adaptive extended Kalman filter, which combines these stages
 //! - [`linear`]: linear models without parameters, also in modal coordinates
-//! - [`constant`]: what such a model computes only once
-//! - [`steady`]: stationary gain and error covariance of a linear filter, right or wrong
+//! - [`constant`]: quantities that a linear model computes only once
+//! - [`steady`]: stationary gain and error covariance of a linear filter, with a right or a wrong
+//!   model
 //! - [`kalman`]: the plain Kalman filter of a known linear system
-//! - [`classes`]: several models of one system compared while they run
-//! - [`fusion`]: filters of sensor nodes, and the station that fuses what they find
+//! - [`classes`]: comparison of several models of one system in real time
+//! - [`fusion`]: filters of sensor nodes, and the station that fuses their results
 //! - [`particle`]: the particle filter, for distributions that are not Gaussian
 //! - [`band_limit`]: the low-pass that is the same on every channel
 //!
-//! This room knows nothing of structures or of the network; for a filter of a structure see `spandrel-structure`.
+//! This crate does not depend on structures or on the network. The crate `spandrel-structure`
+//! creates filters for structures.
 
 mod dense;
 mod excitation_course;

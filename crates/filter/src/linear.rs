@@ -1,28 +1,39 @@
-//! Linear time-invariant models without parameters: with them the extended filter is the Kalman filter.
+//! Linear time-invariant models without parameters. With such a model, the extended filter is a
+//! Kalman filter.
 //!
-//! `ẏ = A y + B f`, `z = H y + D f + n`. In general coordinates, and in the modal coordinates of a classically damped
-//! structure, in which `A` is four diagonals and the prediction of the covariance takes `O(n²)` operations instead of
-//! `O(n³)`. Source of the second form: Yuen, Liang & Kuok (2013), whose method it leaves exactly as it is.
+//! The model is `ẏ = A y + B f`, `z = H y + D f + n`, in one of two forms:
+//!
+//! - [`StateSpace`] uses any coordinates.
+//! - [`ModalModel`] uses the modal coordinates of a classically damped structure. `A` then consists
+//!   of four diagonals, and the prediction of the covariance takes `O(n²)` operations instead of
+//!   `O(n³)`.
+//!
+//! Source of the modal form: Yuen, Liang & Kuok (2013). It does not change their method.
 
 use crate::constant::ConstantTransition;
 use crate::error::FilterError;
 use crate::model::{ObservationModel, ProcessModel};
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
-/// Off-diagonal modal damping above this share of the largest diagonal entry is no rounding.
+/// Largest off-diagonal modal damping, relative to the largest diagonal entry, that counts as
+/// rounding.
+///
+/// It also limits negative eigenvalues of the stiffness, relative to the largest eigenvalue.
 const UNCOUPLED: f64 = 1e-8;
 
-/// Squarings of the system matrix for the bound of its spectral radius: `‖A⁶⁴‖^(1/64)` is close to it.
+/// Number of squarings of the system matrix. The bound `‖A⁶⁴‖^(1/64)` is close to the spectral
+/// radius.
 const SQUARINGS: i32 = 6;
 
-/// How the excitation acts on the sensors directly (N_0 × N_f).
+/// Direct effect of the excitation on the sensors (N_0 × N_f).
 #[derive(Debug, Clone, PartialEq)]
 pub enum DirectTerm {
-    /// Not at all: displacements, velocities, absolute accelerations under ground motion.
+    /// No direct effect: displacements, velocities, absolute accelerations under ground motion.
     None,
-    /// Its known part only, as data are generated in Yuen, Liang & Kuok (2013), case 3.
+    /// Only the known part of the excitation acts on the sensors, as in the data of Yuen, Liang &
+    /// Kuok (2013), case 3.
     Known(DMatrix<f64>),
-    /// Both parts: forces on sensed masses, relative accelerations.
+    /// Both parts act on the sensors: forces on sensed masses, relative accelerations.
     Whole(DMatrix<f64>),
 }
 
@@ -35,10 +46,10 @@ impl DirectTerm {
     }
 }
 
-/// `z = H y + D f + n` with the point at which it was last asked for.
+/// `z = H y + D f + n` with the point of the last linearisation.
 #[derive(Debug, Clone)]
 struct LinearObservation {
-    /// `Hᵀ` (n × N_0): its columns are long where those of `H` are short
+    /// `Hᵀ` (n × N_0), because its columns are long and contiguous.
     transposed: DMatrix<f64>,
     direct: DirectTerm,
     state: DVector<f64>,
@@ -125,7 +136,8 @@ fn check_len(what: &'static str, found: usize, expected: usize) -> Result<(), Fi
 
 /// A linear time-invariant model in any coordinates.
 ///
-/// Not for a structure with many classically damped degrees of freedom: [`ModalModel`] is the same and much faster.
+/// For a structure with many classically damped degrees of freedom, use [`ModalModel`]. It is
+/// equivalent and much faster.
 #[derive(Debug, Clone)]
 pub struct StateSpace {
     /// `A` (n × n, 1/s)
@@ -138,10 +150,10 @@ pub struct StateSpace {
 }
 
 impl StateSpace {
-    /// Makes a model from `A` (n × n, 1/s), `B` (n × N_f), `H` (N_0 × n) and the direct term.
+    /// Creates a model from `A` (n × n, 1/s), `B` (n × N_f), `H` (N_0 × n) and the direct term.
     ///
     /// # Errors
-    /// When a size does not fit.
+    /// Returns [`FilterError::Dimension`] if a size does not fit.
     pub fn new(
         system: DMatrix<f64>,
         input: DMatrix<f64>,
@@ -162,12 +174,14 @@ impl StateSpace {
         })
     }
 
-    /// Makes the model of `M ẍ + L ẋ + K x = T f` with the state `[x, ẋ]`.
+    /// Creates the model of `M ẍ + L ẋ + K x = T f` with the state `[x, ẋ]`.
     ///
-    /// `M`, `L`, `K` (N_d × N_d), `T` (N_d × N_f); `observation`: `H` (N_0 × 2 N_d).
+    /// - `M`, `L`, `K` (N_d × N_d): mass, damping and stiffness
+    /// - `distribution`: `T` (N_d × N_f)
+    /// - `observation`: `H` (N_0 × 2 N_d)
     ///
     /// # Errors
-    /// When a size does not fit or `M` is not positive definite.
+    /// Returns an error if a size does not fit or `M` is not positive definite.
     pub fn second_order(
         [mass, damping, stiffness]: [&DMatrix<f64>; 3],
         distribution: &DMatrix<f64>,
@@ -206,10 +220,10 @@ impl StateSpace {
     }
 }
 
-/// Returns `‖A^k‖^(1/k)` for a large `k`, which no eigenvalue exceeds.
+/// Returns `‖A^k‖^(1/k)` for a large `k`, an upper bound of the magnitude of every eigenvalue.
 fn spectral_radius_bound(system: &DMatrix<f64>) -> f64 {
     let mut power = system.clone();
-    let mut logarithm = 0.0; // of what has been divided out of the power, over k
+    let mut logarithm = 0.0; // logarithm of the factors removed from the power, divided by k
     for squaring in 0..=SQUARINGS {
         let size = power.norm();
         if size == 0.0 || !size.is_finite() {
@@ -298,7 +312,8 @@ impl ProcessModel for StateSpace {
     }
 }
 
-/// A classically damped structure in mass-normalised modal coordinates; the state is `[q, q̇]` (2 N_d).
+/// A classically damped structure in mass-normalised modal coordinates, with the state `[q, q̇]` (2
+/// N_d).
 ///
 /// `x = Φ q` with `Φᵀ M Φ = I`, `Φᵀ K Φ = diag(ω²)` and `Φᵀ L Φ = diag(2ζω)`.
 #[derive(Debug, Clone)]
@@ -318,12 +333,15 @@ pub struct ModalModel {
 }
 
 impl ModalModel {
-    /// Makes the model of `M ẍ + L ẋ + K x = T f` from its physical matrices.
+    /// Creates the model of `M ẍ + L ẋ + K x = T f` from its physical matrices.
     ///
-    /// `M`, `L`, `K` (N_d × N_d), `T` (N_d × N_f); `observation`: `H` (N_0 × 2 N_d) for the physical state `[x, ẋ]`.
+    /// - `M`, `L`, `K` (N_d × N_d): mass, damping and stiffness
+    /// - `distribution`: `T` (N_d × N_f)
+    /// - `observation`: `H` (N_0 × 2 N_d) for the physical state `[x, ẋ]`
     ///
     /// # Errors
-    /// When a size does not fit, `M` is not positive definite, `K` has a negative eigenvalue, or the damping couples the modes.
+    /// Returns an error if a size does not fit, `M` is not positive definite, `K` has a negative
+    /// eigenvalue, or the damping couples the modes.
     pub fn new(
         [mass, damping, stiffness]: [&DMatrix<f64>; 3],
         distribution: &DMatrix<f64>,
@@ -390,7 +408,7 @@ impl ModalModel {
         })
     }
 
-    /// Returns the mode shapes `Φ` (N_d × N_d), in the order of their frequencies.
+    /// Returns the mode shapes `Φ` (N_d × N_d), in ascending order of frequency.
     #[must_use]
     pub fn shapes(&self) -> &DMatrix<f64> {
         &self.shapes
@@ -402,7 +420,7 @@ impl ModalModel {
         self.stiffness.map(f64::sqrt)
     }
 
-    /// Returns `ζ` (N_d); not a number for a mode without stiffness.
+    /// Returns `ζ` (N_d), which is infinite or NaN for a mode without stiffness.
     #[must_use]
     pub fn damping_ratios(&self) -> DVector<f64> {
         self.damping.zip_map(&self.stiffness, |damping, square| {
@@ -410,20 +428,20 @@ impl ModalModel {
         })
     }
 
-    /// Returns the matrix that gives `[x, ẋ]` from `[q, q̇]` (2 N_d × 2 N_d).
+    /// Returns the matrix that maps `[q, q̇]` to `[x, ẋ]` (2 N_d × 2 N_d).
     #[must_use]
     pub fn physical_from_modal(&self) -> DMatrix<f64> {
         twice(&self.shapes)
     }
 
-    /// Returns the matrix that gives `[q, q̇]` from `[x, ẋ]` (2 N_d × 2 N_d).
+    /// Returns the matrix that maps `[x, ẋ]` to `[q, q̇]` (2 N_d × 2 N_d).
     #[must_use]
     pub fn modal_from_physical(&self) -> DMatrix<f64> {
         twice(&self.inverse_shapes)
     }
 }
 
-/// Returns a matrix twice along the diagonal.
+/// Returns the block-diagonal matrix with `block` twice on its diagonal.
 fn twice(block: &DMatrix<f64>) -> DMatrix<f64> {
     let n = block.nrows();
     let mut whole = DMatrix::zeros(2 * n, 2 * n);
@@ -486,7 +504,7 @@ impl ProcessModel for ModalModel {
     }
 
     fn rate_bound(&self) -> f64 {
-        // |λ| = ω below critical damping, below c above it
+        // |λ| = ω below critical damping, and less than c above it.
         self.stiffness
             .iter()
             .zip(self.damping.iter())

@@ -1,68 +1,87 @@
-//! What a wrong model does to the parameters, and how the filter answers: honest deviations, and jumps.
+//! Effect of a wrong model on the parameters, and the reaction of the filter: realistic standard
+//! deviations, and jumps.
 //!
-//! Notation: `Δ_i = (Vᵀ ν̃)_i` is the correction of parameter `i` at one step, `d_i = (VᵀV)_ii` its variance under the
-//! filter's own assumptions, `P_i` the variance of the parameter before the step, `λ` the fading factor. `s_i = Δ_i/P_i` is
-//! the score and `j_i = d_i/P_i²` its information. With a right model the scores are white: a sum over any stretch has the
-//! variance `Σ j_i`. With a wrong model they are correlated over a good part of a period or more, because an unmodelled
-//! force lasts that long. The ratio `R_i` of the two is measured over several lengths; the largest counts.
+//! Notation, for parameter `i` at one step:
 //!
-//! The filter weights a datum that is `k` steps old by `λ⁻ᵏ`. Its `P` is the inverse of the weighted information
-//! `J = Σ λ⁻ᵏ j`, but the variance of a weighted mean is `J⁻¹ (Σ λ⁻²ᵏ R j) J⁻¹`: half of `P` in a long stationary record
-//! with a right model. That sandwich covariance is published.
+//! - `Δ_i = (Vᵀ ν̃)_i`: correction of the parameter
+//! - `d_i = (VᵀV)_ii`: variance of the correction under the filter's own assumptions
+//! - `P_i`: variance of the parameter before the step
+//! - `s_i = Δ_i/P_i`: score
+//! - `j_i = d_i/P_i²`: information of the score
+//! - `λ`: fading factor
 //!
-//! Sources: H. White, *Maximum likelihood estimation of misspecified models*, Econometrica 50 (1982), 1-25; W. K. Newey &
-//! K. D. West, Econometrica 55 (1987), 703-708 (long-run variance); A. S. Willsky & H. L. Jones, *A generalized likelihood
-//! ratio approach to the detection and estimation of jumps in linear systems*, IEEE Trans. Automatic Control 21 (1976),
-//! 108-112.
+//! With a right model, the scores are white, and their sum over any interval has the variance
+//! `Σ j_i`. With a wrong model, they are correlated over a large part of a period or longer,
+//! because an unmodelled force lasts that long. `R_i` is the ratio of the long-run variance to the
+//! information. The filter measures it over several lengths and uses the largest value.
+//!
+//! The filter weights a datum that is `k` steps old by `λ⁻ᵏ`. Its `P` is the inverse of the
+//! weighted information `J = Σ λ⁻ᵏ j`. The variance of a weighted mean, however, is the sandwich
+//! covariance `J⁻¹ (Σ λ⁻²ᵏ R j) J⁻¹`. For a long stationary record and a right model, this is half
+//! of `P`. The filter publishes the sandwich covariance.
+//!
+//! Sources:
+//!
+//! - H. White, *Maximum likelihood estimation of misspecified models*, Econometrica 50 (1982), 1-25
+//! - W. K. Newey & K. D. West, Econometrica 55 (1987), 703-708 (long-run variance)
+//! - A. S. Willsky & H. L. Jones, *A generalized likelihood ratio approach to the detection and
+//!   estimation of jumps in linear systems*, IEEE Trans. Automatic Control 21 (1976), 108-112
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Sums of scores over this many lengths are watched.
+/// Number of lengths over which the scores are summed.
 pub const SCALES: usize = 3;
 
-/// Jumps are looked for in the sums over the shortest lengths: long sums react too late.
+/// Number of the shortest lengths whose sums can reveal a jump. Longer sums react too late.
 const JUMP_SCALES: usize = 2;
 
-/// Ratio of long-run variance to information up to which the scatter of its own estimate explains it.
+/// Largest ratio of long-run variance to information that the error of its own estimate explains.
 const EXPLAINED_BY_CHANCE: f64 = 1.3;
 
-/// Factor for the correlation over times that are longer than the longest sum, once there is one.
+/// Factor on a ratio above [`EXPLAINED_BY_CHANCE`], for correlation beyond the longest sum.
 ///
-/// Without it, 84 % of the 95 % intervals hold in simulations with three times the stated damping, where misfit lasts as long
-/// as the motion of a mode takes to die away.
+/// It was chosen in simulations with three times the stated damping, where misfit lasts as long as
+/// the decay of a mode. Without the factor, only 84 % of the 95 % intervals contain the true value.
 const BEYOND_THE_LONGEST: f64 = 1.5;
 
-/// A squared sum counts at most this many times the usual one, so that a change of the structure is no misfit.
+/// Limit of a squared sum, as a multiple of its usual value, so that a change of the structure does
+/// not count as misfit.
 const LARGEST_SQUARE: f64 = 9.0;
 
-/// Ratio of long-run variance to information beyond which a large sum is no jump: the model explains too little of the motion
-/// for a fresh start to find more than another wrong value.
+/// Largest ratio of long-run variance to information at which a large sum counts as a jump.
+///
+/// Above this ratio, the model explains too little of the motion. A fresh start would only find
+/// another wrong value.
 const LARGEST_RATIO_OF_JUMP: f64 = 10.0;
 
-/// Ratio of long-run variance to information that a motion has which has only begun: whether the model explains it is not
-/// known yet. At the onset of an earthquake the motion often enters by ways that no sensor of the ground measures.
+/// Assumed ratio of long-run variance to information at the onset of a motion, when the true ratio
+/// is not yet known.
+///
+/// At the onset of an earthquake, the motion often enters in ways that no ground sensor measures.
 const FIRST_RATIO: f64 = 10.0;
 
-/// Mean normalised innovation squared that half a period of few samples reaches by chance.
+/// Mean normalised innovation squared that half a period with few samples can reach by chance.
 const LARGEST_USUAL_SQUARE: f64 = 2.0;
 
-/// How misfit is measured and jumps are followed; all lengths in steps.
+/// Settings for the measurement of misfit and the detection of jumps. All lengths are in steps.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MisfitSettings {
-    /// Time constants of the sums of scores, from short to long.
+    /// Time constants of the sums of scores, in ascending order.
     pub block_steps: [f64; SCALES],
-    /// Time constant of the means of their squares.
+    /// Time constant of the means of the squared sums.
     pub memory_steps: f64,
-    /// Steps at the start that are not judged: the filter is still in transition.
+    /// Number of initial steps that are not judged, because the filter has not yet settled.
     pub start_steps: u64,
-    /// Sum of scores, in its own standard deviations, beyond which the parameters have changed at once.
+    /// Sum of scores, in its own standard deviations, above which the parameters have jumped.
     pub jump_threshold: f64,
-    /// Steps for which the filter follows a jump before it looks for the next one.
+    /// Number of steps for which the filter follows a jump before it can detect the next jump.
     pub jump_steps: u64,
-    /// Largest lag at which the innovations are compared with themselves and with the excitation: one fundamental period.
+    /// Largest lag at which the innovations are compared with themselves and with the excitation:
+    /// one fundamental period.
     pub lag_steps: usize,
-    /// Whether every excitation is measured. The effect of an unmeasured one is part of the innovations of a right model.
+    /// `true` if every excitation is measured. With a right model, the innovations contain the
+    /// effect of an unmeasured excitation.
     pub excitation_is_measured: bool,
 }
 
@@ -70,10 +89,10 @@ pub struct MisfitSettings {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct ParameterMisfit {
     sums: [Sum; SCALES],
-    /// `J`, and `Σ λ⁻²ᵏ j`
+    /// `J`, and `Σ λ⁻²ᵏ j`.
     information: f64,
     squared_information: f64,
-    /// Published variance over `P`.
+    /// Published variance divided by `P`.
     scale: f64,
 }
 
@@ -94,14 +113,14 @@ impl Sum {
         self.variance = fade * fade * self.variance + information;
     }
 
-    /// Adds the square of the sum to the memory.
+    /// Adds the square of the sum to the long-term memory.
     fn remember(&mut self, memory: f64) {
         let square = (self.value * self.value).min(LARGEST_SQUARE * self.ratio() * self.variance);
         self.squares = memory * self.squares + square;
         self.expected = memory * self.expected + self.variance;
     }
 
-    /// Returns the long-run variance over the information, at least 1.
+    /// Returns the long-run variance divided by the information, at least 1.
     fn ratio(&self) -> f64 {
         if self.expected > 0.0 {
             (self.squares / self.expected).max(1.0)
@@ -110,7 +129,10 @@ impl Sum {
         }
     }
 
-    /// Returns the same, and [`FIRST_RATIO`] where nearly all information is that of the last `steps`.
+    /// Returns the same ratio, averaged with [`FIRST_RATIO`] by information.
+    ///
+    /// [`FIRST_RATIO`] has the weight of the last `steps`, and the measured ratio has the weight of
+    /// the memory.
     fn cautious_ratio(&self, steps: f64) -> f64 {
         let (recent, known) = (steps * self.variance, self.expected);
         if known > 0.0 {
@@ -130,14 +152,14 @@ impl Sum {
     }
 }
 
-/// The misfit of all parameters between two steps.
+/// Misfit of all parameters between two steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MisfitState {
     parameters: Vec<ParameterMisfit>,
     steps: u64,
-    /// Steps since the last jump; `None` before the first.
+    /// Number of steps since the last jump; `None` before the first jump.
     since_jump: Option<u64>,
-    /// Normalised innovation squared per channel, mean over the shortest length.
+    /// Normalised innovation squared per channel, averaged over the shortest length.
     innovation_square: f64,
 }
 
@@ -160,7 +182,8 @@ impl MisfitState {
         self.parameters.len()
     }
 
-    /// Returns the long-run variance of the scores of parameter `j` over their information: 1 when the model is right.
+    /// Returns the long-run variance of the scores of parameter `j` divided by their information: 1
+    /// if the model is right.
     #[must_use]
     pub fn variance_ratio(&self, j: usize) -> f64 {
         self.parameters[j]
@@ -170,13 +193,14 @@ impl MisfitState {
             .fold(1.0, f64::max)
     }
 
-    /// Returns the factor from the filter's own variance of parameter `j` to the published one.
+    /// Returns the published variance of parameter `j` divided by the filter's own variance.
     #[must_use]
     pub fn variance_scale(&self, j: usize) -> f64 {
         self.parameters[j].scale
     }
 
-    /// Returns the steps since the parameters last jumped; `None` before the first jump.
+    /// Returns the number of steps since the last jump of the parameters, or `None` before the
+    /// first jump.
     #[must_use]
     pub fn since_jump(&self) -> Option<u64> {
         self.since_jump
@@ -189,10 +213,11 @@ impl MisfitState {
             .is_some_and(|since| since < settings.jump_steps)
     }
 
-    /// Takes the scores of one step and `νᵀ S⁻¹ ν` per used channel; returns `true` if the parameters have jumped.
+    /// Processes the scores of one step and returns `true` if the parameters have jumped.
     ///
-    /// While a measured excitation has no samples, its return is as likely a cause of large scores as a change of the
-    /// structure: no jump is followed then (`is_excitation_known`).
+    /// `innovation_square` is `νᵀ S⁻¹ ν` per used channel. Without samples of a measured excitation
+    /// (`is_excitation_known` is `false`), no jump is detected. Large scores can then also come
+    /// from the return of that excitation.
     pub(crate) fn take(
         &mut self,
         settings: &MisfitSettings,
@@ -231,7 +256,8 @@ impl MisfitState {
             && largest > settings.jump_threshold * settings.jump_threshold
     }
 
-    /// Begins to follow a jump after which the parameters have these variances (N_θ).
+    /// Starts to follow a jump. `variances` (N_θ) are the variances of the parameters after the
+    /// jump.
     pub(crate) fn start_jump(&mut self, variances: impl Iterator<Item = f64>) {
         self.since_jump = Some(0);
         for (parameter, variance) in self.parameters.iter_mut().zip(variances) {
@@ -243,10 +269,12 @@ impl MisfitState {
         }
     }
 
-    /// Moves the published variances, and returns the share of the correction of parameter `j` that is believed.
+    /// Updates the published variance of parameter `j` and returns the accepted share of its
+    /// correction.
     ///
-    /// Where the sandwich variance would exceed that of the prior (`prior`), the data teach less than was known before:
-    /// the correction is reduced to what they do teach.
+    /// If the sandwich variance would exceed the prior variance `prior`, the data contain less
+    /// information than the prior. The correction is then reduced to the information in the data.
+    /// `step` contains the variance before the step and the information of the step.
     fn weigh(
         &mut self,
         j: usize,
@@ -274,14 +302,15 @@ impl MisfitState {
         let after_fading = parameter.squared_information / parameter.information;
         let limit = (prior / before).max(after_fading);
         parameter.scale = (ratio * after_fading).min(limit);
-        // A motion that begins exceeds what the model explained while it was quiet. The noise level follows in a second or
-        // two; until then the parameters must not take the blame.
+        // The onset of a motion exceeds what the model explained while the structure was quiet. The
+        // noise level follows within a second or two. Until then, the excess must not change the
+        // parameters.
         let excess = (self.innovation_square / LARGEST_USUAL_SQUARE).max(1.0);
         (prior / (ratio * before)).min(1.0) / excess
     }
 }
 
-/// Scratch of one step (N_θ).
+/// Scratch space of one step (N_θ).
 #[derive(Debug, Clone)]
 pub(crate) struct Workspace {
     scores: DVector<f64>,
@@ -301,7 +330,10 @@ impl Workspace {
         }
     }
 
-    /// Reads scores and information of this step from the variances (n) after it, `Vᵀ` (n × N_0) and `ν̃` (N_0).
+    /// Computes scores and information of this step.
+    ///
+    /// `variances` (n) are the variances after the step. The other arguments are `Vᵀ` (n × N_0) and
+    /// `ν̃` (N_0).
     pub(crate) fn read(
         &mut self,
         variances: &DVector<f64>,
@@ -342,7 +374,7 @@ impl Workspace {
         }
     }
 
-    /// Reduces what this step taught of the parameters to what the misfit leaves of it.
+    /// Reduces the parameter corrections of this step to the share that the misfit permits.
     pub(crate) fn temper(
         &self,
         state: &mut MisfitState,

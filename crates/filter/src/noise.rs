@@ -1,9 +1,11 @@
-//! What is known of the noises, and how their levels are identified while the filter runs.
+//! Noise covariances, and the identification of their levels while the filter runs.
 //!
-//! Notation: Huang & Yuen (2023), chapter 3. `ψ` are the noise parameters, `Σ_ψ` their covariance, `e` the innovation and
-//! `Σ_z(ψ) = S₀ + Σ_l ψ_l U_l` (3.26) the covariance of the predicted datum, linear in `ψ`. With `L Lᵀ = Σ_z` every
-//! derivative of the objective `J` (3.28) follows from `V_l = L⁻¹ U_l L⁻ᵀ` and `ẽ = L⁻¹ e`. The rule of Yuen, Liang & Kuok
-//! (2013) for the linear filter works on the same objective.
+//! Notation: Huang & Yuen (2023), chapter 3. `ψ` are the noise parameters, `Σ_ψ` is their
+//! covariance and `e` is the innovation. `Σ_z(ψ) = S₀ + Σ_l ψ_l U_l` (3.26) is the covariance of
+//! the predicted datum, linear in `ψ`. With `L Lᵀ = Σ_z`, every derivative of the objective `J`
+//! (3.28) follows from `V_l = L⁻¹ U_l L⁻ᵀ` and `ẽ = L⁻¹ e`.
+//!
+//! The rule of Yuen, Liang & Kuok (2013) for the linear filter uses the same objective.
 
 mod half_or_double;
 mod objective;
@@ -20,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 pub(crate) use objective::{ExcitationPath, Objective};
 
-/// Which covariance a noise parameter scales.
+/// Covariance that a noise parameter scales.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NoiseTarget {
     /// `Σ_f`, the covariance of the excitation samples (N_f × N_f).
@@ -29,34 +31,35 @@ pub enum NoiseTarget {
     Sensors,
 }
 
-/// One identified noise level: the target covariance contains `ψ · pattern`.
+/// One identified noise level `ψ`. The target covariance contains `ψ · pattern`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseParameter {
-    /// Its name.
+    /// Name of the level.
     pub name: String,
     /// The covariance that it scales.
     pub target: NoiseTarget,
-    /// The symmetric positive semidefinite matrix that it multiplies (N_f × N_f or N_0 × N_0).
+    /// The symmetric positive semidefinite matrix that the level multiplies (N_f × N_f or N_0 ×
+    /// N_0).
     pub pattern: DMatrix<f64>,
-    /// The value at the start; positive.
+    /// Start value, positive.
     pub start: f64,
-    /// The standard deviation at the start (same unit).
+    /// Standard deviation of the start value, in the same unit.
     pub start_std: f64,
 }
 
-/// The covariances of both noises: a known part and the identified levels.
+/// Covariances of excitation and sensor noise: a known part and the identified levels.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModel {
     /// The known part of `Σ_f` (N_f × N_f, excitation unit²).
     pub excitation: DMatrix<f64>,
     /// The known part of `Σ_n` (N_0 × N_0, sensor unit²).
     pub sensors: DMatrix<f64>,
-    /// The identified levels; empty when all is known.
+    /// The identified levels; empty if both covariances are known.
     pub parameters: Vec<NoiseParameter>,
 }
 
 impl NoiseModel {
-    /// Makes a model of known noises.
+    /// Creates a model of known noise covariances.
     #[must_use]
     pub fn known(excitation: DMatrix<f64>, sensors: DMatrix<f64>) -> Self {
         Self {
@@ -87,7 +90,7 @@ impl NoiseModel {
                 NoiseTarget::Sensors => observation_len,
             };
             check_square("pattern of a noise parameter", &parameter.pattern, expected)?;
-            // a start of zero could never move: candidates and steps are multiplicative
+            // A start of zero could never move, because candidates and steps are multiplicative.
             check_positive("start of a noise parameter", parameter.start)?;
             check_positive(
                 "standard deviation of a noise parameter",
@@ -97,7 +100,7 @@ impl NoiseModel {
         Ok(())
     }
 
-    /// Writes a whole covariance for the noise parameters `psi`.
+    /// Writes the whole target covariance for the noise parameters `psi`.
     pub(crate) fn covariance_to(
         &self,
         target: NoiseTarget,
@@ -147,53 +150,66 @@ fn check_positive(what: &'static str, found: f64) -> Result<(), FilterError> {
     }
 }
 
-/// How the noise parameters move in the working phase.
+/// Rule that updates the noise parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NoiseRule {
-    /// They stay at their start.
+    /// The parameters stay at their start values.
     Fixed,
     /// One Newton-like step per sample with the observed Hessian, (3.33) to (3.38).
     Published,
-    /// One scoring step per sample in the logarithm of the parameters, with the expected information.
+    /// One scoring step per sample in the logarithm of the parameters, with the expected
+    /// information.
     ///
-    /// The observed Hessian gains false information from a single large innovation (its likelihood part grows with
-    /// `e²`), its gain freezes, and bursts of shaking then diverge. The expected information cannot be fooled so.
+    /// The observed Hessian gains false information from a single large innovation, because its
+    /// likelihood part grows with `e²`. Its gain then freezes, and the filter diverges under bursts
+    /// of shaking. The expected information does not depend on the innovation.
     Fisher,
-    /// Two stages as in Yuen, Liang & Kuok (2013): halve, hold or double each parameter until they settle, then one Newton
-    /// step per sample with the observed Hessian.
+    /// Two stages as in Yuen, Liang & Kuok (2013).
     ///
-    /// Stands for the published method: no floor, no return to training and no limit of the training acts under it. Start
-    /// rather too large than too small, with a third of the start as its deviation. At most five parameters.
+    /// In training, the rule halves, keeps or doubles each parameter until the parameters settle.
+    /// It then makes one Newton step per sample with the observed Hessian.
+    ///
+    /// The rule represents the published method. It therefore has no floor, no return to training
+    /// and no limit of the training. Choose start values that are rather too large than too small,
+    /// with a third of the start value as its standard deviation. The rule accepts at most five
+    /// parameters.
     HalfOrDouble,
 }
 
-/// Settings of the identification of the noise parameters.
+/// Settings for the identification of the noise parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseSettings {
-    /// The rule of the working phase.
+    /// Update rule.
     pub rule: NoiseRule,
     /// Fading factor of the noise parameters, at least 1.
     pub fading: f64,
-    /// Steps before which training cannot end: INT(10 T/Δt), (3.31); under [`NoiseRule::HalfOrDouble`] one period, T/Δt.
-    pub training_steps: u64,
-    /// Steps after which training ends without waiting for ten unchanged estimates; 0 means never.
+    /// Minimum number of training steps.
     ///
-    /// Under [`NoiseRule::HalfOrDouble`] it ends nothing and only says that training is overdue.
+    /// It is INT(10 T/Δt), (3.31), or one period T/Δt under [`NoiseRule::HalfOrDouble`].
+    pub training_steps: u64,
+    /// Number of steps after which training can end without ten unchanged estimates; 0 for no
+    /// limit.
+    ///
+    /// Even then, every level must have a relative standard deviation below 10 %. Under
+    /// [`NoiseRule::Fisher`], innovations that agree with their covariance suffice instead. Under
+    /// [`NoiseRule::HalfOrDouble`], the limit does not end training and only reports that training
+    /// is overdue.
     pub training_limit_steps: u64,
-    /// `N_τ`, the number of candidates of the local search, the incumbent included.
+    /// `N_τ`, the number of candidates of the local search, including the incumbent.
     pub candidates: usize,
     /// `σ_τ`, the relative step of the local search.
     pub relative_step: f64,
-    /// No noise parameter falls below this share of its start.
+    /// Lower limit of each noise parameter, as a share of its start value.
     ///
-    /// Where the model explains a motion only in part, a level that was learnt in a quiet hour makes the filter believe
-    /// the first seconds of shaking far too much.
+    /// If the model explains a motion only in part, a level learnt in a quiet hour gives the first
+    /// seconds of shaking far too much weight.
     pub floor: f64,
-    /// Largest factor by which one working step may raise or lower a noise parameter under [`NoiseRule::HalfOrDouble`];
-    /// above 1, infinite for none.
+    /// Largest factor by which one working step can raise or lower a noise parameter under
+    /// [`NoiseRule::HalfOrDouble`].
     ///
-    /// The source has no such guard. Without one a short half-life or a bad start makes a parameter negative.
+    /// It must be above 1; infinite disables the limit. The source has no such guard. Without it, a
+    /// short half-life or a bad start makes a parameter negative.
     pub positivity_guard: f64,
     /// Seed of the local search.
     pub seed: u64,
@@ -238,40 +254,42 @@ impl Default for NoiseSettings {
     }
 }
 
-/// Where the identification of the noise parameters stands.
+/// Phase of the identification of the noise parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NoisePhase {
-    /// The local search of (3.30) to (3.32).
+    /// The training of the rule: the local search of (3.30) to (3.32), or half-or-double.
     Training,
-    /// One step per sample.
+    /// One update step per sample.
     Working,
 }
 
-/// What happened to the noise parameters at one step.
+/// Changes of the noise identification at one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NoiseEvents {
-    /// Training ended at this step.
+    /// `true` if training ended at this step.
     pub training_ended: bool,
-    /// Training has reached its limit at this step, and cannot end: a level is still uncertain.
+    /// `true` if training reached its limit at this step without ending.
     pub training_overdue: bool,
-    /// The innovations had disagreed with their covariance for so long that training began anew.
+    /// `true` if training restarted, because the innovations had disagreed with their covariance
+    /// for too long.
     pub training_restarted: bool,
 }
 
-/// Estimates of the noise parameters, with all that a later step needs.
+/// Estimates of the noise parameters, with the state that later steps require.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseState {
     /// `ψ` (N_ψ).
     pub mean: DVector<f64>,
     /// `Σ_ψ` (N_ψ × N_ψ).
     pub covariance: DMatrix<f64>,
-    /// The phase.
+    /// Current phase of the identification.
     pub phase: NoisePhase,
-    /// Steps of the training at which the Hessian was not positive definite and `Σ_ψ` stayed as it was.
+    /// Number of training steps at which the Hessian was not positive definite and `Σ_ψ` remained
+    /// unchanged.
     pub fallbacks: u64,
-    /// The same in the working phase, where it should not happen.
+    /// Number of such steps in the working phase, where they should not occur.
     pub working_fallbacks: u64,
-    /// Steps of the working phase that were shortened.
+    /// Number of steps of the working phase that were shortened.
     pub limited: u64,
     training_step: u64,
     unchanged: u32,
@@ -280,25 +298,25 @@ pub struct NoiseState {
     rng: ChaCha8Rng,
 }
 
-/// Watches whether the innovations keep agreeing with their covariance.
+/// Monitors whether the innovations agree with their covariance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
 struct Misfit {
-    /// Running mean of the normalised innovation squared per channel; 1 when all is right.
+    /// Running mean of the normalised innovation squared per channel; 1 if the covariance is right.
     mean: f64,
-    /// Steps for which it has been outside [`MISFIT_RANGE`].
+    /// Number of consecutive steps with the mean outside [`MISFIT_RANGE`].
     steps: u64,
 }
 
-/// Outside this range the mean of the normalised innovation squared per channel is no scatter.
+/// Range of the mean normalised innovation squared per channel that random variation can explain.
 const MISFIT_RANGE: (f64, f64) = (0.1, 10.0);
 
-/// Training under [`NoiseRule::Fisher`] may end while that mean lies in this range.
+/// Range of the same mean in which training can end under [`NoiseRule::Fisher`].
 const SETTLED_RANGE: (f64, f64) = (0.5, 2.0);
 
-/// Training may end only below this relative standard deviation of every noise parameter.
+/// Relative standard deviation that every noise parameter must fall below before training can end.
 const TRAINED_RELATIVE_STD: f64 = 0.10;
 
-/// Length of training and window of the misfit when no fundamental period is given, steps.
+/// Window of the misfit in training, and its minimum in the working phase, in steps.
 const LEAST_WINDOW_STEPS: u64 = 100;
 
 impl NoiseState {
@@ -329,7 +347,9 @@ impl NoiseState {
         state
     }
 
-    /// Returns the largest relative standard deviation of the noise parameters, infinite without positive variances.
+    /// Returns the largest relative standard deviation of the noise parameters.
+    ///
+    /// It is infinite if a variance is not positive.
     #[must_use]
     pub fn largest_relative_std(&self) -> f64 {
         (0..self.mean.len())
@@ -344,7 +364,7 @@ impl NoiseState {
             .fold(0.0, f64::max)
     }
 
-    /// Takes one frame: moves `ψ` and `Σ_ψ`, and switches between the phases.
+    /// Processes one frame: updates `ψ` and `Σ_ψ`, and switches between the phases.
     pub(crate) fn update(
         &mut self,
         model: &NoiseModel,
@@ -357,7 +377,7 @@ impl NoiseState {
         }
         if objective.used_channels() == 0 {
             if settings.rule == NoiseRule::HalfOrDouble {
-                self.covariance *= settings.fading; // what is known ages without a datum too
+                self.covariance *= settings.fading; // information also fades without a datum
             }
             return events;
         }
@@ -389,7 +409,7 @@ impl NoiseState {
                     NoiseRule::Fisher => self.scoring_step(model, settings, objective),
                     NoiseRule::HalfOrDouble => {
                         self.guarded_newton_step(settings, objective);
-                        return events; // the published method has no way back to training
+                        return events; // the published method has no return to training
                     }
                     NoiseRule::Fixed => {}
                 }
@@ -408,18 +428,19 @@ impl NoiseState {
                 return self.training_step >= settings.training_steps
                     && self.unchanged >= UNCHANGED_STEPS;
             }
-            // The scoring step is right from any start near the level; waiting for the draws to lose ten times in a row
-            // can take for ever with one parameter and few channels.
+            // The scoring step is right from any start near the level. A wait for ten losing draws
+            // in succession can last indefinitely with one parameter and few channels.
             NoiseRule::Fisher => self.innovations_agree(),
             NoiseRule::Published | NoiseRule::Fixed => self.unchanged >= UNCHANGED_STEPS,
         };
         let waited = self.training_step >= settings.training_steps.max(1) && settled;
         let limit = settings.training_limit_steps;
         let late = limit > 0 && self.training_step >= limit;
-        // Σ_ψ is only ever replaced by a positive definite one, so its diagonal tells
+        // Only a positive definite matrix ever replaces Σ_ψ, so its diagonal is sufficient here.
         let known = self.largest_relative_std() < TRAINED_RELATIVE_STD;
-        // A level that the data hardly inform, such as that of an unmeasured excitation, never becomes that certain. The
-        // scoring step copes with it, and waiting longer would only keep alerts from being decided.
+        // A level on which the data contain little information, such as that of an unmeasured
+        // excitation, never becomes that certain. The scoring step handles this case. A longer wait
+        // would only delay decisions about alerts.
         let settled_late = settings.rule == NoiseRule::Fisher && late && settled;
         (waited || late) && known || settled_late
     }
@@ -441,7 +462,7 @@ impl NoiseState {
         self.misfit.steps > window
     }
 
-    /// Counts a step at which `Σ_ψ` had to stay as it was.
+    /// Counts a step at which `Σ_ψ` remained unchanged because no update was possible.
     fn fall_back(&mut self) {
         match self.phase {
             NoisePhase::Training => self.fallbacks += 1,
@@ -454,7 +475,9 @@ impl NoiseState {
         large_enough && self.misfit.mean < SETTLED_RANGE.1
     }
 
-    /// Keeps every level above its floor, and notes when all of them lie on it: smaller innovations are no misfit then.
+    /// Raises every level to at least its floor and records whether all levels are at their floor.
+    ///
+    /// If they are, small innovations are not a misfit.
     fn apply_floor(
         &mut self,
         psi: &mut DVector<f64>,

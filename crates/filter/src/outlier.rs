@@ -1,13 +1,19 @@
-//! Screening of outliers: which samples are too far off to be used.
+//! Screening of outliers: samples that must not be used because they are too far from their
+//! prediction.
 //!
-//! Source: Huang & Yuen (2023), chapter 4. Each channel compares its residual with a running scale `σ` of its own, and asks
-//! how probable it is that the Gaussian tail beyond the residual holds no more points than were seen there; at one half or
-//! more the sample is an outlier and leaves the update of its step. No threshold has to be chosen: what counts as far off
-//! grows with the number of samples seen.
+//! Source: Huang & Yuen (2023), chapter 4. Each channel compares its residual with its own running
+//! scale `σ`. It computes the probability that the Gaussian tail beyond the residual contains no
+//! more points than observed there. If this probability is at least one half, the sample is an
+//! outlier and does not take part in the update. The method has no threshold to choose: the limit
+//! grows with the number of observed samples.
 //!
-//! Beyond the source: a channel that is rejected for long is either measured by a scale that is too small, which is then
-//! estimated anew, or it is a faulty sensor, which stays out until its residuals are those of the model again. When most
-//! channels are rejected together, it is the motion that has changed and not the sensors: scales are estimated anew.
+//! Two rules extend the source:
+//!
+//! - If a channel rejects samples for long, its scale may be too small, and it is estimated again.
+//!   Otherwise, the sensor is faulty. Its samples are ignored until the residuals agree with the
+//!   model again.
+//! - If most channels reject samples at the same time, the motion has changed and not the sensors.
+//!   All these scales are estimated again.
 
 mod probability;
 mod window;
@@ -18,53 +24,64 @@ use window::{Recent, Window};
 
 pub use probability::{outlier_probability, upper_bound};
 
-/// Of a sorted sample of absolute residuals this share lies below their standard deviation.
+/// Share of a sorted sample of absolute residuals that is below their standard deviation.
 const ONE_SIGMA: f64 = 0.68;
 
-/// A channel whose residuals exceed the filter's own deviation by this factor is no channel with a small scale.
+/// Largest ratio of the scale to the filter's own standard deviation at which the scale, not the
+/// sensor, is wrong.
 const FAULT_FACTOR: f64 = 5.0;
 
-/// A faulty channel is taken back when its residuals are below this many of the filter's own deviations.
+/// Largest ratio of the scale to the filter's own standard deviation at which a faulty channel has
+/// recovered.
 const RECOVERY_FACTOR: f64 = 3.0;
 
-/// No scale falls below this share of the filter's own deviation: a dead channel would have none.
+/// Smallest scale, relative to the filter's own standard deviation. Without it, a dead channel
+/// would have a scale of zero.
 const LEAST_SCALE: f64 = 1e-3;
 
-/// How the first scale is found.
+/// Method for the first scale.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OutlierTraining {
-    /// While it is found, residuals beyond this many of the filter's own deviations leave the update.
+    /// Residuals beyond this many of the filter's own standard deviations are left out of the
+    /// update during training.
     ///
-    /// One outlier that hits the filter while its covariance is wide can spoil both filter and scale for good.
+    /// An outlier that occurs while the covariance is wide can otherwise spoil the filter and the
+    /// scale permanently.
     Gated(f64),
     /// All samples are used, as in the source.
     Raw,
 }
 
-/// Settings of the screening.
+/// Settings of the outlier screening.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OutlierSettings {
-    /// How the first scale is found.
+    /// Method for the first scale.
     pub training: OutlierTraining,
-    /// `N_tr`, samples of a channel from which its first scale is found.
+    /// `N_tr`, number of samples of a channel that determine its first scale.
     pub training_steps: usize,
-    /// `N_win`, regular samples that a channel remembers.
+    /// `N_win`, number of regular samples in the window of a channel.
     pub window: usize,
-    /// `ε_l`: residuals up to this many scales are regular. It is no mere shortcut: with 0 half of a clean stream is rejected.
+    /// `ε_l`: residuals of up to this many scales are regular.
+    ///
+    /// This is more than a shortcut. With 0, half of a clean stream is rejected.
     pub lower: f64,
-    /// `ε_u`: residuals from this many scales on are outliers, (4.27); infinite to screen nothing.
+    /// `ε_u`: residuals of at least this many scales are outliers, (4.27).
+    ///
+    /// If it is infinite, the screening rejects nothing after training.
     pub upper: f64,
-    /// Share of rejected samples of the recent ones from which on a channel is looked into.
+    /// Share of rejected samples among the recent ones above which a channel is examined.
     pub fault_share: f64,
-    /// Number of those recent samples.
+    /// Interval at which such a channel is examined, in samples, and the minimum number of recent
+    /// samples.
     pub fault_window: usize,
 }
 
 impl OutlierSettings {
-    /// Makes the settings that the source recommends for a fundamental period (steps).
+    /// Creates the settings that the source recommends for a fundamental period (in steps).
     ///
-    /// Ten periods of training, a window of a hundred periods and at least 1000 samples, `ε_l = 2`, `ε_u` by (4.27).
+    /// Training lasts ten periods, and at least 50 samples. The window covers a hundred periods,
+    /// and at least 1000 samples. `ε_l` is 2, and `ε_u` follows from (4.27).
     #[must_use]
     pub fn for_period(period_steps: f64) -> Self {
         let periods = |count: f64| (count * period_steps).round() as usize;
@@ -80,7 +97,7 @@ impl OutlierSettings {
         }
     }
 
-    /// Returns how many recent residuals a channel remembers.
+    /// Returns the number of recent residuals that a channel stores.
     pub(crate) fn recent_len(&self) -> usize {
         self.training_steps.max(self.fault_window)
     }
@@ -137,33 +154,33 @@ impl OutlierSettings {
     }
 }
 
-/// What became of the last sample of a channel.
+/// Classification of the last sample of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Verdict {
-    /// It took part in the update.
+    /// The sample took part in the update.
     Regular,
-    /// It was too far off.
+    /// The sample was too far from its prediction.
     Outlier,
-    /// It may have been right, but its sensor is faulty.
+    /// The sensor is faulty, so its sample was not used.
     Faulty,
-    /// There was none.
+    /// The sample was missing.
     Missing,
 }
 
-/// What the last sample changed for its channel.
+/// Change of a channel due to its last sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OutlierChange {
-    /// Its first scale is known; the screening works.
+    /// The first scale is known, and the screening has started.
     Trained,
-    /// Its scale had been too small and was estimated anew.
+    /// The scale was too small and has been estimated again.
     Rescaled,
-    /// It is faulty from now on.
+    /// The channel has become faulty.
     FaultBegan,
-    /// It is no longer faulty.
+    /// The channel has recovered from a fault.
     FaultEnded,
 }
 
-/// What is known of one channel.
+/// State of the screening of one channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChannelScreen {
     window: Window,
@@ -196,61 +213,65 @@ impl ChannelScreen {
         }
     }
 
-    /// What became of the last sample.
+    /// Returns the classification of the last sample.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         self.verdict
     }
 
-    /// What the last sample changed.
+    /// Returns the change due to the last sample, or `None` without a change.
     #[must_use]
     pub fn change(&self) -> Option<OutlierChange> {
         self.change
     }
 
-    /// Residual of the last sample (sensor units), also of a rejected one; NaN where it was missing.
+    /// Returns the residual of the last sample (sensor units), even if the sample was rejected.
+    ///
+    /// It is not finite if the sample was missing.
     #[must_use]
     pub fn residual(&self) -> f64 {
         self.residual
     }
 
-    /// `σ`, the running scale of the residuals (sensor units); 0 before the training ended.
+    /// Returns `σ`, the running scale of the residuals (sensor units); 0 before the first training
+    /// has ended.
     #[must_use]
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// Whether the screening of this channel works.
+    /// Returns `true` if the first scale is known, so that the screening is active.
     #[must_use]
     pub fn trained(&self) -> bool {
         self.trained
     }
 
-    /// Whether the sensor is faulty.
+    /// Returns `true` if the sensor is faulty.
     #[must_use]
     pub fn faulty(&self) -> bool {
         self.faulty
     }
 
-    /// Samples screened since the start of the filter.
+    /// Returns the number of samples since the start of the filter, without missing ones.
     #[must_use]
     pub fn seen(&self) -> u64 {
         self.seen
     }
 
-    /// Samples rejected, as outliers or of a faulty sensor.
+    /// Returns the number of rejected samples: outliers and samples of a faulty sensor.
     #[must_use]
     pub fn rejected(&self) -> u64 {
         self.rejected
     }
 
-    /// Samples that lay between the bounds, so that their probability was evaluated.
+    /// Returns the number of samples between the two bounds, for which the probability was
+    /// evaluated.
     #[must_use]
     pub fn evaluated(&self) -> u64 {
         self.evaluated
     }
 
-    /// Share of rejected samples among the recent ones.
+    /// Returns the share of rejected samples among the recent ones.
     #[must_use]
     pub fn rejected_share(&self) -> f64 {
         self.recent.rejected_share()
@@ -262,14 +283,17 @@ impl ChannelScreen {
         self.trained = false;
     }
 
-    /// Takes a scale that was estimated anew.
+    /// Sets a new estimate of the scale.
     fn rescale(&mut self, scale: f64) {
         self.scale = scale;
         self.window.clear();
         self.recent.forgive();
     }
 
-    /// Classifies a residual by (4.19) and (4.23), then updates window and scale by (4.28) and (4.29).
+    /// Classifies the last residual by (4.19) and (4.23), then updates window and scale by (4.28)
+    /// and (4.29).
+    ///
+    /// Returns `true` for an outlier.
     fn screen(&mut self, settings: &OutlierSettings, deviation: f64) -> bool {
         self.scale = self.scale.max(LEAST_SCALE * deviation);
         let epsilon = self.residual.abs() / self.scale;
@@ -278,7 +302,7 @@ impl ChannelScreen {
         } else if epsilon >= settings.upper {
             true
         } else if settings.upper.is_infinite() {
-            false // nothing is to be screened
+            false // screening is disabled
         } else {
             self.evaluated += 1;
             outlier_probability(epsilon, self.window.at_least(epsilon), self.window.len()) >= 0.5
@@ -293,7 +317,7 @@ impl ChannelScreen {
     }
 }
 
-/// What is known of all channels, between two steps.
+/// State of the screening of all channels between two steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OutlierState {
     channels: Vec<ChannelScreen>,
@@ -301,7 +325,7 @@ pub struct OutlierState {
 
 impl OutlierState {
     pub(crate) fn new(settings: &OutlierSettings, channels: usize) -> Self {
-        // one by one: a clone would not keep the reserved room
+        // One by one, because a clone would not keep the reserved capacity.
         Self {
             channels: (0..channels)
                 .map(|_| ChannelScreen::new(settings))
@@ -309,18 +333,22 @@ impl OutlierState {
         }
     }
 
-    /// The channels, in the order of the observations.
+    /// Returns the channels, in the order of the observations.
     #[must_use]
     pub fn channels(&self) -> &[ChannelScreen] {
         &self.channels
     }
 
-    /// Finds all scales anew: after the motion was forgotten, residuals are large for a while.
+    /// Restarts the training of all channels, because residuals are large for some time after a
+    /// reset of the motion.
     pub(crate) fn retrain(&mut self) {
         self.channels.iter_mut().for_each(ChannelScreen::retrain);
     }
 
-    /// Takes the scales of the recent residuals: while the noise was annealed, residuals were larger. `sorted` is scratch.
+    /// Estimates the scales again from the recent residuals, because the residuals were larger
+    /// during annealing.
+    ///
+    /// `sorted` is scratch space.
     pub(crate) fn rescale(&mut self, sorted: &mut Vec<f64>) {
         for channel in self
             .channels
@@ -334,9 +362,10 @@ impl OutlierState {
         }
     }
 
-    /// Screens the residuals (N_0) of one step and replaces those that must not be used by NaN.
+    /// Screens the residuals (N_0) of one step and sets those that must not be used to NaN.
     ///
-    /// `variances` are the filter's own, the diagonal of `S` (N_0); `sorted` is scratch. Returns how many were rejected.
+    /// `variances` is the diagonal of the filter's own `S` (N_0). `sorted` is scratch space.
+    /// Returns the number of rejected residuals.
     pub(crate) fn screen(
         &mut self,
         settings: &OutlierSettings,
@@ -383,7 +412,7 @@ impl OutlierState {
         rejected
     }
 
-    /// Looks into the channels of which too much was rejected, and into the faulty ones.
+    /// Examines the channels with too many rejected samples, including the faulty ones.
     fn look_into(&mut self, settings: &OutlierSettings, variances: &[f64], sorted: &mut Vec<f64>) {
         let suspicious = |channel: &ChannelScreen| {
             channel.trained
@@ -393,7 +422,8 @@ impl OutlierState {
         if !self.channels.iter().any(suspicious) {
             return;
         }
-        // with one or two channels nobody can tell whether the sensors or the motion have changed
+        // With one or two channels, a change of the sensors cannot be distinguished from a change
+        // of the motion.
         let count = self
             .channels
             .iter()
@@ -426,7 +456,7 @@ impl OutlierState {
     }
 }
 
-/// Takes one sample of the training, §4.4.1, and says whether it may be used.
+/// Processes one training sample, §4.4.1, and returns whether it is used.
 fn train(
     channel: &mut ChannelScreen,
     settings: &OutlierSettings,

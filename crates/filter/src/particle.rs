@@ -1,21 +1,27 @@
-//! The particle filter: the distribution of state, parameters and noise levels carried by weighted samples.
+//! The particle filter: weighted samples represent the distribution of state, parameters and noise
+//! levels.
 //!
-//! Source: Ching, Beck, Porter & Shaikhutdinov (2006), real-time Bayesian estimation of uncertain dynamical systems. Neither
-//! linearity nor a Gaussian shape is needed, at the cost of `N` model integrations a step; where the extended Kalman filter
-//! does its work well, it is hundreds of times cheaper.
+//! Source: Ching, Beck, Porter & Shaikhutdinov (2006), real-time Bayesian estimation of uncertain
+//! dynamical systems. The method requires neither linearity nor a Gaussian shape, but costs `N`
+//! model integrations per step. Where the extended Kalman filter is adequate, it is hundreds of
+//! times cheaper.
 //!
-//! Notation: particles `x^i` (n) with weights `W^i` (normalised), `i = 1..N`. One step, in the order of [`ParticleFilter::step`]:
+//! Notation: particles `x^i` (n) with normalised weights `W^i`, `i = 1..N`.
+//! [`ParticleFilter::step`] performs these operations in order:
 //!
-//! - draw anew if the coefficient of variation of the weights is above its threshold; with `N_eff = 1/Σ W²`,
-//!   `N_eff = N/(1 + c.o.v.²)`
-//! - draw `x_k^i` from the importance density around `f(x_{k−1}^i, u, ·)`, that of one extended Kalman step or the prior
-//! - `ω^i = W^i p(ŷ_k | x_k^i) p(x_k^i | x_{k−1}^i) / p_G(x_k^i | x_{k−1}^i, ŷ_k)`, equation (10), in logarithms
+//! - resample if the coefficient of variation of the weights is above its threshold; with
+//!   `N_eff = 1/Σ W²`, `N_eff = N/(1 + c.o.v.²)`
+//! - draw `x_k^i` from the importance density around `f(x_{k−1}^i, u, ·)`, either one extended
+//!   Kalman step or the prior
+//! - `ω^i = W^i p(ŷ_k | x_k^i) p(x_k^i | x_{k−1}^i) / p_G(x_k^i | x_{k−1}^i, ŷ_k)`, equation (10),
+//!   in logarithms
 //! - `ln p(ŷ_k | Ŷ_{k−1}) = ln Σ ω^i`, then `W^i = ω^i / Σ ω^j`
 //! - estimates are weighted sums over the particles
 //!
-//! Resampling comes at the beginning of the next step in place of the end of this one, so that estimates are always those of
-//! the weighted sample, which are more accurate. Every particle draws from a stream of its own that is set by seed, step and
-//! number: neither threads nor a checkpoint change a bit.
+//! Resampling happens at the start of the next step instead of the end of this step. Estimates
+//! therefore always come from the weighted sample, which is more accurate. Each draw of a particle
+//! has its own random stream, determined by seed, step and particle index. Results are therefore
+//! bit-identical for any number of threads and after a checkpoint.
 
 mod drifting;
 mod estimates;
@@ -46,62 +52,66 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use worker::Worker;
 
-/// Random words that one particle may use in one step: far more than any disturbance needs.
+/// Binary logarithm of the random words available to one particle in one step, far more than any
+/// disturbance needs.
 const WORDS_PER_STEP_LOG2: u32 = 20;
 
-/// The Gaussian from which the particles are drawn at first.
+/// The Gaussian density of the initial particles.
 ///
-/// With accurate sensors a wide one leaves few particles alive; start from the estimate of another filter then.
+/// With accurate sensors, a wide density leaves only a few particles with weight. In this case,
+/// start from the estimate of another filter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GaussianStart {
     /// Mean (n).
     pub mean: DVector<f64>,
     /// Covariance (n × n).
     pub covariance: DMatrix<f64>,
-    /// The input at the instant of this Gaussian (p), one step before the first frame; `None` if it is for the instant of
-    /// the first frame itself.
+    /// The input at the time of this Gaussian (p), one step before the first frame.
+    ///
+    /// `None` if the Gaussian applies to the time of the first frame.
     pub previous_input: Option<DVector<f64>>,
 }
 
-/// What one step of a particle filter found; estimates are read from the filter.
+/// The result of one step of a particle filter, without the estimates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ParticleStep {
-    /// `ln p(ŷ_k | Ŷ_{k−1})`, zero if no channel was there.
+    /// `ln p(ŷ_k | Ŷ_{k−1})`, zero if all channels are missing.
     pub log_evidence: f64,
-    /// Channels that took part; 0 makes the step a prediction.
+    /// Number of used channels; 0 if the step is only a prediction.
     pub used_channels: usize,
-    /// `νᵀ S⁻¹ ν` of the innovation against what the particles predict; about the number of channels that took part while
-    /// they follow the data.
+    /// `νᵀ S⁻¹ ν` of the innovation against the prediction of the particles.
+    ///
+    /// It is about the number of used channels while the particles follow the data.
     pub normalised_innovation_squared: f64,
     /// `N_eff = 1/Σ W²` after this frame.
     pub effective_size: f64,
     /// Standard deviation of the weights over their mean after this frame.
     pub coefficient_of_variation: f64,
-    /// The particles were drawn anew before this frame.
+    /// The particles were resampled before this frame.
     pub resampled: bool,
 }
 
-/// The whole state of a particle filter between two steps: what a checkpoint holds.
+/// The complete state of a particle filter between two steps, for a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParticleState {
-    /// x (n × N), a column a particle
+    /// x (n × N), one column per particle.
     states: Vec<f64>,
-    /// ln W, minus infinity for a particle that is out (N)
+    /// ln W, minus infinity for a lost particle (N).
     log_weights: Vec<f64>,
-    /// the particle at the start from which each descends (N)
+    /// Initial particle from which each particle descends (N).
     ancestors: Vec<u32>,
     steps: u64,
     seed: u64,
-    /// the coming frame finds the particles at its own instant: there is no input before it
+    /// The particles already belong to the time of the next frame, so there is no previous input.
     fresh: bool,
-    /// the input of the last frame, NaN where it was missing (p)
+    /// Input of the last frame, NaN where it was missing (p).
     previous_input: DVector<f64>,
-    /// running mean square of the input (p)
+    /// Running mean square of the input (p).
     input_mean_square: DVector<f64>,
     log_evidence: f64,
 }
 
-/// A worker with its particles, their weights and their predictions, and its number.
+/// The index of a worker, and the worker with its particles, their weights and their predictions.
 type Share<'a, M> = (
     usize,
     (
@@ -110,7 +120,7 @@ type Share<'a, M> = (
     ),
 );
 
-/// What a stream of random numbers is for.
+/// The purpose of a random stream.
 #[derive(Debug, Clone, Copy)]
 enum Purpose {
     Start,
@@ -121,8 +131,8 @@ enum Purpose {
 
 /// A particle filter of one model.
 ///
-/// One call of [`ParticleFilter::step`] is one time step. With one thread it allocates nothing; the result is the same to
-/// the bit with any number of threads.
+/// One call of [`ParticleFilter::step`] is one time step. With one thread, a step does not
+/// allocate. Results are bit-identical for any number of threads.
 #[derive(Debug, Clone)]
 pub struct ParticleFilter<M> {
     settings: ParticleSettings,
@@ -130,11 +140,11 @@ pub struct ParticleFilter<M> {
     state: ParticleState,
     workers: Vec<Worker<M>>,
     pool: Option<Arc<rayon::ThreadPool>>,
-    /// W (N)
+    /// W (N).
     weights: Vec<f64>,
     mean: DVector<f64>,
     std: DVector<f64>,
-    /// scratch: x (n × N), ancestors, an order of the particles, their cumulative weights (N)
+    /// Scratch: x (n × N), ancestors, an order of the particles, their cumulative weights (N).
     spare_states: Vec<f64>,
     spare_ancestors: Vec<u32>,
     order: Vec<u32>,
@@ -145,10 +155,10 @@ pub struct ParticleFilter<M> {
 }
 
 impl<M: ParticleModel> ParticleFilter<M> {
-    /// Makes a filter with its particles drawn from `start`.
+    /// Creates a filter with particles drawn from `start`.
     ///
     /// # Errors
-    /// When a setting lies outside its range, or a size does not fit the model.
+    /// Returns an error if a setting is out of range or a size does not fit the model.
     pub fn new(
         model: M,
         settings: ParticleSettings,
@@ -207,7 +217,8 @@ impl<M: ParticleModel> ParticleFilter<M> {
         Ok(filter)
     }
 
-    /// Draws the particles from the start again: what a filter is left with that has lost them all.
+    /// Draws the particles from the start density again, for example after the loss of all
+    /// particles.
     pub fn restart(&mut self) {
         let Self {
             settings,
@@ -239,10 +250,10 @@ impl<M: ParticleModel> ParticleFilter<M> {
         self.summarise();
     }
 
-    /// Draws the particles from another start, for instance from the estimate of another filter.
+    /// Draws the particles from another start density, for example the estimate of another filter.
     ///
     /// # Errors
-    /// When a size does not fit the model, which leaves the filter as it was.
+    /// Returns an error if a size does not fit the model. The filter is then unchanged.
     pub fn restart_from(&mut self, start: GaussianStart) -> Result<(), FilterError> {
         check_start(&start, self.mean.len(), self.model().input_len())?;
         self.start = start;
@@ -250,11 +261,14 @@ impl<M: ParticleModel> ParticleFilter<M> {
         Ok(())
     }
 
-    /// Takes one frame; its excitation is the measured input of the model.
+    /// Processes one frame; its excitation is the measured input of the model.
     ///
     /// # Errors
-    /// When the frame does not fit the model, which leaves the filter as it was, or when no particle has any weight left
-    /// and the filter must be restarted.
+    /// Returns an error in these cases:
+    ///
+    /// - The frame does not fit the model. The filter is then unchanged.
+    /// - No particle has any weight, or the estimate is not finite. The caller must then restart
+    ///   the filter.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<ParticleStep, FilterError> {
         let sizes = [
             (
@@ -322,7 +336,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         &self.workers[0].model
     }
 
-    /// Changes the model in every thread alike, for instance its noise levels.
+    /// Changes the model of every thread in the same way, for example its noise levels.
     pub fn update_model(&mut self, mut change: impl FnMut(&mut M)) {
         for worker in &mut self.workers {
             change(&mut worker.model);
@@ -334,17 +348,19 @@ impl<M: ParticleModel> ParticleFilter<M> {
         &self.settings
     }
 
-    /// Returns the innovation of the last step (q, sensor units), NaN where a channel was missing and before the first step.
+    /// Returns the innovation of the last step (q, sensor units).
+    ///
+    /// It is NaN for missing channels and before the first step.
     pub fn innovation(&self) -> &[f64] {
         self.innovation.values()
     }
 
-    /// Returns `ln p(Ŷ_k)`, the sum over all frames so far.
+    /// Returns `ln p(Ŷ_k)`, the sum over all processed frames.
     pub fn log_evidence(&self) -> f64 {
         self.state.log_evidence
     }
 
-    /// Returns the number of frames taken.
+    /// Returns the number of processed frames.
     pub fn steps(&self) -> u64 {
         self.state.steps
     }
@@ -354,10 +370,12 @@ impl<M: ParticleModel> ParticleFilter<M> {
         &self.state
     }
 
-    /// Takes the state of a checkpoint; the next step gives the same bits as if the filter had never stopped.
+    /// Restores the state of a checkpoint; subsequent steps are bit-identical to an uninterrupted
+    /// run.
     ///
     /// # Errors
-    /// When the state does not fit the model or the settings, which leaves the filter as it was.
+    /// Returns an error if the state does not fit the model or the settings. The filter is then
+    /// unchanged.
     pub fn restore(&mut self, state: ParticleState) -> Result<(), FilterError> {
         let (n, p, count) = (
             self.mean.len(),
@@ -389,7 +407,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         Ok(())
     }
 
-    /// Moves every particle to the frame, and adds the logarithm of its weight's factor.
+    /// Moves every particle to the frame, and adds the logarithm of its weight factor.
     fn advance(&mut self, frame: Frame<'_>) {
         let Self {
             settings,
@@ -477,7 +495,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         Ok(log_sum)
     }
 
-    /// Keeps what the next step needs of this frame's input.
+    /// Stores the input of this frame for the next step.
     fn remember_input(&mut self, frame: Frame<'_>) {
         let ParticleState {
             fresh,
@@ -496,7 +514,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         *fresh = false;
     }
 
-    /// Writes weights, mean and deviation for the particles as they are.
+    /// Computes the weights, the mean and the standard deviation of the current particles.
     fn summarise(&mut self) {
         let Self {
             state,
@@ -511,7 +529,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         moments::mean_and_std_to(&state.states, weights, mean, std);
     }
 
-    /// Draws the particles anew with equal weights, and moves them apart by the kernel.
+    /// Resamples the particles with equal weights, and disperses them with the kernel.
     fn resample(&mut self) {
         let kernel = self.settings.kernel;
         if kernel < 1.0 {
@@ -554,7 +572,8 @@ impl<M: ParticleModel> ParticleFilter<M> {
             for (i, particle) in state.states.chunks_exact_mut(n).enumerate() {
                 worker.draw_normals(&mut stream(state.seed, step, i, Purpose::Kernel));
                 for (value, mean) in particle.iter_mut().zip(mean.iter()) {
-                    *value = mean + kernel * (*value - mean); // x ← m + a (x − m) + √(1 − a²) V^{1/2} z
+                    // x ← m + a (x − m) + √(1 − a²) V^{1/2} z
+                    *value = mean + kernel * (*value - mean);
                 }
                 self.root.add_draw(spread, &worker.normals, particle);
                 worker.model.confine(particle);
@@ -563,7 +582,9 @@ impl<M: ParticleModel> ParticleFilter<M> {
     }
 }
 
-/// Returns the stream of one particle at one step: a place in the sequence of the seed that no other draw uses.
+/// Returns the random stream of one particle in one step.
+///
+/// Its position in the sequence of the seed is used by no other draw.
 fn stream(seed: u64, step: u64, particle: usize, purpose: Purpose) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((particle as u64) << 2 | purpose as u64);

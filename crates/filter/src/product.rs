@@ -1,10 +1,11 @@
-//! Products of dense matrices that allocate nothing and leave out what is known to be zero.
+//! Products of dense matrices that do not allocate and skip known zeros.
 //!
-//! A strip of rows of the left factor, as many as registers hold, meets four columns of the right one at a time: every entry
-//! that is loaded then serves several sums, which stay in registers (Goto & van de Geijn 2008, *ACM Trans. Math. Softw.* 34,
-//! 12). What is wanted transposed, or on both sides of the diagonal, is turned while it is in the nearest memory. The
-//! instructions are chosen when the program runs. The order of every sum is fixed: a product has the same bits on every
-//! machine of one instruction set.
+//! A strip of rows of the left factor, as many as registers hold, is multiplied by four columns of
+//! the right factor at a time. Each loaded entry then serves several sums, which stay in registers
+//! (Goto & van de Geijn 2008, *ACM Trans. Math. Softw.* 34, 12). Results that are needed transposed
+//! or mirrored are transposed while they are in the nearest cache. The instruction set is selected
+//! at run time. The order of every sum is fixed: a product is bit-identical on all machines with
+//! one instruction set.
 
 mod right;
 mod transpose;
@@ -17,16 +18,23 @@ use transpose::mirror_square;
 
 pub(crate) use right::{COLUMNS, Right};
 
-/// Registers of rows in a strip: with [`COLUMNS`] of them sixteen sums, half of the registers of wide instruction sets.
+/// Maximum number of row registers in a strip.
+///
+/// With [`COLUMNS`] columns, it uses sixteen sums, which is half of the registers of wide
+/// instruction sets.
 const MOST_REGISTERS: usize = 4;
 
-/// Rows that are taken through all of their columns before the next ones: a multiple of what registers hold.
+/// Number of rows that pass through all their columns before the next rows; a multiple of the
+/// register size.
 pub(crate) const STRIP: usize = 32;
 
-/// Lanes of the widest register.
+/// Number of lanes of the widest register.
 pub(crate) const MOST_LANES: usize = 8;
 
-/// Returns the strips of `rows` rows; the last one is moved up until it fills registers: what is summed twice has the same bits.
+/// Returns the strips of `rows` rows.
+///
+/// The last strip starts early enough to fill registers. Entries that are computed twice have the
+/// same bits.
 pub(crate) fn strips(rows: usize) -> impl Iterator<Item = Range<usize>> {
     (0..rows).step_by(STRIP).map(move |first| {
         let end = (first + STRIP).min(rows);
@@ -34,24 +42,24 @@ pub(crate) fn strips(rows: usize) -> impl Iterator<Item = Range<usize>> {
     })
 }
 
-/// Some columns of a matrix, one after the other, from some row on.
+/// Consecutive columns of a matrix, from some row on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Piece<'m> {
-    /// The first column, from the first row on.
+    /// The entries from the first row of the first column.
     pub(crate) entries: &'m [f64],
-    /// From one column to the next.
+    /// Distance from one column to the next.
     pub(crate) stride: usize,
-    /// The first row that is there.
+    /// Index of the first stored row.
     pub(crate) first_row: usize,
 }
 
 impl<'m> Piece<'m> {
-    /// All columns of a matrix.
+    /// Returns all columns of a matrix.
     pub(crate) fn new(matrix: &'m DMatrix<f64>) -> Self {
         Self::after(matrix, 0)
     }
 
-    /// The columns of a matrix from `column` on.
+    /// Returns the columns of a matrix from `column` on.
     pub(crate) fn after(matrix: &'m DMatrix<f64>, column: usize) -> Self {
         let stride = matrix.nrows();
         Self {
@@ -66,7 +74,7 @@ impl<'m> Piece<'m> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Left<'m> {
     first: Piece<'m>,
-    /// Where the second piece begins (column).
+    /// Column at which the second piece starts.
     second_from: usize,
     second: Piece<'m>,
 }
@@ -84,7 +92,7 @@ impl<'m> Left<'m> {
         }
     }
 
-    /// Joins the first `columns` columns of one piece and all of another.
+    /// Joins the first `columns` columns of one piece and all columns of another piece.
     pub(crate) fn joined(first: Piece<'m>, columns: usize, second: Piece<'m>) -> Self {
         Self {
             first,
@@ -94,30 +102,32 @@ impl<'m> Left<'m> {
     }
 }
 
-/// Which entries of a product are wanted.
+/// The required entries of a product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Extent {
-    /// All of them.
+    /// All entries.
     Full,
-    /// Those of the groups of columns that begin before this column of the target; the others stay as they are.
+    /// The groups of columns that start before this column of the target. The other entries stay
+    /// unchanged.
     Before(usize),
-    /// Those not farther from the diagonal than this; the others are zero, because both factors have a band.
+    /// The entries up to this distance from the diagonal. The other entries are zero, because both
+    /// factors are banded.
     Band(usize),
 }
 
-/// What becomes of a product: `factor · (Z + X Y)`.
+/// The form of the result: `factor · (Z + X Y)`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sum<'m> {
     pub(crate) factor: f64,
-    /// `Z`, of the rows and columns of the product; nothing for zero.
+    /// `Z`, with the rows and columns of the product; `None` for zero.
     pub(crate) start: Option<Piece<'m>>,
 }
 
 impl Sum<'_> {
-    /// The product as it is.
+    /// The unscaled product.
     pub(crate) const PLAIN: Self = Self::scaled(1.0);
 
-    /// The product times a number.
+    /// Returns the product times a number.
     pub(crate) const fn scaled(factor: f64) -> Self {
         Self {
             factor,
@@ -126,7 +136,7 @@ impl Sum<'_> {
     }
 }
 
-/// A matrix that is written to, column by column.
+/// The destination of a product, stored by columns.
 #[derive(Debug)]
 pub(crate) struct Target<'m> {
     pub(crate) entries: &'m mut [f64],
@@ -143,17 +153,18 @@ impl<'m> Target<'m> {
     }
 }
 
-/// Where a product is written.
+/// The storage of a product.
 #[derive(Debug)]
 pub(crate) enum Store<'m> {
-    /// As it is; the row `first_row` of the left factor is the first one.
+    /// Unchanged. The target starts with row `first_row` of the left factor.
     Plain {
         target: Target<'m>,
         first_row: usize,
     },
-    /// And its mirror on the other side of the diagonal, for the columns before the rows asked for.
+    /// Both the product and its mirror across the diagonal, for the columns before the requested
+    /// rows.
     Mirrored(Target<'m>),
-    /// Transposed where the row is before `split`; the other rows as they are and their mirror, elsewhere.
+    /// Rows before `split` transposed; the other rows unchanged and mirrored in another target.
     Split {
         transposed: Target<'m>,
         split: usize,
@@ -167,14 +178,15 @@ pub(crate) struct Product<'m> {
     pub(crate) left: Left<'m>,
     pub(crate) rows: Range<usize>,
     pub(crate) right: &'m Right,
-    /// Column of the target in which the first one of the product stands; `extent` counts from that of the target.
+    /// Target column of the first product column; `extent` counts target columns.
     pub(crate) first_column: usize,
     pub(crate) extent: Extent,
     pub(crate) sum: Sum<'m>,
     pub(crate) store: Store<'m>,
 }
 
-/// Returns every set of instructions that this processor has: what is right with the widest need not be with another.
+/// Returns all instruction sets of this processor, because a correct result with one does not prove
+/// another.
 #[cfg(test)]
 pub(crate) fn all_instructions() -> Vec<Arch> {
     let mut all = vec![Arch::Scalar, Arch::new()];
@@ -183,7 +195,7 @@ pub(crate) fn all_instructions() -> Vec<Arch> {
     all
 }
 
-/// Multiplies with the best instructions that the processor has.
+/// Multiplies with the best instruction set of the processor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Multiplier(Arch);
 
@@ -192,17 +204,17 @@ impl Multiplier {
         Self::with(Arch::new())
     }
 
-    /// With certain instructions.
+    /// Creates a multiplier with a certain instruction set.
     pub(crate) fn with(arch: Arch) -> Self {
         Self(arch)
     }
 
-    /// Returns the instructions.
+    /// Returns the instruction set.
     pub(crate) fn arch(self) -> Arch {
         self.0
     }
 
-    /// Writes a product.
+    /// Computes a product.
     pub(crate) fn run(self, product: Product<'_>) {
         let Product {
             left,
@@ -221,7 +233,7 @@ impl Multiplier {
             extent,
             factor,
         };
-        // each pair has instructions of its own: what is decided here is not decided for every block
+        // Each pair has its own compiled code, so that the inner blocks need no decision.
         match (store, start) {
             (Store::Plain { target, first_row }, None) => {
                 self.sum(order, Nothing, Plain { target, first_row })
@@ -277,7 +289,8 @@ impl Multiplier {
         });
     }
 
-    /// Writes the product of `left` (m × k) and `right` (k × c) into the first columns of `out` (m rows).
+    /// Computes the product of `left` (m × k) and `right` (k × c) in the first columns of `out`
+    /// (m rows).
     pub(crate) fn multiply_to(
         self,
         left: Left<'_>,
@@ -303,7 +316,8 @@ impl Multiplier {
         });
     }
 
-    /// Writes the transpose of the product of `left` (m × k) and `right` (k × c) into the first rows of `out`, of m columns.
+    /// Computes the transposed product of `left` (m × k) and `right` (k × c) in the first rows of
+    /// `out` (m columns).
     pub(crate) fn multiply_transposed_to(
         self,
         left: Left<'_>,
@@ -332,8 +346,10 @@ impl Multiplier {
         });
     }
 
-    /// Writes a symmetric product of `left` (m × k) and `right` (k × m) into the first rows and columns of `out`; both triangles
-    /// get the same bits.
+    /// Computes a symmetric product of `left` (m × k) and `right` (k × m) in the first rows and
+    /// columns of `out`.
+    ///
+    /// Both triangles are bit-identical.
     pub(crate) fn multiply_symmetric_to(
         self,
         left: Left<'_>,
@@ -356,8 +372,11 @@ impl Multiplier {
         }
     }
 
-    /// Adds a symmetric product of `left` (m × k) and `right` (k × m) to a symmetric matrix (m × m) in its place; both triangles
-    /// get the same bits. Writes what the matrix then has on its diagonal (m), as long as that is in the nearest memory.
+    /// Adds a symmetric product of `left` (m × k) and `right` (k × m) to a symmetric matrix (m × m)
+    /// in place.
+    ///
+    /// Both triangles are bit-identical. The function also writes the resulting diagonal (m) while
+    /// it is in the nearest cache.
     pub(crate) fn add_symmetric_mut(
         self,
         left: Left<'_>,
@@ -367,7 +386,8 @@ impl Multiplier {
     ) {
         let n = matrix.nrows();
         let odd = n % MOST_LANES;
-        // no row may be summed twice: those that fill no register come first, one by one, where fewest columns stand before them
+        // No row may be added twice. The rows that do not fill a register come first, one by one,
+        // because the fewest columns precede them.
         let whole = (odd..n)
             .step_by(STRIP)
             .map(|first| first..(first + STRIP).min(n));
@@ -392,13 +412,14 @@ impl Multiplier {
         }
     }
 
-    /// Copies what is below the diagonal to the place above it, for some rows and as many columns.
+    /// Copies the entries below the diagonal to their mirror positions above it, for some rows and
+    /// as many columns.
     pub(crate) fn mirror_square_mut(self, rows: Range<usize>, target: &mut Target<'_>) {
         mirror_square(self.0, rows, target.entries, target.stride);
     }
 }
 
-/// What is summed, but for where it starts from and what becomes of it.
+/// The terms of a product, without the start values and the destination of its sums.
 #[derive(Debug)]
 struct Order<'m> {
     left: Left<'m>,
@@ -409,7 +430,7 @@ struct Order<'m> {
     factor: f64,
 }
 
-/// What the sums of a block start from.
+/// The start values of the sums of a block.
 trait Start: Copy {
     fn sums<S: Simd, const R: usize>(
         self,
@@ -419,7 +440,7 @@ trait Start: Copy {
     ) -> [[S::f64s; R]; COLUMNS];
 }
 
-/// From zero.
+/// Zero as the start value.
 #[derive(Debug, Clone, Copy)]
 struct Nothing;
 
@@ -459,9 +480,9 @@ impl Start for Piece<'_> {
     }
 }
 
-/// What becomes of a block.
+/// The destination of a block.
 trait Keep {
-    /// `before`: the first of all rows that are asked for.
+    /// Stores a block. `before` is the first of all requested rows.
     fn keep<F: Pod, const R: usize>(
         &mut self,
         before: usize,
@@ -470,7 +491,7 @@ trait Keep {
         block: &[[F; R]; COLUMNS],
     );
 
-    /// Keeps zeros.
+    /// Stores zeros.
     fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>);
 }
 
@@ -513,13 +534,13 @@ impl Keep for Mirrored<'_> {
     ) {
         self.0.store(rows.start, columns.clone(), block);
         if columns.start < before {
-            // what is beside the diagonal is mirrored with it, once all of it is there
+            // Entries beside the diagonal are mirrored later, together with the complete square.
             self.0
                 .scatter(rows, columns.start..columns.end.min(before), block);
         }
     }
 
-    fn clear(&mut self, _: &Range<usize>, _: Range<usize>) {} // no band is wanted so
+    fn clear(&mut self, _: &Range<usize>, _: Range<usize>) {} // no caller combines it with a band
 }
 
 struct Split<'m> {
@@ -550,7 +571,7 @@ impl Keep for Split<'_> {
     fn clear(&mut self, _: &Range<usize>, _: Range<usize>) {}
 }
 
-/// Where sums come from and go to.
+/// The start values and the destination of sums.
 trait Place {
     type Keep: Keep;
 
@@ -564,7 +585,7 @@ trait Place {
     fn keep_mut(&mut self) -> &mut Self::Keep;
 }
 
-/// From one place to another.
+/// Separate start values and destination.
 struct Between<B, K> {
     start: B,
     keep: K,
@@ -589,7 +610,7 @@ impl<B: Start, K: Keep> Place for Between<B, K> {
     }
 }
 
-/// What is there is added to.
+/// A matrix that is both start value and destination.
 struct InPlace<'m>(Mirrored<'m>);
 
 impl<'m> Place for InPlace<'m> {
@@ -634,7 +655,7 @@ impl<P: Place> WithSimd for Strips<'_, P> {
             }
             return;
         }
-        // sixteen registers hold three times four sums beside what they are made of
+        // Sixteen registers hold three times four sums and their operands.
         let most = if lanes > 4 {
             MOST_REGISTERS
         } else {
@@ -642,7 +663,8 @@ impl<P: Place> WithSimd for Strips<'_, P> {
         };
         let mut done = rows.start;
         while done < rows.end {
-            // the last strip is moved up until it is full: what is summed twice has the same bits
+            // The last strip starts early enough to fill its registers. Entries that are computed
+            // twice have the same bits.
             let wanted = (rows.end - done).div_ceil(lanes).min(most);
             let registers = wanted.min(rows.len() / lanes);
             let first = done.min(rows.end - registers * lanes);
@@ -658,7 +680,7 @@ impl<P: Place> WithSimd for Strips<'_, P> {
 }
 
 impl<P: Place> Strips<'_, P> {
-    /// Writes `R` registers of rows from row `first` on.
+    /// Computes `R` registers of rows, starting at row `first`.
     #[inline(always)]
     fn strip<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
         let Order {
@@ -700,7 +722,8 @@ impl<P: Place> Strips<'_, P> {
                 let factor = simd.splat_f64s(factor);
                 for sums in &mut sums {
                     for sum in sums {
-                        *sum = simd.mul_f64s(factor, *sum); // a closure would not get the instructions of the processor
+                        // A closure would not be compiled with the selected instruction set.
+                        *sum = simd.mul_f64s(factor, *sum);
                     }
                 }
             }
@@ -712,7 +735,8 @@ impl<P: Place> Strips<'_, P> {
 }
 
 impl Left<'_> {
-    /// Adds `R` registers of rows from row `first` on, times some columns of the right factor.
+    /// Adds the product of `R` registers of rows from row `first` and some columns of the right
+    /// factor.
     #[inline(always)]
     fn add_to<S: Simd, const R: usize>(
         self,

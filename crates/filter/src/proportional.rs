@@ -1,24 +1,34 @@
-//! The exact step of a linear structure with proportional damping, from few products of half-size matrices.
+//! The exact step of a linear structure with proportional damping, from a few products of half-size
+//! matrices.
 //!
-//! Notation: Huang & Yuen (2023), §2.4, with `G = M⁻¹K` and `C = αM + βK`. With the parameters at rest, the Jacobian (2.50) is
-//! `A_y = [[A_s, (0; W)], [0, 0]]`, `A_s = [[0, I], [−G, −(αI + βG)]]`. All blocks of `A_s` are polynomials of `G`, so that they
-//! commute and `A_s` solves its own characteristic equation as if they were numbers: `A_s² = −(α + βG) A_s − G`. Hence all
-//! blocks of `exp(A_s t)` and of its integrals follow from two functions of `G`, the impulse response `q` (displacement after
-//! a unit velocity) and the step response `s = ∫ q dt` (displacement under a unit acceleration):
+//! Notation: Huang & Yuen (2023), §2.4, with `G = M⁻¹K` and `C = αM + βK`. With constant
+//! parameters, the Jacobian (2.50) is `A_y = [[A_s, (0; W)], [0, 0]]`,
+//! `A_s = [[0, I], [−G, −(αI + βG)]]`. All blocks of `A_s` are polynomials of `G` and therefore
+//! commute. `A_s` solves its own characteristic equation as if the blocks were numbers:
+//! `A_s² = −(α + βG) A_s − G`.
+//!
+//! Hence all blocks of `exp(A_s t)` and of its integrals follow from two functions of `G`. These
+//! are the impulse response `q` (displacement after a unit velocity) and the step response
+//! `s = ∫ q dt` (displacement under a unit acceleration):
 //!
 //! ```text
 //! Φ = exp(A_s t) = [[I − Gs, q], [−Gq, I − Gs − (α + βG) q]]     (2.54)
-//! ∫ Φ dt         = [[q + (α + βG) s, s], [−Gs, q]]                Γ of (2.55), (2.56); its right half is Ψ
-//! A_i            = [[Φ, ΨW], [0, I]]
+//! Γ = ∫ Φ dt     = [[q + (α + βG) s, s], [−Gs, q]]               (2.55), (2.56)
+//! A_i            = [[Φ, ΨW], [0, I]], where Ψ is the right half of Γ
 //! ```
 //!
-//! `q` and `s` are the Taylor series that [`discretise`](crate::discretise) applies to columns, here as polynomials of
-//! `Z = −G h²` with numbers as coefficients: `q = h q̂(Z)`, `s = h² ŝ(Z)`. They are evaluated by Paterson & Stockmeyer (1973,
-//! *SIAM J. Comput.* 2, 60). A step too long for one series is halved to `h` often enough, and doubled again by
-//! `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`. Where `G` has a narrow band, as of a shear building, so have its powers.
+//! `q` and `s` are the Taylor series that [`discretise`](crate::discretise) applies to columns.
+//! Here they are polynomials of `Z = −G h²` with numbers as coefficients: `q = h q̂(Z)`,
+//! `s = h² ŝ(Z)`. They are evaluated by the method of Paterson & Stockmeyer (1973, *SIAM J.
+//! Comput.* 2, 60).
 //!
-//! Within one series, and with a narrow band, the step is taken through the accelerations that displacements and parameters
-//! cause (`accelerations`); all others by the blocks themselves (`blocks`).
+//! A step that is too long for one series is halved repeatedly to `h`. It is then doubled again by
+//! `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`. If `G` has a narrow band, as in a shear building,
+//! its powers have narrow bands too.
+//!
+//! Within one series and with a narrow band, the step uses the accelerations caused by
+//! displacements and parameters (`accelerations`). All other steps use the blocks themselves
+//! (`blocks`).
 
 mod accelerations;
 mod band;
@@ -33,17 +43,18 @@ use nalgebra::DMatrix;
 use polynomials::Polynomials;
 use std::ops::Range;
 
-/// The Jacobian of a linear structure with proportional damping in its parts, at the point of linearisation.
+/// The parts of the Jacobian of a linear structure with proportional damping, at the linearisation
+/// point.
 ///
-/// For a state of displacements, velocities and parameters `[x, ẋ, θ]`, equation (2.50) with `C = αM + βK`:
-/// `A_y = [[0, I, 0], [−G, −(αI + βG), W], [0, 0, 0]]`.
+/// For a state of displacements, velocities and parameters `[x, ẋ, θ]`, equation (2.50) with
+/// `C = αM + βK`: `A_y = [[0, I, 0], [−G, −(αI + βG), W], [0, 0, 0]]`.
 #[derive(Debug, Clone, Copy)]
 pub struct ProportionalForm<'m> {
-    /// `G = M⁻¹K` (N_d × N_d, 1/s²), with `M` and `K` positive (semi)definite.
+    /// `G = M⁻¹K` (N_d × N_d, 1/s²), with `M` positive definite and `K` positive semidefinite.
     pub stiffness: &'m DMatrix<f64>,
     /// Upper bound of the eigenvalues of `G` (1/s²).
     pub stiffness_bound: f64,
-    /// Entries of `G` farther from its diagonal than this are zero.
+    /// Distance from the diagonal beyond which the entries of `G` are zero.
     pub half_bandwidth: usize,
     /// `α` (1/s).
     pub alpha_per_s: f64,
@@ -51,26 +62,26 @@ pub struct ProportionalForm<'m> {
     pub beta_s: f64,
     /// `W = ∂ẍ/∂θ` (N_d × N_θ, m/s²).
     pub acceleration_by_theta: &'m DMatrix<f64>,
-    /// The rows outside which each column of `W` is zero (N_θ).
+    /// Row range of the non-zero entries in each column of `W` (N_θ).
     pub reach: &'m [Range<usize>],
 }
 
-/// The transition over one time step, made anew from the form at every step in the same storage.
+/// The transition over one time step, recomputed at every step in the same storage.
 #[derive(Debug, Clone)]
 pub(crate) struct Transition {
     blocks: Blocks,
     accelerations: Accelerations,
-    /// the step is taken through the accelerations
+    /// The step uses the accelerations instead of the blocks.
     through_accelerations: bool,
 }
 
 impl Transition {
-    /// Makes room for the transitions of a model of that form.
+    /// Allocates storage for the transitions of a model of this form.
     pub(crate) fn new(form: &ProportionalForm<'_>) -> Self {
         Self::with(form, Multiplier::new())
     }
 
-    /// With certain instructions.
+    /// Allocates storage, with a certain instruction set.
     fn with(form: &ProportionalForm<'_>, multiplier: Multiplier) -> Self {
         Self {
             blocks: Blocks::new(form, multiplier),
@@ -79,7 +90,7 @@ impl Transition {
         }
     }
 
-    /// Returns the number of terms by which a row of the covariance moves.
+    /// Returns the number of terms in the transition of one covariance row.
     pub(crate) fn term_count(&self) -> usize {
         if self.through_accelerations {
             self.accelerations.term_count()
@@ -88,9 +99,10 @@ impl Transition {
         }
     }
 
-    /// Discretises a step of `step_s` (s); replaces `[g, B_y]` in `inputs` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`.
+    /// Discretises a step of `step_s` (s) and integrates the inputs.
     ///
-    /// `rate_bound` (1/s) and `ramp` (n) are as for [`integrate_inputs`](crate::discretise::integrate_inputs).
+    /// It replaces `[g, B_y]` in `inputs` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`. `rate_bound`
+    /// (1/s) and `ramp` (n) are as for [`integrate_inputs`](crate::discretise::integrate_inputs).
     pub(crate) fn discretise(
         &mut self,
         form: &ProportionalForm<'_>,
@@ -101,7 +113,7 @@ impl Transition {
     ) {
         let free = form.stiffness.nrows();
         let (mut h, mut doublings) = (step_s, 0);
-        // A bound that is not finite is met by the check of the filtered state, which comes next.
+        // The subsequent check of the filtered state detects a bound that is not finite.
         while rate_bound.is_finite() && rate_bound * h > LARGEST_STEP {
             h *= 0.5;
             doublings += 1;
@@ -121,7 +133,9 @@ impl Transition {
         }
     }
 
-    /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, without process noise, equation (2.61); both triangles get the same bits.
+    /// Computes `λ A_i Σ A_iᵀ` (n × n) in `out`, without process noise, equation (2.61).
+    ///
+    /// Both triangles are bit-identical.
     pub(crate) fn propagate_covariance_to(
         &mut self,
         covariance: &DMatrix<f64>,
@@ -146,12 +160,13 @@ impl Transition {
     }
 }
 
-/// Returns the rows of a square matrix (n × n) not farther than `half_bandwidth` from the diagonal in some columns.
+/// Returns the rows of a square matrix (n × n) within `half_bandwidth` of the diagonal in any of
+/// `columns`.
 fn near(columns: &Range<usize>, half_bandwidth: usize, n: usize) -> Range<usize> {
     columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n)
 }
 
-/// Adds runs, from row `first` on, of the parameters that reach one of `rows`.
+/// Adds runs of the parameters that affect one of `rows`; parameter 0 has row `first`.
 fn extend_by_reached(
     runs: &mut Vec<Range<usize>>,
     first: usize,

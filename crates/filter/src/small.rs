@@ -1,21 +1,23 @@
-//! Products of matrices of few rows, whole columns of which stay in registers: to pack and to turn them takes longer than the sums.
+//! Products of matrices with few rows, whose whole columns stay in registers.
+//!
+//! For such matrices, packing and transposing take longer than the sums.
 
 use nalgebra::DMatrix;
 use pulp::{Arch, Simd, WithSimd};
 
-/// Most rows and columns of what is called small here.
+/// Maximum number of rows and columns of a small matrix.
 pub(crate) const MOST_ROWS: usize = 16;
 
-/// A column, filled up with zeros.
+/// A column, padded with zeros.
 type Column = [f64; MOST_ROWS];
 
-/// Makes `A X Aᵀ` of symmetric matrices `X` (n × n), for one `A` of at most [`MOST_ROWS`] rows.
+/// Computes `A X Aᵀ` of symmetric matrices `X` (n × n), for one `A` of at most [`MOST_ROWS`] rows.
 #[derive(Debug, Clone)]
 pub(crate) struct Congruence {
-    /// The columns of `A` and its rows.
+    /// The columns of `A`, and in `rows` its rows.
     columns: Box<Columns>,
     rows: Box<Columns>,
-    /// The columns of `A X` and of the result.
+    /// The columns of `A X`, and in `result` the columns of the result.
     half_way: Box<Columns>,
     result: Box<Columns>,
 }
@@ -23,7 +25,7 @@ pub(crate) struct Congruence {
 type Columns = [Column; MOST_ROWS];
 
 impl Congruence {
-    /// Takes `A` (n × n).
+    /// Stores `A` (n × n).
     pub(crate) fn new(a: &DMatrix<f64>) -> Self {
         let n = a.nrows();
         debug_assert!(n <= MOST_ROWS);
@@ -56,7 +58,7 @@ impl Congruence {
         });
     }
 
-    /// Writes `factor · A X Aᵀ` into `out` (n × n); both triangles get the same bits.
+    /// Computes `factor · A X Aᵀ` in `out` (n × n); both triangles are bit-identical.
     pub(crate) fn apply_to(
         &mut self,
         arch: Arch,
@@ -114,7 +116,8 @@ impl WithSimd for Apply<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // as many sums as hide what each waits for, and fit into the registers
+        // The number of simultaneous sums hides the latency of each sum and fits into the
+        // registers.
         match (S::F64_LANES, self.n.div_ceil(S::F64_LANES)) {
             (8.., 1) => self.run::<S, 1, 4>(simd),
             (8.., _) => self.run::<S, 2, 4>(simd),
@@ -129,7 +132,7 @@ impl WithSimd for Apply<'_> {
 }
 
 impl Apply<'_> {
-    /// With `R` registers for a column, and `C` columns at a time.
+    /// Computes the product with `R` registers for a column, and `C` columns at a time.
     #[inline(always)]
     fn run<S: Simd, const R: usize, const C: usize>(self, simd: S) {
         let Self {
@@ -145,8 +148,9 @@ impl Apply<'_> {
             out,
             n,
         } = self;
-        let n = n.min(MOST_ROWS); // which it is: no entry below needs to be looked for beyond its column
-        // column j of A X is made of those of A, by the entries of column j of X
+        // No effect on the value. It lets the compiler omit bounds checks within a column.
+        let n = n.min(MOST_ROWS);
+        // Column j of A X is the sum of the columns of A, weighted by column j of X.
         for first in (0..n).step_by(C) {
             let mut of_x = [&x[..n]; C];
             for (lane, of_x) in of_x.iter_mut().enumerate() {
@@ -165,7 +169,7 @@ impl Apply<'_> {
             }
             keep::<S, R, C>(&sums, &mut half_way[first..first + C]);
         }
-        // and column j of the result of those of A X, by the entries of row j of A
+        // Column j of the result is the sum of the columns of A X, weighted by row j of A.
         let factor = simd.splat_f64s(factor);
         for first in (0..n).step_by(C) {
             let mut sums = [[simd.splat_f64s(0.0); R]; C];
@@ -204,10 +208,11 @@ fn keep<S: Simd, const R: usize, const C: usize>(sums: &[[S::f64s; R]; C], colum
     }
 }
 
-/// Replaces a symmetric `P` (n × n) by `P − V Vᵀ`, with `V` (n × c); both triangles get the same bits.
+/// Replaces a symmetric `P` (n × n) by `P − V Vᵀ`, with `V` (n × c); both triangles are
+/// bit-identical.
 pub(crate) fn subtract_outer_mut(arch: Arch, p: &mut DMatrix<f64>, v: &DMatrix<f64>) {
     let n = p.nrows();
-    // the same for both triangles, because factors commute
+    // The weights give the same products in both triangles, because multiplication is commutative.
     let weight = |column: usize, k: usize| -v.as_slice()[k * n + column];
     arch.dispatch(Combine {
         adds: true,
@@ -218,7 +223,7 @@ pub(crate) fn subtract_outer_mut(arch: Arch, p: &mut DMatrix<f64>, v: &DMatrix<f
     });
 }
 
-/// Writes `P X` with `P` (n × n) and `X` (n × c) into `out`.
+/// Computes `P X` with `P` (n × n) and `X` (n × c) in `out`.
 pub(crate) fn multiply_to(arch: Arch, p: &DMatrix<f64>, x: &DMatrix<f64>, out: &mut DMatrix<f64>) {
     let n = p.nrows();
     let weight = |column: usize, k: usize| x.as_slice()[column * n + k];
@@ -231,9 +236,9 @@ pub(crate) fn multiply_to(arch: Arch, p: &DMatrix<f64>, x: &DMatrix<f64>, out: &
     });
 }
 
-/// Makes each column of `out` of all of `left`, by their weights.
+/// Computes each column of `out` as a weighted sum of the columns of `left`.
 struct Combine<'m, W> {
-    /// to what is there already
+    /// Adds the sums to the existing values.
     adds: bool,
     left: &'m [f64],
     weight: W,
@@ -258,7 +263,10 @@ impl<W: Fn(usize, usize) -> f64> WithSimd for Combine<'_, W> {
 }
 
 impl<W: Fn(usize, usize) -> f64> Combine<'_, W> {
-    /// With up to `R` registers for a column, the last one moved up until it is full: what is made twice has the same bits.
+    /// Computes the sums with up to `R` registers per column.
+    ///
+    /// The last register starts early enough to be full. Entries that are computed twice have the
+    /// same bits.
     #[inline(always)]
     fn run<S: Simd, const R: usize>(self, simd: S) {
         let Self {

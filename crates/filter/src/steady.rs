@@ -1,21 +1,23 @@
-//! Stationary gain and error covariance of a linear filter, also of one that was designed with wrong noises.
+//! Stationary gain and error covariance of a linear filter, also for a gain designed with wrong
+//! noise levels.
 //!
-//! Notation of [`LinearModel`]: `u_{i+1} = A u_i + B f_i`, `z_i = H u_i + n_i`. The covariance `P` of the predicted state solves
-//! the Riccati equation `P = A P (I + Hᵀ Σ_n⁻¹ H P)⁻¹ Aᵀ + B Σ_f Bᵀ`, found by doubling (Chu, Fan, Lin & Wang 2004, *Int. J.
-//! Control* 77, 767): each iteration covers twice as many steps as the one before. Not for a filter with a direct term,
-//! whose noises of state and datum are correlated.
+//! Notation of [`LinearModel`]: `u_{i+1} = A u_i + B f_i`, `z_i = H u_i + n_i`. The covariance `P`
+//! of the predicted state solves the Riccati equation `P = A P (I + Hᵀ Σ_n⁻¹ H P)⁻¹ Aᵀ + B Σ_f Bᵀ`.
+//! The solution is by doubling (Chu, Fan, Lin & Wang 2004, *Int. J. Control* 77, 767): each
+//! iteration covers twice as many steps as the previous one. The functions do not apply to a filter
+//! with a direct term, because its state noise and sensor noise are correlated.
 
 use crate::dense::symmetrise_mut;
 use crate::error::FilterError;
 use crate::kalman::LinearModel;
 use nalgebra::{Cholesky, DMatrix};
 
-/// Doublings before giving up: 2⁶⁰ steps are for ever.
+/// Maximum number of doublings; 2⁶⁰ steps are practically infinite.
 const LARGEST_DOUBLINGS: usize = 60;
-/// The doubling ends when it changes the covariance by less than this share.
+/// Relative change of the covariance at which the doubling ends.
 const CONVERGED: f64 = 1e-13;
 
-/// A Kalman filter that has forgotten its start.
+/// A Kalman filter in its stationary state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StationaryGain {
     /// `G = P Hᵀ S⁻¹` (n × N_0).
@@ -28,11 +30,11 @@ pub struct StationaryGain {
     pub innovation_covariance: DMatrix<f64>,
 }
 
-/// Returns the stationary filter of a model whose noises are as it says.
+/// Returns the stationary filter of a model with correct noise covariances.
 ///
 /// # Errors
-/// When a size does not fit, `Σ_n` is not positive definite, or there is no stationary filter: a mode neither damped nor
-/// observed.
+/// Returns an error if a size does not fit or `Σ_n` is not positive definite. It also fails if
+/// there is no stationary filter, because a mode is neither damped nor observed.
 pub fn stationary_gain(model: &LinearModel) -> Result<StationaryGain, FilterError> {
     model.check()?;
     let (a, b, h) = (&model.transition, &model.input, &model.observation);
@@ -58,13 +60,15 @@ pub fn stationary_gain(model: &LinearModel) -> Result<StationaryGain, FilterErro
     })
 }
 
-/// Returns the covariance of the error of the filtered state (n × n) of any stable filter with a constant gain `G` (n × N_0).
+/// Returns the stationary error covariance of the filtered state (n × n) for a constant gain `G`
+/// (n × N_0).
 ///
-/// The noises are those of `model`; the gain may have been designed with others. The error obeys
-/// `e_{i+1} = (I − G H)(A e_i − B f_i) + G n_{i+1}`, so its covariance solves a Lyapunov equation.
+/// The noise covariances are those of `model`; the gain may be designed with others. The error
+/// obeys `e_{i+1} = (I − G H)(A e_i − B f_i) + G n_{i+1}`, so its covariance solves a Lyapunov
+/// equation.
 ///
 /// # Errors
-/// When a size does not fit or the filter is not stable.
+/// Returns an error if a size does not fit or the filter is not stable.
 pub fn stationary_error_covariance(
     model: &LinearModel,
     gain: &DMatrix<f64>,
@@ -91,7 +95,8 @@ pub fn stationary_error_covariance(
         .ok_or(FilterError::NoStationaryFilter)
 }
 
-/// Solves `X = Aᵀ X (I + G X)⁻¹ A + Q` for symmetric `G`, `Q` (all n × n); `None` if the doubling does not settle.
+/// Solves `X = Aᵀ X (I + G X)⁻¹ A + Q` for symmetric `G`, `Q` (all n × n); `None` if the doubling
+/// does not converge.
 #[must_use]
 pub fn riccati_by_doubling(
     mut a: DMatrix<f64>,
@@ -120,7 +125,9 @@ pub fn riccati_by_doubling(
     None
 }
 
-/// Solves `X = A X Aᵀ + Q` for a symmetric `Q` (n × n); `None` if the doubling does not settle: `A` is not stable.
+/// Solves `X = A X Aᵀ + Q` for a symmetric `Q` (n × n).
+///
+/// Returns `None` if the doubling does not converge, because `A` is not stable.
 #[must_use]
 pub fn lyapunov_by_doubling(mut a: DMatrix<f64>, mut q: DMatrix<f64>) -> Option<DMatrix<f64>> {
     for _ in 0..LARGEST_DOUBLINGS {
@@ -145,7 +152,7 @@ mod tests {
     use crate::kalman::KalmanFilter;
     use nalgebra::DVector;
 
-    /// Two masses under one white force, both displacements observed.
+    /// Two masses under one white force, with both displacements observed.
     fn model(excitation: f64, sensors: f64) -> LinearModel {
         let mut system = DMatrix::zeros(4, 4);
         system.view_mut((0, 2), (2, 2)).fill_with_identity();
@@ -163,7 +170,7 @@ mod tests {
         }
     }
 
-    /// A scalar with `a = 1`, unit noises: `P² = P + 1`, the golden ratio.
+    /// A scalar with `a = 1` and unit noises: `P² = P + 1`, the golden ratio.
     #[test]
     fn a_random_walk_has_the_golden_ratio_as_its_variance() {
         let one = || DMatrix::from_element(1, 1, 1.0);
@@ -185,7 +192,7 @@ mod tests {
         assert!((filter.covariance() - &found.filtered).amax() < 1e-11 * scale);
         filter.predict(&[0.0]);
         assert!((filter.covariance() - &found.predicted).amax() < 1e-11 * scale);
-        // with the right gain the two routes to the error agree
+        // With the right gain, both ways to the error covariance agree.
         let error = stationary_error_covariance(&model, &found.gain).unwrap();
         assert!((error - found.filtered).amax() < 1e-11 * scale);
     }
@@ -195,7 +202,7 @@ mod tests {
         let (truth, believed) = (model(2.0, 1e-3), model(0.5, 0.1));
         let gain = stationary_gain(&believed).unwrap().gain;
         let found = stationary_error_covariance(&truth, &gain).unwrap();
-        // Joseph's form holds for any gain
+        // Joseph's form holds for any gain.
         let correction = DMatrix::identity(4, 4) - &gain * &truth.observation;
         let mut error = DMatrix::identity(4, 4);
         for _ in 0..3000 {

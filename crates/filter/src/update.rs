@@ -1,8 +1,10 @@
 //! The measurement update.
 //!
-//! Notation: Huang & Yuen (2023), (2.68) to (2.70). `P`: predicted covariance (n × n), `S = H P Hᵀ + Σ_n` (N_0 × N_0),
-//! `L Lᵀ = S`, `V = L⁻¹ H P` (N_0 × n), `ν`: innovation, `ν̃ = L⁻¹ ν`. Then `G ν = Vᵀ ν̃` and `(I − GH) P = P − Vᵀ V`: the gain
-//! itself is never formed, and both triangles get the same bits. `P Hᵀ` and `Vᵀ` are kept, whose columns are long.
+//! Notation: Huang & Yuen (2023), (2.68) to (2.70). `P`: predicted covariance (n × n),
+//! `S = H P Hᵀ + Σ_n` (N_0 × N_0), `L Lᵀ = S`, `V = L⁻¹ H P` (N_0 × n), `ν`: innovation,
+//! `ν̃ = L⁻¹ ν`. Then `G ν = Vᵀ ν̃` and `(I − GH) P = P − Vᵀ V`. The gain itself is never computed,
+//! and both triangles are bit-identical. The code stores `P Hᵀ` and `Vᵀ`, because their columns are
+//! long.
 
 use crate::dense::{
     cholesky_mut, diagonal_to, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut,
@@ -16,40 +18,42 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// The form in which the covariance is corrected.
+/// The form of the covariance correction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CovarianceForm {
-    /// `P − Vᵀ V`: cheapest, exactly symmetric; right in double precision with the exact gain.
+    /// `P − Vᵀ V`: the cheapest form, exactly symmetric. It is accurate in double precision with
+    /// the exact gain.
     #[default]
     Symmetric,
-    /// `(I − GH) P (I − GH)ᵀ + G Σ_n Gᵀ`: twice the work, for measurement noise many orders below `H P Hᵀ`.
+    /// `(I − GH) P (I − GH)ᵀ + G Σ_n Gᵀ`: twice the work, for measurement noise many orders of
+    /// magnitude below `H P Hᵀ`.
     Joseph,
 }
 
-/// What one update found.
+/// The evidence of one update.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Evidence {
-    /// `νᵀ S⁻¹ ν`
+    /// `νᵀ S⁻¹ ν`.
     pub normalised_innovation_squared: f64,
-    /// `ln p(z | D)`
+    /// `ln p(z | D)`.
     pub log_evidence: f64,
 }
 
-/// Scratch space of the update, made once.
+/// Scratch space of the update, allocated once.
 #[derive(Debug, Clone)]
 pub(crate) struct Workspace {
-    /// `S` (N_0 × N_0)
+    /// `S` (N_0 × N_0).
     pub innovation_covariance: DMatrix<f64>,
-    /// `ν`, NaN where missing (N_0)
+    /// `ν`, NaN for missing channels (N_0).
     pub innovation: DVector<f64>,
     /// The corrected variances (n).
     pub variances: DVector<f64>,
-    /// `L` (N_0 × N_0)
+    /// `L` (N_0 × N_0).
     factor: DMatrix<f64>,
-    /// `ν̃` (N_0)
+    /// `ν̃` (N_0).
     whitened: DVector<f64>,
-    /// `[−V; Bᵀ]` ((N_0 + N_f) × n)
+    /// `[−V; Bᵀ]` ((N_0 + N_f) × n).
     right: Right,
     multiplier: Multiplier,
     joseph: Option<JosephWorkspace>,
@@ -57,11 +61,11 @@ pub(crate) struct Workspace {
 
 #[derive(Debug, Clone)]
 struct JosephWorkspace {
-    /// `Gᵀ` (N_0 × n)
+    /// `Gᵀ` (N_0 × n).
     gain_transposed: DMatrix<f64>,
-    /// `H (I − GH) P` (N_0 × n)
+    /// `H (I − GH) P` (N_0 × n).
     h_x: DMatrix<f64>,
-    /// `Σ_n Gᵀ` (N_0 × n)
+    /// `Σ_n Gᵀ` (N_0 × n).
     noise_gain: DMatrix<f64>,
 }
 
@@ -90,10 +94,11 @@ impl Workspace {
     }
 }
 
-/// Takes the missing channels (NaN in the innovation) out of `S` and `P Hᵀ`; returns how many are left.
+/// Removes the missing channels (NaN in the innovation) from `S` and `P Hᵀ`; returns the number of
+/// used channels.
 ///
-/// A missing channel becomes a row of the identity with zero innovation and zero `P Hᵀ`: exactly as if its variance were
-/// infinite, without changing a size.
+/// A missing channel becomes a row of the identity with zero innovation and zero `P Hᵀ`. This is
+/// equivalent to an infinite variance and keeps all sizes.
 pub(crate) fn leave_out_missing(work: &mut Workspace, p_ht: &mut DMatrix<f64>) -> usize {
     let mut used = 0;
     for j in 0..work.innovation.len() {
@@ -111,7 +116,8 @@ pub(crate) fn leave_out_missing(work: &mut Workspace, p_ht: &mut DMatrix<f64>) -
 
 /// Factorises `S` and whitens the innovation.
 ///
-/// A first failure is met by a jitter of 1e-12 of the mean variance, a second one is an error.
+/// If the first attempt fails, it adds 1e-12 of the mean variance to the diagonal and tries again.
+/// A second failure is an error.
 pub(crate) fn factorise(work: &mut Workspace, used: usize) -> Result<Evidence, FilterError> {
     let channels = work.innovation.len();
     work.factor.copy_from(&work.innovation_covariance);
@@ -140,19 +146,23 @@ pub(crate) fn factorise(work: &mut Workspace, used: usize) -> Result<Evidence, F
     })
 }
 
-/// What the unknown excitation of a step adds to the predicted covariance, `λ B Σ_f Bᵀ`, in its factors.
+/// The contribution of the unknown excitation to the predicted covariance, `λ B Σ_f Bᵀ`, as
+/// factors.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ExcitationSpread<'a> {
-    /// `B` (n × N_f)
+    /// `B` (n × N_f).
     pub input: &'a DMatrix<f64>,
-    /// `λ B Σ_f` (n × N_f)
+    /// `λ B Σ_f` (n × N_f).
     pub scaled: &'a DMatrix<f64>,
 }
 
-/// Corrects the mean (n) and the covariance (n × n); leaves its diagonal in the scratch space.
+/// Corrects the mean (n) and the covariance (n × n), and stores the variances in the scratch space.
 ///
-/// `covariance`: `P` but for the `spread` of the excitation. `p_ht`: `P Hᵀ` (n × N_0), with it; becomes `Vᵀ`. `sensors`:
-/// `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
+/// - `covariance`: `P` without the `spread` of the excitation
+/// - `p_ht`: `P Hᵀ` (n × N_0) with the `spread`; becomes `Vᵀ`
+/// - `sensors`: `Σ_n`, used only by the Joseph form
+///
+/// [`factorise`] must run first.
 pub(crate) fn correct(
     model: &impl ObservationModel,
     mean: &mut DVector<f64>,
@@ -204,7 +214,8 @@ pub(crate) fn correct(
     diagonal_to(covariance, variances);
 }
 
-/// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` has become `Vᵀ` (n × N_0).
+/// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` already contains `Vᵀ`
+/// (n × N_0).
 fn subtract_by_strips(
     covariance: &mut DMatrix<f64>,
     spread: Option<ExcitationSpread<'_>>,
@@ -242,11 +253,15 @@ fn subtract_by_strips(
     multiplier.add_symmetric_mut(left, right, covariance, variances.as_mut_slice());
 }
 
-/// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.
+/// Computes the posterior of the unknown excitation at the frame itself, for models with a direct
+/// term.
 ///
-/// `w̄ = Σ_f Dᵀ S⁻¹ ν` (N_f), its covariance `W = Σ_f − Σ_f Dᵀ S⁻¹ D Σ_f` (N_f × N_f), and its covariance with the state
-/// `C = −P Hᵀ S⁻¹ D Σ_f` (n × N_f), from `Vᵀ` (n × N_0). The next prediction starts from them: the sample that the sensors have already felt acts
-/// on the state over the coming step.
+/// - mean `w̄ = Σ_f Dᵀ S⁻¹ ν` (N_f)
+/// - covariance `W = Σ_f − Σ_f Dᵀ S⁻¹ D Σ_f` (N_f × N_f)
+/// - covariance with the state `C = −P Hᵀ S⁻¹ D Σ_f` (n × N_f), from `Vᵀ` (n × N_0)
+///
+/// The next prediction starts from this posterior, because the excitation already measured by the
+/// sensors acts on the state over the next step.
 pub(crate) fn infer_excitation(
     feedthrough: &DMatrix<f64>,
     excitation: &DMatrix<f64>,
@@ -260,7 +275,7 @@ pub(crate) fn infer_excitation(
         cross,
         whitened_gain,
     } = posterior;
-    // R = L⁻¹ D Σ_f, with the rows of missing channels zero
+    // R = L⁻¹ D Σ_f, with zero rows for missing channels.
     whitened_gain.fill(0.0);
     for b in 0..excitation.ncols() {
         for a in 0..excitation.nrows() {
@@ -280,16 +295,16 @@ pub(crate) fn infer_excitation(
     }
 }
 
-/// The unknown excitation of the last frame, given that frame.
+/// The posterior of the unknown excitation at the last frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ExcitationPosterior {
-    /// `w̄` (N_f)
+    /// `w̄` (N_f).
     pub(crate) mean: DVector<f64>,
-    /// `W` (N_f × N_f)
+    /// `W` (N_f × N_f).
     pub(crate) covariance: DMatrix<f64>,
-    /// `C` (n × N_f)
+    /// `C` (n × N_f).
     pub(crate) cross: DMatrix<f64>,
-    /// `L⁻¹ D Σ_f` (N_0 × N_f)
+    /// `L⁻¹ D Σ_f` (N_0 × N_f).
     whitened_gain: DMatrix<f64>,
 }
 
@@ -303,7 +318,7 @@ impl ExcitationPosterior {
         }
     }
 
-    /// Forgets what the last frame said.
+    /// Resets the posterior to zero.
     pub(crate) fn clear(&mut self) {
         self.mean.fill(0.0);
         self.covariance.fill(0.0);

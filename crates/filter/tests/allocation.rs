@@ -1,4 +1,4 @@
-//! A step allocates nothing, in any phase and with any stage switched on.
+//! Checks that a step does not allocate, in any phase and with every stage enabled.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,7 +18,8 @@ use spandrel_filter::{
 };
 use systems::{Chain, Normal};
 
-const MASSES: usize = 8; // n = 19: all dimensions above the size from which nalgebra's products allocate
+// n = 19: all dimensions are above the size from which nalgebra's products allocate.
+const MASSES: usize = 8;
 
 fn filter(rule: NoiseRule, form: CovarianceForm) -> ExtendedKalmanFilter<Chain> {
     let n = 2 * MASSES + 3;
@@ -77,7 +78,7 @@ fn step_allocates_nothing() {
                     datum.iter_mut().for_each(|value| *value = normal.draw());
                     band_limit.apply(&mut datum);
                     if k % 7 == 0 {
-                        datum[2] = f64::NAN; // a channel that drops out now and then
+                        datum[2] = f64::NAN; // a channel with occasional dropouts
                     }
                     let excitation = [if k % 11 == 0 { f64::NAN } else { 0.1 }];
                     let step = filter
@@ -102,7 +103,7 @@ fn step_allocates_nothing() {
     }
 }
 
-/// A chain without parameters under a force on every mass, in either coordinates.
+/// Checks a chain without parameters under a force on every mass, in physical or modal coordinates.
 fn linear_step_allocates_nothing<M: ProcessModel + ObservationModel>(model: M) {
     let n = model.state_len();
     let parameter = |target, start| NoiseParameter {

@@ -1,4 +1,5 @@
-//! The particle filter of systems that Kalman filters know, its checkpoints, its threads and its memory.
+//! The particle filter on systems of the Kalman filters, its checkpoints, its threads and its
+//! memory.
 
 #![allow(
     clippy::unwrap_used,
@@ -21,7 +22,10 @@ const STEP_S: f64 = 0.05;
 const FREQUENCY: f64 = 3.0;
 const DAMPING: f64 = 0.05;
 
-/// ẍ + 2ζω ẋ + ω² x = f + w with known ω and ζ; displacement and relative acceleration observed, which feels the force.
+/// ẍ + 2ζω ẋ + ω² x = f + w with known ω and ζ; displacement and relative acceleration are
+/// observed.
+///
+/// The acceleration responds directly to the force.
 #[derive(Debug, Clone)]
 struct Felt {
     process: [f64; 2],
@@ -119,7 +123,7 @@ fn simulate(seed: u64, steps: usize) -> Motion {
             if k > 0 {
                 let h = STEP_S / f64::from(substeps);
                 for _ in 0..substeps {
-                    // midpoint rule
+                    // Midpoint rule.
                     let slope =
                         |[x, v]: [f64; 2]| [v, known[k - 1] + unknown[k - 1] - restoring(x, v)];
                     let first = slope(state);
@@ -148,7 +152,8 @@ struct Comparison {
     mean: f64,
     ratio: f64,
     log_evidence: f64,
-    /// sum of the normalised innovations squared of the particles over that of the Kalman filter
+    /// Sum of the normalised innovations squared of the particle filter, relative to that of the
+    /// Kalman filter.
     misfit: f64,
 }
 
@@ -270,7 +275,7 @@ fn known_linear_system_gives_the_extended_kalman_filter() {
                     log_evidence.abs() <= 1.0,
                     "seed {seed}, {hold:?}, {density:?}: {log_evidence}"
                 );
-                // the covariance of the predictions is that of a few hundred effective draws
+                // The covariance of the predictions comes from a few hundred effective draws.
                 assert!(
                     (misfit - 1.0).abs() <= 0.03,
                     "seed {seed}, {hold:?}, {density:?}: {misfit}"
@@ -284,7 +289,8 @@ fn known_linear_system_gives_the_extended_kalman_filter() {
 fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
     for seed in [1, 2, 3] {
         let motion = simulate(seed, 200);
-        // Prior sampling wastes many draws of an excitation that the sensors feel: it needs noisy sensors and more particles.
+        // Prior sampling wastes many draws of a directly measured excitation. It needs noisy
+        // sensors and more particles.
         let cases = [
             (ImportanceDensity::Optimal, [0.05, 0.2], 2000, 0.12, 1.0),
             (ImportanceDensity::Optimal, [0.2, 1.0], 2000, 0.12, 1.0),
@@ -334,7 +340,7 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
     }
 }
 
-/// An oscillator whose frequency the filter has to find, after a Kalman filter over the first 40 frames.
+/// Returns an oscillator with unknown frequency, with a Kalman filter over the first 40 frames.
 fn warm_started(
     particles: usize,
     seed: u64,
@@ -433,7 +439,8 @@ fn resumed_filter_gives_the_same_bits_with_any_number_of_threads() {
         let mut first = warm_started(300, 2, threads);
         let mut found = run(&mut first, 0..stop);
         let bytes = postcard::to_stdvec(&first.state()).unwrap();
-        let mut second = warm_started(300, 9, 1); // the seed comes from the checkpoint once the particles run
+        // Once the particles run, the seed comes from the checkpoint.
+        let mut second = warm_started(300, 9, 1);
         if stop < 40 {
             second = warm_started(300, 2, 1);
         }

@@ -1,4 +1,5 @@
-//! Huang & Yuen (2023), §2.3.2: Kalman filter of a sixty-storey shear building, ground motion unknown.
+//! Huang & Yuen (2023), §2.3.2: Kalman filter of a sixty-storey shear building with unknown ground
+//! motion.
 
 #![allow(
     clippy::unwrap_used,
@@ -17,7 +18,7 @@ const FLOORS: usize = 60;
 const STEP_S: f64 = 0.005;
 
 struct Errors {
-    /// per state: Σ error², Σ signal², Σ (error/sd)², times inside 3 sd
+    /// For each state: Σ error², Σ signal², Σ (error/sd)², number of times within 3 sd.
     sums: Vec<[f64; 4]>,
     count: f64,
     chi_squared: f64,
@@ -27,10 +28,11 @@ struct Errors {
 
 /// Floors with accelerometers.
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
-/// Steady deviations of displacement (m) and velocity (m/s) of floors 1, 30, 60 in a run that is independent of this one.
+/// Stationary standard deviations of displacement (m) and velocity (m/s) of floors 1, 30, 60 in an
+/// independent run.
 const REFERENCE: [[f64; 2]; 3] = [[4.1e-6, 2.1e-4], [9.3e-5, 2.5e-4], [1.3e-4, 2.7e-4]];
 
-/// The building with sensors that have no noise yet.
+/// Returns the building with noise-free sensors.
 fn building() -> LinearModel {
     let stiffness = Chain::new(FLOORS, 1632.0).matrix();
     let damping = DMatrix::identity(FLOORS, FLOORS) * 0.0157 + &stiffness * 0.0048;
@@ -59,7 +61,7 @@ fn building() -> LinearModel {
     }
 }
 
-/// The filter of the source: it knows nothing of the start.
+/// Returns the filter of the source, without knowledge of the initial state.
 fn filter(mut model: LinearModel, noise_std: &DVector<f64>) -> KalmanFilter {
     model.sensor_covariance = DMatrix::from_diagonal(&noise_std.map(|std| std * std));
     KalmanFilter::new(
@@ -70,7 +72,7 @@ fn filter(mut model: LinearModel, noise_std: &DVector<f64>) -> KalmanFilter {
     .unwrap()
 }
 
-/// Deviations of displacement and velocity of floors 1, 30, 60.
+/// Returns the standard deviations of displacement and velocity of floors 1, 30, 60.
 fn deviations(filter: &KalmanFilter) -> [[f64; 2]; 3] {
     let std = |j: usize| filter.covariance()[(j, j)].sqrt();
     [1, 30, 60].map(|floor| [std(floor - 1), std(FLOORS + floor - 1)])
@@ -106,7 +108,7 @@ fn run(seed: u64) -> Errors {
                 .to_vec();
         }
         if i < 4_000 {
-            continue; // 20 s
+            continue; // the first 20 s do not count
         }
         errors.count += 1.0;
         errors.chi_squared += step.normalised_innovation_squared;
@@ -125,10 +127,11 @@ fn run(seed: u64) -> Errors {
 
 #[test]
 fn sixty_storeys_reach_the_published_accuracy() {
-    // spec of chapter 2, §5 check 6. Sensor noise is 5 % of the rms of the record at hand, and 200 s are only 33 periods
-    // of the first mode: over seeds the rms of a record, and with it the noise and every displacement deviation, scatters
-    // by 20 %. Figures that follow the record are therefore compared in the mean over the seeds; the deviations of the
-    // displacement, which follow it most, have a test of their own.
+    // Spec of chapter 2, §5 check 6. Sensor noise is 5 % of the rms of the record, and 200 s are
+    // only 33 periods of the first mode. The rms of a record varies by 20 % between seeds, and so
+    // do the noise and every standard deviation of a displacement. Figures that depend on the
+    // record are therefore compared as the mean over the seeds. The standard deviations of the
+    // displacement, which depend most on it, have their own test.
     let seeds = [1, 2, 3];
     let mut relative_velocity = [0.0; 4];
     let mut velocity_std = [0.0; 3];
@@ -190,11 +193,11 @@ fn sixty_storeys_reach_the_published_accuracy() {
     }
 }
 
-/// Covariance of the state when the building has been shaken for ever: `P = A P Aᵀ + B q Bᵀ`, by doubling.
+/// Returns the stationary covariance of the state: `P = A P Aᵀ + B q Bᵀ`, by doubling.
 fn stationary_covariance(model: &LinearModel) -> DMatrix<f64> {
     let mut transition = model.transition.clone();
     let mut covariance = &model.input * &model.excitation_covariance * model.input.transpose();
-    // 2²⁰ steps are 5000 s, fifty times what the first mode takes to fade
+    // 2²⁰ steps are 5000 s, fifty times the decay time of the first mode.
     for _ in 0..20 {
         covariance += &transition * &covariance * transition.transpose();
         transition = &transition * &transition;
@@ -204,10 +207,11 @@ fn stationary_covariance(model: &LinearModel) -> DMatrix<f64> {
 
 #[test]
 fn one_strength_of_the_first_mode_gives_all_six_deviations() {
-    // chapter 2, §5 check 6: 4.1e-6, 9.3e-5, 1.3e-4 m and 2.1, 2.5, 2.7e-4 m/s, ± 5 %, reached within 10 s. They depend on the
-    // record through nothing but the noise, 5 % of what it shows, and a record of 200 s differs from the stationary response in
-    // its first mode above all, of which it has 33 periods. How strong that one was is the unknown: found from the
-    // displacement of the roof, it has to give the other five
+    // Chapter 2, §5 check 6: 4.1e-6, 9.3e-5, 1.3e-4 m and 2.1, 2.5, 2.7e-4 m/s, ± 5 %, reached
+    // within 10 s. These figures depend on the record only through the noise, which is 5 % of its
+    // signal. A record of 200 s differs from the stationary response mainly in the first mode,
+    // because it contains only 33 periods of it. The strength of this mode is the unknown.
+    // Determined from the displacement of the roof, it must reproduce the other five figures.
     let model = building();
     let covariance = stationary_covariance(&model);
     let modes = Chain::new(FLOORS, 1632.0).matrix().symmetric_eigen();
@@ -250,7 +254,7 @@ fn one_strength_of_the_first_mode_gives_all_six_deviations() {
         "strength {weak:.3}: {found:?}; of the stationary response {:?}",
         steady(1.0)
     );
-    // as records of 200 s scatter
+    // The range is the variation between records of 200 s.
     assert!((0.8..=1.5).contains(&weak), "strength {weak}");
     for (found, expected) in found.iter().flatten().zip(REFERENCE.iter().flatten()) {
         assert!(

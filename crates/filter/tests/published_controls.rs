@@ -1,4 +1,5 @@
-//! Huang & Yuen (2023), §2.4: what happens to a filter without its guards, as the negative controls of the method.
+//! Huang & Yuen (2023), §2.4: the failures of a filter without its guards, as negative controls of
+//! the method.
 
 #![allow(
     clippy::unwrap_used,
@@ -25,7 +26,8 @@ fn diagonal(std: &[f64]) -> DMatrix<f64> {
     ))
 }
 
-/// Runs 150 000 steps of the Bouc-Wen chain; returns the filter and how its first standard deviation grew.
+/// Runs 150 000 steps of the Bouc-Wen chain; returns the filter and the growth of its first
+/// standard deviation.
 fn hysteresis(displacements: Displacements) -> (ExtendedKalmanFilter<BoucWen>, f64) {
     let step_s = 0.002;
     let excitation = (2.0 * std::f64::consts::PI * 5e-3_f64 / step_s).sqrt();
@@ -87,7 +89,8 @@ fn hysteresis(displacements: Displacements) -> (ExtendedKalmanFilter<BoucWen>, f
 
 #[test]
 fn displacements_that_nothing_observes_wind_up_alone() {
-    // spec of chapter 2, §5 check 12: 5.8e22 in 150 000 steps (2^75 = 3.8e22 is the fading alone), the rest stays right
+    // Spec of chapter 2, §5 check 12: growth by 5.8e22 in 150 000 steps (2^75 = 3.8e22 by fading
+    // alone). The other entries stay correct.
     let (kept, left_out) = std::thread::scope(|scope| {
         let kept = scope.spawn(|| hysteresis(Displacements::Kept));
         let left_out = hysteresis(Displacements::LeftOut);
@@ -108,7 +111,7 @@ fn displacements_that_nothing_observes_wind_up_alone() {
     }
 }
 
-/// Twelve seconds of the bridge from a start 30 % off.
+/// Runs twelve seconds of the bridge from a start with 30 % error.
 fn start_of_the_bridge(identity_prior: bool) -> (Vec<f64>, Vec<f64>) {
     let step_s = 0.004;
     let model = Bridge::new();
@@ -179,8 +182,9 @@ fn start_of_the_bridge(identity_prior: bool) -> (Vec<f64>, Vec<f64>) {
 
 #[test]
 fn wide_prior_of_the_motion_locks_the_bridge_at_wrong_factors() {
-    // spec of chapter 2, §5 check 12 and §3.6: locked with deviations of 0.001 to 0.003 at 12 s; at rest and annealed all
-    // factors are within 0.4 %
+    // Spec of chapter 2, §5 check 12 and §3.6: with an identity prior, the filter locks with
+    // standard deviations of 0.001 to 0.003 at 12 s. With a start at rest and annealing, all
+    // factors are within 0.4 %.
     let (locked, guarded) = std::thread::scope(|scope| {
         let locked = scope.spawn(|| start_of_the_bridge(true));
         let guarded = start_of_the_bridge(false);
@@ -213,7 +217,7 @@ fn wide_prior_of_the_motion_locks_the_bridge_at_wrong_factors() {
 
 #[test]
 fn bridge_has_the_published_frequencies() {
-    // spec of chapter 2, §5 check 4
+    // Spec of chapter 2, §5 check 4
     let bridge = Bridge::new();
     assert_eq!(bridge.freedoms(), 59);
     let lower = nalgebra::Cholesky::new(bridge.mass.clone()).unwrap().l();

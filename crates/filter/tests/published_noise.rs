@@ -1,4 +1,5 @@
-//! Huang & Yuen (2023), §3.1 and §3.2: what wrong noise levels do to a filter, and how they are identified.
+//! Huang & Yuen (2023), §3.1 and §3.2: the effect of wrong noise levels on a filter, and their
+//! identification.
 
 #![allow(
     clippy::unwrap_used,
@@ -21,7 +22,8 @@ const STEP_S: f64 = 0.0025;
 const ALPHA: f64 = 0.2998;
 const BETA: f64 = 2.536e-4;
 
-/// Accelerations of all masses under a white force on the last one (ch3 §4.0), without the direct term, with sensor noise.
+/// Accelerations of all masses under a white force on the last one (ch3 §4.0), without the direct
+/// term, with sensor noise.
 struct Record {
     data: Vec<DVector<f64>>,
     noise_variance: f64,
@@ -71,7 +73,7 @@ fn simulate(seed: u64, seconds: f64) -> Record {
 }
 
 fn settings(noise: NoiseModel) -> FilterSettings {
-    // ch3 §4.3: a poor start on purpose
+    // ch3 §4.3: a deliberately poor start
     let mut prior = DVector::zeros(2 * MASSES + 3);
     let mut std = DVector::repeat(2 * MASSES + 3, 1e-2);
     for j in 0..MASSES {
@@ -86,7 +88,8 @@ fn settings(noise: NoiseModel) -> FilterSettings {
     }
     let mut settings = FilterSettings::new(STEP_S, prior, std, noise);
     settings.fading = FadingFactor::from_half_life(2000.0).unwrap();
-    // The start-up aid of ch2 §3.6: without it one record in three locks the filter at wrong parameters.
+    // The start-up aid of ch2 §3.6. Without it, the filter locks at wrong parameters in one of
+    // three records.
     settings.annealing = Some(Annealing {
         amount: 100.0,
         time_constant_s: 1.0,
@@ -98,11 +101,11 @@ fn settings(noise: NoiseModel) -> FilterSettings {
 }
 
 struct Outcome {
-    /// mean eᵀΣ_z⁻¹e/N_0 after 10 s
+    /// Mean eᵀΣ_z⁻¹e/N_0 after 10 s.
     misfit: f64,
-    /// mean sd of θ_k after 10 s
+    /// Mean standard deviation of θ_k after 10 s.
     stiffness_std: f64,
-    /// share of the time after 10 s in which ± 3 sd holds θ_k and β
+    /// Share of the time after 10 s with θ_k and β within ± 3 standard deviations.
     coverage: [f64; 2],
 }
 
@@ -215,7 +218,7 @@ fn scaling_all_noises_scales_the_covariances_and_not_the_estimates() {
         let mut settings = settings(noise(scale));
         settings.prior_std *= scale.sqrt();
         for (j, known) in [1.0, ALPHA, BETA].into_iter().enumerate() {
-            // known parameters make the system linear
+            // Known parameters make the system linear.
             settings.prior_mean[2 * MASSES + j] = known;
             settings.prior_std[2 * MASSES + j] = 0.0;
         }
@@ -244,7 +247,10 @@ fn scaling_all_noises_scales_the_covariances_and_not_the_estimates() {
     }
 }
 
-/// Identifies noise levels of the chain from ψ = 1 as in the source, with all sensors equal; the force if asked.
+/// Identifies noise levels of the chain from ψ = 1 as in the source, with equal levels for all
+/// sensors.
+///
+/// `targets` selects the levels of the sensors and of the force.
 fn identify(
     record: &Record,
     rule: NoiseRule,
@@ -323,9 +329,10 @@ fn working_phase_needs_no_fallback_and_no_shortened_step() {
 
 #[test]
 fn level_that_the_data_hardly_inform_stays_uncertain() {
-    // ch3 §5, failure signatures: a force needs more than one sample to reach the sensors while the likelihood sees one
-    // step. The published rule takes a level as known once training has ended, so it must stay in training. The scoring rule
-    // goes on learning, so its training ends at its limit, 40 periods = 12.5 s, and the level stays as uncertain as it is.
+    // ch3 §5, failure signatures: a force reaches the sensors after more than one sample, but the
+    // likelihood covers one step. The published rule treats a level as known after training, so it
+    // must stay in training. The scoring rule continues to learn. Its training therefore ends at
+    // the limit of 40 periods = 12.5 s, and the level keeps its uncertainty.
     for (rule, seconds, phase) in [
         (NoiseRule::Published, 20.0, NoisePhase::Training),
         (NoiseRule::Fisher, 12.0, NoisePhase::Training),

@@ -1,4 +1,5 @@
-//! Yuen, Liang & Kuok (2013): the noise parameters of a linear Kalman filter, estimated online in two stages.
+//! Yuen, Liang & Kuok (2013): two-stage online estimation of the noise parameters of a linear
+//! Kalman filter.
 
 #![allow(
     clippy::unwrap_used,
@@ -21,10 +22,10 @@ use systems::tall_building::{
 const SEEDS: [u64; 3] = [1, 2, 3];
 /// Half-life of the noise parameters in all published runs (steps).
 const HALF_LIFE: f64 = 1000.0;
-/// Trial 2, the start from which all published results are obtained.
+/// Trial 2, the start for all published results.
 const START: [f64; 2] = [10.0, 10.0];
 
-/// Seconds of the shortened records, and from where errors count.
+/// Duration of the shortened records; errors count from `COUNT_FROM_S` (both in seconds).
 const RECORD_S: f64 = 150.0;
 const COUNT_FROM_S: f64 = 50.0;
 
@@ -32,7 +33,8 @@ fn steps(seconds: f64) -> usize {
     (seconds / STEP_S).round() as usize
 }
 
-/// Largest relative difference between two sets of root mean squares, with the name of the quantity.
+/// Returns the largest relative difference between two sets of root mean squares, with the name of
+/// the quantity.
 fn worst_difference(found: &Tabulated, reference: &Tabulated) -> (f64, String) {
     let (mut worst, mut name) = (0.0, String::new());
     for k in 0..found.len() {
@@ -44,7 +46,7 @@ fn worst_difference(found: &Tabulated, reference: &Tabulated) -> (f64, String) {
     (worst, name)
 }
 
-/// Smallest and largest ratio between two sets.
+/// Returns the smallest and the largest ratio between two sets.
 fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
     let ratio = |k: usize| found[k] / reference[k];
     (0..found.len())
@@ -54,7 +56,7 @@ fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
         })
 }
 
-/// Errors of one filter over a record.
+/// Returns the errors of one filter over a record.
 fn errors(record: &Record, levels: Levels) -> ErrorStatistics {
     let mut run = Run::new(record, levels, HALF_LIFE).unwrap();
     let mut statistics = ErrorStatistics::default();
@@ -67,18 +69,19 @@ fn errors(record: &Record, levels: Levels) -> ErrorStatistics {
     statistics
 }
 
-/// What the estimation did over a record, besides the errors of the state.
+/// The results of the noise estimation over a record.
 struct Estimation {
     errors: ErrorStatistics,
-    /// step that ended the training, from 1
+    /// Step that ended the training, from 1.
     training_steps: usize,
     fallbacks: [u64; 2],
     limited: u64,
-    /// mean and scatter of estimate over actual value, and mean of stated deviation over estimate
+    /// Mean and standard deviation of estimate over actual value, and mean of stated standard
+    /// deviation over estimate.
     mean: [f64; 2],
     scatter: [f64; 2],
     stated: [f64; 2],
-    /// share of the steps in which ± 3 deviations hold the actual value
+    /// Share of the steps with the actual value within ± 3 standard deviations.
     coverage: [f64; 2],
 }
 
@@ -137,7 +140,7 @@ impl Estimation {
     }
 }
 
-/// Acceptance 3, 5 and 6 on a shortened record of a case.
+/// Checks acceptance criteria 3, 5 and 6 on a shortened record of a case.
 fn check_case(case: Case, seed: u64, tolerance: f64) -> Estimation {
     let record = simulate(case, seed, RECORD_S).unwrap();
     let actual = errors(&record, Levels::Actual);
@@ -165,7 +168,7 @@ fn check_case(case: Case, seed: u64, tolerance: f64) -> Estimation {
 
 #[test]
 fn building_and_intensity_are_the_published_ones() {
-    // §4.1: 0.199997, 0.5998, 0.9990 and 12.854 Hz, 1 % in the first two modes
+    // §4.1: 0.199997, 0.5998, 0.9990 and 12.854 Hz, 1 % damping in the first two modes
     assert!((held_variance(GROUND_INTENSITY, STEP_S) / 0.075_398_2 - 1.0).abs() < 1e-5);
     let model = modal_model(Case::Ground).unwrap();
     let frequencies = model.angular_frequencies() / std::f64::consts::TAU;
@@ -200,7 +203,8 @@ fn building_and_intensity_are_the_published_ones() {
 
 #[test]
 fn top_floor_has_the_derived_root_mean_square() {
-    // §6: 0.2518 m/s² for the absolute acceleration, which the 5 % rule for the sensor noise takes
+    // §6: 0.2518 m/s² for the absolute acceleration, to which the 5 % rule for the sensor noise
+    // refers
     let model = discrete_model(
         Case::Ground,
         held_variance(GROUND_INTENSITY, STEP_S),
@@ -214,7 +218,7 @@ fn top_floor_has_the_derived_root_mean_square() {
     assert!((rms - 0.2518).abs() <= 5e-5, "{rms}");
 }
 
-/// Stationary errors with the right levels and with those of `START`.
+/// Returns the stationary errors with the right noise levels and with those of `START`.
 fn closed_form(case: Case, levels: [f64; 2]) -> [Tabulated; 2] {
     let truth = discrete_model(case, levels[0], levels[1]).unwrap();
     let believed = discrete_model(case, START[0], START[1]).unwrap();
@@ -255,7 +259,8 @@ fn stationary_errors_under_wind_are_those_of_table_5() {
         8.309e-5, 1.607e-4, 2.348e-4, 3.006e-4, 3.638e-4, 4.170e-4, 4.667e-4, 5.039e-4, 5.356e-4, 5.464e-4,
         2.776e-4, 4.026e-4, 5.484e-4, 6.282e-4, 7.499e-4, 7.955e-4, 9.030e-4, 9.364e-4, 1.017e-3, 1.138e-3,
     ];
-    // both levels follow A_f², whose mean over 100 to 1000 s is 2.458; 1.08e-6 is the ensemble value of the 5 % rule
+    // Both levels follow A_f², whose mean over 100 to 1000 s is 2.458. 1.08e-6 is the ensemble
+    // value of the 5 % rule.
     let mean: f64 = (0..90_000)
         .map(|k| Case::Wind.modulation(100.0 + 0.01 * f64::from(k)).powi(2))
         .sum::<f64>()
@@ -312,7 +317,8 @@ fn online_levels_are_as_good_as_the_actual_ones_under_wind() {
 
 #[test]
 fn estimates_of_five_starts_meet() {
-    // table 1; acceptance 7: all five within 2 % of each other before 150 s, trial 2 with trial 1 first, trial 5 last
+    // Table 1; acceptance 7: all five trials agree within 2 % before 150 s. Trial 2 and trial 1
+    // converge first, trial 5 last.
     let actual = held_variance(GROUND_INTENSITY, STEP_S);
     for seed in SEEDS {
         let record = simulate(Case::Ground, seed, RECORD_S).unwrap();
@@ -370,7 +376,7 @@ fn estimates_of_five_starts_meet() {
 
 #[test]
 fn levels_of_the_same_ratio_give_the_same_state() {
-    // acceptance 10: state errors after 100 s identical to 1e-12
+    // Acceptance 10: state errors after 100 s identical to 1e-12
     let record = simulate(Case::Ground, 1, 120.0).unwrap();
     let mut runs = [[10.0, 10.0], [0.1, 0.1]]
         .map(|l| Run::new(&record, Levels::Constant(l), HALF_LIFE).unwrap());
@@ -437,7 +443,10 @@ fn modal_and_physical_coordinates_give_the_same_estimates() {
     }
 }
 
-/// Runs case 1 for 60 s with a half-life and a guard; returns the step at which a level was no longer positive, and the run.
+/// Runs case 1 for 60 s with a half-life and a guard; returns the run and the step at which it
+/// failed.
+///
+/// A run fails if the filter diverges or a level is not positive.
 fn stress<'a>(record: &'a Record, half_life: f64, guard: f64) -> (Option<usize>, Run<'a>) {
     let model = modal_model(record.case).unwrap();
     let levels = Levels::Online(START);
@@ -455,7 +464,7 @@ fn stress<'a>(record: &'a Record, half_life: f64, guard: f64) -> (Option<usize>,
 
 #[test]
 fn short_half_life_needs_the_positivity_guard() {
-    // §5, stress behaviour
+    // §5, behaviour under stress
     for seed in SEEDS {
         let record = simulate(Case::Ground, seed, 60.0).unwrap();
         for (half_life, needs_guard) in [(200.0, false), (50.0, true), (20.0, true)] {

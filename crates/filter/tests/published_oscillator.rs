@@ -1,4 +1,4 @@
-//! Huang & Yuen (2023), §2.4.1: the oscillator whose frequency and damping start far off.
+//! Huang & Yuen (2023), §2.4.1: the oscillator with large initial errors of frequency and damping.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,7 +20,8 @@ const STEP_S: f64 = 0.005;
 const FREQUENCY: f64 = 0.7071;
 const DAMPING: f64 = 0.01;
 
-/// 200 s of displacement and velocity from white noise of intensity 1e-4 m²/s³, and 5 % rms noise.
+/// A record of 200 s of displacement and velocity under white noise of intensity 1e-4 m²/s³, with 5
+/// % rms noise.
 struct Record {
     truth: Vec<[f64; 2]>,
     data: Vec<[f64; 2]>,
@@ -73,7 +74,7 @@ fn filter(record: &Record, half_life_steps: Option<f64>) -> ExtendedKalmanFilter
     ExtendedKalmanFilter::new(Oscillator::default(), settings).unwrap()
 }
 
-/// Estimates and standard deviations of [x, ẋ, ω, ζ] at every step.
+/// Returns estimates and standard deviations of [x, ẋ, ω, ζ] at every step.
 fn run(record: &Record, half_life_steps: Option<f64>) -> Vec<([f64; 4], [f64; 4])> {
     let mut filter = filter(record, half_life_steps);
     record
@@ -97,9 +98,10 @@ fn run(record: &Record, half_life_steps: Option<f64>) -> Vec<([f64; 4], [f64; 4]
 
 #[test]
 fn responses_and_parameters_reach_the_published_accuracy() {
-    // chapter 2, §5 check 7. The deviations are inverse to the rms of the record, which scatters by a factor of two and a half,
-    // as a record of 200 s has few independent swings: beside the bound of each record they are judged singly, and their
-    // ranges in the mean over eight
+    // Chapter 2, §5 check 7. The standard deviations are inversely proportional to the rms of the
+    // record. This rms varies by a factor of 2.5, because a record of 200 s has few independent
+    // oscillations. Each record is therefore compared with its own bound, and the published ranges
+    // with the mean over eight records.
     const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
     let mut mean_stds = [0.0; 2];
     for seed in SEEDS {
@@ -124,7 +126,7 @@ fn responses_and_parameters_reach_the_published_accuracy() {
                 "seed {seed}: {name} inside 3 sd {inside} times of 30000"
             );
             let mean_std = late.clone().map(|i| estimates[i].1[j]).sum::<f64>() / 30_000.0;
-            // The information bound that the check states, from the record itself.
+            // The information bound of this check, computed from the record itself.
             let power = rms(late.clone().map(|i| record.truth[i][j - 2])).powi(2);
             let bound = (record.excitation_variance * 2f64.powf(1e-3).ln() / power).sqrt()
                 / (2.0 * FREQUENCY);
@@ -150,7 +152,8 @@ fn responses_and_parameters_reach_the_published_accuracy() {
 
 #[test]
 fn without_fading_the_parameters_are_sharp() {
-    // spec of chapter 2, §5 check 7: λ = 1 ends at 0.705 ± 0.012 and 0.026 ± 0.017 (one realisation)
+    // Spec of chapter 2, §5 check 7: λ = 1 ends at 0.705 ± 0.012 and 0.026 ± 0.017 (one
+    // realisation).
     for seed in [1, 2, 3] {
         let record = simulate(seed, 40_000);
         let estimates = run(&record, None);
@@ -180,7 +183,7 @@ fn without_fading_the_parameters_are_sharp() {
     }
 }
 
-/// A plain extended Kalman filter by dense matrices, with no fading factor anywhere: (2.60) to (2.65).
+/// A plain extended Kalman filter with dense matrices and without fading: (2.60) to (2.65).
 fn run_dense(record: &Record) -> Vec<[f64; 4]> {
     let mut y = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
     let mut sigma = DMatrix::<f64>::identity(4, 4);
@@ -192,7 +195,7 @@ fn run_dense(record: &Record) -> Vec<[f64; 4]> {
     for (i, datum) in record.data.iter().enumerate() {
         if i > 0 {
             let (x, v, omega, zeta) = (y[0], y[1], y[2], y[3]);
-            // [A_y B_y g; 0], whose exponential holds A_i, Γ B_y and Γ g
+            // [A_y B_y g; 0], whose exponential contains A_i, Γ B_y and Γ g.
             let mut augmented = DMatrix::zeros(6, 6);
             augmented[(0, 1)] = 1.0;
             let row = [
@@ -226,7 +229,8 @@ fn run_dense(record: &Record) -> Vec<[f64; 4]> {
 
 #[test]
 fn without_fading_it_is_the_plain_extended_filter() {
-    // spec of chapter 2, §5 check 3, by a second route; to rounding, because series and exponential round differently
+    // Spec of chapter 2, §5 check 3, by a second method. The results agree to rounding only,
+    // because series and exponential round differently.
     for seed in [1, 2, 3] {
         let record = simulate(seed, 2_000);
         let dense = run_dense(&record);
@@ -242,7 +246,8 @@ fn without_fading_it_is_the_plain_extended_filter() {
     }
 }
 
-/// The step with `A_y` in place of `A_y⁻¹` in `B_i` and `δ_i`, as printed in (2.78) and (2.81): dense, for this test only.
+/// Runs the step with `A_y` instead of `A_y⁻¹` in `B_i` and `δ_i`, as printed in (2.78) and (2.81),
+/// with dense matrices.
 fn run_as_misprinted(record: &Record) -> Vec<[f64; 2]> {
     let lambda = 2f64.powf(1.0 / 1000.0);
     let mut y = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
@@ -287,7 +292,7 @@ fn run_as_misprinted(record: &Record) -> Vec<[f64; 2]> {
 
 #[test]
 fn misprinted_discretisation_moves_the_parameters() {
-    // spec of chapter 2, §5 check 12: by 0.4 to 0.6 in the second half of a 40 to 50 s record
+    // Spec of chapter 2, §5 check 12: by 0.4 to 0.6 in the second half of a record of 40 to 50 s.
     for seed in [1, 2, 3] {
         let record = simulate(seed, 9_000);
         let right = run(&record, Some(2000.0));

@@ -1,5 +1,6 @@
-//! Ching, Beck, Porter & Shaikhutdinov (2006): particle filter against the Kalman filter, on a building whose properties drift
-//! and on a hysteretic oscillator.
+//! Ching, Beck, Porter & Shaikhutdinov (2006): the particle filter compared with the Kalman filter.
+//!
+//! The systems are a building with drifting properties and a hysteretic oscillator.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,7 +19,7 @@ use spandrel_filter::{
 use systems::numerical_ekf::NumericalEkf;
 use systems::{Normal, drifting_building, hysteretic, rms};
 
-/// Turning state of two entries, both disturbed, the first one observed.
+/// A rotating state of two entries, both with disturbances, the first one observed.
 #[derive(Debug, Clone)]
 struct Turning;
 
@@ -57,9 +58,9 @@ impl ParticleModel for Turning {
 }
 
 struct LinearCheck {
-    /// RMS of (particle mean − Kalman mean)/(Kalman deviation)
+    /// RMS of (particle mean − Kalman mean)/(Kalman standard deviation).
     error: f64,
-    /// mean ratio of the deviations
+    /// Mean ratio of the standard deviations.
     ratio: f64,
     log_evidence: f64,
     exact_log_evidence: f64,
@@ -149,7 +150,7 @@ fn linear_gaussian_system_gives_the_kalman_filter_and_its_evidence() {
                 0.6
             } else {
                 1.0
-            }; // more variance
+            }; // higher variance
             assert!(
                 (large.log_evidence - large.exact_log_evidence).abs() <= allowed,
                 "{name}"
@@ -159,7 +160,7 @@ fn linear_gaussian_system_gives_the_kalman_filter_and_its_evidence() {
                 (1.5..2.7).contains(&halves),
                 "{name}: error falls by {halves} for four times the particles"
             );
-            // prior sampling is right too, but scatters more where a datum lies far off
+            // Prior sampling is correct too, but varies more if a datum is far from its prediction.
             let prior = run(ImportanceDensity::Prior, 8000);
             assert!(prior.error <= 0.05, "{name}: {}", prior.error);
             assert!(
@@ -203,7 +204,7 @@ fn oscillator_evidence(record: &hysteretic::Record, settings: ParticleSettings) 
 
 #[test]
 fn both_importance_densities_give_the_same_evidence() {
-    // §5 check 4: a forgotten determinant or a wrong density of the disturbance breaks this at once
+    // §5 check 4: detects a missing determinant or a wrong density of the disturbance.
     for record_seed in [1, 2, 3] {
         let record = hysteretic::Record::simulate(record_seed, 50);
         let run = |density, seed| {
@@ -260,7 +261,10 @@ impl Track {
         self.truth.push(truth[self.component]);
     }
 
-    /// RMS of (mean − actual) over RMS of the actual, and share of steps with the actual value inside the interval.
+    /// Returns the RMS of (mean − actual) over the RMS of the actual value, and the coverage of the
+    /// interval.
+    ///
+    /// The coverage is the share of steps with the actual value inside the interval.
     fn summary(&self) -> (f64, f64) {
         let late = self.truth.len() / 4..self.truth.len();
         let error = rms(late.clone().map(|k| self.estimates[k].0 - self.truth[k]));
@@ -276,7 +280,8 @@ fn hysteretic_oscillator_is_followed_with_its_parameters() {
     // §5 check 8, and the identity of check 1
     for seed in [1, 2, 3] {
         let record = hysteretic::Record::simulate(seed, 200);
-        // the Jacobian by differences makes one of them ten times as expensive as the other
+        // With differences for the Jacobian, the optimal density is ten times as expensive as the
+        // prior density.
         let density = if seed == 1 {
             ImportanceDensity::Optimal
         } else {
@@ -338,13 +343,14 @@ fn hysteretic_oscillator_is_followed_with_its_parameters() {
     }
 }
 
-/// Frames of the Kalman filter before the particles take over, 1 s.
+/// Number of Kalman filter frames before the particle filter takes over, 1 s.
 const WARM: usize = 50;
 
 #[test]
 fn drifting_building_is_followed_through_a_loss_that_the_model_does_not_know() {
-    // §5 checks 5, 6 and 7. With 2000 particles single records scatter: of a storey that loses much by drift the error is 0.14,
-    // which falls to 0.11 with 8000 or 32 000 of them; what the page has of its record is judged in the mean over three
+    // §5 checks 5, 6 and 7. With 2000 particles, single records vary: the error of a storey with a
+    // large loss by drift is 0.14. It decreases to 0.11 with 8000 or 32 000 particles. The test
+    // therefore compares the figures of the theory page with the mean over three records.
     use drifting_building::{DAMPING, NOISE, Record, STIFFNESS, STOREYS};
     const SEEDS: [u64; 3] = [1, 2, 3];
     let (mut mean_errors, mut mean_noise, mut mean_second) = ([0.0; STOREYS], 0.0, [0.0; 3]);

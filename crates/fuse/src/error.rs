@@ -1,15 +1,15 @@
-//! What can keep a station from starting, or end the service.
+//! Errors that prevent a station from starting or terminate the service.
 
 use spandrel_bus::{BusError, NameError};
 use spandrel_checkpoint::CheckpointError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
-/// Why the station of a structure could not begin.
+/// An error of the fusion service.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FuseError {
-    /// The structure file does not ask for distributed identification.
+    /// The structure file does not specify distributed identification.
     #[error(
         "structure {structure} is not identified by its nodes; see identification = \"distributed\""
     )]
@@ -17,26 +17,26 @@ pub enum FuseError {
         /// The structure.
         structure: String,
     },
-    /// The station refused its settings.
+    /// The station rejected its settings.
     #[error("station of structure {structure} cannot be made")]
     Station {
         /// The structure.
         structure: String,
-        /// Why.
+        /// The cause.
         source: FilterError,
     },
-    /// A name is no chunk of a key expression.
+    /// A name cannot be part of a key expression.
     #[error("name in structure {structure} cannot be a key")]
     Name {
         /// The structure.
         structure: String,
-        /// Why.
+        /// The cause.
         source: NameError,
     },
-    /// What the station knows cannot be kept.
+    /// Checkpoints cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The bus refused a declaration or is closed.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
 }

@@ -1,8 +1,8 @@
-//! The core: messages of nodes in, fused estimates and answers out.
+//! The core: receives messages from nodes and returns fused estimates and feedback.
 //!
-//! Nodes that measure live are fused at the ticks of the station's own clock, with what has arrived. Nodes that replay a record
-//! are fused when all of them have sent their estimate of a period, however fast, so that the same record gives the same
-//! numbers.
+//! The station fuses live nodes at the ticks of its own clock, with the messages that have arrived
+//! by then. If nodes replay a record, it waits until all of them have sent their estimate for a
+//! period. The speed of the replay therefore does not affect the results.
 
 use crate::error::FuseError;
 use crate::node::{Node, SILENT_FUSIONS};
@@ -19,52 +19,58 @@ mod state;
 
 pub use state::FusionState;
 
-/// Where the first message of live nodes lies within its fusion period. In the middle: nodes that began together send together,
-/// and jitter of the network must not decide which fusion hears them.
+/// Position of the first message of live nodes within its fusion period, as a fraction of the
+/// period.
+///
+/// Nodes that start together also send together. The middle of the period keeps network jitter from
+/// deciding which fusion uses a message.
 const FIRST_MESSAGE_AT: f64 = 0.5;
 
-/// A clock that has gone on by more than so many periods between two looks at it has been set forward: it counts as one period, as
-/// nothing that was known has become so much older.
+/// Maximum time between two readings of the clock, in fusion periods.
+///
+/// A larger step means that the clock was set forward. It counts as one period, because the
+/// estimates have not aged by the whole step.
 const LONGEST_LOOK: f64 = 3.0;
 
-/// What the core reacts to.
+/// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
-    /// A message of the node at this place in the file, of so many bytes, at a time of the station's clock (ns).
+    /// A message from a node.
     Local {
-        /// Place in the structure file.
+        /// Index of the node in the structure file.
         node: usize,
         /// The message.
         message: Box<LocalMessage>,
-        /// Bytes of its payload.
+        /// Size of the payload, in bytes.
         bytes: u64,
-        /// When it came, ns since the Unix epoch by the station's clock.
+        /// Arrival time by the station's clock, in ns since the Unix epoch.
         arrived_ns: i64,
     },
-    /// The nodes that are there, by place; replayed ones that are not are no longer waited for.
+    /// Which nodes are present, by index. The core does not wait for absent nodes that replay a
+    /// record.
     Present(Vec<bool>),
-    /// The station's clock, ns since the Unix epoch.
+    /// Time of the station's clock, in ns since the Unix epoch.
     Tick(i64),
 }
 
-/// What the core has to say.
+/// Outputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Output {
-    /// Fused estimates, one a fusion.
+    /// Fused estimates, one block per fusion.
     Estimates(EstimateBlock),
-    /// A parameter for people.
+    /// A parameter for display.
     Parameter(ParameterDisplay),
-    /// An answer to the node at this place.
+    /// Feedback to the node with this index.
     Feedback(usize, FeedbackMessage),
-    /// How a node does.
+    /// The state of a node.
     Node(NodeDisplay),
-    /// How the screening of a channel of the node at this place stands.
+    /// The state of outlier screening for a channel of the node with this index.
     Outliers(usize, OutlierDisplay),
-    /// Something rare.
+    /// An event.
     Event(Event),
 }
 
-/// Fusion of one structure.
+/// The fusion of one structure.
 #[derive(Debug)]
 pub struct Fusion {
     structure: Name,
@@ -75,37 +81,39 @@ pub struct Fusion {
     parameters: Vec<(Name, (f64, f64))>,
     rate_hz: f64,
     distance_limit: Option<f64>,
-    /// time of fusion 0, ns
+    /// Time of fusion 0, in ns.
     t0_ns: Option<i64>,
-    /// station's clock at the start of the period of the first message, and at the next fusion of live nodes
+    /// Station clock at the start of the first message's period, in ns.
     begun_ns: Option<i64>,
+    /// Station clock at the next fusion of live nodes, in ns.
     due_ns: Option<i64>,
-    /// station's clock at the last look
+    /// Last reading of the station clock, in ns.
     looked_ns: Option<i64>,
     done: u64,
-    /// the period before that of the first message
+    /// The period before the period of the first message.
     origin: Option<i64>,
-    /// earliest period of replaying nodes that is not yet fused; `None` after the last that can be counted
+    /// Earliest period of replaying nodes that is not fused yet. `None` after the last
+    /// representable period.
     next_index: Option<i64>,
     last_ns: Option<i64>,
     ended: bool,
-    /// a node has been there at some time, and none is now
+    /// `true` if nodes have been present and none is now.
     deserted: bool,
-    /// it has not been told that there is nothing to fuse, or that there is again
+    /// `false` from the event that nothing can be fused until the event that fusion has resumed.
     healthy: bool,
-    /// fusions on end in which nothing could be used
+    /// Number of consecutive fusions without a usable estimate.
     without: u64,
-    /// what nodes send and are sent of a covariance
+    /// Whether messages contain variances instead of full covariances.
     variances: bool,
-    /// by node, exponents of the units of its samples; none where none are told
+    /// Exponents of the sample units of each node. Empty for a node that sends no motion in units.
     told_units: Vec<Vec<i16>>,
 }
 
 impl Fusion {
-    /// Makes the station of a structure; `epoch` is higher at each start.
+    /// Creates the station of a structure. `epoch` must be higher at each start.
     ///
     /// # Errors
-    /// When identification is not distributed, or the station refuses its settings.
+    /// Fails if identification is not distributed or the station rejects its settings.
     pub fn new(
         structure: &Structure,
         source: impl Into<String>,
@@ -163,7 +171,7 @@ impl Fusion {
             looked_ns: None,
             done: 0,
             origin: None,
-            // the lowest is of nodes that have told nothing
+            // `i64::MIN` marks nodes that ended without an estimate.
             next_index: Some(i64::MIN + 1),
             last_ns: None,
             ended: false,
@@ -177,7 +185,7 @@ impl Fusion {
         })
     }
 
-    /// Takes one input and appends what follows from it.
+    /// Processes one input and appends the outputs.
     pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
         match input {
             Input::Local {
@@ -191,14 +199,14 @@ impl Fusion {
             Input::Present(present) => self.note_presence(&present, outputs),
             Input::Tick(now_ns) => {
                 self.follow_clock(now_ns);
-                // what would be fused after the end is nothing but older
+                // After the end, a fusion would only repeat older estimates.
                 if !self.ended
                     && self.is_live()
                     && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns)
                 {
                     let periods = self.periods(now_ns);
                     self.fuse(periods, now_ns, outputs);
-                    // a station that was held up goes on with the next period of its clock
+                    // A delayed station continues with the next period of its clock.
                     let next_s = (periods.floor() + 1.0) / self.rate_hz;
                     self.due_ns = self
                         .begun_ns
@@ -223,7 +231,7 @@ impl Fusion {
         }
     }
 
-    /// Returns the epoch of its estimates: higher in each life.
+    /// Returns the epoch of the estimates, which is higher in each run.
     #[must_use]
     pub fn epoch(&self) -> u64 {
         self.epoch
@@ -235,7 +243,9 @@ impl Fusion {
         self.done
     }
 
-    /// Returns the time (ns) up to which everything is done: of the last fusion, or of the last sample once all nodes ended.
+    /// Returns the time up to which all data are processed, in ns.
+    ///
+    /// This is the time of the last fusion or, after all nodes have ended, of the last sample.
     #[must_use]
     pub fn done_ns(&self) -> Option<i64> {
         if !self.ended {
@@ -248,29 +258,30 @@ impl Fusion {
             .max(self.last_ns)
     }
 
-    /// Returns the names of the parameters, in the order of the estimates.
+    /// Returns the names of the parameters in the order of the estimates.
     pub fn parameter_names(&self) -> impl Iterator<Item = &Name> {
         self.parameters.iter().map(|(name, _)| name)
     }
 
-    /// Returns the names of the nodes, in the order of the file.
+    /// Returns the names of the nodes in the order of the structure file.
     pub fn node_names(&self) -> impl Iterator<Item = &Name> {
         self.nodes.iter().map(|node| &node.name)
     }
 
-    /// Returns the names of the channels whose outliers are screened, by node in the order of the file.
+    /// Returns the names of the channels screened for outliers, by node in the order of the
+    /// structure file.
     pub fn screened_channels(&self) -> impl Iterator<Item = impl Iterator<Item = &Name>> {
         self.nodes.iter().map(Node::channel_names)
     }
 
-    /// Adds to the bytes sent to a node.
+    /// Adds to the number of bytes sent to a node.
     pub fn count_sent(&mut self, node: usize, bytes: u64) {
         if let Some(node) = self.nodes.get_mut(node) {
             node.bytes_sent += bytes;
         }
     }
 
-    /// Returns what was refused, by reason, of all nodes.
+    /// Returns the number of rejected messages of all nodes, by reason.
     #[must_use]
     pub fn refused(&self) -> BTreeMap<String, u64> {
         let mut sum: BTreeMap<String, u64> = BTreeMap::new();
@@ -280,25 +291,25 @@ impl Fusion {
         sum
     }
 
-    /// Time on the station's clock, in fusion periods since its first message.
+    /// Returns the time of the station's clock, in fusion periods since its first message.
     fn periods(&self, now_ns: i64) -> f64 {
         self.begun_ns.map_or(0.0, |begun| {
             now_ns.saturating_sub(begun).max(0) as f64 * 1e-9 * self.rate_hz
         })
     }
 
-    /// Number of a fusion period of measurement time, of which a message with this time is the last.
+    /// Returns the number of the fusion period that ends with a message of this measurement time.
     fn number(&self, time_ns: i64) -> i64 {
-        // the last sample lies just before the end of the period
+        // The last sample is just before the end of the period.
         (time_ns as f64 * 1e-9 * self.rate_hz).round() as i64
     }
 
-    /// Periods of measurement time since the one before the first message.
+    /// Returns the number of periods of measurement time since the period before the first message.
     fn since_origin(&self, number: i64) -> f64 {
         number.saturating_sub(self.origin.unwrap_or(number)) as f64
     }
 
-    /// Goes on from where it was when the clock has been set: back by more than a period, or forward.
+    /// Shifts the schedule if the clock was set back by more than one period, or forward.
     fn follow_clock(&mut self, now_ns: i64) {
         let looked_ns = self.looked_ns.replace(now_ns);
         let Some((begun_ns, due_ns)) = self.begun_ns.as_mut().zip(self.due_ns.as_mut()) else {
@@ -319,8 +330,10 @@ impl Fusion {
         }
     }
 
-    /// Whether fusions follow the station's clock: a single node that measures does not wait for those that replay, so that no
-    /// message of one node can hold up the others.
+    /// Returns `true` if fusions follow the station's clock.
+    ///
+    /// A single live node is enough. It does not wait for nodes that replay a record, so that no
+    /// message of one node can block the others.
     fn is_live(&self) -> bool {
         let heard = |pace| {
             self.nodes
@@ -330,7 +343,7 @@ impl Fusion {
         heard(Pace::Live).any(|node| !node.is_over()) || heard(Pace::Replayed).next().is_none()
     }
 
-    /// Whether what the nodes send comes as it is measured; none before the first message.
+    /// Returns whether the nodes measure live or replay a record. `None` before the first message.
     pub fn pace(&self) -> Option<Pace> {
         let is_heard = self.nodes.iter().any(|node| node.heard_ever);
         is_heard.then(|| {
@@ -342,10 +355,10 @@ impl Fusion {
         })
     }
 
-    /// Returns the period that all replaying nodes that are there have reached, if it is a new one.
+    /// Returns the period that all present replaying nodes have reached, if it is new.
     ///
-    /// It is the earliest that any of them has sent: a station that comes late begins where they are, and a jump of their counts
-    /// is one fusion.
+    /// This is the earliest of the periods that the nodes have sent. A station that starts late
+    /// therefore starts at the current period, and a jump in the numbers causes a single fusion.
     fn complete_index(&self) -> Option<i64> {
         if self.is_live() {
             return None;
@@ -369,7 +382,10 @@ impl Fusion {
             .filter(|_| all_are_there)
     }
 
-    /// Takes which nodes are there; that none is any more is told at once, because no fusion may follow.
+    /// Records which nodes are present.
+    ///
+    /// If the last node has disappeared, the event follows at once, because there might be no
+    /// further fusion.
     fn note_presence(&mut self, present: &[bool], outputs: &mut Vec<Output>) {
         let before = self.nodes.iter().any(|node| node.present);
         for (node, present) in self.nodes.iter_mut().zip(present) {
@@ -436,7 +452,7 @@ impl Fusion {
                 own: lineage.own,
                 answers: lineage.answers,
             });
-            // checked when it was decoded; a hand-made message may still be none
+            // Decoding checks the shape, but a message built in code can still be invalid.
             let Some(parameters) = Gaussian::from_triangle(&density.mean, &density.covariance)
             else {
                 *node.refused.entry("dimension").or_default() += 1;
@@ -469,7 +485,7 @@ impl Fusion {
             }
             node.messages += 1;
             node.last = Some((number, time_ns));
-            // a sensor may end and begin anew while its worker stays
+            // A sensor can end and restart while its worker keeps running.
             (node.ended, self.ended) = (false, false);
         }
         node.note(&message, arrived_ns);
@@ -561,7 +577,7 @@ impl Fusion {
                     false => feedback.parameters.triangle(),
                 },
                 motion: feedback.motion.as_ref().map(numbers),
-                // a node knows its own
+                // A node knows its own motion.
                 responses: responses
                     .map(|(node, motion)| {
                         motion
@@ -575,7 +591,7 @@ impl Fusion {
         }
     }
 
-    /// Tells how the nodes stand after a fusion, and what is new of them and of the station.
+    /// Outputs the state of the nodes after a fusion, and events of the nodes and the station.
     fn tell_nodes(&mut self, fused: &Fused, time_ns: i64, outputs: &mut Vec<Output>) {
         let mut events = Vec::new();
         for (node, report) in self.nodes.iter_mut().zip(&fused.nodes) {
@@ -620,7 +636,8 @@ impl Fusion {
                 outputs,
             );
         }
-        // as of a node: messages that come a period late, all of them, are no gap
+        // A single fusion without data is not an event, because all messages can be one period
+        // late.
         self.without = if fused.used > 0 { 0 } else { self.without + 1 };
         let told = match (self.healthy, self.without) {
             (true, SILENT_FUSIONS..) => Some((
@@ -683,7 +700,7 @@ impl Fusion {
                 StreamState::Ended,
             )));
         }
-        // the last nodes ended after the last fusion
+        // The last nodes ended after the last fusion.
         if let Some(done_ns) = self.done_ns() {
             self.show_nodes(done_ns, outputs);
         }
@@ -716,7 +733,8 @@ impl Fusion {
     }
 }
 
-/// The names of the channels of a node whose outliers are screened, in the order in which it tells of them.
+/// Returns the names of the channels of a node that are screened for outliers, in the order of the
+/// node's reports.
 fn screened_channels<'s>(
     structure: &Structure,
     node: &'s spandrel_structure::Node,

@@ -1,10 +1,11 @@
-//! The central station of distributed identification: fuses what sensor nodes have found for themselves, and answers them.
+//! The central station of distributed identification: fuses the estimates of sensor nodes and
+//! returns feedback to them.
 //!
-//! What it publishes is what one worker with the samples of all nodes would publish, at the fusion rate, so that alert,
-//! history and dashboards do not know the difference.
+//! At the fusion rate, the station publishes the same messages as a single worker with the samples
+//! of all nodes. Alert, history and dashboards therefore need no special cases.
 //!
-//! - [`fusion`]: the core, one structure; no clock, no network
-//! - [`shell`]: joins the station of a structure to the bus
+//! - [`fusion`]: the core for one structure, without clock or network
+//! - [`shell`]: connects the station of a structure to the bus
 
 mod error;
 pub mod fusion;

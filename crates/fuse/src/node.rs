@@ -1,4 +1,4 @@
-//! A node in the eyes of the station: what it sent, whether it is heard and agrees, and what of that is worth an event.
+//! A node as seen by the station: its messages, its agreement with other nodes, and its events.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
@@ -7,16 +7,20 @@ use spandrel_bus::{
 use spandrel_filter::fusion::NodeReport;
 use std::collections::BTreeMap;
 
-/// A node that has been left out in this share of its fusions, and a node that comes back from it, are worth an event.
+/// Share of fusions that must exclude a node before the station publishes an event. The event that
+/// the node is back follows at half this share.
 const OFTEN: f64 = 0.5;
 
-/// Fusions over which that share is taken.
+/// Number of fusions over which that share is averaged.
 const SHARE_MEMORY: f64 = 20.0;
 
-/// A node is worth an event once so many fusions on end had nothing of it: a message that was lost or is late is soon made up for.
+/// Number of consecutive fusions without data after which a silent node causes an event.
+///
+/// Later messages compensate for one that is lost or late.
 pub(crate) const SILENT_FUSIONS: u64 = 3;
 
-/// A node as the station knows it. What is left out of a checkpoint is of one life of the station.
+/// A node as known to the station. Fields that checkpoints skip apply to one run of the station
+/// only.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Node {
     pub(crate) name: Name,
@@ -27,7 +31,8 @@ pub(crate) struct Node {
     #[serde(skip)]
     pub(crate) ended: bool,
     pub(crate) pace: Pace,
-    /// number of the fusion period of its last message, since 1970 by measurement time; and its time
+    /// Fusion period of the last message, counted in measurement time since 1970, and the time of
+    /// that message in ns.
     #[serde(skip)]
     pub(crate) last: Option<(i64, i64)>,
     pub(crate) messages: u64,
@@ -37,12 +42,12 @@ pub(crate) struct Node {
     pub(crate) refused: BTreeMap<&'static str, u64>,
     pub(crate) restarts: u64,
     channels: Vec<Channel>,
-    /// when it was last heard, as it is displayed
+    /// Displayed time of the last message, in ns.
     heard_ns: Option<i64>,
-    /// instants with a sample that its messages since the last fusion told of
+    /// Number of sampled time steps that the messages since the last fusion have reported.
     #[serde(skip)]
     samples: u64,
-    /// of the last fusion
+    /// Report of the last fusion.
     report: NodeReport,
     quiet: Quiet,
     excluded_since_ns: Option<i64>,
@@ -54,25 +59,25 @@ pub(crate) struct Node {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Channel {
     name: Name,
-    /// samples rejected when it was last told of
+    /// Number of rejected samples in the last report.
     told: u64,
     masked: Option<MaskedSpan>,
 }
 
-/// How long nothing has come of a node.
+/// How long a node has been silent.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct Quiet {
-    /// time of the first fusion without it
+    /// Time of the first fusion without the node, in ns.
     since_ns: Option<i64>,
     fusions: u64,
     is_told: bool,
 }
 
-/// What of a node is worth an event: its kind, what and why.
+/// An event of a node: its kind, what happened and why.
 pub(crate) type News = (EventKind, &'static str, String);
 
 impl Node {
-    /// A node of which nothing was heard, with the observed channels of which it tells outliers.
+    /// Creates a node without messages, with the observed channels for which it reports outliers.
     pub(crate) fn new(name: Name, channels: Vec<Name>) -> Self {
         Self {
             name,
@@ -105,22 +110,23 @@ impl Node {
         }
     }
 
-    /// Whether it has the name and the channels of another.
+    /// Returns `true` if the names of the node and its channels match.
     pub(crate) fn is_as(&self, other: &Self) -> bool {
         self.name == other.name && self.channel_names().eq(other.channel_names())
     }
 
-    /// Nothing more will come of it.
+    /// Returns `true` if no more messages are expected from the node.
     pub(crate) fn is_over(&self) -> bool {
         self.ended || !self.present
     }
 
-    /// The names of its channels whose outliers are told.
+    /// Returns the names of the channels for which the node reports outliers.
     pub(crate) fn channel_names(&self) -> impl Iterator<Item = &Name> {
         self.channels.iter().map(|channel| &channel.name)
     }
 
-    /// Notes when a message came (ns by the station's clock) and what it was made of.
+    /// Records the arrival time of a message (ns by the station's clock) and the number of its
+    /// samples.
     pub(crate) fn note(&mut self, message: &LocalMessage, arrived_ns: i64) {
         self.heard_ns = Some(match message.pace {
             Pace::Live => arrived_ns,
@@ -129,7 +135,8 @@ impl Node {
         self.samples = self.samples.saturating_add(message.samples);
     }
 
-    /// Takes what a message says of outliers; nothing when it is not of the channels of this node.
+    /// Processes the outlier report of a message. Returns nothing if its channels do not match this
+    /// node.
     pub(crate) fn screened(
         &mut self,
         structure: &Name,
@@ -147,7 +154,7 @@ impl Node {
                 .zip(&message.screening)
                 .map(|(channel, screened)| {
                     channel.masked = screened.masked.or(channel.masked);
-                    // a filter that began anew counts from zero
+                    // A restarted filter counts from zero.
                     let flagged = screened
                         .rejected
                         .checked_sub(channel.told)
@@ -169,7 +176,9 @@ impl Node {
         displays.collect()
     }
 
-    /// Takes what a fusion found of it; `is_over` says that nobody expects anything more of it. What is worth an event is added.
+    /// Processes the report of a fusion and appends events.
+    ///
+    /// `is_over` means that no more messages are expected from the node.
     pub(crate) fn judge(
         &mut self,
         report: NodeReport,
@@ -225,7 +234,7 @@ impl Node {
         }
     }
 
-    /// Tells once that the node is left out often, and once that it is not any more.
+    /// Returns an event when the node starts or stops being excluded often.
     fn exclusion(&mut self) -> Option<News> {
         let often = match self.often_excluded {
             false => self.excluded_share > OFTEN,
@@ -249,7 +258,7 @@ impl Node {
         ))
     }
 
-    /// How it stands after the last fusion; `is_over` as when it was judged.
+    /// Returns the state of the node after the last fusion. `is_over` is the same as for `judge`.
     pub(crate) fn display(
         &self,
         structure: &Name,

@@ -1,4 +1,4 @@
-//! Joins the station of one structure to the bus.
+//! Connects the station of one structure to the bus.
 
 use crate::error::FuseError;
 use crate::fusion::{Fusion, FusionState, Input, Output};
@@ -17,18 +17,21 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::Instant;
 use tracing::{info, warn};
 
-/// Estimates kept for readers that missed some.
+/// Number of estimates kept for subscribers that have missed some.
 pub const ESTIMATES_KEPT: u64 = 4096;
 
-/// How often the station looks at its clock, and the status is put every so many looks.
+/// Interval between readings of the clock.
 const TICK: Duration = Duration::from_millis(50);
+/// Number of ticks between two status messages.
 const TICKS_PER_STATUS: u32 = 20;
 
-/// After a stop, messages are waited for until none has come for this long, and for so long in all: workers of other processes go on.
+/// After a stop, the service waits until no message has arrived for this long.
 const LAST_MESSAGES: Duration = Duration::from_millis(100);
+/// Maximum total wait for messages after a stop, because workers in other processes continue to
+/// send.
 const LAST_MESSAGES_IN_ALL: Duration = Duration::from_secs(1);
 
-/// Messages of nodes that wait; when there are more, the oldest is lost.
+/// Capacity of the queue for node messages. When it is full, the oldest message is dropped.
 const MESSAGES_WAITING: usize = 1024;
 
 /// The fusion service of one structure.
@@ -42,8 +45,9 @@ pub struct FuseService {
     feedback: Vec<DisplayPublisher<FeedbackMessage>>,
     nodes: BTreeMap<Name, DisplayPublisher<NodeDisplay>>,
     outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
-    /// by key of their messages and of their liveliness tokens
+    /// Index of each node, by the key of its messages.
     positions: BTreeMap<String, usize>,
+    /// Keys of the liveliness tokens of the nodes, by index.
     tokens: Vec<String>,
     events: DisplayPublisher<Event>,
     _description: LatestPublisher<Description>,
@@ -57,11 +61,14 @@ pub struct FuseService {
 }
 
 impl FuseService {
-    /// Checks everything and joins the bus; `id` names this instance, `epoch` is higher at each start. Where `remembering` says that
-    /// checkpoints are kept, the station goes on from the last one.
+    /// Validates the settings and joins the bus.
+    ///
+    /// `id` names this instance, and `epoch` must be higher at each start. If `remembering` is set,
+    /// the station resumes from its last checkpoint.
     ///
     /// # Errors
-    /// When the structure is not identified by its nodes, the checkpoints cannot be kept, or the bus refuses a declaration.
+    /// Fails if the nodes do not identify the structure, checkpoints cannot be written, or the bus
+    /// rejects a declaration.
     pub fn start<'a>(
         structure: &'a Structure,
         bus: &'a Bus,
@@ -163,10 +170,11 @@ impl FuseService {
         })
     }
 
-    /// Runs until `stop`; what has arrived by then is still fused, as far as it can be within a second.
+    /// Runs until `stop`. Messages that have arrived by then are still fused, within a limit of one
+    /// second.
     ///
     /// # Errors
-    /// When the bus is closed underneath.
+    /// Fails if the bus is closed.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -247,7 +255,8 @@ impl FuseService {
         })
         .await?;
         if self.core.pace() != pace {
-            self.put_status().await?; // people see no value of it for long without knowing what it is
+            // The status must reach dashboards before they show values without their pace for long.
+            self.put_status().await?;
         }
         Ok(())
     }
@@ -263,14 +272,14 @@ impl FuseService {
             self.progress
                 .set(self.core.epoch(), self.core.done(), done_ns);
         }
-        // after a fusion nothing waits that a checkpoint would lose
+        // Directly after a fusion, a checkpoint loses no waiting messages.
         if self.core.done() != before && self.keeper.as_ref().is_some_and(Keeper::is_due) {
             self.keep().await;
         }
         Ok(())
     }
 
-    /// Keeps what is known, once there was a fusion.
+    /// Saves a checkpoint if there has been a fusion.
     async fn keep(&mut self) {
         let place = Place {
             epoch: self.core.epoch(),
@@ -355,7 +364,8 @@ impl FuseService {
     }
 }
 
-/// Has the station go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones.
+/// Restores the station from its last readable checkpoint, if any. Returns the keeper of the next
+/// checkpoints.
 fn recall(
     core: &mut Fusion,
     structure: &Structure,
@@ -373,13 +383,13 @@ fn recall(
             structure = structure.name(),
             epoch = place.epoch,
             fusion = place.sequence,
-            "goes on from its checkpoint"
+            "resumed from its checkpoint"
         );
     }
     Ok(Keeper::new(checkpoints, remembering.every))
 }
 
-/// Puts a message; one that cannot be encoded is told of and left out, the service goes on.
+/// Publishes a message. A message that cannot be encoded is logged and dropped.
 async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Result<(), BusError> {
     match publisher.put(message).await {
         Err(error @ BusError::Encode { .. }) => {

@@ -1,21 +1,21 @@
-//! What waits to be written while the database is away: bounded, and what has to go is counted.
+//! A bounded queue of rows while the database is unavailable. It counts dropped rows.
 
 use crate::batch::Batch;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Rows that wait at most: about 100 MB, and a quarter of an hour of fifty parameters.
+/// Maximum number of rows in the queue: about 100 MB, or a quarter of an hour of fifty parameters.
 const MOST_ROWS: usize = 500_000;
 
-/// Batches in the order in which they came.
+/// Batches in order of arrival.
 #[derive(Debug)]
 pub(crate) struct Backlog {
     batches: VecDeque<Arc<Batch>>,
     rows: usize,
     most_rows: usize,
-    /// Values as displayed that were dropped; their minute, hour and day have them still.
+    /// Number of dropped display values. Their minute, hour and day still include them.
     pub(crate) dropped_points: u64,
-    /// Whole rows of minutes, hours or days, alerts or events that were dropped.
+    /// Number of dropped minutes, hours, days, alerts and events.
     pub(crate) dropped_rows: u64,
 }
 
@@ -36,12 +36,13 @@ impl Backlog {
         }
     }
 
-    /// Rows that wait.
+    /// Returns the number of rows in the queue.
     pub(crate) fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Adds a batch; if there is no room the oldest values go, then the oldest batches.
+    /// Adds a batch. When the queue is full, the oldest values are dropped first, then the oldest
+    /// batches.
     pub(crate) fn push(&mut self, batch: Batch) {
         self.rows += batch.rows();
         self.batches.push_back(Arc::new(batch));
@@ -62,7 +63,7 @@ impl Backlog {
         }
     }
 
-    /// The oldest batches, up to about so many rows, and at least one if there is any.
+    /// Returns the oldest batches, up to about `rows` rows. At least one if there is any.
     pub(crate) fn oldest(&self, rows: usize) -> Vec<Arc<Batch>> {
         let mut found = Vec::new();
         let mut sum = 0;
@@ -76,7 +77,7 @@ impl Backlog {
         found
     }
 
-    /// Forgets the batches up to a number: they are written.
+    /// Removes the batches up to this number, which the database has stored.
     pub(crate) fn written(&mut self, number: i64) {
         while let Some(batch) = self.batches.front().filter(|batch| batch.number <= number) {
             self.rows -= batch.rows();
@@ -92,7 +93,7 @@ mod tests {
     use crate::sums::Sums;
     use std::collections::BTreeMap;
 
-    /// Ten values and the minute that they belong to.
+    /// Returns a batch of ten values with the minute that contains them.
     fn batch(number: i64) -> Batch {
         let series = Series {
             kind: Kind::Parameter,
@@ -126,7 +127,7 @@ mod tests {
             kept as u64 + backlog.dropped_points + backlog.dropped_rows,
             11_000
         );
-        // values go before the minutes that they are part of
+        // Values are dropped before the minutes that include them.
         assert!(backlog.dropped_rows < backlog.dropped_points / 9);
         assert_eq!(
             backlog.oldest(usize::MAX).last().map(|batch| batch.number),

@@ -1,4 +1,4 @@
-//! What is written at once, and how it is gathered from messages.
+//! The unit of writing, and its collection from messages.
 
 use crate::sums::Sums;
 use spandrel_bus::{
@@ -8,25 +8,25 @@ use spandrel_bus::{
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Intervals over which values are put together (s): a minute, an hour, a day.
+/// Lengths of the aggregation intervals (s): a minute, an hour, a day.
 pub(crate) const RESOLUTIONS_S: [i64; 3] = [60, 3_600, 86_400];
-/// Series of one structure beside those that its file names: model classes.
+/// Maximum number of series of a structure that its file does not name, such as model classes.
 const OTHER_SERIES: usize = 256;
 
 const SECOND_NS: i64 = 1_000_000_000;
 
-/// What kind of quantity a series is.
+/// The kind of quantity of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Kind {
     /// A parameter (ratio to nominal) with its standard deviation and probability of loss.
     Parameter,
     /// A noise level (variance, unit²) with its standard deviation.
     Noise,
-    /// Share of rejected samples of a channel among the late ones.
+    /// The share of rejected samples among the recent samples of a channel.
     Outlier,
-    /// Plausibility of a model class.
+    /// The plausibility of a model class.
     Class,
-    /// Distance of a node that identifies for itself from the others.
+    /// The distance of a node's own estimate from those of the other nodes.
     Node,
 }
 
@@ -39,7 +39,7 @@ impl Kind {
         Self::Node,
     ];
 
-    /// The word in queries and in the database.
+    /// Returns the name of the kind in queries and in the database.
     pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Parameter => "parameter",
@@ -58,7 +58,7 @@ pub(crate) struct Series {
     pub(crate) name: String,
 }
 
-/// A message that is kept.
+/// A message to store.
 #[derive(Debug)]
 pub(crate) enum Input {
     Parameter(ParameterDisplay),
@@ -71,22 +71,23 @@ pub(crate) enum Input {
     Event(Event),
 }
 
-/// What was gathered in about a second, of one structure.
+/// The messages of one structure from about one second.
 #[derive(Clone, Debug)]
 pub(crate) struct Batch {
     /// `root/structure`.
     pub(crate) structure: String,
-    /// Counts the batches of one life of the service, from 1.
+    /// Number of the batch within one run of the service, from 1.
     pub(crate) number: i64,
-    /// Values as they were displayed: series, time (ns), mean, standard deviation, probability of loss.
+    /// Display values: series, time (ns), mean, standard deviation, probability of loss.
     pub(crate) points: Vec<(Series, i64, [f64; 3])>,
-    /// What these values add to their minute, hour and day: series, resolution (s), start (s).
+    /// Contributions of these values to their minute, hour and day: series, resolution (s), start
+    /// (s).
     pub(crate) buckets: BTreeMap<(Series, i64, i64), Sums>,
-    /// What happened.
+    /// Alerts, acknowledgements and events.
     pub(crate) happened: Vec<Happened>,
 }
 
-/// Something that happened, with the message that said it.
+/// An alert, acknowledgement or event, as a message.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Happened {
     Alert(Box<AlertMessage>),
@@ -95,13 +96,13 @@ pub(crate) enum Happened {
 }
 
 impl Batch {
-    /// Rows that it takes.
+    /// Returns the number of database rows.
     pub(crate) fn rows(&self) -> usize {
         self.points.len() + self.buckets.len() + self.happened.len()
     }
 }
 
-/// Gathers the messages of one structure.
+/// Collects the messages of one structure.
 #[derive(Debug)]
 pub(crate) struct Collector {
     structure: String,
@@ -111,7 +112,7 @@ pub(crate) struct Collector {
     happened: Vec<Happened>,
     /// Time of the newest value (ns since the Unix epoch, UTC).
     pub(crate) newest_ns: Option<i64>,
-    /// Values of quantities that the structure file does not have.
+    /// Number of values of quantities that the structure file does not name.
     pub(crate) unknown: u64,
 }
 
@@ -150,12 +151,12 @@ impl Collector {
         }
     }
 
-    /// What the structure file names.
+    /// Returns the series that the structure file names.
     pub(crate) fn named(&self) -> &BTreeSet<Series> {
         &self.known
     }
 
-    /// Takes a message.
+    /// Processes a message.
     pub(crate) fn handle(&mut self, input: Input) {
         match input {
             Input::Parameter(m) => {
@@ -219,7 +220,7 @@ impl Collector {
         self.points.push((series, time_ns, values));
     }
 
-    /// What has been gathered since the last time; `None` if nothing has.
+    /// Returns the messages collected since the last call, or `None` if there were none.
     pub(crate) fn take(&mut self, number: i64) -> Option<Batch> {
         let (points, happened) = (
             std::mem::take(&mut self.points),

@@ -1,4 +1,4 @@
-//! The database: SQLite in a file, or a PostgreSQL server; the same statements for both.
+//! The database, a SQLite file or a PostgreSQL server, with the same statements for both.
 
 mod writing;
 
@@ -23,30 +23,30 @@ use tokio::sync::{Mutex, OnceCell};
 use tracing::warn;
 use writing::{Care, Failed, SetAside, Writing};
 
-/// Connections at most: one writes, the others answer.
+/// Maximum number of connections: one writes, the others serve queries.
 const CONNECTIONS: u32 = 4;
-/// Time for the database to answer a call for a connection.
+/// Time limit for a connection to the database.
 const CONNECT_WITHIN: Duration = Duration::from_secs(5);
-/// Rows that an answer is made from at most; with more, a coarser resolution answers.
+/// Maximum number of rows for a reply. A longer span uses a coarser resolution.
 const MOST_ROWS: i64 = 50_000;
-/// Interval of displayed values (ns): ten a second.
+/// Interval between display values (ns): ten per second.
 const DISPLAY_NS: i64 = 100_000_000;
 const SECOND_NS: i64 = 1_000_000_000;
 
-/// What is kept, in a file or on a server; cloning is cheap.
+/// The database handle. Cloning is cheap.
 #[derive(Clone, Debug)]
 pub(crate) struct Database {
     pool: AnyPool,
     address: Address,
     migrated: Arc<OnceCell<()>>,
-    /// Numbers of the series that are known to be there.
+    /// IDs of the series that exist in the database.
     numbers: Arc<Mutex<HashMap<(String, Series), i64>>>,
-    /// Rows that it will never take.
+    /// Number of rows that the database rejected permanently.
     set_aside: Arc<AtomicU64>,
 }
 
 impl Database {
-    /// Prepares the connection; nothing is opened yet.
+    /// Configures the connections without opening one.
     pub(crate) fn new(address: &Address) -> Result<Self, HistoryError> {
         install_default_drivers();
         let is_file = matches!(address, Address::Sqlite(_));
@@ -57,8 +57,8 @@ impl Database {
                 Box::pin(async move {
                     if is_file {
                         connection.execute("PRAGMA busy_timeout = 5000").await?;
-                        // a file that cannot be read now says why to whoever reads or writes; refused here it would only seem to
-                        // be late
+                        // If the file is unreadable, the next statement reports the reason. An
+                        // error here would only appear as a timeout of the pool.
                         let _ = connection.execute("PRAGMA synchronous = NORMAL").await;
                     }
                     Ok(())
@@ -80,7 +80,7 @@ impl Database {
         database_error(&self.address, source)
     }
 
-    /// Brings the tables to the version of this program, once.
+    /// Migrates the tables to the version of this program, once.
     pub(crate) async fn ready(&self) -> Result<(), HistoryError> {
         self.migrated
             .get_or_try_init(|| self.migrate())
@@ -92,8 +92,9 @@ impl Database {
         let sql = match &self.address {
             Address::Sqlite(path) => {
                 make_file(path)?;
-                // stays in the file: readers see the last written state while the next one is written; a crash of the machine may
-                // lose the last seconds, never the file
+                // WAL mode is stored in the file. Readers see the last committed state during a
+                // write. A crash of the machine can lose the last seconds, but does not damage the
+                // file.
                 let journal = sqlx::query("PRAGMA journal_mode = WAL")
                     .execute(&self.pool)
                     .await;
@@ -121,8 +122,11 @@ impl Database {
         })
     }
 
-    /// Writes batches, all or none; what an earlier attempt of the same life has written is left out. A row that the database will
-    /// never take is set aside, counted and told: it must not keep all that come after it.
+    /// Writes all batches in one transaction, except batches that an earlier attempt of the same
+    /// run has written.
+    ///
+    /// Rows that the database rejects permanently are skipped, counted and logged, so that they do
+    /// not block later rows.
     pub(crate) async fn write(
         &self,
         life: &str,
@@ -170,31 +174,33 @@ impl Database {
                 numbers.extend(found);
                 let before = self.set_aside.fetch_add(rows, Ordering::Relaxed);
                 let total = before + rows;
-                // a value that no sum can hold comes again with every second: told each time the count has doubled
+                // A permanently rejected value can recur every second. It is therefore logged only
+                // when the count has doubled.
                 let has_doubled = before == 0 || total.ilog2() > before.ilog2();
                 if let Some(reason) = reason.filter(|_| has_doubled) {
                     warn!(
                         rows = total,
-                        reason, "the history database can never take some rows, they are left out"
+                        reason, "history database permanently rejects some rows; skipping them"
                     );
                 }
                 Ok(())
             }
             Err(failed) => {
-                // SQLite rolls back by itself when the disk is full, but not after every failure: how a connection stands that has failed
-                // is not known, and what is written on it next might never be committed
+                // SQLite rolls back by itself when the disk is full, but not after every error. The
+                // state of the connection is then unknown, and its next statements might never be
+                // committed.
                 connection.close_on_drop();
                 Err(failed)
             }
         }
     }
 
-    /// Rows that were set aside, because the database will never take them.
+    /// Returns the number of rows that the database rejected permanently.
     pub(crate) fn set_aside(&self) -> u64 {
         self.set_aside.load(Ordering::Relaxed)
     }
 
-    /// Reads one quantity of a structure (`root/structure`) over a span of time.
+    /// Reads one quantity of a structure (`root/structure`) over a time span.
     pub(crate) async fn span(
         &self,
         structure: &str,
@@ -218,7 +224,8 @@ impl Database {
         })
     }
 
-    /// Finds the series, then the finest resolution that reaches as far back as is asked for in not too many rows.
+    /// Finds the series, then the finest resolution that covers the span with at most about
+    /// [`MOST_ROWS`] rows.
     async fn read_span(
         &self,
         structure: &str,
@@ -241,7 +248,7 @@ impl Database {
             &self.pool,
         )
         .await?;
-        // one entry each: interval (ns), first time (ns), resolution (s), finest first
+        // Each entry: interval (ns), first time (ns), resolution (s). The finest comes first.
         let mut kept = Vec::new();
         kept.extend(points_from.map(|from_ns| (DISPLAY_NS, from_ns, None)));
         for resolution_s in RESOLUTIONS_S {
@@ -284,7 +291,7 @@ impl Database {
         )))
     }
 
-    /// Time of the newest value of a series (ns).
+    /// Returns the time of the newest value of a series (ns).
     async fn newest_ns(&self, id: i64) -> Result<Option<i64>, sqlx::Error> {
         let statement = "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s DESC LIMIT 1";
         first(
@@ -327,7 +334,7 @@ impl Database {
         let found = sqlx::query(statement)
             .bind(id)
             .bind(resolution_s)
-            // an interval that begins before the span and reaches into it belongs to it
+            // The span includes an interval that starts before it and extends into it.
             .bind((query.from_ns.div_euclid(SECOND_NS)).saturating_sub(resolution_s))
             .bind(query.to_ns.div_euclid(SECOND_NS))
             .bind(2 * MOST_ROWS)
@@ -351,7 +358,7 @@ impl Database {
         found.iter().map(sums).collect()
     }
 
-    /// Reads what happened in a span of time: the newest `query.points` of it, oldest first.
+    /// Reads the log of a time span: the newest `query.points` entries, oldest first.
     pub(crate) async fn log(
         &self,
         structure: &str,
@@ -397,7 +404,8 @@ impl Database {
         Ok(log)
     }
 
-    /// Forgets what is older than its resolution is kept, as seen from the newest value of a structure.
+    /// Deletes rows that exceed their retention time, measured from the newest value of a
+    /// structure.
     pub(crate) async fn prune(
         &self,
         structure: &str,
@@ -457,7 +465,8 @@ impl Database {
     }
 }
 
-/// Makes the file and its folder where they are not there yet: the system says more of why it cannot than SQLite.
+/// Creates the file and its folder if they do not exist. Errors of the operating system are more
+/// specific than those of SQLite.
 fn make_file(path: &Path) -> Result<(), HistoryError> {
     if let Some(folder) = path
         .parent()
@@ -483,7 +492,7 @@ fn database_error(address: &Address, source: sqlx::Error) -> HistoryError {
     }
 }
 
-/// The first column of the first row, a whole number.
+/// Returns the first column of the first row as an integer.
 async fn first<'q>(
     query: sqlx::query::Query<'q, sqlx::Any, <sqlx::Any as sqlx::Database>::Arguments>,
     pool: &AnyPool,
@@ -496,7 +505,7 @@ async fn first<'q>(
 }
 
 impl Series {
-    /// The series of a query.
+    /// Returns the series of a query, or `None` if the kind is unknown.
     pub(crate) fn asked(kind: &str, name: &Name) -> Option<Self> {
         let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind)?;
         Some(Self {

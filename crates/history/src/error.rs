@@ -1,68 +1,70 @@
-//! What can go wrong with the history.
+//! Errors of the history service.
 
 use crate::settings::Address;
 use spandrel_bus::BusError;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
-/// Errors of the history service.
+/// An error of the history service.
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
-    /// The database is none of those that can be used.
+    /// The address of the database is not supported.
     #[error(
         "history.database is {found:?}, must be a file, sqlite:FILE, postgres://USER@HOST/DATABASE or none"
     )]
     Address {
-        /// What the configuration says, without a password.
+        /// The configured value, without a password.
         found: String,
     },
-    /// The folder of the file cannot be made.
-    #[error("{}: cannot make the folder of the history", path.display())]
+    /// The folder of the file cannot be created.
+    #[error("{}: cannot create the history folder", path.display())]
     Folder {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The file cannot be made or opened.
-    #[error("{}: cannot be opened as the file of the history", path.display())]
+    /// The file cannot be created or opened.
+    #[error("{}: cannot be opened as the history file", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The database refuses, or does not answer.
+    /// The database returned an error or did not reply.
     #[error("history database {database} cannot be used")]
     Database {
-        /// Which one, without a password.
+        /// Address of the database, without a password.
         database: String,
-        /// What it says.
+        /// The error of the database.
         source: sqlx::Error,
     },
-    /// The tables cannot be brought to the version of this program.
+    /// The tables cannot be migrated to the version of this program.
     #[error(
-        "history database {database} cannot be brought to the version of this program; one written by a later version cannot be read by an earlier one"
+        "history database {database} cannot be migrated to the version of this program; a program \
+         cannot read a database that a later version has written"
     )]
     Version {
-        /// Which one, without a password.
+        /// Address of the database, without a password.
         database: String,
-        /// What was found.
+        /// The error of the migration.
         source: sqlx::migrate::MigrateError,
     },
-    /// A message cannot be written as text.
-    #[error("cannot write a message to the history")]
+    /// A message cannot be converted to or from JSON.
+    #[error("cannot convert a message of the history to or from JSON")]
     Message(#[from] serde_json::Error),
-    /// The bus refuses.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// A key is none.
+    /// A name cannot be part of a key expression.
     #[error(transparent)]
     Name(#[from] spandrel_bus::NameError),
 }
 
 impl HistoryError {
-    /// Whether it may pass by itself, as a full disk does or a server that is not there yet; a path that is wrong stays wrong.
+    /// Returns `true` if a retry can succeed, for example after a full disk or before a server has
+    /// started. A wrong path is permanent.
     pub(crate) fn may_pass(&self, address: &Address) -> bool {
         match (self, address) {
             (Self::Folder { source, .. } | Self::File { source, .. }, _) => !matches!(
@@ -81,7 +83,8 @@ impl HistoryError {
                 let code = code
                     .and_then(|code| code.parse::<u32>().ok())
                     .map(|code| code & 0xff);
-                // input or output failed, full, and cannot open: the file itself could be opened, so it is one beside it
+                // Codes: I/O error, disk full, cannot open. The database file itself could be
+                // opened, so the last one concerns a file beside it.
                 matches!(code, Some(10 | 13 | 14))
             }
             _ => false,

@@ -1,11 +1,14 @@
-//! Keeps what was identified: estimates as displayed for an hour, then by minute, hour and day; alerts, acknowledgements and
-//! events in all their changes. In a file of SQLite, or on a PostgreSQL server.
+//! Stores identification results in a SQLite file or on a PostgreSQL server.
 //!
-//! Messages go in (`batch`), batches of about a second wait in a bounded `backlog` until the `database` has taken them, and
-//! queries are answered from there. A database that is away or full stops nothing: what waits is bounded, what had to go is
-//! counted and said in the status.
+//! It keeps display values for an hour, then aggregates per minute, hour and day. It also keeps all
+//! alerts, acknowledgements and events.
 //!
-//! The wrong room for measurements: samples and frames are recorded by ingest.
+//! Messages are collected (`batch`) in batches of about one second. The batches wait in a bounded
+//! `backlog` until the `database` has stored them. Replies to queries come from the database. An
+//! unavailable or full database stops no other service. The backlog is bounded, and the status
+//! reports dropped rows.
+//!
+//! This crate does not store measurements: `ingest` records samples and frames.
 
 mod backlog;
 mod batch;

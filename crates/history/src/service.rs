@@ -1,4 +1,4 @@
-//! Joins the history to the bus.
+//! Connects the history to the bus.
 
 use crate::backlog::Backlog;
 use crate::batch::{Batch, Collector, Input, Kind, Series};
@@ -23,28 +23,29 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
-/// How often what has come is taken from the bus.
+/// Interval at which messages are taken from the subscriptions.
 const GATHER_EVERY: Duration = Duration::from_millis(50);
-/// How often what was taken is written, and the status put.
+/// Interval between batches, and between status messages.
 const WRITE_EVERY: Duration = Duration::from_secs(1);
-/// How often what is too old is forgotten.
+/// Interval between deletions of old rows.
 const PRUNE_EVERY: Duration = Duration::from_secs(60);
-/// Values that wait to be taken; at full speed the oldest are overwritten and counted.
+/// Capacity of the queue for values. When it is full, the oldest value is overwritten and counted.
 const VALUES_WAITING: usize = 16_384;
-/// Alerts and what else must not be missed: far more than come between two looks.
+/// Capacity of the queues for alerts, acknowledgements and events. It far exceeds the number within
+/// one interval, because none may be lost.
 const ALERTS_WAITING: usize = 4_096;
-/// Queries that wait for an answer.
+/// Capacity of the queue for queries.
 const QUESTIONS_WAITING: usize = 64;
-/// Rows of one transaction at most, or a single batch.
+/// Maximum number of rows in one transaction. A single larger batch is allowed.
 const ROWS_AT_ONCE: usize = 20_000;
-/// Time between attempts when the database does not take what is written: doubled each time, from this to that.
+/// First and longest delay before a write is retried. The delay doubles with each attempt.
 const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
-/// Time for the last values to be written after a stop.
+/// Time limit for writing the last values after a stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
-/// Time for the alert service to say how its alerts stand.
+/// Time limit for the reply of the alert service.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
-/// The history of one or more structures.
+/// The history service of one or more structures.
 #[derive(Debug)]
 pub struct HistoryService {
     sources: Vec<Source>,
@@ -56,11 +57,11 @@ pub struct HistoryService {
     service: Name,
     answering: JoinSet<()>,
     asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
-    /// Alerts of the logs that were asked for.
+    /// Alerts from the logs of the alert service.
     logged: (flume::Sender<AlertMessage>, flume::Receiver<AlertMessage>),
 }
 
-/// What waits to be written, shared with whoever writes it.
+/// The backlog, shared with the writing task.
 #[derive(Debug, Default)]
 struct Waiting {
     backlog: Mutex<Backlog>,
@@ -70,12 +71,12 @@ struct Waiting {
 
 impl Waiting {
     fn backlog(&self) -> MutexGuard<'_, Backlog> {
-        // nothing that panics runs under this lock
+        // No code that can panic runs under this lock.
         self.backlog.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// What is heard of one structure.
+/// The subscriptions of one structure.
 #[derive(Debug)]
 struct Source {
     keys: Keys,
@@ -94,11 +95,14 @@ struct Source {
 }
 
 impl HistoryService {
-    /// Opens the database, listens to the bus and shows liveliness tokens; `id` names this instance. A server that does not answer
-    /// yet is tried again, and so is a file on a disk that is full or fails; a path where no file can be is an error.
+    /// Opens the database, subscribes to messages and announces liveliness tokens. `id` names this
+    /// instance.
+    ///
+    /// If a server does not reply yet, or a disk is full or fails, the service retries later. A
+    /// path that cannot contain a file is an error.
     ///
     /// # Errors
-    /// When the file or its tables cannot be used, or the bus refuses a declaration.
+    /// Fails if the file or its tables are unusable, or the bus rejects a declaration.
     pub fn start<'a>(
         structures: &'a [(&'a Structure, Keys)],
         bus: &'a Bus,
@@ -114,7 +118,7 @@ impl HistoryService {
                     return Err(error);
                 }
                 waiting.failures.fetch_add(1, Ordering::Relaxed);
-                warn!(%error, reason = reason(&error), "history waits for its database");
+                warn!(%error, reason = reason(&error), "history is waiting for its database");
             }
             let mut service = Self {
                 sources: Vec::new(),
@@ -132,7 +136,7 @@ impl HistoryService {
                 service.listen(structure, keys, bus).await?;
             }
             if address.believes_the_network() {
-                warn!(database = %address, "the server need not show who it is: sslmode=verify-full asks it to");
+                warn!(database = %address, "the identity of the database server is not verified; set sslmode=verify-full to verify it");
             }
             info!(database = %address, structures = structures.len(), "history ready");
             Ok(service)
@@ -162,7 +166,7 @@ impl HistoryService {
             status: bus
                 .publish_display(keys.status(Service::History, &self.id))
                 .await?,
-            // Last, because dashboards ask when they see it: who answers is there by then.
+            // The token comes last, because dashboards send queries as soon as they see it.
             token: bus.announce(keys.live(Service::History, &self.id)).await?,
             keys: keys.clone(),
             taken: 0,
@@ -176,7 +180,8 @@ impl HistoryService {
         ));
         self.answering
             .spawn(answer_log(log, self.database.clone(), keys.clone()));
-        // what was decided while nobody listened: the alert service keeps its last changes, and the last state of each alert
+        // The alert service keeps changes from the time before this subscription: its log and the
+        // last state of each alert.
         let tokens = bus.watch_live(keys.all_live(Service::Alert)).await?;
         self.answering.spawn(ask_for_alerts(
             bus.clone(),
@@ -191,10 +196,10 @@ impl HistoryService {
         Ok(())
     }
 
-    /// Runs until `stop`; what has been taken by then is still written.
+    /// Runs until `stop`. Messages taken by then are still written.
     ///
     /// # Errors
-    /// When the bus is closed underneath.
+    /// Fails if the bus is closed.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -226,7 +231,7 @@ impl HistoryService {
                 writing.abort_all();
                 warn!(
                     rows = self.waiting.backlog().rows(),
-                    "the database does not take the last values, they are lost"
+                    "history write failed at shutdown; the last values are lost"
                 );
             }
             self.answering.shutdown().await;
@@ -238,7 +243,7 @@ impl HistoryService {
         })
     }
 
-    /// Takes from the bus and passes on, for ever.
+    /// Takes messages from the bus and passes them on. Returns only with an error.
     async fn gather(&mut self, number: &mut i64) -> Result<(), HistoryError> {
         let mut gather = tokio::time::interval(GATHER_EVERY);
         gather.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -262,7 +267,9 @@ impl HistoryService {
         }
     }
 
-    /// The newest value of each structure, at most as new as the clock on the wall: one wrong time must not push out all others.
+    /// Returns the time of the newest value of each structure, limited to the current time.
+    ///
+    /// Without the limit, a single wrong timestamp would delete all other values.
     fn newest(&self) -> Vec<(String, i64)> {
         let now_ns = now_ns();
         let newest = self.sources.iter().filter_map(|source| {
@@ -284,8 +291,8 @@ impl HistoryService {
                         }
                     }
                 }
-                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
-                Err(error) => warn!(%error, "question for the last alerts is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
+                Err(error) => warn!(%error, "query for recent alerts failed"),
             }
         }
         for alert in self.logged.1.try_iter() {
@@ -297,7 +304,7 @@ impl HistoryService {
         self.sources.iter_mut().for_each(Source::take);
     }
 
-    /// Passes what was taken on to whoever writes it.
+    /// Passes the collected messages to the writing task.
     fn pass_on(&mut self, number: &mut i64) {
         let mut backlog = self.waiting.backlog();
         for source in &mut self.sources {
@@ -408,7 +415,7 @@ impl Source {
             .for_each(|input| self.collector.handle(input));
     }
 
-    /// Messages that newer ones have pushed out or that were refused, by reason.
+    /// Returns the number of overwritten and rejected messages, by reason.
     fn refused(&self) -> BTreeMap<String, u64> {
         let all = [
             self.parameters.refused(),
@@ -436,7 +443,7 @@ impl Source {
     }
 }
 
-/// Writes what waits, oldest first, until there is nothing more and all is stopped.
+/// Writes the backlog, oldest batch first, until it is empty and the service stops.
 async fn write(
     database: Database,
     waiting: Arc<Waiting>,
@@ -452,7 +459,7 @@ async fn write(
             }
             tokio::select! {
                 () = waiting.came.notified() => {}
-                // a sender that is gone stops as well
+                // A dropped sender also means that the service stops.
                 _ = stopping.changed() => {}
             }
             continue;
@@ -461,10 +468,7 @@ async fn write(
             Ok(()) => {
                 waiting.backlog().written(last);
                 if in_a_row > 0 {
-                    info!(
-                        failures = in_a_row,
-                        "the database of the history takes what is written again"
-                    );
+                    info!(failures = in_a_row, "history writes succeed again");
                 }
                 (retry_after, in_a_row) = (RETRY_AFTER.0, 0);
             }
@@ -473,7 +477,7 @@ async fn write(
                 in_a_row += 1;
                 if in_a_row.is_power_of_two() {
                     let rows = waiting.backlog().rows();
-                    warn!(%error, reason = reason(&error), rows_waiting = rows, "history not written, it is tried again");
+                    warn!(%error, reason = reason(&error), rows_waiting = rows, "history write failed; retrying");
                 }
                 tokio::time::sleep(retry_after).await;
                 retry_after = (2 * retry_after).min(RETRY_AFTER.1);
@@ -482,7 +486,10 @@ async fn write(
     }
 }
 
-/// Panics when one of the tasks does, so that all of it begins anew: nobody would do any more what that task did. Never ends otherwise.
+/// Propagates a panic of one of the tasks, so that the whole service restarts. Otherwise it never
+/// returns.
+///
+/// Without it, the service would continue without the task.
 async fn share_panic_of<T>(tasks: &mut JoinSet<()>) -> T {
     while let Some(ended) = tasks.join_next().await {
         if let Err(error) = ended
@@ -497,13 +504,15 @@ async fn share_panic_of<T>(tasks: &mut JoinSet<()>) -> T {
 async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) {
     for (structure, newest_ns) in newest {
         if let Err(error) = database.prune(&structure, newest_ns, &keep).await {
-            warn!(structure, %error, reason = reason(&error), "old values of the history cannot be removed");
+            warn!(structure, %error, reason = reason(&error), "cannot remove old values from the history");
         }
     }
 }
 
-/// Asks for the last changes of alerts whenever the alert service comes, or comes back: what it put while there was no link, or
-/// what this service took and could not write before it died, comes again, and is written once.
+/// Queries the last changes of alerts whenever the alert service appears.
+///
+/// The reply includes changes published while there was no link, and changes that a former run of
+/// this service received but did not write. The database stores duplicates only once.
 async fn ask_for_alerts(
     bus: Bus,
     keys: Keys,
@@ -529,13 +538,16 @@ async fn ask_for_alerts(
                         }
                     }
                 }
-                Err(error) => warn!(%error, "cannot ask for the last changes of alerts"),
+                Err(error) => warn!(%error, "cannot query recent changes of alerts"),
             }
         }
     }
 }
 
-/// `named`: what the structure file names. What it does not name has no answer either, unless something of it was kept.
+/// Replies to queries for spans. `named` contains the series of the structure file.
+///
+/// A query for any other series is rejected, unless the database contains it or it is a model
+/// class.
 async fn answer_spans(
     questions: Questions,
     database: Database,
@@ -573,7 +585,7 @@ async fn answer_spans(
     }
 }
 
-/// Whether values of a series may come: model classes are not in the structure file by name.
+/// Returns `true` if values of a series can occur. The structure file does not name model classes.
 fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
     match series.kind {
         Kind::Class => true,
@@ -581,7 +593,7 @@ fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
     }
 }
 
-/// Says which series of a kind there are.
+/// Returns an error message that lists the known series of this kind.
 fn unknown(named: &BTreeSet<Series>, series: &Series) -> String {
     let kind = series.kind.as_str();
     let known: Vec<&str> = named
@@ -595,7 +607,7 @@ fn unknown(named: &BTreeSet<Series>, series: &Series) -> String {
         known.join(", ")
     };
     format!(
-        "no {kind} is called {:?}, and nothing of it was kept; of kind {kind} there are: {known}",
+        "unknown {kind} {:?} without stored values, must be one of: {known}",
         series.name
     )
 }
@@ -630,11 +642,11 @@ async fn answer<M: spandrel_bus::Message>(question: &Question, key: &str, messag
 }
 
 async fn refuse(question: &Question, error: &HistoryError) {
-    warn!(%error, reason = reason(error), "history cannot answer");
+    warn!(%error, reason = reason(error), "history query failed");
     question.refuse(&error.to_string()).await;
 }
 
-/// What lies behind an error.
+/// Returns the chain of sources of an error.
 fn reason(error: &HistoryError) -> String {
     let mut reason = String::new();
     let mut source = std::error::Error::source(error);
@@ -662,7 +674,7 @@ fn now_ns() -> i64 {
 mod tests {
     use super::*;
 
-    /// Who wrote was gone then, and the history went on without a word.
+    /// Regression: the writing task had panicked, and the service continued without a message.
     #[tokio::test]
     async fn a_service_whose_task_panics_does_not_go_on_without_it() {
         let mut tasks = JoinSet::new();
@@ -691,7 +703,8 @@ mod tests {
             may_come(&named, &series(Kind::Class, "baseline")),
             "classes come and go"
         );
-        let told = "no parameter is called \"story-1\", and nothing of it was kept; of kind parameter there are: storey-1, storey-2";
+        let told = "unknown parameter \"story-1\" without stored values, must be one of: storey-1, \
+                    storey-2";
         assert_eq!(unknown(&named, &misspelt), told);
     }
 }

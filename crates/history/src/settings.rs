@@ -1,4 +1,4 @@
-//! Where the history is kept, and for how long.
+//! Location and retention times of the history.
 
 use crate::error::HistoryError;
 use serde::Deserialize;
@@ -9,17 +9,17 @@ use std::path::{Path, PathBuf};
 
 const DAY_S: u64 = 86_400;
 
-/// For how long each resolution is kept, s of measurement; none: for ever.
+/// Retention time of each resolution, in s of measurement time. `None` means no limit.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Keep {
-    /// Values as displayed.
+    /// Display values.
     pub display_s: Option<u64>,
-    /// Minutes.
+    /// Values aggregated per minute.
     pub minute_s: Option<u64>,
-    /// Hours.
+    /// Values aggregated per hour.
     pub hour_s: Option<u64>,
-    /// Days.
+    /// Values aggregated per day.
     pub day_s: Option<u64>,
     /// Alerts, acknowledgements and events.
     pub log_s: Option<u64>,
@@ -37,20 +37,20 @@ impl Default for Keep {
     }
 }
 
-/// A database.
+/// The address of a database.
 #[derive(Clone, PartialEq, Eq)]
 pub enum Address {
-    /// A file of SQLite.
+    /// A SQLite file.
     Sqlite(PathBuf),
-    /// A PostgreSQL server, as a URL that may hold a password.
+    /// URL of a PostgreSQL server, which may contain a password.
     Postgres(String),
 }
 
 impl Address {
-    /// Reads what a configuration says.
+    /// Parses the configured address.
     ///
     /// # Errors
-    /// Something else than a file, `sqlite:FILE` or `postgres://…`.
+    /// Fails if the text is not a file, `sqlite:FILE` or `postgres://…`.
     pub fn parse(text: &str) -> Result<Self, HistoryError> {
         if text.starts_with("postgres://") || text.starts_with("postgresql://") {
             return Ok(Self::Postgres(text.to_owned()));
@@ -71,7 +71,7 @@ impl Address {
         Ok(Self::Sqlite(PathBuf::from(path)))
     }
 
-    /// Makes a relative file one in a folder.
+    /// Resolves a relative file path against `folder`.
     #[must_use]
     pub fn below(self, folder: &Path) -> Self {
         match self {
@@ -80,7 +80,7 @@ impl Address {
         }
     }
 
-    /// The address as the driver wants it.
+    /// Returns the URL for the database driver.
     pub(crate) fn url(&self) -> String {
         match self {
             Self::Sqlite(path) => format!("sqlite://{}?mode=rwc", path.display()),
@@ -88,7 +88,8 @@ impl Address {
         }
     }
 
-    /// Whether it is a server on another machine that need not show who it is: whoever stands in between could read along.
+    /// Returns `true` for a remote server whose identity is not verified, which permits a
+    /// man-in-the-middle attack.
     pub(crate) fn believes_the_network(&self) -> bool {
         let Self::Postgres(url) = self else {
             return false;
@@ -106,7 +107,8 @@ impl Address {
     }
 }
 
-/// Of a URL, all but what stands before the host, and behind the name of the database, where a password may stand as well.
+/// Returns a URL without user, password and query parameters, because the query can also contain a
+/// password.
 fn without_password(text: &str) -> String {
     match (text.split_once("://"), text.rsplit_once('@')) {
         (Some((scheme, _)), Some((_, host))) => {

@@ -1,16 +1,17 @@
-//! Values put together, in sums that can be added to.
+//! Aggregates of values, in sums that can be extended.
 
 use spandrel_bus::HistoryRows;
 
 /// Standard normal quantile of 97.5 %.
 const HALF_WIDTH: f64 = 1.959_963_984_540_054;
 
-/// Sums over values of one quantity, each a mean with a standard deviation and a probability of loss.
+/// Sums over values of one quantity. Each value has a mean, a standard deviation and a probability
+/// of loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sums {
     /// Time of the first value (ns since the Unix epoch, UTC).
     pub(crate) first_ns: i64,
-    /// Time of the last value.
+    /// Time of the last value (ns since the Unix epoch, UTC).
     pub(crate) last_ns: i64,
     pub(crate) count: i64,
     pub(crate) mean_sum: f64,
@@ -24,7 +25,7 @@ pub(crate) struct Sums {
 }
 
 impl Sums {
-    /// Of one value.
+    /// Returns the sums of one value.
     pub(crate) fn of(time_ns: i64, [mean, std, probability]: [f64; 3]) -> Self {
         Self {
             first_ns: time_ns,
@@ -41,7 +42,7 @@ impl Sums {
         }
     }
 
-    /// Adds other values.
+    /// Adds the sums of other values.
     pub(crate) fn add(&mut self, other: &Self) {
         self.first_ns = self.first_ns.min(other.first_ns);
         self.last_ns = self.last_ns.max(other.last_ns);
@@ -63,7 +64,7 @@ impl Sums {
         rows.count.push(self.count.max(0).unsigned_abs());
         rows.mean.push(mean);
         rows.std.push((self.variance_sum / count).max(0.0).sqrt());
-        // rounding may leave a difference of squares below zero
+        // Rounding can make the difference of squares negative.
         rows.spread
             .push((self.square_sum / count - mean * mean).max(0.0).sqrt());
         rows.least.push(self.least);
@@ -74,7 +75,8 @@ impl Sums {
     }
 }
 
-/// Writes values as rows, neighbours put together until there are at most `most`.
+/// Converts values to rows. Groups of adjacent values are combined until at most `most` rows
+/// remain.
 pub(crate) fn rows(values: &[Sums], most: usize) -> HistoryRows {
     let mut rows = HistoryRows::default();
     let each = values.len().div_ceil(most.max(1)).max(1);

@@ -1,11 +1,11 @@
-//! What people look at: parameters and noise levels at display rate, decimated in measurement time.
+//! Display values: parameters and noise levels at the display rate, decimated in measurement time.
 
 use spandrel_bus::{Name, NoiseDisplay, ParameterDisplay};
 use spandrel_structure::Structure;
 
-/// Decides which frames are displayed: the first one in each interval of measurement time.
+/// Selects the displayed frames: the first one in each interval of measurement time.
 ///
-/// It knows frame numbers only, so that the same frames are displayed whatever the block sizes and the speed.
+/// The selection depends on frame numbers only. Block sizes and speed therefore do not affect it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Decimation {
     frames_per_display: f64,
@@ -18,7 +18,7 @@ impl Decimation {
         }
     }
 
-    /// One in so many of the frames that this one shows.
+    /// Returns a decimation that shows one in `times` of these frames.
     pub(crate) fn one_in(self, times: u32) -> Self {
         Self {
             frames_per_display: self.frames_per_display * f64::from(times),
@@ -31,7 +31,7 @@ impl Decimation {
     }
 }
 
-/// How one parameter is displayed.
+/// The display settings of one parameter.
 #[derive(Debug, Clone)]
 pub(crate) struct ParameterView {
     name: Name,
@@ -40,7 +40,7 @@ pub(crate) struct ParameterView {
 }
 
 impl ParameterView {
-    /// Takes what the display asks of the parameter from the structure file.
+    /// Reads the display settings of the parameter from the structure file.
     pub(crate) fn new(name: Name, index: usize, structure: &Structure) -> Self {
         let (loss, reference) = structure.displayed_loss(index);
         Self {
@@ -71,7 +71,7 @@ impl ParameterView {
     }
 }
 
-/// Makes the display message of one noise level.
+/// Returns the display message of one noise level.
 pub(crate) fn noise_display(
     structure: &Name,
     name: &Name,
@@ -88,7 +88,6 @@ pub(crate) fn noise_display(
     }
 }
 
-/// Returns `Φ((threshold − mean)/std)` without loss of precision near 0.
 #[cfg(test)]
 mod tests {
     use super::*;

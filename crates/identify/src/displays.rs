@@ -1,4 +1,4 @@
-//! What an identification shows to people: a topic for each parameter, noise level and screened channel.
+//! The display topics of an identification: one per parameter, noise level and screened channel.
 
 use crate::identification::{Identification, Output};
 use crate::shell::log_event;
@@ -21,7 +21,7 @@ pub(crate) struct Displays {
 }
 
 impl Displays {
-    /// Declares the topics of what `core` identifies.
+    /// Declares the topics for the estimates of `core`.
     pub(crate) async fn declare(
         core: &Identification,
         bus: &Bus,
@@ -58,12 +58,12 @@ impl Displays {
         })
     }
 
-    /// Parameters and noise levels that are shown.
+    /// Returns the number of displayed parameters and noise levels.
     pub(crate) fn counts(&self) -> (usize, usize) {
         (self.parameters.len(), self.noise.len())
     }
 
-    /// Puts what is for people; all else is left out.
+    /// Publishes a display output. Ignores other outputs.
     pub(crate) async fn put(&self, output: &Output) -> Result<(), BusError> {
         match output {
             Output::Parameter(display) => {
@@ -83,7 +83,7 @@ impl Displays {
     }
 }
 
-/// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
+/// Publishes a display message. A message that cannot be encoded is logged and dropped.
 async fn show<M: Message>(
     publisher: Option<&DisplayPublisher<M>>,
     message: &M,

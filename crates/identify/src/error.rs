@@ -1,23 +1,23 @@
-//! What can keep an identification from starting, or end the service.
+//! Errors that prevent an identification from starting or terminate the service.
 
 use spandrel_bus::{BusError, NameError};
 use spandrel_checkpoint::CheckpointError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
-/// Why the identification of a structure could not begin.
+/// An error of the identification service.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
-    /// The filter refused its settings.
+    /// The filter rejected its settings.
     #[error("filter of structure {structure} cannot be made")]
     Filter {
         /// The structure.
         structure: String,
-        /// Why.
+        /// The cause.
         source: FilterError,
     },
-    /// Nodes do not identify for themselves, or there is no such node.
+    /// The nodes do not run their own identification, or there is no such node.
     #[error(
         "structure {structure} has no such node that identifies for itself; see identification = \"distributed\""
     )]
@@ -25,15 +25,15 @@ pub enum IdentifyError {
         /// The structure.
         structure: String,
     },
-    /// A name is no chunk of a key expression.
+    /// A name cannot be part of a key expression.
     #[error("name in structure {structure} cannot be a key")]
     Name {
         /// The structure.
         structure: String,
-        /// Why.
+        /// The cause.
         source: NameError,
     },
-    /// Nobody could stand by: what is known cannot be handed over.
+    /// The state is too large to be transferred to a standby.
     #[error(
         "structure {structure} cannot have a standby: its state has {bytes} bytes, must have at most {most} to be handed over; \
          leave --standby out"
@@ -41,18 +41,18 @@ pub enum IdentifyError {
     StateTooLarge {
         /// The structure.
         structure: String,
-        /// Size of the message with its state.
+        /// Size of the message with the state, in bytes.
         bytes: usize,
-        /// Size of the largest message.
+        /// Maximum size of a message, in bytes.
         most: usize,
     },
-    /// What the service remembers cannot be kept.
+    /// A checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The bus refused a declaration or is closed.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The thread that carried a filter is gone: the filter with it.
+    /// The thread that ran a filter panicked, and the filter was lost with it.
     #[error("filter of structure {structure} was lost with its thread")]
     ThreadLost {
         /// The structure.

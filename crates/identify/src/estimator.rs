@@ -1,4 +1,4 @@
-//! What turns frames into estimates: one filter, one for each model class, or particles.
+//! The estimator of a structure: one filter, one filter per model class, or particles.
 
 use crate::particles::{ParticleMemory, ParticlePlan, Particles};
 use serde::{Deserialize, Serialize};
@@ -8,33 +8,33 @@ use spandrel_filter::{
 };
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 
-/// The estimation of one structure, in terms of the parameters of its file.
+/// The estimator of one structure, with the parameters of its file.
 #[derive(Debug)]
 pub enum Estimator {
-    /// One model, with all parameters of the file.
+    /// One model with all parameters of the file.
     Filter(Box<ExtendedKalmanFilter<StructureModel>>),
     /// Several models, weighted by their plausibilities.
     Classes(Box<ClassBank<StructureClasses>>),
-    /// One model without the assumption that anything is Gaussian: slow, and the yardstick for the other two.
+    /// One model without Gaussian assumptions: slow, but a reference for the other two.
     Particles(Box<Particles>),
 }
 
-/// The state of an estimator between two frames: what a checkpoint holds.
+/// The state of an estimator between two frames, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum EstimatorState {
-    /// Of one model.
+    /// State of one model.
     Filter(FilterState),
-    /// Of several models.
+    /// State of several models.
     Classes(ClassBankState),
-    /// Of particles.
+    /// State of particles.
     Particles(ParticleMemory),
 }
 
 impl Estimator {
-    /// Makes what the structure file asks for, at its prior.
+    /// Creates the estimator that the structure file specifies, at its prior.
     ///
     /// # Errors
-    /// When a filter refuses its settings.
+    /// Fails if a filter rejects its settings.
     pub fn new(structure: &Structure) -> Result<Self, FilterError> {
         if let Some(keys) = structure.particles() {
             return Self::with_particles(structure, &ParticlePlan::of(&keys));
@@ -42,10 +42,11 @@ impl Estimator {
         Self::kalman(structure)
     }
 
-    /// Makes the Kalman filter, or the bank of model classes, of the structure file, also where it asks for particles.
+    /// Creates the Kalman filter or the bank of model classes, even if the structure file specifies
+    /// particles.
     ///
     /// # Errors
-    /// When a filter refuses its settings.
+    /// Fails if a filter rejects its settings.
     pub fn kalman(structure: &Structure) -> Result<Self, FilterError> {
         Ok(match structure.class_bank()? {
             Some(bank) => Self::Classes(Box::new(bank)),
@@ -57,19 +58,20 @@ impl Estimator {
         })
     }
 
-    /// Makes a particle filter for the model of the structure, at its prior.
+    /// Creates a particle filter for the model of the structure, at its prior.
     ///
     /// # Errors
-    /// When a setting lies outside its range.
+    /// Fails if a setting is out of range.
     pub fn with_particles(structure: &Structure, plan: &ParticlePlan) -> Result<Self, FilterError> {
         let particles = Particles::new(structure, plan)?;
         Ok(Self::Particles(Box::new(particles)))
     }
 
-    /// Takes one frame.
+    /// Processes one frame.
     ///
     /// # Errors
-    /// When the frame does not fit, or the estimation has diverged and must be restarted.
+    /// Fails if the frame has the wrong size, or if the estimation has diverged and must be
+    /// restarted.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
         match self {
             Self::Filter(filter) => filter.step(frame),
@@ -78,10 +80,10 @@ impl Estimator {
         }
     }
 
-    /// Goes back to the prior.
+    /// Restarts from the prior.
     ///
     /// # Errors
-    /// When a filter cannot be made, which has been possible before.
+    /// Fails if a filter rejects its settings, which cannot happen with settings accepted before.
     pub fn restart(&mut self) -> Result<(), FilterError> {
         match self {
             Self::Filter(filter) => {
@@ -93,7 +95,7 @@ impl Estimator {
         }
     }
 
-    /// Forgets the motion and keeps everything else.
+    /// Resets the motion and keeps everything else.
     pub fn forget_motion(&mut self) {
         match self {
             Self::Filter(filter) => filter.forget_motion(),
@@ -112,10 +114,11 @@ impl Estimator {
         }
     }
 
-    /// Takes the state of a checkpoint; the next frame gives the same bits as if the estimator had never stopped.
+    /// Restores the state of a checkpoint. The next results are bit-identical to an uninterrupted
+    /// run.
     ///
     /// # Errors
-    /// When the state is that of another kind of estimator, or does not fit the models.
+    /// Fails if the state belongs to another kind of estimator, or does not match the models.
     pub fn restore(&mut self, state: EstimatorState) -> Result<(), FilterError> {
         match (self, state) {
             (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),
@@ -155,7 +158,8 @@ impl Estimator {
         }
     }
 
-    /// Returns the covariance of two parameters, of one model with what its misfit adds.
+    /// Returns the covariance of two parameters. For one model, it includes the contribution of the
+    /// misfit.
     #[must_use]
     pub fn parameter_covariance(&self, i: usize, j: usize) -> f64 {
         match self {
@@ -165,9 +169,10 @@ impl Estimator {
         }
     }
 
-    /// Returns mean and standard deviation of a sum of entries (from 0) of the physical state with coefficients.
+    /// Returns mean and standard deviation of a linear combination of entries (from 0) of the
+    /// physical state.
     ///
-    /// Of several model classes it is that of the most plausible one.
+    /// With several model classes, it uses the most plausible class.
     #[must_use]
     pub fn response(&self, terms: &[(usize, f64)]) -> (f64, f64) {
         let (mean, covariance) = match self {
@@ -191,7 +196,7 @@ impl Estimator {
         (value, variance.max(0.0).sqrt())
     }
 
-    /// Tells whether the last step kept a parameter at one of its bounds.
+    /// Returns `true` if the last step kept a parameter at one of its bounds.
     #[must_use]
     pub fn is_at_bound(&self, parameter: usize) -> bool {
         match self {
@@ -204,7 +209,7 @@ impl Estimator {
         }
     }
 
-    /// Returns what is known of the noise parameters.
+    /// Returns the state of the noise parameters.
     #[must_use]
     pub fn noise(&self) -> &NoiseState {
         match self {
@@ -214,8 +219,10 @@ impl Estimator {
         }
     }
 
-    /// Returns the verdict on the fit after the last step: of several model classes, that of the most plausible one. There is
-    /// none where the fit is not measured.
+    /// Returns the verdict on the fit after the last step.
+    ///
+    /// With several model classes, it is the verdict of the most plausible class. There is no
+    /// verdict if the fit is not measured.
     #[must_use]
     pub fn fit(&self) -> Fit {
         match self {
@@ -225,7 +232,7 @@ impl Estimator {
         }
     }
 
-    /// Returns the measures of fit of each channel; empty where the estimator has none.
+    /// Returns the measures of fit of each channel. Empty if the estimator has none.
     #[must_use]
     pub fn channel_fits(&self) -> &[ChannelFit] {
         match self {
@@ -235,7 +242,7 @@ impl Estimator {
         }
     }
 
-    /// Returns what is known of outliers in each channel; `None` where they are not screened.
+    /// Returns the outlier state of all channels. `None` if they are not screened.
     #[must_use]
     pub fn outliers(&self) -> Option<&OutlierState> {
         match self {
@@ -245,7 +252,7 @@ impl Estimator {
         }
     }
 
-    /// Returns the innovation of the last step, NaN where a channel was missing or rejected.
+    /// Returns the innovation of the last step, NaN for missing or rejected channels.
     #[must_use]
     pub fn innovation(&self) -> &[f64] {
         match self {
@@ -264,7 +271,7 @@ impl Estimator {
         }
     }
 
-    /// Returns the number of entries of the state before the parameters.
+    /// Returns the number of state entries before the parameters.
     fn first(&self) -> usize {
         match self {
             Self::Filter(filter) => filter.mean().len() - filter.model().parameter_len(),

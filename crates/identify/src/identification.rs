@@ -1,4 +1,5 @@
-//! The core: frames of one structure in, estimates out, one filter step per frame.
+//! The core: receives frames of one structure and returns estimates, with one filter step per
+//! frame.
 
 mod events;
 mod fit;
@@ -22,44 +23,51 @@ use spandrel_bus::{
 use spandrel_filter::{BandLimit, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 
-/// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
+/// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
+/// keeps the parameters.
 const BRIDGED_GAP_S: f64 = 10.0;
 
-/// An excitation that stays the same to the bit for longer than this (s), and for so many samples, comes of a sensor that is
-/// stuck: a converter that is too coarse for a quiet hour repeats itself for less.
+/// Time (s) for which an excitation must repeat bit-identical samples before its sensor counts as
+/// stuck.
+///
+/// The number of samples must also reach [`STUCK_SAMPLES`]. A coarse converter repeats itself for a
+/// shorter time in quiet conditions.
 const STUCK_S: f64 = 2.0;
+/// Minimum number of repeated samples before a sensor counts as stuck.
 const STUCK_SAMPLES: u64 = 50;
 
-/// Most frames of a gap that are bridged at once.
+/// Maximum number of frames of a gap that are bridged in one part.
 const MOST_BRIDGED: u64 = MOST_ITEMS;
 
-/// Most bytes of an estimate block, unless one estimate has more: with its covariance one of forty parameters has 7 kB, and a thousand of them
-/// would be more than a message may have.
+/// Maximum size of an estimate block in bytes, unless a single estimate is larger.
+///
+/// An estimate of forty parameters with its covariance takes 7 kB. A thousand of them would exceed
+/// the size limit of a message.
 const MOST_BYTES: usize = 1 << 20;
 
-/// Of so many values for people one is shown where they are thinned.
+/// Factor by which display values are thinned under high load.
 const THINNED: u32 = 10;
 
-/// Name under which the effective number of particles is displayed, beside the noise levels.
+/// Name for displaying the effective number of particles, next to the noise levels.
 const EFFECTIVE_PARTICLES: &str = "effective-particles";
 
 pub use state::IdentificationState;
 
-/// Number of a frame in which the identification panics, so that tests see what becomes of it.
+/// Number of a frame that makes the identification panic, for tests of its recovery.
 #[cfg(test)]
 pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
     std::sync::atomic::AtomicU64::new(u64::MAX);
 
-/// What the core reacts to.
+/// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
-    /// Frames that continue those before, or begin a new epoch.
+    /// Frames that continue the stream or start a new epoch.
     Frames(FrameBlock),
-    /// Frames of the running epoch that can no longer be had: numbers `from` to before `to`, or what is left of them.
+    /// Permanently missing frames of the current epoch, with numbers `from` to before `to`.
     Gap {
         /// Number of the first missing frame.
         since: u64,
-        /// Number of the first of them that is not done yet.
+        /// Number of the first missing frame that is not processed yet.
         from: u64,
         /// Number of the first frame after the gap.
         to: u64,
@@ -67,7 +75,7 @@ pub enum Input {
 }
 
 impl Input {
-    /// Frames that can no longer be had, from number `from` to before `to`.
+    /// Creates a gap of permanently missing frames, with numbers `from` to before `to`.
     #[must_use]
     pub fn gap(from: u64, to: u64) -> Self {
         Self::Gap {
@@ -78,29 +86,30 @@ impl Input {
     }
 }
 
-/// What the core has to say.
+/// Outputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Output {
     /// Estimates at the sampling rate.
     Estimates(EstimateBlock),
-    /// A parameter at display rate.
+    /// A parameter at the display rate.
     Parameter(ParameterDisplay),
-    /// A noise level at display rate.
+    /// A noise level at the display rate.
     Noise(NoiseDisplay),
-    /// The screening of a channel at display rate, and when it changes.
+    /// The outlier screening of a channel, at the display rate and after each change.
     Outliers(OutlierDisplay),
-    /// The model classes at display rate, and when they change.
+    /// The model classes, at the display rate and after each change.
     Classes(ModelClassDisplay),
-    /// The verdict on the fit at display rate, and when it changes.
+    /// The verdict on the fit, at the display rate and after each change.
     Fit(FitDisplay),
-    /// Mean and standard deviation of each response that the structure file asks for, frame by frame: those of the estimates
-    /// that come next. For files; they are not put on the bus.
+    /// Mean and standard deviation of each response in the structure file, per frame.
+    ///
+    /// They belong to the next estimates. They are for files and are not published on the bus.
     Responses(Vec<Vec<(f64, f64)>>),
-    /// Something rare.
+    /// An event.
     Event(Event),
 }
 
-/// Identification of one structure: the estimator, the declared band limit, and what is displayed.
+/// The identification of one structure: estimator, declared band limit and displays.
 #[derive(Debug)]
 pub struct Identification {
     structure: Name,
@@ -108,50 +117,55 @@ pub struct Identification {
     estimator: Estimator,
     band_limit: Option<BandLimit>,
     observation_channels: Vec<usize>,
-    /// of each component of the excitation: the channel that measures it, and what is known of it without one
+    /// Channel that measures each component of the excitation.
     excitation_channels: Vec<Option<usize>>,
+    /// Mean of each component of the excitation, used if no channel measures it.
     mean_excitation: Vec<f64>,
     parameter_views: Vec<ParameterView>,
     noise_names: Vec<Name>,
-    /// under which name the effective number of particles is displayed; none without particles
+    /// Display name of the effective number of particles. `None` without particles.
     effective_name: Option<Name>,
     responses: Vec<EstimatedResponse>,
-    /// of the frames that are being done
+    /// Responses of the frames being processed.
     responded: Vec<Vec<(f64, f64)>>,
-    /// one for each observation row; empty where outliers are not screened
+    /// One entry per observation row. Empty if outliers are not screened.
     screening: Vec<ScreeningView>,
-    /// `None` where there is one model
+    /// `None` with a single model.
     classes: Option<ClassView>,
     fit: FitView,
     decimation: Decimation,
     is_thinned: bool,
-    /// values for people that were left out and not yet told
+    /// Number of display values omitted since the last report.
     shed: u64,
     stream: Option<Stream>,
-    /// scratch: one frame as it came, then as the filter sees it
+    /// Scratch space: the measured values of one frame.
     frame: Vec<f64>,
+    /// Scratch space: the values of the frame for the filter.
     observations: Vec<f64>,
     excitation: Vec<f64>,
     restarts: u64,
-    /// frames since the last one with a channel
+    /// Number of frames since the last one with a channel.
     unobserved: u64,
-    /// of each component of the excitation
+    /// State of each component of the excitation.
     hearing: Vec<Hearing>,
-    /// with the channel that should measure it, where there is one
+    /// Names of the components, with the channels that measure them, if any.
     excitation_names: Vec<(String, Option<String>)>,
-    /// the frame before as it came: what repeats to the bit is no measurement
+    /// Last measured values. Bit-identical repetitions are not measurements.
     last_values: Vec<f64>,
-    /// frames since a parameter was last clipped, if it ever was
+    /// Number of frames since a parameter was last clipped, if ever.
     since_clipped: Option<u64>,
 }
 
-/// A shaker at rest measures no force at all, a ground that stands still is measured with some noise.
+/// Returns the initial state of an excitation component.
+///
+/// A shaker at rest measures exactly zero force, but the ground at rest is measured with some
+/// noise.
 fn hearing_of(structure: &Structure, channel: Option<usize>) -> Hearing {
     let measured = channel.and_then(|channel| structure.channels().nth(channel));
     Hearing::new(measured.is_some_and(|channel| channel.quantity() == Quantity::Force))
 }
 
-/// Where the running epoch of frames stands.
+/// Position in the current epoch of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Stream {
     epoch: u64,
@@ -161,22 +175,23 @@ struct Stream {
 }
 
 impl Stream {
-    /// Returns how many frames predictions may bridge.
+    /// Returns the maximum number of frames that predictions may bridge.
     fn bridged_frames(self) -> u64 {
         (BRIDGED_GAP_S * self.sampling_rate_hz) as u64
     }
 
-    /// Returns how often a sample must have repeated itself before its sensor counts as stuck.
+    /// Returns the number of repetitions after which a sensor counts as stuck.
     fn stuck_frames(self) -> u64 {
         ((STUCK_S * self.sampling_rate_hz) as u64).max(STUCK_SAMPLES)
     }
 }
 
 impl Identification {
-    /// Makes the identification of a structure at its prior; `source` is the id under which estimates are published.
+    /// Creates the identification of a structure at its prior. Estimates are published under the ID
+    /// `source`.
     ///
     /// # Errors
-    /// When the filter refuses its settings, or a name cannot be a key.
+    /// Fails if the filter rejects its settings, or a name cannot be a key.
     pub fn new(structure: &Structure, source: impl Into<String>) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Filter {
             structure: structure.name().to_owned(),
@@ -186,10 +201,11 @@ impl Identification {
         Self::with_estimator(structure, source, estimator)
     }
 
-    /// As [`Identification::new`], with an estimator of the same structure in the place of what its file asks for.
+    /// Creates an identification like [`Identification::new`], but with the given estimator of the
+    /// same structure.
     ///
     /// # Errors
-    /// When a name cannot be a key, or the band limit is refused.
+    /// Fails if a name cannot be a key, or the band limit is invalid.
     pub fn with_estimator(
         structure: &Structure,
         source: impl Into<String>,
@@ -306,7 +322,7 @@ impl Identification {
         })
     }
 
-    /// Takes one input and appends what follows from it.
+    /// Processes one input and appends the outputs.
     pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
         let mut next = Some(input);
         while let Some(input) = next {
@@ -314,8 +330,10 @@ impl Identification {
         }
     }
 
-    /// As [`Identification::handle`], of a long gap a part alone: returns what is left of it, so that nobody has to hold all of its
-    /// estimates, some 400 MB of 4,096 frames where there are 160 parameters.
+    /// Processes one input like [`Identification::handle`], but only part of a long gap.
+    ///
+    /// Returns the rest of the gap, if any. The caller therefore need not hold all estimates at
+    /// once. 4096 frames with 160 parameters would take about 400 MB.
     #[must_use]
     pub fn handle_part(&mut self, input: Input, outputs: &mut Vec<Output>) -> Option<Input> {
         match input {
@@ -334,23 +352,24 @@ impl Identification {
         }
     }
 
-    /// Returns how often the filter had to be restarted from its prior.
+    /// Returns how often the filter was restarted from its prior.
     #[must_use]
     pub fn restarts(&self) -> u64 {
         self.restarts
     }
 
-    /// Shows values for people at a tenth of their rate from now on, or at the whole one: estimates do not change by it.
+    /// Sets whether display values are thinned to a tenth of their rate. The setting does not
+    /// affect estimates.
     pub fn thin_display(&mut self, is_thinned: bool) {
         self.is_thinned = is_thinned;
     }
 
-    /// Returns how many values for people were left out for that since this was last asked.
+    /// Returns the number of display values omitted since the last call.
     pub fn take_shed(&mut self) -> u64 {
         std::mem::take(&mut self.shed)
     }
 
-    /// Returns the number of the first frame not yet done, 0 before the first.
+    /// Returns the number of the first frame that is not processed, 0 before the first.
     #[must_use]
     pub fn done(&self) -> u64 {
         self.stream.map_or(0, |stream| stream.next)
@@ -362,20 +381,20 @@ impl Identification {
         &self.estimator
     }
 
-    /// Returns what is to be said of the model classes at a time of measurement; `None` where there is one model.
+    /// Returns the display of the model classes at a measurement time. `None` with a single model.
     #[must_use]
     pub fn class_display(&self, time_ns: i64) -> Option<ModelClassDisplay> {
         let (bank, view) = (self.estimator.classes()?, self.classes.as_ref()?);
         Some(view.display(&self.structure, time_ns, bank))
     }
 
-    /// Returns the verdict on the fit after the last frame; `None` where nobody judges it.
+    /// Returns the verdict on the fit after the last frame. `None` if the fit is not assessed.
     #[must_use]
     pub fn fit_verdict(&self) -> Option<FitVerdict> {
         fit::judged(&self.estimator).map(|judged| judged.verdict)
     }
 
-    /// Tells whether several model classes are compared.
+    /// Returns `true` if several model classes are compared.
     #[must_use]
     pub fn compares_classes(&self) -> bool {
         self.classes.is_some()
@@ -386,17 +405,18 @@ impl Identification {
         self.parameter_views.iter().map(ParameterView::name)
     }
 
-    /// Returns the names of the channels whose outliers are screened; none where they are not.
+    /// Returns the names of the channels screened for outliers, if any.
     pub fn screened_channels(&self) -> impl Iterator<Item = &Name> {
         self.screening.iter().map(ScreeningView::channel)
     }
 
-    /// Returns the names under which noise levels are displayed, and of particles the effective number.
+    /// Returns the display names of the noise levels and of the effective number of particles.
     pub fn displayed_noise_names(&self) -> impl Iterator<Item = &Name> {
         self.noise_names.iter().chain(&self.effective_name)
     }
 
-    /// Returns `true` while particles have lost the state: no alert is decided on their estimates.
+    /// Returns `true` while the particles have lost the state. Their estimates then support no
+    /// alerts.
     #[must_use]
     pub fn has_lost_state(&self) -> bool {
         match &self.estimator {
@@ -415,7 +435,7 @@ impl Identification {
 
     fn take_block(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
         if usize::from(block.channels) != self.frame.len() {
-            return; // of another structure: such a block is refused where it is read
+            return; // of another structure; the reader rejects such a block
         }
         if self
             .stream
@@ -424,7 +444,7 @@ impl Identification {
             self.enter_epoch(block, outputs);
         }
         let Some(grid) = block.grid() else {
-            return; // such a block is refused when it is decoded
+            return; // decoding rejects such a block
         };
         let most = self.most_of_a_block();
         let mut estimates = Vec::with_capacity(most.min(block.count() as usize));
@@ -444,7 +464,7 @@ impl Identification {
         self.publish(first, estimates, block.state, outputs);
     }
 
-    /// Notes a new life of the source of frames: numbers and times begin anew.
+    /// Starts a new epoch of the source of frames, with new numbers and times.
     fn enter_epoch(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
         if self.stream.is_some() {
             self.estimator.forget_motion();
@@ -499,7 +519,7 @@ impl Identification {
             .stream
             .is_some_and(|stream| self.unobserved >= stream.bridged_frames())
         {
-            self.estimator.forget_motion(); // what was predicted so long is no longer known
+            self.estimator.forget_motion(); // a prediction over such a time is invalid
         }
         let had_lost_state = self.has_lost_state();
         let result = self.estimator.step(frame);
@@ -541,10 +561,11 @@ impl Identification {
         );
     }
 
-    /// Bridges frames that are lost for good, or a part of them; returns the number of the first one that is left.
+    /// Bridges permanently missing frames, or part of them. Returns the number of the first
+    /// remaining frame.
     fn bridge(&mut self, since: u64, from: u64, to: u64, outputs: &mut Vec<Output>) -> u64 {
         let Some(stream) = self.stream else {
-            return to; // nothing was known before the gap
+            return to; // there was no state before the gap
         };
         let Some(grid) = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz) else {
             return to;
@@ -701,14 +722,14 @@ impl Identification {
         }
     }
 
-    /// How many estimates have at most [`MOST_BYTES`], but at least one.
+    /// Returns the number of estimates that fit into [`MOST_BYTES`], at least one.
     fn most_of_a_block(&self) -> usize {
         self.stream.map_or(1, |stream| {
             (MOST_BYTES / self.empty_block(stream).item_bytes()).max(1)
         })
     }
 
-    /// How many messages [`Self::display`] makes.
+    /// Returns the number of messages from [`Self::display`].
     fn values_displayed(&self) -> u64 {
         let single =
             usize::from(self.classes.is_some()) + usize::from(self.effective_name.is_some());

@@ -1,20 +1,22 @@
-//! Identifies a structure while it moves: one adaptive extended Kalman filter per structure, or one per
-//! model class, one step per frame.
+//! Identifies a structure from its motion, with one filter step per frame. Each structure has one
+//! adaptive extended Kalman filter, or one per model class.
 //!
-//! Aligned frames go in; estimates of the parameters and the noise levels with their uncertainty come out, at the sampling
-//! rate for programs and at display rate for people.
+//! The inputs are aligned frames. The outputs are estimates of the parameters and noise levels with
+//! their uncertainty. Programs receive them at the sampling rate, and dashboards at the display
+//! rate.
 //!
-//! - [`identification`]: the core, one structure; no clock, no network
-//! - [`estimator`]: what it runs, one filter, a bank of model classes, or particles
-//! - [`Particles`]: particles in place of a Kalman filter, and whether they still follow the data
-//! - [`node`]: the core of a sensor node that identifies for itself, from its own channels alone
-//! - [`node_shell`]: joins such a node to the bus
-//! - [`pool`]: the threads that filters run on
-//! - [`shell`]: joins the identification of a structure to the bus
-//! - [`SetAside`]: samples that the worker of a node has died of
-//! - [`Precedence`]: whether it leads or stands by where several processes identify one structure
+//! - [`identification`]: the core for one structure, without clock or network
+//! - [`estimator`]: the estimator of the core: one filter, a bank of model classes, or particles
+//! - [`Particles`]: particles instead of a Kalman filter, and whether they still follow the data
+//! - [`node`]: the core of a sensor node that runs its own identification from its own channels
+//! - [`node_shell`]: the connection of such a node to the bus
+//! - [`pool`]: the threads that run filters
+//! - [`shell`]: the connection of a structure's identification to the bus
+//! - [`SetAside`]: samples that caused a node's worker to panic
+//! - [`Precedence`]: whether a process leads or stands by if several processes identify one
+//!   structure
 //!
-//! For a recording without a bus, drive the core directly, as `spandrel estimate` does.
+//! To process a recording without a bus, call the core directly, as `spandrel estimate` does.
 
 mod display;
 mod displays;

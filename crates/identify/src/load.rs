@@ -1,22 +1,25 @@
-//! How the identification keeps up with ingest, and what it leaves out where it does not.
+//! Detects whether identification keeps up with ingest, and thins display values if it does not.
 
 use spandrel_bus::{Load, Pace};
 
-/// Frames on the way on purpose where a source waits for identification: the window of a replay. Live samples wait for nobody.
+/// Number of frames in transit by design if a source waits for identification: the window of a
+/// replay. Live sources do not wait.
 const WINDOW: u64 = 4_096;
-/// Frames behind, beyond those on purpose, from which values for people are put less often.
+/// Number of frames behind, beyond the window, above which display values are thinned.
 const SHED: u64 = 1_024;
-/// Frames behind, beyond those on purpose, from which all is as ever again.
+/// Number of frames behind, beyond the window, at which normal operation resumes.
 const RESUME: u64 = 256;
-/// Frames behind from which they are read from the recording of ingest: it keeps no more in memory.
+/// Number of frames behind above which they come from the recording of ingest, which keeps no more
+/// in memory.
 const BEHIND: u64 = 8_192;
 
-/// The load of one identification: it goes through its states one at a time, so that each is told.
+/// The load of one identification. It changes by one state at a time, so that each state is
+/// published.
 #[derive(Debug)]
 pub(crate) struct LoadState {
     load: Load,
     behind: Option<u64>,
-    /// most frames behind since it fell behind
+    /// Maximum number of frames behind since identification fell behind.
     most_behind: u64,
 }
 
@@ -33,13 +36,13 @@ impl LoadState {
         self.load
     }
 
-    /// Frames behind, where that is known.
+    /// Returns the number of frames behind, if known.
     pub(crate) fn behind(&self) -> Option<u64> {
         self.behind
     }
 
-    /// Takes how many frames wait for identification, of a source of this pace where that is known; returns whether the state has
-    /// changed.
+    /// Updates the load from the number of waiting frames and the pace of the source, if known.
+    /// Returns `true` if the state has changed.
     pub(crate) fn observe(&mut self, behind: u64, pace: Option<Pace>) -> bool {
         let on_purpose = if pace == Some(Pace::Live) { 0 } else { WINDOW };
         let is_over = behind <= on_purpose + RESUME;
@@ -52,7 +55,7 @@ impl LoadState {
                 self.most_behind = behind;
                 Load::Behind
             }
-            // A quarter: what comes and goes with the blocks is no trend.
+            // A quarter, because smaller changes come from the block size and are no trend.
             Load::Behind if behind <= self.most_behind / 4 * 3 => Load::CatchingUp,
             Load::CatchingUp if behind >= self.most_behind => Load::Behind,
             Load::DisplayShed | Load::CatchingUp if is_over => Load::Normal,
@@ -66,7 +69,7 @@ impl LoadState {
 mod tests {
     use super::*;
 
-    /// The states told while so many frames wait, one after the other.
+    /// Returns the successive states for these numbers of waiting frames.
     fn told(pace: Option<Pace>, behind: &[u64]) -> Vec<Load> {
         let mut state = LoadState::new();
         let mut told = Vec::new();

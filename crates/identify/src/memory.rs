@@ -1,4 +1,4 @@
-//! What the identification service remembers over its own death.
+//! Checkpoints of the identification service.
 
 use crate::error::IdentifyError;
 use crate::identification::{Identification, IdentificationState};
@@ -8,7 +8,7 @@ use spandrel_structure::Structure;
 use tokio::task::block_in_place;
 use tracing::{info, warn};
 
-/// What the state of the identification of a structure is of.
+/// Returns the checkpoint identity of a structure's identification.
 pub(crate) fn identity(structure: &Structure) -> Identity {
     Identity {
         kind: "identify",
@@ -20,26 +20,26 @@ pub(crate) fn identity(structure: &Structure) -> Identity {
 
 /// The checkpoints of one identification.
 ///
-/// One checkpoint is kept at or before what the alert service would need again, so that whoever restarts, one or both, finds
-/// every estimate that has not been decided on.
+/// One of them is at or before the position from which the alert service would restart. After a
+/// restart of either service or both, every undecided estimate is therefore available.
 #[derive(Debug)]
 pub(crate) struct Memory {
     keeper: Keeper,
-    /// The terms in which this service has led, as epochs of files that hold nothing else.
+    /// The terms in which this service has led, as epochs of otherwise empty files.
     terms: Checkpoints,
-    /// whether the structure has alert rules
+    /// Whether the structure has alert rules.
     is_decided_on: bool,
     alert: ProgressWatch,
 }
 
 impl Memory {
-    /// Opens the folder; `alert` tells what the alert service has done.
+    /// Opens the folder. `alert` reports the progress of the alert service.
     pub(crate) fn open(
         structure: &Structure,
         remembering: &Remembering,
         alert: ProgressWatch,
     ) -> Result<Self, IdentifyError> {
-        // a term outlives every change of the structure file
+        // A term must survive every change of the structure file.
         let of_term = Identity {
             kind: "term",
             version: 1,
@@ -64,7 +64,8 @@ impl Memory {
             .unwrap_or(0)
     }
 
-    /// Keeps the term in which the service is about to lead: on return it is on the disk, or its failure has been told.
+    /// Saves the term in which the service will lead. On return it is on disk, or the failure is
+    /// logged.
     pub(crate) fn keep_term(&self, term: u64) {
         let keep = || {
             self.terms.save(
@@ -81,7 +82,7 @@ impl Memory {
         }
     }
 
-    /// Returns the identification as it was at the oldest checkpoint that may still be needed, or `new` where there is none.
+    /// Restores the oldest checkpoint that may still be needed. Returns `new` if there is none.
     pub(crate) fn recall(
         &self,
         new: impl FnMut() -> Result<Identification, IdentifyError>,
@@ -113,7 +114,7 @@ impl Memory {
                     info!(
                         epoch = place.epoch,
                         frame = place.sequence,
-                        "goes on from its checkpoint"
+                        "resumed from its checkpoint"
                     );
                     return Ok(core);
                 }
@@ -125,7 +126,7 @@ impl Memory {
         }
     }
 
-    /// As [`Memory::recall`], within the life of the service: from the newest checkpoint.
+    /// Restores the newest checkpoint, within a run of the service.
     pub(crate) async fn recall_last(
         &mut self,
         new: impl FnMut() -> Result<Identification, IdentifyError>,
@@ -134,19 +135,19 @@ impl Memory {
         self.restore(new, Checkpoints::load_latest)
     }
 
-    /// What could not be kept so far.
+    /// Returns the count of failed writes.
     pub(crate) fn failures(&self) -> &Failures {
         self.keeper.failures()
     }
 
-    /// Keeps the state when it is time to.
+    /// Saves a checkpoint if one is due.
     pub(crate) async fn keep_if_due(&mut self, core: &Identification) {
         if self.keeper.is_due() {
             self.keep(core).await;
         }
     }
 
-    /// Keeps the last state, and waits until it is on the disk.
+    /// Saves the last state and waits until it is on disk.
     pub(crate) async fn close(mut self, core: &Identification) {
         self.keep(core).await;
         self.keeper.finish().await;
@@ -163,7 +164,8 @@ impl Memory {
                 epoch: header.epoch,
                 sequence: kept,
             });
-        // An alert service that has not been heard of may need everything; without rules there is none.
+        // An alert service without known progress may need every estimate. Without rules there is
+        // none.
         let needed = if self.is_decided_on {
             heard.or(Some(Place {
                 epoch: 0,

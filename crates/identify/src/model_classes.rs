@@ -1,14 +1,14 @@
-//! What people are told of the model classes.
+//! The display of model classes.
 
 use spandrel_bus::{ClassCalibration, ClassPlausibility, EventKind, ModelClassDisplay, Name};
 use spandrel_filter::{ClassBank, ClassEvent, ClassId};
 use spandrel_structure::{Structure, StructureClasses};
 
-/// The model classes as they are displayed.
+/// The displayed state of the model classes.
 #[derive(Debug)]
 pub(crate) struct ClassView {
     structure: Structure,
-    /// persistence of a lead, in words
+    /// Persistence of a lead, in words.
     persistence: String,
     latest: Option<ClassCalibration>,
 }
@@ -36,12 +36,12 @@ impl ClassView {
         self.latest.as_ref()
     }
 
-    /// Takes the last calibration of a checkpoint.
+    /// Restores the last calibration from a checkpoint.
     pub(crate) fn set_calibration(&mut self, calibration: Option<ClassCalibration>) {
         self.latest = calibration;
     }
 
-    /// Takes what happened to the classes at one frame; what people should know of it is returned.
+    /// Processes the class events of one frame. Returns their words.
     pub(crate) fn take(&mut self, time_ns: i64, bank: &ClassBank<StructureClasses>) -> Vec<Told> {
         bank.events()
             .iter()
@@ -115,7 +115,7 @@ impl ClassView {
         }
     }
 
-    /// Makes the message of one instant.
+    /// Returns the display message of one time.
     pub(crate) fn display(
         &self,
         structure: &Name,
@@ -143,7 +143,7 @@ impl ClassView {
     }
 }
 
-/// Writes a change of stiffness with its sign.
+/// Formats a change of stiffness with its sign.
 fn percent(change: f64) -> String {
     let sign = if change < 0.0 { '−' } else { '+' };
     format!("{sign}{:.1} %", 100.0 * change.abs())

@@ -1,9 +1,12 @@
-//! The core of a sensor node's worker: samples of one node in, a local estimate once in a fusion period out.
+//! The core of a sensor node's worker: receives samples of one node and returns a local estimate
+//! per fusion period.
 //!
-//! It knows its own channels and its own clock only. Samples are counted on the grid of their rate since 1970, UTC, and fusion
-//! periods end at its multiples: nodes that began apart, or anew, tell of the same instants. Samples that are replayed wait for
-//! the station's answer to each estimate, so that the same record gives the same numbers; samples as they are measured wait for
-//! nothing.
+//! It knows only its own channels and its own clock. It counts samples on the grid of their rate
+//! since 1970, UTC. Fusion periods end at multiples of their length. Nodes that started at
+//! different times therefore report for the same times.
+//!
+//! Replayed samples wait for the station's feedback to each estimate, so that the same record gives
+//! the same results. Live samples do not wait.
 
 use crate::error::IdentifyError;
 use crate::node_screening::NodeScreening;
@@ -23,37 +26,41 @@ mod state;
 
 pub use state::NodeState;
 
-/// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
+/// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
+/// keeps the parameters.
 const BRIDGED_GAP_S: f64 = 10.0;
 
-/// A sample goes to the next place on the grid when its clock has drifted so far (samples) off its own. More than half a sample, so
-/// that times which jitter half-way between two places do not go to and fro.
+/// Clock drift (samples) at which a sample moves to the next grid position.
+///
+/// It exceeds half a sample, so that jitter half-way between two positions causes no repeated
+/// changes.
 const OFF_ITS_PLACE: f64 = 0.75;
 
-/// Number of a sample of which the worker dies: how that goes on is tested.
+/// Number of a sample that makes the worker panic, for tests of its recovery.
 #[cfg(test)]
 pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
     std::sync::atomic::AtomicU64::new(u64::MAX);
 
-/// What the core reacts to.
+/// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NodeInput {
     /// Samples of the node.
     Samples(SampleBlock),
-    /// Samples of before this life, of which the station may have heard in the one before: they are filtered, and nothing is told of them.
+    /// Samples from before this run. The filter processes them without reports, because the station
+    /// may have received them from an earlier run.
     Past(SampleBlock),
-    /// An answer of the station.
+    /// Feedback from the station.
     Feedback(FeedbackMessage),
-    /// The station has not answered for long: replayed samples go on without it.
+    /// The station has not replied for a long time, so replayed samples continue without it.
     NoAnswer,
 }
 
-/// What the core has to say.
+/// Outputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NodeOutput {
     /// A local estimate, or the end of the samples.
     Local(LocalMessage),
-    /// Something rare.
+    /// An event.
     Event(Event),
 }
 
@@ -72,44 +79,49 @@ pub struct NodeIdentification {
     observation_channels: Vec<usize>,
     excitation_channels: Vec<Option<usize>>,
     ranges: Vec<f64>,
-    /// scratch: a sample as it came, then as the filter sees it
+    /// Scratch space: the measured values of one sample.
     sample: Vec<f64>,
+    /// Scratch space: the values of the sample for the filter.
     observations: Vec<f64>,
     excitation: Vec<f64>,
     restarts: u64,
     sent: u64,
-    /// instants since the last message at which there was a sample
+    /// Number of time steps with a sample since the last message.
     sampled: u64,
-    /// one for each of its observed channels; empty where outliers are not screened
+    /// One entry per observed channel. Empty if outliers are not screened.
     screening: Vec<NodeScreening>,
     dropped: BTreeMap<&'static str, u64>,
     responses: bool,
-    /// exponents of the units in which samples are told, by observation; none where none are
+    /// Exponents of the units of published samples, by observation. Empty if no samples are
+    /// published.
     told_units: Vec<i16>,
     variances: bool,
     done: u64,
 }
 
-/// Where the samples of the running epoch stand.
+/// Position in the current epoch of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Stream {
     epoch: u64,
-    /// sequence of the first sample that has not been filtered
+    /// Sequence number of the first sample that is not filtered.
     next: u64,
-    /// time of the last sample, ns
+    /// Time of the last sample, ns.
     last_ns: i64,
-    /// its number on the grid of the sampling rate since 1970
+    /// Number of the last sample on the grid of the sampling rate since 1970.
     number: i64,
-    /// the message that has to be answered before replayed samples go on; of one life
+    /// Number of the message whose feedback must arrive before replayed samples continue. Valid
+    /// within one run only.
     #[serde(skip)]
     awaits: Option<u64>,
 }
 
 impl NodeIdentification {
-    /// Makes the worker of the node at `position` in the file; `epoch` is higher at each start.
+    /// Creates the worker of the node at `position` in the file. `epoch` must be higher at each
+    /// start.
     ///
     /// # Errors
-    /// When identification is not distributed, there is no such node, or the filter refuses its settings.
+    /// Fails if identification is not distributed, there is no such node, or the filter rejects its
+    /// settings.
     pub fn new(structure: &Structure, position: usize, epoch: u64) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Filter {
             structure: structure.name().to_owned(),
@@ -187,7 +199,7 @@ impl NodeIdentification {
         })
     }
 
-    /// Takes one input and appends what follows from it.
+    /// Processes one input and appends the outputs.
     pub fn handle(&mut self, input: NodeInput, outputs: &mut Vec<NodeOutput>) {
         match input {
             NodeInput::Samples(block) => self.waiting.push_back(block),
@@ -203,7 +215,7 @@ impl NodeIdentification {
         }
     }
 
-    /// Filters samples of before this life, and tells the station nothing.
+    /// Filters samples from before this run without reports to the station.
     fn catch_up(&mut self, block: SampleBlock, outputs: &mut Vec<NodeOutput>) {
         let mut found = Vec::new();
         self.waiting.push_back(block);
@@ -218,43 +230,44 @@ impl NodeIdentification {
         );
     }
 
-    /// Returns the epoch of its messages: higher in each life.
+    /// Returns the epoch of the messages, which is higher in each run.
     #[must_use]
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
 
-    /// Returns epoch and number of the first sample not yet filtered; `None` before the first.
+    /// Returns epoch and number of the first sample that is not filtered. `None` before the first.
     #[must_use]
     pub fn position(&self) -> Option<(u64, u64)> {
         self.stream.map(|stream| (stream.epoch, stream.next))
     }
 
-    /// Returns the message whose answer replayed samples wait for.
+    /// Returns the number of the message whose feedback must arrive before replayed samples
+    /// continue.
     #[must_use]
     pub fn awaits(&self) -> Option<u64> {
         self.stream.and_then(|stream| stream.awaits)
     }
 
-    /// Returns the number of samples filtered, those that were missing in between included.
+    /// Returns the number of filtered samples, including missing ones in between.
     #[must_use]
     pub fn done(&self) -> u64 {
         self.done
     }
 
-    /// Returns the time (ns) of the last sample filtered.
+    /// Returns the time (ns) of the last filtered sample.
     #[must_use]
     pub fn last_ns(&self) -> Option<i64> {
         self.stream.map(|stream| stream.last_ns)
     }
 
-    /// Returns how often the filter has started anew.
+    /// Returns how often the filter has restarted.
     #[must_use]
     pub fn restarts(&self) -> u64 {
         self.filter.restarts()
     }
 
-    /// Returns what was dropped, by reason.
+    /// Returns the number of dropped items, by reason.
     #[must_use]
     pub fn dropped(&self) -> &BTreeMap<&'static str, u64> {
         &self.dropped
@@ -294,7 +307,7 @@ impl NodeIdentification {
             self.tell_restart(outputs);
             self.tell_outliers(grid.time_ns(number), outputs);
             if self.filter.is_due() && self.report(block.pace, outputs) && number + 1 < count {
-                // the rest waits for the answer
+                // The rest of the block waits for the feedback.
                 spandrel_bus::Block::skip(&mut block, number + 1);
                 self.waiting.push_front(block);
                 return;
@@ -306,7 +319,7 @@ impl NodeIdentification {
         }
     }
 
-    /// Moves on to the first sample of a block: bridges what is missing, and drops what has been there.
+    /// Advances to the first sample of a block: bridges missing samples and drops duplicates.
     fn find_place(&mut self, block: &mut SampleBlock, outputs: &mut Vec<NodeOutput>) -> bool {
         let time_ns = block.header.time_ns;
         let Some(stream) = self
@@ -325,14 +338,14 @@ impl NodeIdentification {
             return false;
         }
         let mut missing = steps as u64 - 1;
-        // where the clock of the samples has come to since, in samples
+        // Offset of the sample clock from the grid, in samples.
         let off = time_ns as f64 * 1e-9 * self.rate_hz - (stream.number as f64 + steps);
         if off > OFF_ITS_PLACE {
             missing += 1;
         } else if off < -OFF_ITS_PLACE && missing > 0 {
             missing -= 1;
         } else if off < -OFF_ITS_PLACE {
-            // its place is taken: the next one comes nearest to the one after it
+            // Its position is taken, and the next sample is the closest to the following position.
             *self.dropped.entry("samples-out-of-step").or_default() += 1;
             spandrel_bus::Block::skip(block, 1);
         }
@@ -360,13 +373,15 @@ impl NodeIdentification {
                 running.number += 1;
             }
             if self.filter.is_due() {
-                self.report(Pace::Live, outputs); // nobody waits within a gap
+                self.report(Pace::Live, outputs); // no feedback is awaited within a gap
             }
         }
         true
     }
 
-    /// Finds the place of the first sample of an epoch in its fusion period; a source that begins anew has been elsewhere since.
+    /// Finds the position of an epoch's first sample within its fusion period.
+    ///
+    /// If the source has restarted, the time in between is skipped.
     fn begin_stream(&mut self, block: &SampleBlock, outputs: &mut Vec<NodeOutput>) {
         let (time_ns, period) = (block.header.time_ns, self.filter.steps_per_period());
         let nearest = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.nearest(time_ns));
@@ -376,7 +391,8 @@ impl NodeIdentification {
                 .begin_at(nearest.rem_euclid(period as i64).unsigned_abs()),
             Some(stream) => {
                 let ahead = nearest.saturating_sub(stream.number.saturating_add(1));
-                // what is measured again, or by a clock that was set back, keeps its place in the period
+                // A repeated measurement, or a clock that was set back, keeps its position in the
+                // period.
                 self.skip(
                     u64::try_from(ahead)
                         .unwrap_or_else(|_| ahead.rem_euclid(period as i64).unsigned_abs()),
@@ -402,7 +418,7 @@ impl NodeIdentification {
         });
     }
 
-    /// Leaves samples out that are missing for too long, and places the next one after them.
+    /// Skips samples after a gap that is too long to bridge, and advances the position.
     fn skip(&mut self, samples: u64) {
         self.filter.skip(samples);
         if let Some(stream) = &mut self.stream {
@@ -433,14 +449,14 @@ impl NodeIdentification {
         }
         self.done += 1;
         self.sampled += u64::from(self.sample.iter().any(|value| !value.is_nan()));
-        // the sizes are those of the model; a filter that diverges has started anew
+        // The sizes match the model, and a filter that diverges has already restarted.
         let _ = self.filter.step(Frame {
             observations: &self.observations,
             excitation: &self.excitation,
         });
     }
 
-    /// Sends the local estimate; tells whether its answer is waited for.
+    /// Sends the local estimate. Returns `true` if replayed samples must wait for its feedback.
     fn report(&mut self, pace: Pace, outputs: &mut Vec<NodeOutput>) -> bool {
         let estimate = self.filter.report();
         self.tell_restart(outputs);
@@ -568,7 +584,7 @@ impl NodeIdentification {
         }
     }
 
-    /// Tells what the last sample has changed for the screening of a channel.
+    /// Reports a changed screening of a channel after the last sample.
     fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<NodeOutput>) {
         for (channel, screen) in self.screening.iter_mut().zip(self.filter.screens()) {
             let Some((kind, what, why)) = channel.take(time_ns, screen) else {

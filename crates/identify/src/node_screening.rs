@@ -1,4 +1,5 @@
-//! What a node tells of the outliers of its own channels: events at once, and how they stand with each message to the station.
+//! The outlier reports of a node: events at once, and the state of each channel with every message
+//! to the station.
 
 use crate::error::IdentifyError;
 use crate::screening::ScreeningView;
@@ -10,16 +11,17 @@ use spandrel_filter::{ChannelScreen, OutlierChange};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NodeScreening {
     view: ScreeningView,
-    /// what was told last: an answer of the station takes the filter back to its last message, and what it finds may come again
+    /// Last reported state. Feedback resets the filter to its last message, so the same change can
+    /// occur again.
     faulty: bool,
     masked: Option<MaskedSpan>,
 }
 
 impl NodeScreening {
-    /// A channel that is in training.
+    /// Creates the view of a channel in training.
     ///
     /// # Errors
-    /// When its name is no chunk of a key.
+    /// Fails if the name cannot be part of a key expression.
     pub(crate) fn new(structure: &str, channel: &str) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Name {
             structure: structure.to_owned(),
@@ -32,12 +34,12 @@ impl NodeScreening {
         })
     }
 
-    /// The name of the channel.
+    /// Returns the name of the channel.
     pub(crate) fn channel(&self) -> &Name {
         self.view.channel()
     }
 
-    /// Takes what became of a sample; returns kind, what and why where it is worth an event.
+    /// Processes the result of a sample. Returns kind, description and reason of an event, if any.
     pub(crate) fn take(
         &mut self,
         time_ns: i64,
@@ -72,7 +74,7 @@ impl NodeScreening {
         }
     }
 
-    /// How the channel stands, for a message to the station.
+    /// Returns the state of the channel for a message to the station.
     pub(crate) fn report(&mut self, screen: &ChannelScreen) -> ScreenedChannel {
         let masked = self.view.masked();
         let is_new = masked != self.masked;

@@ -1,4 +1,4 @@
-//! Joins the identification by one sensor node to the bus.
+//! Connects the identification by one sensor node to the bus.
 
 use crate::error::IdentifyError;
 use crate::node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
@@ -18,20 +18,21 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
-/// How often the status is put.
+/// Interval between status messages.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// After a stop, samples are waited for until none has come for this long, and for so long in all: live sensors go on.
+/// After a stop, the service waits until no sample has arrived for this long.
 const LAST_SAMPLES: Duration = Duration::from_millis(100);
+/// Maximum total wait for samples after a stop, because live sensors continue to send.
 const LAST_SAMPLES_IN_ALL: Duration = Duration::from_secs(1);
 
-/// Replayed samples wait so long for an answer of the station.
+/// Maximum time for which replayed samples wait for feedback.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
-/// Time for the sensor to say where its samples stand.
+/// Time limit for the sensor to report its position.
 const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Answers that wait for the node; only the newest counts.
+/// Capacity of the queue for feedback. Only the newest message matters.
 const ANSWERS_WAITING: usize = 4;
 
 /// The worker of one sensor node.
@@ -43,12 +44,13 @@ pub struct NodeService {
     bus: Bus,
     buffer_key: String,
     keeper: Option<Keeper>,
-    /// it goes on from a checkpoint, and reads what its sensor still has of the time since
+    /// Whether the worker resumed from a checkpoint. It then also reads later samples from the
+    /// sensor's buffer.
     goes_on: bool,
-    /// epoch and number of the first live sample that was measured in this life; none before there was one
+    /// Epoch and number of the first live sample measured during this run. `None` before the first.
     begins_at: Option<(u64, u64)>,
     set_aside: SetAside,
-    /// the last samples that the filter was given
+    /// The samples last passed to the filter.
     at_work: Option<Span>,
     feedback: Subscription<FeedbackMessage>,
     local: DisplayPublisher<LocalMessage>,
@@ -61,11 +63,14 @@ pub struct NodeService {
 }
 
 impl NodeService {
-    /// Checks everything and joins the bus; `epoch` is higher at each start. Where `remembering` says that checkpoints are kept, the
-    /// worker goes on from the last one, with the samples that its sensor still has of the time since.
+    /// Validates the settings and joins the bus. `epoch` must be higher at each start.
+    ///
+    /// If `remembering` is set, the worker resumes from its last checkpoint and reads later samples
+    /// from the sensor's buffer.
     ///
     /// # Errors
-    /// When the node cannot identify for itself, the checkpoints cannot be kept, or the bus refuses a declaration.
+    /// Fails if the node cannot run its own identification, checkpoints cannot be written, or the
+    /// bus rejects a declaration.
     pub fn start<'a>(
         structure: &'a Structure,
         position: usize,
@@ -129,16 +134,19 @@ impl NodeService {
         })
     }
 
-    /// Leaves samples out that earlier lives have died of, and adds those that this one dies of.
+    /// Skips samples that caused panics in earlier runs, and records those that cause a panic in
+    /// this run.
     #[must_use]
     pub fn without(self, set_aside: SetAside) -> Self {
         Self { set_aside, ..self }
     }
 
-    /// Runs until `stop`; what has arrived by then is still done, as far as it can be within a second.
+    /// Runs until `stop`. Samples that have arrived by then are still processed, within a limit of
+    /// one second.
     ///
     /// # Errors
-    /// When the bus is closed underneath, or the filter has panicked: another life goes on [without](Self::without) what it had at work.
+    /// Fails if the bus is closed, or if the filter has panicked. The next run then continues
+    /// [without](Self::without) the samples that caused the panic.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -201,7 +209,7 @@ impl NodeService {
     ) -> Result<(), IdentifyError> {
         let block = match delivery {
             Delivery::Block(block) => block,
-            // the next block tells by its time how much is missing
+            // The timestamp of the next block determines the number of missing samples.
             Delivery::Gap(gap) => {
                 debug!(
                     node = self.node.as_str(),
@@ -225,8 +233,10 @@ impl NodeService {
         Ok(())
     }
 
-    /// Whether live samples were measured before this worker was there: the station may have learnt from them by an earlier one, and
-    /// would count them twice.
+    /// Returns `true` if live samples were measured before this worker started.
+    ///
+    /// The station may have received their information from an earlier run, and would count it
+    /// twice.
     async fn was_before(&mut self, block: &SampleBlock) -> bool {
         if block.pace == Pace::Replayed {
             return false;
@@ -238,7 +248,7 @@ impl NodeService {
                     .bus
                     .stream_position(&self.buffer_key, POSITION_TIMEOUT)
                     .await;
-                // a sensor that keeps no samples sends none of before
+                // A sensor without a buffer sends no earlier samples.
                 *self
                     .begins_at
                     .insert(position.map_or((0, 0), |at| (at.header.epoch, at.header.sequence)))
@@ -276,7 +286,7 @@ impl NodeService {
         Ok(())
     }
 
-    /// The filter has panicked: the samples that it had at work are left out by the next life of the worker.
+    /// Records the samples that caused the filter to panic, so that the next run skips them.
     async fn die(&mut self) -> Result<(), IdentifyError> {
         if let Some((epoch, from, to)) = self.at_work.take() {
             self.set_aside.add((epoch, from, to));
@@ -299,7 +309,7 @@ impl NodeService {
         })
     }
 
-    /// Keeps what is known, once there was a sample.
+    /// Saves a checkpoint if there has been a sample.
     async fn keep(&mut self) {
         let Some((keeper, core)) = self.keeper.as_mut().zip(self.core.as_ref()) else {
             return;
@@ -366,8 +376,10 @@ fn now_ns() -> i64 {
         .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
-/// Has the worker go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones. Nodes of one state
-/// folder have a folder each.
+/// Restores the worker from its last readable checkpoint, if any. Returns the keeper of the next
+/// checkpoints.
+///
+/// Each node has its own folder within the state folder.
 fn recall(
     core: &mut NodeIdentification,
     structure: &Structure,
@@ -391,7 +403,7 @@ fn recall(
             node,
             epoch = place.epoch,
             samples = place.sequence,
-            "goes on from its checkpoint"
+            "resumed from its checkpoint"
         );
     }
     Ok(Keeper::new(checkpoints, remembering.every))

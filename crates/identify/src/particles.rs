@@ -1,4 +1,4 @@
-//! Particles in place of a Kalman filter, and whether they still follow the data.
+//! Particles instead of a Kalman filter, and a check whether they still follow the data.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -8,43 +8,49 @@ use spandrel_filter::{
 };
 use spandrel_structure::{ParticleKeys, Structure, StructureModel};
 
-/// Memory of [`Health`] (s): long enough that 50 frames a second tell 1 from 2, short enough to stop an alert.
+/// Memory of [`Health`] (s). With 50 frames per second it can distinguish 1 from 2, and it is short
+/// enough to stop an alert.
 const MEMORY_S: f64 = 5.0;
-/// Mean of the normalised innovation squared per channel from which on the particles have lost the state: their
-/// predictions are wrong by twice what they state.
+/// Mean normalised innovation squared per channel above which the particles have lost the state.
+/// Their predictions are then wrong by twice their stated deviation.
 const LOST_MISFIT: f64 = 4.0;
-/// The same below which they have it again.
+/// The same mean below which the particles follow the state again.
 const FOUND_MISFIT: f64 = 2.0;
-/// Largest value of one frame that counts: a loss shows within about a second, and an absurd frame is forgotten in a few.
+/// Maximum contribution of one frame. A loss still shows within about a second, and a single
+/// implausible frame fades within a few.
 const MOST_MISFIT: f64 = 4.0 * LOST_MISFIT;
-/// Mean effective share of the particles below which they have lost the state: hardly any of them explains a frame.
+/// Mean effective share of the particles below which they have lost the state, because hardly any
+/// of them explains a frame.
 const LOST_SHARE: f64 = 0.02;
-/// The same above which they have it again; a filter that works keeps a third.
+/// The same share above which the particles follow the state again. A working filter has about a
+/// third.
 const FOUND_SHARE: f64 = 0.05;
 
-/// Length of a loss (s) after which the particles are drawn again from the prior: nothing mends a wrong motion by itself.
+/// Duration of a lost state (s) after which the particles are drawn from the prior again. A wrong
+/// motion does not recover by itself.
 const RESTART_AFTER_S: f64 = 30.0;
 
-/// How particles are used in place of a Kalman filter.
+/// Settings of particles that replace a Kalman filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParticlePlan {
-    /// The particle filter itself.
+    /// Settings of the particle filter.
     pub settings: ParticleSettings,
-    /// Standard deviation by which each parameter may drift within a second (ratio to nominal per √s).
+    /// Standard deviation of the drift of each parameter within a second (ratio to nominal per √s).
     pub drift_per_root_s: f64,
-    /// How long a Kalman filter runs before the particles are drawn (s).
+    /// Run time of a Kalman filter before the particles are drawn (s).
     pub warm_up_s: f64,
 }
 
 impl Default for ParticlePlan {
-    /// 2000 particles from the optimal density after two seconds, and a drift of 1 % in four seconds.
+    /// Returns 2000 particles from the optimal density after two seconds, with a drift of 1 % in
+    /// four seconds.
     fn default() -> Self {
         Self::of(&ParticleKeys::default())
     }
 }
 
 impl ParticlePlan {
-    /// Makes the plan that a structure file asks for, with one thread.
+    /// Creates the plan that a structure file specifies, with one thread.
     #[must_use]
     pub fn of(keys: &ParticleKeys) -> Self {
         let ParticleKeys {
@@ -69,13 +75,14 @@ impl ParticlePlan {
 /// Whether the particles follow the data, with exponential memory.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Health {
-    /// mean effective share of the particles
+    /// Mean effective share of the particles.
     share: f64,
-    /// mean normalised innovation squared per channel
+    /// Mean normalised innovation squared per channel.
     misfit: f64,
-    /// frames with a channel since the particles were drawn
+    /// Number of frames with a channel since the particles were drawn.
     frames: u64,
-    /// frames with a channel since the particles lost the state; none while they have it
+    /// Number of frames with a channel since the particles lost the state. `None` while they follow
+    /// it.
     lost: Option<u64>,
 }
 
@@ -93,19 +100,21 @@ impl Health {
         self.share
     }
 
-    /// Returns the mean normalised innovation squared per channel, 1 while the particles follow the data.
+    /// Returns the mean normalised innovation squared per channel, 1 while the particles follow the
+    /// data.
     #[must_use]
     pub fn misfit(&self) -> f64 {
         self.misfit
     }
 
-    /// Returns `true` while the particles have lost the state: their estimates have no meaning.
+    /// Returns `true` while the particles have lost the state. Their estimates are then
+    /// meaningless.
     #[must_use]
     pub fn is_lost(&self) -> bool {
         self.lost.is_some()
     }
 
-    /// Takes a frame with a channel; `memory` is in frames.
+    /// Processes a frame with a channel. `memory` is in frames.
     fn take(&mut self, share: f64, misfit: f64, memory: f64) {
         let weight = 1.0 / memory.max(1.0);
         self.frames += 1;
@@ -120,7 +129,7 @@ impl Health {
     }
 }
 
-/// The state of particles between two frames: what a checkpoint holds.
+/// The state of particles between two frames, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParticleMemory {
     filter: WarmStartState,
@@ -128,24 +137,24 @@ pub struct ParticleMemory {
     effective: (f64, u64),
 }
 
-/// A particle filter with its estimates as the other filters have them.
+/// A particle filter with the interface of the other filters.
 #[derive(Debug)]
 pub struct Particles {
     filter: WarmStartedParticleFilter<StructureModel>,
-    /// entries of the state before the parameters
+    /// Number of state entries before the parameters.
     first: usize,
     mean: DVector<f64>,
-    /// of the state of the particles
+    /// Covariance of the state of the particles.
     covariance: DMatrix<f64>,
-    /// sum of the effective sizes as shares of all particles, and how many were summed
+    /// Sum of the effective sizes as shares of all particles, and the number of terms.
     effective: (f64, u64),
     health: Health,
-    /// frames that `health` remembers
+    /// Memory of `health`, in frames.
     memory: f64,
 }
 
 impl Particles {
-    /// Makes a particle filter for the model of the structure, at its prior.
+    /// Creates a particle filter for the model of the structure, at its prior.
     pub(crate) fn new(structure: &Structure, plan: &ParticlePlan) -> Result<Self, FilterError> {
         let model = structure.model();
         let parameters = model.parameter_len();
@@ -231,20 +240,22 @@ impl Particles {
         Ok(())
     }
 
-    /// Returns the mean share of the particles that counted before they were drawn anew; `None` before the first step of any.
+    /// Returns the mean effective share of the particles before resampling. `None` before their
+    /// first step.
     #[must_use]
     pub fn effective_share(&self) -> Option<f64> {
         let (sum, count) = self.effective;
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Returns whether the particles follow the data; `None` while the Kalman filter warms up.
+    /// Returns whether the particles follow the data. `None` while the Kalman filter warms up.
     #[must_use]
     pub fn health(&self) -> Option<Health> {
         (self.health.frames > 0).then_some(self.health)
     }
 
-    /// Returns `true` once the particles have lost the state for so long that they must be drawn again from the prior.
+    /// Returns `true` if the state has been lost for so long that the particles must be drawn from
+    /// the prior again.
     pub(crate) fn are_beyond_recovery(&self) -> bool {
         self.health
             .lost

@@ -1,19 +1,25 @@
-//! A stream in pieces of bounded work.
+//! A stream in pieces that limit the work per step.
 //!
-//! What is fetched comes in blocks of thousands of items: of a heavy model that is more than a minute of filter work, in which nothing
-//! else of its structure would be looked at, and in which the watchdog would hear nothing of the thread.
+//! Fetched blocks contain thousands of items. For a heavy model, such a block is more than a minute
+//! of filter work. During this time the service would not process other inputs of the structure,
+//! and the thread would not reply to the watchdog.
 
 use spandrel_bus::{Block, Delivery, Stream, StreamCounts};
 
-/// Most items of a piece: as many as sources put at once, so that only what is fetched is cut. Three seconds with the heaviest models, 25 ms
-/// an item, and three times that on a machine with much other work; the watchdog asks a thread for an answer within 10 s.
+/// Maximum number of items per piece. Sources publish at most this number at once, so only fetched
+/// blocks are cut.
+///
+/// The heaviest models take 25 ms per item, so a piece takes about three seconds. On a machine with
+/// much other load it takes three times as long. The watchdog requires a reply from a thread within
+/// 10 s.
 pub(crate) const MOST_ITEMS: u64 = 128;
 
-/// The blocks of a stream, cut where they are long; where they are cut changes no estimate.
+/// The blocks of a stream, with long ones cut into pieces. The positions of the cuts do not affect
+/// the estimates.
 #[derive(Debug)]
 pub(crate) struct Pieces<B> {
     stream: Stream<B>,
-    /// what is left of a block
+    /// The rest of a block.
     rest: Option<B>,
 }
 
@@ -22,7 +28,8 @@ impl<B: Block> Pieces<B> {
         Self { stream, rest: None }
     }
 
-    /// Waits for the next piece or gap; safe to drop while waiting. `None` never comes while this exists.
+    /// Waits for the next piece or gap. The future is safe to drop. Never returns `None` while this
+    /// value exists.
     pub(crate) async fn next(&mut self) -> Option<Delivery<B>> {
         let block = match self.rest.take() {
             Some(rest) => rest,
@@ -36,13 +43,14 @@ impl<B: Block> Pieces<B> {
         Some(Delivery::Block(piece))
     }
 
-    /// What the stream has counted so far.
+    /// Returns the counters of the stream.
     pub(crate) fn counts(&self) -> StreamCounts {
         self.stream.counts()
     }
 }
 
-/// The first piece of a block, and the rest if there is one, with which the end of the epoch goes.
+/// Returns the first piece of a block and the rest, if any. The end of the epoch belongs to the
+/// rest.
 fn cut<B: Block>(block: B) -> (B, Option<B>) {
     if block.count() <= MOST_ITEMS {
         return (block, None);

@@ -1,4 +1,4 @@
-//! The threads that filters run on.
+//! The threads that run filters.
 
 use std::num::NonZeroUsize;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -6,20 +6,21 @@ use std::thread;
 
 type Job = Box<dyn FnOnce() + Send>;
 
-/// A fixed number of threads that carry out filter work in the order in which it is handed over.
+/// A fixed number of threads that process filter jobs in order of submission.
 ///
-/// A structure hands over one block at a time and waits for it, so that its frames stay in order whatever thread takes
-/// them; many structures share the threads. The queue holds at most one job per structure, so it is bounded by their number.
+/// A structure submits one block at a time and waits for it. Its frames therefore stay in order
+/// whichever thread processes them. Many structures share the threads. The queue contains at most
+/// one job per structure, so its length is bounded.
 #[derive(Debug, Clone)]
 pub struct FilterPool {
     jobs: flume::Sender<Job>,
 }
 
 impl FilterPool {
-    /// Starts the threads; they end when the last clone of the pool is dropped.
+    /// Starts the threads, which end when the last clone of the pool is dropped.
     ///
     /// # Errors
-    /// When the system refuses a thread.
+    /// Fails if the operating system cannot create a thread.
     pub fn start(threads: NonZeroUsize) -> std::io::Result<Self> {
         let (jobs, waiting) = flume::unbounded::<Job>();
         for index in 0..threads.get() {
@@ -28,8 +29,9 @@ impl FilterPool {
                 .name(format!("filter-{index}"))
                 .spawn(move || {
                     while let Ok(job) = waiting.recv() {
-                        // What a job was working on is dropped with it, and whoever waits for it hears so: the thread goes on for
-                        // all other structures. The panic itself has been reported where it happened.
+                        // A panic drops the data of the job and notifies its waiting task. The
+                        // thread continues for all other structures. The panic hook has already
+                        // reported the panic.
                         drop(catch_unwind(AssertUnwindSafe(job)));
                     }
                 })?;
@@ -37,19 +39,20 @@ impl FilterPool {
         Ok(Self { jobs })
     }
 
-    /// Returns whether a thread carries out work that is handed over now; waits as long as it takes.
+    /// Waits until a thread has processed an empty job. Returns `false` if the pool has ended.
     pub async fn responds(&self) -> bool {
         self.run(|| ()).await.is_some()
     }
 
-    /// Carries out `work` on one of the threads and returns what it returns; `None` when it panicked or the pool is gone.
+    /// Runs `work` on one of the threads and returns its result. `None` if it panicked or the pool
+    /// has ended.
     pub(crate) async fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Option<T> {
         let (done, result) = tokio::sync::oneshot::channel();
         let job: Job = Box::new(move || {
-            // whoever waited may have been stopped
+            // The waiting task may have been stopped.
             let _ = done.send(work());
         });
         self.jobs.send(job).ok()?;

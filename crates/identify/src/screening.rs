@@ -1,17 +1,17 @@
-//! What people are told of the outliers of one channel.
+//! The display of the outliers of one channel.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{ChannelState, MaskedSpan, Name, OutlierDisplay};
 use spandrel_filter::{ChannelScreen, OutlierChange, Verdict};
 
-/// One channel as it is displayed.
+/// The displayed state of one channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ScreeningView {
     channel: Name,
-    /// samples rejected at the last message
+    /// Number of samples rejected at the last message.
     told: u64,
     masked: Option<MaskedSpan>,
-    /// the last sample was rejected
+    /// Whether the last sample was rejected.
     masking: bool,
 }
 
@@ -29,12 +29,12 @@ impl ScreeningView {
         &self.channel
     }
 
-    /// The latest stretch in which every sample was rejected.
+    /// Returns the latest interval in which every sample was rejected.
     pub(crate) fn masked(&self) -> Option<MaskedSpan> {
         self.masked
     }
 
-    /// Takes what became of one sample; the words for an event are returned where it changed something for people.
+    /// Processes the result of one sample. Returns a change with the reason for its event, if any.
     pub(crate) fn take(
         &mut self,
         time_ns: i64,
@@ -77,14 +77,14 @@ impl ScreeningView {
         }
     }
 
-    /// Makes the message of one instant, and begins to count anew.
+    /// Returns the display message of one time, and restarts the count of rejected samples.
     pub(crate) fn display(
         &mut self,
         structure: &Name,
         time_ns: i64,
         screen: &ChannelScreen,
     ) -> OutlierDisplay {
-        // a restarted filter counts from zero
+        // A restarted filter counts from zero.
         let flagged = screen
             .rejected()
             .checked_sub(self.told)
@@ -105,7 +105,7 @@ impl ScreeningView {
     }
 }
 
-/// How the screening of a channel stands, in a word.
+/// Returns the state of the screening of a channel.
 pub(crate) fn state(screen: &ChannelScreen) -> ChannelState {
     match (screen.faulty(), screen.trained()) {
         (true, _) => ChannelState::Faulty,

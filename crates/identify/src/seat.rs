@@ -1,4 +1,5 @@
-//! Where one of several processes that can identify the same structure stands: it leads, stands by, or is about to.
+//! The role of one of several processes that can identify the same structure: joining, standby or
+//! leader.
 
 use crate::identification::Output;
 use spandrel_bus::{
@@ -7,36 +8,37 @@ use spandrel_bus::{
 };
 use std::collections::VecDeque;
 
-/// Whether an identification leads as soon as it starts, whoever led before, or once nobody else does.
+/// Whether an identification leads as soon as it starts, or only if there is no other leader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precedence {
     /// It leads as soon as it starts.
     Leads,
-    /// It stands by as long as another one leads.
+    /// It is a standby as long as another process leads.
     StandsBy,
 }
 
-/// Where an identification stands.
+/// The role of an identification.
 #[derive(Debug)]
 pub(crate) enum Seat {
-    /// Another one leads, whose state has not been taken yet: nothing is identified here.
+    /// Another process leads, but its state has not been received yet. Identification is paused.
     Joining,
-    /// It identifies what the one that leads does, and puts nothing.
+    /// A standby: it identifies in step with the leader, but does not publish.
     StandingBy(StandingBy),
-    /// It puts what it identifies.
+    /// The leader: it publishes its results.
     Leading(Leading),
 }
 
-/// What one that stands by keeps for the time when it leads.
+/// The results that a standby keeps for a takeover.
 #[derive(Debug)]
 pub(crate) struct StandingBy {
     pub(crate) estimates: NumberedStandby<EstimateBlock>,
     pub(crate) held: Held,
-    /// The claim of the one whose state it has taken; none of one that has begun with what it remembers itself.
+    /// Claim of the leader whose state was received. `None` for a process that started from its own
+    /// checkpoint.
     pub(crate) in_step_with: Option<Claim>,
 }
 
-/// What only the one that leads puts and answers.
+/// The publishers and queries of the leader.
 #[derive(Debug)]
 pub(crate) struct Leading {
     pub(crate) claim: Claim,
@@ -56,7 +58,7 @@ impl Seat {
         }
     }
 
-    /// Takes how far alert has come: what it needs no more need not stay in memory for it.
+    /// Releases estimates in memory that alert, according to its progress, no longer needs.
     pub(crate) fn release(&mut self, decided: &Progress) {
         let (epoch, first) = (decided.header.epoch, decided.kept);
         match self {
@@ -66,7 +68,7 @@ impl Seat {
         }
     }
 
-    /// Waits for somebody who asks for the state; for ever where it is not for this one to answer.
+    /// Waits for a query for the state. Never returns if this process is not the leader.
     pub(crate) async fn question(&self) -> Question {
         if let Self::Leading(leading) = self
             && let Some(question) = leading.questions.next().await
@@ -77,20 +79,24 @@ impl Seat {
     }
 }
 
-/// Most display values and events that wait: those of a minute of a structure of some twenty parameters.
+/// Maximum number of display values and events in the queue: about a minute of a structure with
+/// some twenty parameters.
 const MOST_HELD: usize = 16_384;
 
-/// Display values and events of frames of which nobody has said that they are done: they are put by the one that takes over.
+/// Display values and events of frames that the leader has not reported as done. A takeover
+/// publishes them.
 ///
-/// What has been put and not yet been said to be done is put twice then; its readers know it by its time.
+/// Values that the former leader published but did not report as done are published twice.
+/// Subscribers detect duplicates by their time.
 #[derive(Debug, Default)]
 pub(crate) struct Held {
-    /// with epoch and number of the frame after those that they came of
+    /// Outputs with epoch and number of the frame after their frames.
     waiting: VecDeque<((u64, u64), Output)>,
 }
 
 impl Held {
-    /// Keeps what came of the frames before number `end` of an epoch; the oldest is forgotten when too much waits.
+    /// Keeps an output of the frames before number `end` of an epoch. Drops the oldest output when
+    /// the queue is full.
     pub(crate) fn keep(&mut self, epoch: u64, end: u64, output: Output) {
         self.waiting.push_back(((epoch, end), output));
         while self.waiting.len() > MOST_HELD {
@@ -98,7 +104,7 @@ impl Held {
         }
     }
 
-    /// Forgets what the one that leads has done.
+    /// Drops the outputs that the leader has published.
     pub(crate) fn done(&mut self, progress: &Progress) {
         let done = (progress.header.epoch, progress.done);
         while self.waiting.front().is_some_and(|(end, _)| *end <= done) {
@@ -106,14 +112,16 @@ impl Held {
         }
     }
 
-    /// Gives back what waits, the oldest first.
+    /// Returns the kept outputs, oldest first.
     pub(crate) fn take(self) -> impl Iterator<Item = Output> {
         self.waiting.into_iter().map(|(_, output)| output)
     }
 }
 
-/// The term in which to claim the lead: above all that has been heard of, here or in an earlier life, and by the clock on the wall where
-/// nothing has.
+/// Returns the term for a new claim.
+///
+/// It exceeds every known term, from this run or an earlier one, and is at least the wall clock
+/// time.
 pub(crate) fn next_term(clock_ns: u64, heard: u64, remembered: u64) -> u64 {
     clock_ns
         .max(heard.saturating_add(1))
@@ -160,7 +168,7 @@ mod tests {
         let mut held = held([(1, 40), (1, 80), (1, 80), (1, 120)]);
         held.done(&progress(1, 79));
         held.done(&progress(1, 80));
-        held.done(&progress(1, 40)); // one that comes late
+        held.done(&progress(1, 40)); // a late progress message
         assert_eq!(numbers(held), [120]);
     }
 

@@ -1,14 +1,16 @@
-//! Samples that the worker of a node has died of, left out from then on.
+//! Samples that caused a node's worker to panic, which later runs skip.
 
 use spandrel_bus::{Block, SampleBlock, StreamState};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Samples of an epoch: its number, the first of them, and the one after the last.
+/// A span of samples in an epoch: number of the epoch, of the first sample, and of the sample after
+/// the last.
 pub(crate) type Span = (u64, u64, u64);
 
-/// Samples that a worker has died of, known to each of its lives in one process: they count as missing.
+/// Samples that caused a worker to panic, shared between its runs in one process. They count as
+/// missing.
 ///
-/// A piece of samples is left out as a whole: it is short, and the filter bridges it by predictions.
+/// A whole piece of samples is skipped. It is short, and the filter bridges it by predictions.
 #[derive(Debug, Clone, Default)]
 pub struct SetAside {
     spans: Arc<Mutex<Vec<Span>>>,
@@ -16,21 +18,21 @@ pub struct SetAside {
 
 impl SetAside {
     fn spans(&self) -> MutexGuard<'_, Vec<Span>> {
-        // nothing that panics runs under this lock
+        // No code that can panic runs under this lock.
         self.spans.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Leaves these samples out from now on.
+    /// Excludes these samples from now on.
     pub(crate) fn add(&self, span: Span) {
         self.spans().push(span);
     }
 
-    /// The deaths so far.
+    /// Returns the number of panics so far.
     pub(crate) fn deaths(&self) -> u64 {
         self.spans().len() as u64
     }
 
-    /// Samples that are left out.
+    /// Returns the number of excluded samples.
     pub(crate) fn samples(&self) -> u64 {
         self.spans()
             .iter()
@@ -38,7 +40,7 @@ impl SetAside {
             .sum()
     }
 
-    /// What is left of a block without them.
+    /// Returns the parts of a block without the excluded samples.
     pub(crate) fn cut(&self, block: SampleBlock) -> Vec<SampleBlock> {
         let mut parts = vec![block];
         for (epoch, from, to) in self.spans().iter().copied() {
@@ -51,7 +53,7 @@ impl SetAside {
     }
 }
 
-/// What comes before and after samples `from` to before `to` of an epoch, where there is any.
+/// Returns the parts of a block before and after samples `from` to before `to` of an epoch.
 fn without(block: SampleBlock, epoch: u64, from: u64, to: u64) -> Vec<SampleBlock> {
     let (first, end) = (block.header.sequence, block.end());
     if block.header.epoch != epoch || end <= from || first >= to {
@@ -60,7 +62,7 @@ fn without(block: SampleBlock, epoch: u64, from: u64, to: u64) -> Vec<SampleBloc
     let (mut before, mut after) = (block.clone(), block);
     before.truncate(from.saturating_sub(first));
     after.skip(to - first);
-    // an end travels with the last part, even where no sample is left for it
+    // An end mark belongs to the last part, even if that part has no samples.
     let has_after = after.count() > 0 || after.state == StreamState::Ended;
     [
         Some(before).filter(|before| before.count() > 0),
@@ -92,7 +94,7 @@ mod tests {
         }
     }
 
-    /// First and end of what is left of a block.
+    /// Returns first and end of each remaining part of a block.
     fn left(set_aside: &SetAside, block: SampleBlock) -> Vec<(u64, u64)> {
         set_aside
             .cut(block)

@@ -1,4 +1,4 @@
-//! Joins the identification of one structure to the bus.
+//! Connects the identification of one structure to the bus.
 
 use crate::displays::Displays;
 use crate::error::IdentifyError;
@@ -26,34 +26,36 @@ mod standing;
 
 pub use standing::ESTIMATES_KEPT;
 
-/// How often the status is put, and what did not succeed is tried again.
+/// Interval between status messages, and between retries.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// Statuses of ingest that wait to be read: the last one counts.
+/// Capacity of the queue for status messages of ingest. Only the last one matters.
 const STATUSES_WAITING: usize = 4;
 
-/// After a stop, frames are waited for until none has come for this long, and for so long in all: an ingest of another process goes on.
+/// After a stop, the service waits until no frame has arrived for this long.
 const LAST_FRAMES: Duration = Duration::from_millis(100);
+/// Maximum total wait for frames after a stop, because an ingest in another process continues to
+/// send.
 const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// The identification service of one structure.
 #[derive(Debug)]
 pub struct IdentifyService {
-    /// taken while a thread of the pool has it, and lost where that has panicked; none while joining
+    /// `None` while joining, and while a pool thread uses it. It is lost if that thread panics.
     core: Option<Identification>,
     structure: Structure,
     bus: Bus,
     pool: FilterPool,
     trouble: Trouble,
-    /// none while joining
+    /// `None` while joining.
     frames: Option<Pieces<FrameBlock>>,
     seat: Seat,
     claims: Claims,
-    /// who delivers frames: where nobody does there is nothing to lead
+    /// The sources of frames. Without any, there is nothing to lead.
     ingest: LiveWatch,
-    /// what the one that leads has done
+    /// Progress of the leader.
     led: ProgressWatch,
-    /// highest term heard of
+    /// Highest known term.
     heard: u64,
     awake: Instant,
     failed_joins: u64,
@@ -66,23 +68,26 @@ pub struct IdentifyService {
     last_time_ns: Option<i64>,
     epoch: u64,
     memory: Option<Memory>,
-    /// what has been decided on: other estimates stay in memory for longer
+    /// Progress of alert. Later estimates stay in memory for longer.
     alert: ProgressWatch,
-    /// how far ingest is, and whether its samples wait for nobody
+    /// Progress of ingest.
     made: ProgressWatch,
     ingest_statuses: Subscription<Status>,
     pace: Option<Pace>,
     load: LoadState,
-    /// values for people that were left out
+    /// Number of omitted display values.
     shed: u64,
 }
 
 impl IdentifyService {
-    /// Checks everything and joins the bus; `id` names this instance, which goes on from its last checkpoint where
-    /// `remembering` says that it keeps any, or from the state of the one that leads.
+    /// Validates the settings and joins the bus. `id` names this instance.
+    ///
+    /// The service resumes from its last checkpoint if `remembering` is set, or from the state of
+    /// the leader.
     ///
     /// # Errors
-    /// When the filter cannot be made, the checkpoints cannot be kept, or the bus refuses a declaration.
+    /// Fails if the filter cannot be created, checkpoints cannot be written, or the bus rejects a
+    /// declaration.
     pub fn start<'a>(
         structure: &'a Structure,
         bus: &'a Bus,
@@ -170,11 +175,11 @@ impl IdentifyService {
         })
     }
 
-    /// Runs until `stop`; what has arrived by then is still done, as far as it can be within a second. The rest comes again at the
-    /// next start.
+    /// Runs until `stop`. Frames that have arrived by then are still processed, within a limit of
+    /// one second. The rest arrives again after a restart.
     ///
     /// # Errors
-    /// When the bus is closed underneath, or the thread of a filter was lost.
+    /// Fails if the bus is closed, or if the thread of a filter was lost.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -189,7 +194,8 @@ impl IdentifyService {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
             loop {
-                // Not biased: at full speed frames never stop, and status and stop must still get their turn.
+                // The selection is not biased. At full speed there are always frames, and status
+                // and stop still need their turn.
                 tokio::select! {
                     delivery = next(self.frames.as_mut()) => match delivery {
                         Some(delivery) => self.take(delivery).await?,
@@ -210,7 +216,8 @@ impl IdentifyService {
                     () = &mut stop => break,
                 }
             }
-            // An ingest of this process has stopped before: what it put last may still be on its way through the reader.
+            // An ingest in this process has already stopped, but its last frames may still be in
+            // transit.
             let deadline = Instant::now() + LAST_FRAMES_IN_ALL;
             while Instant::now() < deadline
                 && let Ok(Some(delivery)) =
@@ -222,7 +229,7 @@ impl IdentifyService {
                 memory.close(core).await;
             }
             if let Seat::Leading(leading) = self.seat {
-                leading.token.withdraw().await?; // who stands by takes over from what was put last
+                leading.token.withdraw().await?; // a standby takes over
             }
             if let Some(token) = self.token.take() {
                 token.withdraw().await?;
@@ -244,7 +251,8 @@ impl IdentifyService {
                 Input::Frames(block)
             }
             Delivery::Gap(_) if self.is_in_step() => {
-                self.leave(); // the one that leads may have these frames: its state tells
+                // The leader may have these frames, and its state includes them.
+                self.leave();
                 return Ok(());
             }
             Delivery::Gap(gap) => Input::gap(gap.from, gap.to),
@@ -268,7 +276,7 @@ impl IdentifyService {
                     (core, outputs, left)
                 });
                 let Some((mut core, outputs, rest)) = work.await else {
-                    return self.revive(from, to).await; // what follows comes again
+                    return self.revive(from, to).await; // the following frames arrive again
                 };
                 left = rest;
                 self.shed += core.take_shed();
@@ -302,7 +310,7 @@ impl IdentifyService {
         Ok(())
     }
 
-    /// Whether it does what another one does.
+    /// Returns `true` if this process is a standby in step with its leader.
     fn is_in_step(&self) -> bool {
         matches!(
             &self.seat,
@@ -313,8 +321,10 @@ impl IdentifyService {
         )
     }
 
-    /// The identification has panicked in frames `from` to before `to`: goes back to its last checkpoint, and over the same frames
-    /// again. All other structures are not touched. One that stands by takes the state of the one that leads instead.
+    /// Recovers from a panic in frames `from` to before `to`.
+    ///
+    /// The identification restores its last checkpoint and processes the frames again. A standby in
+    /// step with the leader requests the leader's state instead. Other structures are not affected.
     async fn revive(&mut self, from: u64, to: u64) -> Result<(), IdentifyError> {
         let set_aside = self.trouble.died(Instant::now(), self.epoch, from, to);
         if self.trouble.is_hopeless() {
@@ -335,7 +345,7 @@ impl IdentifyService {
             .position()
             .is_some_and(|(epoch, _)| epoch != self.epoch)
         {
-            core = new()?; // the estimates of an epoch that is over are not put again
+            core = new()?; // estimates of a former epoch are not published again
         }
         let first = core.done();
         let Seat::Leading(leading) = &self.seat else {
@@ -357,7 +367,7 @@ impl IdentifyService {
         self.tell(EventKind::Restart, what, why).await
     }
 
-    /// Tells people what has become of the identification.
+    /// Publishes an event about the identification.
     async fn tell(&self, kind: EventKind, what: String, why: String) -> Result<(), IdentifyError> {
         let event = Event {
             structure: self.keys.structure().clone(),
@@ -370,7 +380,7 @@ impl IdentifyService {
         Ok(self.displays.put(&Output::Event(event)).await?)
     }
 
-    /// Puts an output, or keeps it for the time when this one leads.
+    /// Publishes an output, or keeps it for a takeover.
     async fn say(&mut self, output: Output) -> Result<(), IdentifyError> {
         if let Output::Estimates(block) = &output
             && let (Some(grid), Some(last)) = (block.grid(), block.estimates.len().checked_sub(1))
@@ -393,7 +403,7 @@ impl IdentifyService {
                     .unwrap_or((0, 0));
                 standing_by.held.keep(epoch, end, output);
             }
-            (Seat::Joining, _) => {} // nothing is identified then
+            (Seat::Joining, _) => {} // identification is paused
         }
         Ok(())
     }
@@ -440,7 +450,7 @@ impl IdentifyService {
     }
 }
 
-/// The clock on the wall, ns since the Unix epoch.
+/// Returns the wall clock time, ns since the Unix epoch.
 fn now_ns() -> u64 {
     #[expect(
         clippy::disallowed_methods,
@@ -451,7 +461,7 @@ fn now_ns() -> u64 {
         .map_or(0, |elapsed| elapsed.as_nanos() as u64)
 }
 
-/// Waits for the next frames; for ever where none are read.
+/// Waits for the next frames. Never returns without a reader.
 async fn next(frames: Option<&mut Pieces<FrameBlock>>) -> Option<Delivery<FrameBlock>> {
     match frames {
         Some(frames) => frames.next().await,
@@ -459,7 +469,7 @@ async fn next(frames: Option<&mut Pieces<FrameBlock>>) -> Option<Delivery<FrameB
     }
 }
 
-/// Where an identification wants its frames from.
+/// Returns the position from which an identification needs frames.
 fn start_of(core: &Identification) -> Start {
     match core.position() {
         Some((epoch, sequence)) => Start::At { epoch, sequence },
@@ -467,7 +477,7 @@ fn start_of(core: &Identification) -> Start {
     }
 }
 
-/// Reads the frames of a structure; others are refused.
+/// Reads the frames of a structure and rejects others.
 async fn follow_frames(
     structure: &Structure,
     bus: &Bus,
@@ -488,9 +498,10 @@ async fn follow_frames(
     ))
 }
 
-/// Logs an event: what was mended or lost as a warning, what belongs to normal work as information.
+/// Logs an event, as a warning if it reports a fault or a recovery, otherwise as information.
 ///
-/// Its time of measurement is logged in ns since 1970 as on the bus, or in seconds since `start_ns` where a record has one.
+/// The measurement time is logged in ns since 1970 as on the bus, or in seconds since `start_ns` if
+/// that is given.
 pub fn log_event(event: &Event, start_ns: Option<i64>) {
     let (structure, subject) = (event.structure.as_str(), event.subject.as_str());
     let time_s = start_ns.map(|start_ns| event.time_ns.saturating_sub(start_ns) as f64 / 1e9);

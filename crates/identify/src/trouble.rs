@@ -1,4 +1,4 @@
-//! Frames that an identification has died of: found one by one, and set aside.
+//! Finds single frames that cause the identification to panic, and excludes them.
 
 use crate::identification::Input;
 use spandrel_bus::Block;
@@ -6,27 +6,29 @@ use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Deaths within [`DEATHS_WITHIN`] after which they are no longer those of single frames.
+/// Maximum number of panics within [`DEATHS_WITHIN`]. Beyond it, single frames are not the cause.
 const MOST_DEATHS: usize = 100;
+/// Time span in which panics are counted.
 const DEATHS_WITHIN: Duration = Duration::from_secs(3600);
 
-/// What is known of such frames.
+/// The known frames that cause panics.
 ///
-/// A first death says in which block the frame is. On the way back there each frame of the block comes alone, so that a second
-/// death says which one it is; from then on it counts as missing.
+/// The first panic identifies the block that contains the frame. In the second pass, each frame of
+/// the block is processed alone, so a second panic identifies the frame. From then on the frame
+/// counts as missing.
 #[derive(Debug, Default)]
 pub(crate) struct Trouble {
-    /// epoch, first frame and the one after the last of a block that has killed
+    /// A block that caused a panic: epoch, first frame, and the frame after the last.
     suspect: Option<(u64, u64, u64)>,
-    /// epoch and number
+    /// Epoch and number of each excluded frame.
     set_aside: BTreeSet<(u64, u64)>,
     deaths: u64,
-    /// those within [`DEATHS_WITHIN`], oldest first
+    /// Panics within [`DEATHS_WITHIN`], oldest first.
     recent: VecDeque<Instant>,
 }
 
 impl Trouble {
-    /// Cuts an input into parts that come one after the other: suspects alone, what is set aside as gaps.
+    /// Cuts an input into successive parts: suspect frames alone, and excluded frames as gaps.
     pub(crate) fn cut(&self, input: Input) -> Vec<Input> {
         let Input::Frames(mut rest) = input else {
             return vec![input];
@@ -57,14 +59,14 @@ impl Trouble {
                 false => Input::Frames(single),
             });
         }
-        // an end travels with the last part, even where no frame is left for it
+        // An end mark belongs to the last part, even if that part has no frames.
         if rest.count() > 0 || parts.is_empty() || rest.state == spandrel_bus::StreamState::Ended {
             parts.push(Input::Frames(rest));
         }
         parts
     }
 
-    /// Notes that the identification has died now of frames `from` to before `to` of an epoch; returns the frame that is set aside
+    /// Records a panic in frames `from` to before `to` of an epoch. Returns the frame to exclude
     /// from now on, if it is known.
     pub(crate) fn died(&mut self, now: Instant, epoch: u64, from: u64, to: u64) -> Option<u64> {
         self.deaths += 1;
@@ -84,17 +86,17 @@ impl Trouble {
         Some(from)
     }
 
-    /// Returns how often it has died.
+    /// Returns the number of panics.
     pub(crate) fn deaths(&self) -> u64 {
         self.deaths
     }
 
-    /// Whether it has died too often of late to go on.
+    /// Returns `true` if there were too many recent panics to continue.
     pub(crate) fn is_hopeless(&self) -> bool {
         self.recent.len() > MOST_DEATHS
     }
 
-    /// Returns how many frames are set aside.
+    /// Returns the number of excluded frames.
     pub(crate) fn set_aside(&self) -> u64 {
         self.set_aside.len() as u64
     }
@@ -121,7 +123,7 @@ mod tests {
         }
     }
 
-    /// First and end of each part; gaps are negative.
+    /// Returns first and end of each part. Gaps are negative.
     fn parts(trouble: &Trouble, input: FrameBlock) -> Vec<(i64, i64)> {
         let span = |part: Input| match part {
             Input::Frames(block) => (block.header.sequence as i64, block.end() as i64),

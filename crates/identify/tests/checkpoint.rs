@@ -1,4 +1,5 @@
-//! An identification that goes on from its checkpoint, of every example, gives what one gives that never stopped.
+//! For every example, an identification restored from its checkpoint gives the same results as an
+//! uninterrupted one.
 
 #![allow(
     clippy::unwrap_used,
@@ -29,7 +30,7 @@ fn examples() -> Vec<PathBuf> {
     files
 }
 
-/// Simulated frames in blocks, with a block that is missing and samples that are.
+/// Returns simulated frames in blocks, with a missing block and missing samples.
 fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
     let channels = structure.channel_count();
     let rows: Vec<Vec<f64>> = structure
@@ -64,7 +65,7 @@ fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
     rows.chunks(BLOCK).enumerate().map(block).collect()
 }
 
-/// All that is said after one input, with every digit.
+/// Returns all outputs after one input, with every digit.
 fn said(core: &mut Identification, input: Input) -> Vec<String> {
     let mut outputs: Vec<Output> = Vec::new();
     core.handle(input, &mut outputs);
@@ -78,7 +79,7 @@ fn every_example_goes_on_from_its_checkpoint_with_the_same_bits() {
     for file in examples() {
         let structure = Structure::read(&file).unwrap_or_else(|error| panic!("{error}"));
         if structure.fusion().is_some() {
-            continue; // its nodes identify for themselves
+            continue; // its nodes run their own identification
         }
         let frames = if structure.parameters().len() > 30 {
             6 * BLOCK

@@ -1,4 +1,5 @@
-//! The service's core with particles: what it publishes of them, and what it does when they lose the state.
+//! Tests of the service's core with particles: its output, and its behaviour when they lose the
+//! state.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,7 +21,8 @@ fn structure() -> Structure {
     Structure::read(&path).unwrap()
 }
 
-/// Simulated seconds of force and acceleration; `fault` changes the acceleration at a time (s).
+/// Returns simulated seconds of force and acceleration. `fault` changes the acceleration at a time
+/// (s).
 fn frames(seconds: usize, fault: impl Fn(f64, f64) -> f64) -> FrameBlock {
     let rows = structure().simulator(3).take(seconds * RATE_HZ).enumerate();
     let values = rows.flat_map(|(frame, row)| {
@@ -52,7 +54,7 @@ fn run(block: FrameBlock) -> Vec<Output> {
     outputs
 }
 
-/// Kind and time (s) of each event.
+/// Returns kind and time (s) of each event.
 fn events(outputs: &[Output]) -> Vec<(EventKind, f64)> {
     let event = |output: &Output| match output {
         Output::Event(Event { kind, time_ns, .. }) => Some((*kind, *time_ns as f64 / 1e9)),

@@ -1,10 +1,13 @@
-//! Samples of many nodes to frames: no clock, no network.
+//! Builds frames from the samples of many nodes, without a clock or network.
 //!
-//! Frame k is at t0 + round(k·10⁹/rate); t0 is the earliest first sample of the nodes. A sample goes to the nearest frame
-//! within the tolerance and is never interpolated; of two in one frame the first counts. A frame is closed when each node
-//! has delivered it, has delivered something later, has ended or is lost, or when its lateness is over. So the frames do
-//! not depend on the order in which blocks of different nodes arrive, nor on how the samples are cut into blocks, as long
-//! as no lateness is over.
+//! Frame k is at t0 + round(k·10⁹/rate) ns, where t0 is the earliest first sample of the nodes. A
+//! sample goes to the nearest frame within the tolerance and is never interpolated. If two samples
+//! of a node fall into one frame, the first one counts.
+//!
+//! A frame closes when its deadline has passed, or when no node can still contribute. A node cannot
+//! contribute if it has delivered the frame or a later sample, has ended, or is lost. As long as no
+//! deadline passes, frames do not depend on the order in which blocks of different nodes arrive.
+//! Nor do they depend on how the samples are cut into blocks.
 
 use spandrel_bus::{Block, FrameBlock, Header, Pace, SampleBlock, StreamState, TimeGrid};
 
@@ -12,47 +15,50 @@ use crate::counts::Counts;
 use crate::layout::Layout;
 use crate::node_queue::{NodeQueue, Presence};
 
-/// Most frames of one block.
+/// Maximum number of frames in a block.
 const BLOCK_FRAMES: usize = 512;
 
-/// A hole in the time of all nodes longer than this, in frames, is not filled with empty frames: a new run starts.
+/// Longest gap that is filled with empty frames, in frames. After a longer gap in the samples of
+/// all nodes, a new run starts.
 const LONGEST_HOLE: i64 = 100_000;
 
-/// What the alignment reacts to; `node` is the place in the layout.
+/// An input of the alignment; `node` is an index into the layout.
 #[derive(Clone, Debug)]
 pub enum Input {
     /// The next samples of a node, in order.
     Samples {
-        /// The node.
+        /// Index of the node.
         node: usize,
         /// Its samples.
         block: SampleBlock,
     },
-    /// A node is gone without a word: frames no longer wait for it. Its next samples take it back.
+    /// A node has disappeared without ending its stream. Frames stop waiting for it until its next
+    /// samples arrive.
     Lost {
-        /// The node.
+        /// Index of the node.
         node: usize,
     },
-    /// A node that was lost is expected again: only the link to it was down.
+    /// A lost node is expected again, because only its link was down.
     Back {
-        /// The node.
+        /// Index of the node.
         node: usize,
     },
-    /// Lateness is over for frames up to this time: they no longer wait for anybody.
+    /// The deadline of all frames up to this time has passed. These frames stop waiting for missing
+    /// nodes.
     Deadline {
         /// Measurement time, ns since the Unix epoch.
         time_ns: i64,
     },
 }
 
-/// Where the stream of a node stands.
+/// The position of alignment in the stream of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NodePlace {
-    /// Epoch of its stream, 0 before the first sample.
+    /// Epoch of the stream; 0 before the first sample.
     pub epoch: u64,
-    /// Number of the first sample that has not gone into a frame.
+    /// Sequence number of the first sample that is not yet part of a frame.
     pub sequence: u64,
-    /// Whether it has said that this was all.
+    /// Whether the node has ended its stream.
     pub ended: bool,
 }
 
@@ -69,7 +75,7 @@ pub struct Alignment {
     counts: Counts,
 }
 
-/// The frames from one t0 on.
+/// The frames on one time grid that starts at t0.
 #[derive(Debug)]
 struct Run {
     grid: TimeGrid,
@@ -78,7 +84,8 @@ struct Run {
 }
 
 impl Alignment {
-    /// An alignment whose frames carry the id of the source and, in the first run, this epoch.
+    /// Creates an alignment whose frames carry the id `source`. Frames of the first run carry
+    /// `epoch`.
     #[must_use]
     pub fn new(layout: Layout, source: String, epoch: u64) -> Self {
         let queues = layout
@@ -98,8 +105,10 @@ impl Alignment {
         }
     }
 
-    /// Goes on where an earlier life of this alignment was: after `last`, which it closed last, with each node at the sample
-    /// that had not gone into a frame by then (`nodes`, in the order of the layout).
+    /// Resumes from a recorded state.
+    ///
+    /// `last` is the last block of closed frames. `nodes` has one entry per node in layout order:
+    /// the first sample that is not part of these frames.
     #[must_use]
     pub fn going_on(mut self, last: &FrameBlock, nodes: &[NodePlace]) -> Self {
         let grid = TimeGrid::new(last.t0_ns, last.sampling_rate_hz);
@@ -121,12 +130,13 @@ impl Alignment {
         self
     }
 
-    /// Where each node stands: the first of its samples that has not gone into a frame.
+    /// Returns the position of each node: the first of its samples that is not yet part of a frame.
     #[must_use]
     pub fn places(&self) -> Vec<NodePlace> {
         let place = |queue: &NodeQueue| {
             let (epoch, sequence) = queue.position();
-            // One that has ended with samples that wait will deliver them again, and its end with them.
+            // A node that has ended while samples still wait will deliver these samples again, and
+            // its end with them.
             let ended = queue.presence == Presence::Ended && queue.first_ns().is_none();
             NodePlace {
                 epoch,
@@ -137,13 +147,13 @@ impl Alignment {
         self.queues.iter().map(place).collect()
     }
 
-    /// What did not become part of a frame so far.
+    /// Returns the counters of frames and of samples that did not become part of a frame.
     #[must_use]
     pub fn counts(&self) -> &Counts {
         &self.counts
     }
 
-    /// Takes an input; the frames that it closes are appended to `blocks`, in order.
+    /// Processes an input, and appends the frames that it closes to `blocks`, in order.
     pub fn handle(&mut self, input: Input, blocks: &mut Vec<FrameBlock>) {
         let given = blocks.len();
         match input {
@@ -187,7 +197,7 @@ impl Alignment {
             return;
         }
         if self.ended {
-            // All nodes had ended: whoever begins again begins a new run.
+            // All nodes had ended, so new samples start a new run.
             self.next_run();
             self.ended = false;
             for queue in self
@@ -224,16 +234,18 @@ impl Alignment {
         if self.run.take().is_some() {
             self.epoch += 1;
         }
-        // What waits belongs to the new run; what has been before does not show how far a node is in it.
+        // Waiting samples belong to the new run. Earlier samples do not show how far a node has
+        // come in it.
         for queue in &mut self.queues {
             queue.newest_ns = queue.last_waiting_ns();
         }
     }
 
-    /// Whether a block belongs to frames that are closed, and not just because it is late.
+    /// Returns `true` if a block belongs to closed frames for another reason than being late.
     ///
-    /// So it is when a record is replayed again after its source was killed, or when clocks were set far back. A live node that
-    /// was started again goes on in the same time, and may be a little behind the others for good.
+    /// This happens when a source restarts and replays its record, or when clocks are set far back.
+    /// A restarted live node continues on the same time scale, and may permanently lag a little
+    /// behind the other nodes.
     fn is_behind(&self, node: usize, block: &SampleBlock) -> bool {
         let Some(run) = &self.run else {
             return false;
@@ -247,7 +259,8 @@ impl Alignment {
             && (restarted || queue.is_parked() || number.saturating_add(LONGEST_HOLE) < next)
     }
 
-    /// All nodes have gone back: alone each would be late for ever, together they begin a new run.
+    /// Starts a new run, because all nodes have gone back in time. Otherwise, all their samples
+    /// would be late forever.
     fn go_back(&mut self, blocks: &mut Vec<FrameBlock>) {
         self.flush(StreamState::Ended, blocks);
         self.next_run();
@@ -259,7 +272,8 @@ impl Alignment {
         }
     }
 
-    /// Time of the earliest sample that waits, if the first frame can be told: t0 must not depend on who came first.
+    /// Returns the time of the earliest waiting sample, or `None` while the first frame is
+    /// undetermined. t0 must not depend on the order of arrival.
     fn first_sample_ns(&self) -> Option<i64> {
         let earliest = self.queues.iter().filter_map(NodeQueue::first_ns).min()?;
         let unheard =
@@ -292,7 +306,7 @@ impl Alignment {
         self.flush(StreamState::Running, blocks);
     }
 
-    /// Whether the next frame can be closed; drops the samples that belong to no open frame.
+    /// Decides whether the next frame can close, and drops samples that belong to no open frame.
     fn next_frame(&mut self) -> NextFrame {
         let Some(run) = &self.run else {
             return NextFrame::Wait;
@@ -307,7 +321,8 @@ impl Alignment {
             earliest = earliest.into_iter().chain(number).min();
         }
         let Some(earliest) = earliest else {
-            return NextFrame::Wait; // frames are made of samples: without any, there is none to close
+            // Frames consist of samples. Without samples, no frame can close.
+            return NextFrame::Wait;
         };
         if waits && run.grid.time_ns(run.next) > self.deadline_ns {
             return NextFrame::Wait;
@@ -334,7 +349,8 @@ impl Alignment {
                 Some(time_ns) if run.grid.nearest(time_ns) == run.next as i64 => {
                     queue.pop_into(frame)
                 }
-                // Whether an ended node is known to have ended depends on the order of arrival; what it has passed does not.
+                // The order of arrival determines whether the end of a node is known, but not which
+                // frames the node has passed.
                 _ => {
                     let was_there = has_passed(queue, run) || queue.presence == Presence::Expected;
                     self.counts.missing += u64::from(was_there);
@@ -348,7 +364,7 @@ impl Alignment {
         }
     }
 
-    /// Puts the closed frames into a block; an end is put even without frames.
+    /// Moves the closed frames into a block. An `Ended` state produces a block even without frames.
     fn flush(&mut self, state: StreamState, blocks: &mut Vec<FrameBlock>) {
         let Some(run) = &mut self.run else {
             return;
@@ -367,7 +383,8 @@ impl Alignment {
             },
             t0_ns: run.grid.start_ns(),
             sampling_rate_hz: self.layout.sampling_rate_hz(),
-            channels: self.layout.channel_count() as u16, // at most MAX_CHANNELS, checked by Layout
+            // `Layout` has checked that the count is at most `MAX_CHANNELS`.
+            channels: self.layout.channel_count() as u16,
             values,
             state,
         });
@@ -384,7 +401,7 @@ impl Alignment {
             return;
         }
         self.ended = true;
-        // The end travels with the last frames, where this input closed some.
+        // The end of the stream travels with the last frames if this input closed any.
         match blocks[given..]
             .last_mut()
             .filter(|block| block.header.epoch == self.epoch)
@@ -396,22 +413,23 @@ impl Alignment {
 }
 
 enum NextFrame {
-    /// A node may still deliver it.
+    /// A node may still deliver a sample of the frame.
     Wait,
-    /// It is complete, or waits for nobody.
+    /// The frame is complete, or its deadline has passed.
     Close,
-    /// The next sample of any node is too far away.
+    /// The next sample of any node is more than `LONGEST_HOLE` frames away.
     NewRun,
 }
 
-/// Whether the node has delivered something later than the next frame, be it usable or not.
+/// Returns `true` if the node has delivered a sample later than the next frame, whether usable or
+/// not.
 fn has_passed(queue: &NodeQueue, run: &Run) -> bool {
     queue
         .newest_ns
         .is_some_and(|newest| run.grid.nearest(newest) > run.next as i64)
 }
 
-/// Number of the frame of the first sample that can still be used; those before it are dropped and counted.
+/// Returns the frame number of the first usable sample. Drops and counts the samples before it.
 fn first_usable(
     queue: &mut NodeQueue,
     run: &Run,

@@ -1,36 +1,37 @@
-//! What does not become part of a frame is counted, by reason.
+//! Counters of frames, and of dropped or missing data by reason.
 
 use std::collections::BTreeMap;
 
 /// Counters of one structure since the start of the service.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Frames closed.
+    /// Closed frames.
     pub frames: u64,
-    /// Samples that a frame had to do without, although their node was there; nodes slower than the frames count too.
+    /// Samples missing from a frame although their node was connected. Nodes slower than the frames
+    /// count too.
     pub missing: u64,
-    /// Samples whose frame already had one of that node.
+    /// Samples whose frame already had a sample of their node.
     pub duplicate: u64,
-    /// Samples whose frame was closed already.
+    /// Samples whose frame was already closed.
     pub late: u64,
-    /// Samples too far from any frame.
+    /// Samples further from the nearest frame than the tolerance.
     pub off_grid: u64,
-    /// Samples taken back because the clock of their node went back.
+    /// Samples removed because the clock of their node went back.
     pub retracted: u64,
-    /// Samples that found the queue of their node full.
+    /// Samples dropped because the queue of their node was full.
     pub overflowed: u64,
-    /// Blocks with another number of channels than declared.
+    /// Blocks whose number of channels differs from the declared number.
     pub wrong_channels: u64,
-    /// Blocks of a source that is not the node.
+    /// Blocks from a source other than the node.
     pub unknown_node: u64,
-    /// Values that were infinite, now missing.
+    /// Infinite values, which are treated as missing.
     pub not_finite: u64,
-    /// Values beyond the range of their channel, now missing.
+    /// Values beyond the range of their channel, which are treated as missing.
     pub out_of_range: u64,
 }
 
 impl Counts {
-    /// The counters that are not zero, for a status message.
+    /// Returns the drop counters that are not zero, for a status message.
     #[must_use]
     pub fn drops(&self) -> BTreeMap<String, u64> {
         let counts = [

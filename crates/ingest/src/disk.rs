@@ -6,14 +6,16 @@ use std::thread;
 
 type Job = Box<dyn FnOnce() + Send>;
 
-/// Writes for all structures of the process: their blocks come at the same moments, and a thread lent to each write would be as many
-/// threads as structures, woken twenty times a second for some microseconds of work.
+/// The queue of the thread that writes the recordings of all structures in the process.
 ///
-/// Each structure hands over one job at a time and waits for it, so that the queue is bounded by their number; a disk that hangs holds up
-/// those that record, and nothing else.
+/// Blocks of all structures arrive at the same moments. With a thread per write, as many threads as
+/// structures would wake twenty times per second for a few microseconds of work.
+///
+/// Each structure submits one job at a time and waits for it. The number of structures therefore
+/// bounds the queue. A disk that hangs blocks recorded structures, but nothing else.
 static JOBS: Mutex<Option<flume::Sender<Job>>> = Mutex::new(None);
 
-/// The queue of the thread, which is started for the first job.
+/// Returns the queue of the thread, and starts the thread on the first call.
 fn jobs() -> std::io::Result<flume::Sender<Job>> {
     let mut started = JOBS.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(jobs) = &*started {
@@ -24,35 +26,36 @@ fn jobs() -> std::io::Result<flume::Sender<Job>> {
         .name("recording".to_owned())
         .spawn(move || {
             while let Ok(job) = waiting.recv() {
-                // its structure hears that it is lost; the panic itself has been reported where it happened
+                // The waiting structure receives an error. The panic hook has already reported the
+                // panic.
                 drop(catch_unwind(AssertUnwindSafe(job)));
             }
         })?;
     Ok(started.insert(jobs).clone())
 }
 
-/// A handle on the thread.
+/// A handle to the thread that writes recordings.
 #[derive(Clone, Debug)]
 pub(crate) struct DiskThread {
     jobs: flume::Sender<Job>,
 }
 
 impl DiskThread {
-    /// Starts it, unless another structure has.
+    /// Returns a handle, and starts the thread if it is not running.
     ///
     /// # Errors
-    /// The system refuses a thread.
+    /// The operating system cannot start a thread.
     pub(crate) fn start() -> std::io::Result<Self> {
         Ok(Self { jobs: jobs()? })
     }
 
-    /// Carries out `work` and returns what it returns; `None` when it panicked.
+    /// Runs `work` on the thread and returns its result, or `None` if it panicked.
     pub(crate) async fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Option<T> {
         let (done, result) = tokio::sync::oneshot::channel();
-        // whoever waited may have been stopped
+        // The waiting task may have been cancelled.
         let job: Job = Box::new(move || drop(done.send(work())));
         self.jobs.send(job).ok()?;
         result.await.ok()

@@ -1,37 +1,37 @@
-//! What can keep ingest from starting, or end it.
+//! Errors that prevent ingest from starting or terminate it.
 
 use spandrel_bus::{BusError, NameError};
 use spandrel_record::RecordError;
 
 use crate::layout::LayoutError;
 
-/// Errors of ingest.
+/// An error of ingest.
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
-    /// The structure cannot be made into frames.
+    /// The structure has no valid frame layout.
     #[error("nodes of structure {structure} make no frames")]
     Layout {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
-        /// Why.
+        /// The cause.
         source: LayoutError,
     },
-    /// A name is no chunk of a key expression.
+    /// A name is not a valid chunk of a key expression.
     #[error("name is no key")]
     Name(#[from] NameError),
-    /// The recording cannot be opened or ended.
+    /// The recording cannot be opened or closed.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// The system gives no thread to write recordings.
+    /// The operating system cannot start a thread to write recordings.
     #[error("no thread for the recording")]
     NoThread(#[source] std::io::Error),
-    /// The thread that writes a recording has panicked with it.
+    /// The thread that writes recordings panicked and lost the recording.
     #[error("the recording of structure {structure} was lost with a panic of its thread")]
     RecordingLost {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
     },
-    /// The bus refused a declaration or is closed.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
 }

@@ -1,10 +1,12 @@
-//! Decides up to which measurement time lateness is over, from what has arrived when.
+//! Determines from arrival times up to which measurement time frames have waited long enough.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Compares arrivals with arrivals, not clocks with clocks: a node whose clock is wrong, or a record of last year
-/// replayed today, is as late as it arrives.
+/// Tracks when samples arrive, and computes the deadline of frames.
+///
+/// Lateness compares arrival times with each other, not with node clocks. The result is therefore
+/// independent of clock errors, and of the age of a replayed record.
 #[derive(Debug)]
 pub struct Lateness {
     allowed: Duration,
@@ -13,15 +15,15 @@ pub struct Lateness {
 
 #[derive(Debug, Default)]
 struct Arrivals {
-    /// When, and the time of the newest sample then, ns.
+    /// Arrival time, and the time of the newest sample at that moment (ns).
     recent: VecDeque<(Duration, i64)>,
-    /// Time of the newest sample that had arrived when the lateness began, ns.
+    /// Time of the newest sample that arrived before the allowed lateness began, ns.
     overdue_ns: Option<i64>,
     last: Option<Duration>,
 }
 
 impl Lateness {
-    /// Lateness allowed to each of some nodes.
+    /// Creates the state for `nodes` nodes. Samples may be late by `allowed`.
     #[must_use]
     pub fn new(allowed: Duration, nodes: usize) -> Self {
         Self {
@@ -30,7 +32,8 @@ impl Lateness {
         }
     }
 
-    /// A sample of measurement time `time_ns` has arrived; `now` is any clock that only goes forward.
+    /// Records the arrival of a sample with measurement time `time_ns` (ns). `now` is a reading of
+    /// any monotonic clock.
     pub fn arrived(&mut self, node: usize, time_ns: i64, now: Duration) {
         if let Some(arrivals) = self.nodes.get_mut(node) {
             arrivals.recent.push_back((now, time_ns));
@@ -38,10 +41,12 @@ impl Lateness {
         }
     }
 
-    /// Frames up to this measurement time (ns) have waited long enough.
+    /// Returns the measurement time (ns) up to which frames have waited long enough, or `None` if
+    /// there is no such time yet.
     ///
-    /// It is what half of the nodes that still deliver had delivered when the allowed lateness began (so that one node
-    /// with a clock far ahead does not make the others late); of all nodes, when none delivers any more.
+    /// The result is the lower median of the newest sample times of the nodes, as of `now` minus
+    /// the allowed lateness. It includes only nodes that still deliver, or all nodes if none does.
+    /// The median prevents one node with a clock far ahead from making the other nodes late.
     pub fn deadline_ns(&mut self, now: Duration) -> Option<i64> {
         let begin = now.checked_sub(self.allowed)?;
         for arrivals in &mut self.nodes {

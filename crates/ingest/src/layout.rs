@@ -1,18 +1,19 @@
-//! What a frame is made of: nodes, channels, rate.
+//! The layout of a frame: nodes, channels and sampling rate.
 
 use spandrel_bus::{MAX_CHANNELS, Name, NameError, TimeGrid};
 use spandrel_structure::Structure;
 
-/// One sensor node.
+/// A sensor node in a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeLayout {
-    /// Its name.
+    /// Name of the node.
     pub name: Name,
-    /// Per channel, the absolute value beyond which a sample is absurd, unit of the channel.
+    /// Maximum plausible absolute value of each channel, unit of the channel. Values beyond it
+    /// count as missing.
     pub ranges: Vec<f64>,
 }
 
-/// The nodes of a structure in the order of its frames, and when the frames are.
+/// The nodes of a structure in frame order, the frame rate and the time tolerance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     nodes: Vec<NodeLayout>,
@@ -20,31 +21,34 @@ pub struct Layout {
     tolerance_ns: i64,
 }
 
-/// A layout that no frame can have.
+/// An error in a frame layout.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LayoutError {
-    /// A node's name is no chunk of a key expression.
+    /// The name of a node is not a valid chunk of a key expression.
     #[error("node name is no key")]
     Name(#[from] NameError),
-    /// The rate cannot number frames.
+    /// The sampling rate is outside the range for frames.
     #[error("sampling rate is {found} Hz, must lie between 0.001 and 1000000")]
     Rate {
         /// The rate found, Hz.
         found: f64,
     },
-    /// A frame is empty or does not fit a message.
+    /// A frame is empty or does not fit into a message.
     #[error("frame has {found} channels, must have 1 to {MAX_CHANNELS}")]
     Channels {
-        /// The channels found.
+        /// The number of channels found.
         found: usize,
     },
 }
 
 impl Layout {
-    /// A layout; a sample may be `tolerance_s` (s) from its frame, at most half a step.
+    /// Creates a layout.
+    ///
+    /// A sample may deviate by `tolerance_s` (s) from the time of its frame. Half a time step is
+    /// the effective maximum.
     ///
     /// # Errors
-    /// A rate or a number of channels that no message carries.
+    /// The sampling rate or the number of channels does not fit into a message.
     pub fn new(
         nodes: Vec<NodeLayout>,
         sampling_rate_hz: f64,
@@ -59,7 +63,8 @@ impl Layout {
         if !(1..=MAX_CHANNELS).contains(&found) {
             return Err(LayoutError::Channels { found });
         }
-        // Half a step is what `TimeGrid::nearest` gives; its rounding must not make an edge sample homeless.
+        // `TimeGrid::nearest` allows half a step. Its rounding must not exclude a sample at the
+        // edge.
         const ROUNDING_NS: i64 = 4;
         let tolerance_ns = (tolerance_s * 1e9) as i64 + ROUNDING_NS;
         Ok(Self {
@@ -69,10 +74,11 @@ impl Layout {
         })
     }
 
-    /// The layout of a structure.
+    /// Returns the layout of a structure.
     ///
     /// # Errors
-    /// As [`Layout::new`].
+    /// The same as for [`Layout::new`], or the name of a node is not a valid chunk of a key
+    /// expression.
     pub fn of(structure: &Structure) -> Result<Self, LayoutError> {
         let mut nodes = Vec::new();
         for node in structure.nodes() {
@@ -93,25 +99,25 @@ impl Layout {
         )
     }
 
-    /// The nodes in frame order.
+    /// Returns the nodes in frame order.
     #[must_use]
     pub fn nodes(&self) -> &[NodeLayout] {
         &self.nodes
     }
 
-    /// Rate of the frames, Hz.
+    /// Returns the sampling rate of the frames, Hz.
     #[must_use]
     pub fn sampling_rate_hz(&self) -> f64 {
         self.sampling_rate_hz
     }
 
-    /// How far a sample may be from its frame, ns.
+    /// Returns the maximum distance of a sample from its frame, ns.
     #[must_use]
     pub fn tolerance_ns(&self) -> i64 {
         self.tolerance_ns
     }
 
-    /// Channels of a frame.
+    /// Returns the number of channels of a frame.
     #[must_use]
     pub fn channel_count(&self) -> usize {
         self.nodes.iter().map(|node| node.ranges.len()).sum()

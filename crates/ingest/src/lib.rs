@@ -1,7 +1,8 @@
-//! Makes frames of the samples of many nodes, and keeps the latest for those who missed them.
+//! Builds frames from the samples of many nodes, and keeps recent frames for subscribers that
+//! missed them.
 //!
-//! Blocks of samples go in, node by node, in whatever order they arrive; frames with a value or a missing sample per
-//! channel come out, in order, none skipped.
+//! The input is blocks of samples per node, in any order of arrival. The output is frames in order,
+//! without gaps. Each frame has a value or a missing sample for every channel.
 //!
 //! ```
 //! use spandrel_bus::{Header, Pace, SampleBlock, StreamState};
@@ -25,12 +26,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! - [`Layout`]: nodes, channels and rate
-//! - [`Alignment`]: samples to frames; no clock, no network
-//! - [`Lateness`]: when a frame has waited long enough; its clock is an argument
-//! - [`IngestService`]: joins both to the bus
+//! - [`Layout`]: nodes, channels and sampling rate
+//! - [`Alignment`]: builds frames from samples, without a clock or network
+//! - [`Lateness`]: decides when a frame has waited long enough; its clock is an argument
+//! - [`IngestService`]: connects both to the bus
 //!
-//! The wrong room for filtering or interpolating: a sample is in a frame as it was measured, or not at all.
+//! Ingest neither filters nor interpolates. A frame contains a sample as measured, or not at all.
 
 mod counts;
 mod layout;

@@ -1,4 +1,4 @@
-//! The samples of one node that wait for their frames.
+//! The queue of samples of one node that wait for their frames.
 
 use std::collections::VecDeque;
 
@@ -6,40 +6,43 @@ use spandrel_bus::{Block, SampleBlock, StreamState};
 
 use crate::counts::Counts;
 
-/// Most samples that wait; more are dropped and counted, because a node may be ahead for ever with a wrong clock.
+/// Maximum number of waiting samples. Further samples are dropped and counted, because a node with
+/// a wrong clock may be permanently ahead.
 const MAX_WAITING: usize = 1 << 17;
-/// Room for so many samples is kept; what a node that was further ahead has taken is given back.
+/// Minimum capacity to keep, in samples. Capacity beyond the requirement is released after a node
+/// was further ahead.
 const ROOM_KEPT: usize = 1 << 10;
-/// Most blocks that are put aside; enough for what a replay has on the way when it is started again.
+/// Maximum number of parked blocks. It covers the blocks in transit from a replay that restarts.
 const MAX_PARKED: usize = 1 << 13;
 
-/// Whether samples of a node are to be waited for.
+/// The state of a node, which determines whether frames wait for its samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Presence {
-    /// More will come.
+    /// The node is expected to send more samples.
     Expected,
-    /// The node has said that this was all.
+    /// The node has ended its stream.
     Ended,
-    /// The node is gone without a word.
+    /// The node has disappeared without ending its stream.
     Lost,
 }
 
-/// Samples in the order of their time.
+/// The waiting samples of a node in time order.
 #[derive(Debug)]
 pub(crate) struct NodeQueue {
     ranges: Vec<f64>,
     times_ns: VecDeque<i64>,
-    /// Epoch and number of each sample that waits in the stream of the node.
+    /// Epoch and sequence number of each waiting sample in the stream of the node.
     numbers: VecDeque<(u64, u64)>,
     values: VecDeque<f64>,
-    /// Epoch and number of the sample that comes next.
+    /// Epoch and sequence number of the next sample.
     next: (u64, u64),
     pub(crate) presence: Presence,
-    /// Time of the newest sample of the node, usable or not, ns: frames before it need not wait.
+    /// Time of the newest sample of the node, usable or not, ns. Earlier frames need not wait for
+    /// this node.
     pub(crate) newest_ns: Option<i64>,
-    /// Epoch of the node's last block.
+    /// Epoch of the last block of the node.
     pub(crate) epoch: Option<u64>,
-    /// Blocks of a time long gone, put aside until it is clear whether all nodes have gone back to it.
+    /// Blocks from the distant past, parked until it is clear whether all nodes have gone back.
     parked: VecDeque<SampleBlock>,
 }
 
@@ -62,22 +65,22 @@ impl NodeQueue {
         self.ranges.len()
     }
 
-    /// Time of the first sample that waits, ns.
+    /// Returns the time of the first waiting sample, ns.
     pub(crate) fn first_ns(&self) -> Option<i64> {
         self.times_ns.front().copied()
     }
 
-    /// Time of the last sample that waits, ns.
+    /// Returns the time of the last waiting sample, ns.
     pub(crate) fn last_waiting_ns(&self) -> Option<i64> {
         self.times_ns.back().copied()
     }
 
-    /// Epoch and number of the first sample that has not gone into a frame.
+    /// Returns epoch and sequence number of the first sample that is not yet part of a frame.
     pub(crate) fn position(&self) -> (u64, u64) {
         self.numbers.front().copied().unwrap_or(self.next)
     }
 
-    /// Goes on where the node stood in an earlier life of the alignment.
+    /// Resumes from a recorded position in the stream of the node.
     pub(crate) fn go_on(&mut self, (epoch, sequence): (u64, u64), presence: Presence) {
         self.epoch = Some(epoch);
         self.next = (epoch, sequence);
@@ -88,7 +91,8 @@ impl NodeQueue {
         !self.parked.is_empty()
     }
 
-    /// Puts a block of a time long gone aside.
+    /// Parks a block from the distant past, or counts its samples as overflowed if too many blocks
+    /// are parked.
     pub(crate) fn park(&mut self, block: SampleBlock, counts: &mut Counts) {
         if self.parked.len() < MAX_PARKED {
             self.parked.push_back(block);
@@ -97,24 +101,26 @@ impl NodeQueue {
         }
     }
 
-    /// The blocks put aside, which count from now on.
+    /// Removes and returns the parked blocks.
     pub(crate) fn unpark(&mut self) -> VecDeque<SampleBlock> {
         std::mem::take(&mut self.parked)
     }
 
-    /// Drops the blocks put aside: the node alone had gone back.
+    /// Drops the parked blocks and counts them as late, because only this node had gone back.
     pub(crate) fn drop_parked(&mut self, counts: &mut Counts) {
         counts.late += self.unpark().iter().map(Block::count).sum::<u64>();
     }
 
-    /// Takes the samples of a block that has the right channels.
+    /// Appends the samples of a block, which must have the right number of channels.
     pub(crate) fn push(&mut self, block: &SampleBlock, counts: &mut Counts) {
         let Some(grid) = block.grid() else {
-            return; // a checked block has a grid
+            // A checked block has a grid.
+            return;
         };
         for (number, sample) in (0..).zip(block.iter()) {
             let time_ns = grid.time_ns(number);
-            // The clock of the node has gone back: what was ahead of it was wrong.
+            // The clock of the node has gone back, so the waiting samples from this time on were
+            // wrong.
             while self.times_ns.back().is_some_and(|last| *last >= time_ns) {
                 self.times_ns.pop_back();
                 self.numbers.pop_back();
@@ -143,7 +149,7 @@ impl NodeQueue {
         };
     }
 
-    /// Moves the first sample into its place in a frame.
+    /// Moves the first sample into `frame`.
     pub(crate) fn pop_into(&mut self, frame: &mut [f64]) {
         self.times_ns.pop_front();
         self.numbers.pop_front();
@@ -161,7 +167,7 @@ impl NodeQueue {
         self.give_back();
     }
 
-    /// Keeps room for twice what waits once three quarters of it are empty.
+    /// Shrinks the capacity to twice the length if three quarters of it are unused.
     fn give_back(&mut self) {
         let (waiting, room) = (self.times_ns.len(), self.times_ns.capacity());
         if room <= 2 * ROOM_KEPT || waiting >= room / 4 {
@@ -174,7 +180,7 @@ impl NodeQueue {
     }
 }
 
-/// The value, or missing if no sensor can have measured it.
+/// Returns the value, or NaN if it is infinite or beyond the range of its channel.
 fn checked(value: f64, range: f64, counts: &mut Counts) -> f64 {
     if value.is_infinite() {
         counts.not_finite += 1;
@@ -228,7 +234,7 @@ mod tests {
             "{} of {most} bytes",
             room(&queue)
         );
-        // a clock that goes back takes what was ahead with it
+        // When a clock goes back, the queue drops the samples that were ahead.
         queue.push(&block(100_000, 1_000_000_000_000, 100_000), &mut counts);
         queue.push(&block(200_000, 999_000_000_000, 1), &mut counts);
         assert!(

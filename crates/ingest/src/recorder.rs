@@ -1,4 +1,4 @@
-//! Every frame on the disk before anybody hears of it.
+//! Writes every frame to disk before it is published.
 
 use std::hash::{BuildHasher, RandomState};
 use std::path::PathBuf;
@@ -19,28 +19,29 @@ use crate::error::IngestError;
 use crate::layout::Layout;
 use crate::waiting::Waiting;
 
-/// Pause before a disk that has refused is tried again.
+/// Pause before a failed write is retried.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Where and how frames are recorded.
+/// Settings for recording frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordingSettings {
-    /// Folder of the segments of this structure.
+    /// Folder for the segments of this structure.
     pub folder: PathBuf,
-    /// How large segments are, and how long they are kept.
+    /// Size and retention of segments.
     pub log: LogSettings,
-    /// How often what has been written is forced to the disk itself: what a power cut may cost. A killed process costs nothing.
+    /// Interval at which written frames are synced to disk: the maximum loss in a power failure. A
+    /// killed process loses no frames.
     pub sync_every: Duration,
 }
 
-/// Where an earlier life of the recording ended.
+/// The end of the recording of an earlier run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Past {
-    /// Its last frames.
+    /// The last frames.
     pub(crate) last: FrameBlock,
-    /// Where the streams of the nodes stood then.
+    /// The positions in the streams of the nodes at that time.
     pub(crate) nodes: Vec<NodePlace>,
-    /// Whether nobody can have heard of frames after the last ones: numbers go on then, in the same epoch.
+    /// Whether all published frames are recorded. If so, numbering continues in the same epoch.
     pub(crate) is_whole: bool,
 }
 
@@ -52,7 +53,8 @@ pub(crate) struct Recorder {
     log: FrameLog,
     reader: FrameLogReader,
     waiting: Waiting,
-    /// what is noted on the disk of whether all frames that were put are recorded; none where nothing is
+    /// The completeness mark on disk: whether all published frames are recorded. `None` if there is
+    /// no mark.
     is_noted_complete: Option<bool>,
     refused_at: Option<Instant>,
     sync_every: Duration,
@@ -61,7 +63,7 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// Opens the recording, and tells where it ended.
+    /// Opens the recording, and returns where it ended.
     pub(crate) fn open(
         structure: &str,
         layout: &Layout,
@@ -110,15 +112,17 @@ impl Recorder {
         Ok((recorder, past))
     }
 
-    /// What gives frames to those who ask for more than is in memory.
+    /// Returns an archive that serves frames older than those in memory.
     pub(crate) fn archive(&self) -> RecordedFrames {
         RecordedFrames {
             reader: self.reader.clone(),
         }
     }
 
-    /// Writes blocks, on the thread for that, and gives itself and them back: they may be put from then on. A disk that refuses keeps
-    /// nobody from seeing them: they wait here, and are written when it takes them.
+    /// Writes blocks on the disk thread, and returns the recorder and the blocks.
+    ///
+    /// The blocks may be published after this call, even if the write failed. In that case, they
+    /// wait in memory until the disk accepts them.
     ///
     /// # Errors
     /// The thread has panicked.
@@ -150,12 +154,12 @@ impl Recorder {
         self.waiting.lose_what_is_too_much();
     }
 
-    /// Whether nothing waits for the disk.
+    /// Returns `true` if no frames wait for the disk.
     pub(crate) fn has_written_all(&self) -> bool {
         self.waiting.frames() == 0
     }
 
-    /// Tries again what the disk has refused, and forces to the disk what it has taken, when it is time to.
+    /// Retries failed writes and syncs written frames to disk, each when due.
     pub(crate) async fn tend(&mut self) {
         if self
             .refused_at
@@ -177,14 +181,14 @@ impl Recorder {
         self.syncing = Some(tokio::task::spawn_blocking(move || syncer.sync()));
     }
 
-    /// Ends the recording in order.
+    /// Writes the waiting frames and closes the recording.
     pub(crate) async fn close(mut self) -> Result<(), IngestError> {
         self.report_sync().await;
         self.write_waiting();
         Ok(self.log.close()?)
     }
 
-    /// What a status tells of it.
+    /// Returns the counters of waiting and lost frames for a status message.
     pub(crate) fn drops(&self) -> impl Iterator<Item = (String, u64)> {
         let (waiting, lost) = (self.waiting.frames(), self.waiting.lost());
         let counts = [
@@ -197,7 +201,7 @@ impl Recorder {
             .map(|(reason, count)| (reason.to_owned(), count))
     }
 
-    /// Writes what waits, piece by piece, until the disk refuses.
+    /// Writes the waiting blocks in pieces until the disk reports an error.
     fn write_waiting(&mut self) {
         let structure = self.structure.as_str();
         let log = &mut self.log;
@@ -215,7 +219,8 @@ impl Recorder {
                         warn!(structure, %error, "the recording cannot be written: frames wait in memory and are watched all the same");
                     }
                     self.refused_at = Some(Instant::now());
-                    // before any of them is put: their numbers must not come again with other samples
+                    // Save the mark before publishing any of these frames, because their numbers
+                    // must not be reused for other samples.
                     if self.is_noted_complete != Some(false) {
                         match log.note_complete(false) {
                             Ok(()) => self.is_noted_complete = Some(false),
@@ -236,7 +241,7 @@ impl Recorder {
                 "the disk takes the recording again"
             );
         }
-        // where the disk has no room for that it is tried again, and until then a crash begins a new epoch
+        // If this write fails, it is retried. Until it succeeds, a crash leads to a new epoch.
         if before > 0 && self.is_noted_complete != Some(true) && log.note_complete(true).is_ok() {
             self.is_noted_complete = Some(true);
         }
@@ -252,7 +257,8 @@ impl Recorder {
     }
 }
 
-/// A moment of the last `period`: structures that are started together do not all wait for the disk at the same moments.
+/// Returns a random instant within the last `period`, so that structures that start together do not
+/// all wait for the disk at the same moments.
 fn started_within(period: Duration) -> Instant {
     let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
     Instant::now()
@@ -260,7 +266,7 @@ fn started_within(period: Duration) -> Instant {
         .unwrap_or_else(Instant::now)
 }
 
-/// The frames of a recording, for those who ask for more than is in memory.
+/// The archive of recorded frames, for queries that go back further than the frames in memory.
 #[derive(Debug, Clone)]
 pub(crate) struct RecordedFrames {
     reader: FrameLogReader,

@@ -1,4 +1,4 @@
-//! Joins the alignment of one structure to the bus.
+//! Connects the alignment of one structure to the bus.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -20,11 +20,13 @@ use crate::lateness::Lateness;
 use crate::layout::Layout;
 use crate::recorder::{Past, Recorder, RecordingSettings};
 
-/// Frames for readers that missed some, or begin to read; larger than the window that a replay keeps. Without a recording they
-/// are in memory.
+/// Number of frames kept for subscribers that start late or missed frames. It exceeds the
+/// flow-control window of a replay. Without a recording, all of them are in memory.
 pub const FRAMES_KEPT: u64 = 131_072;
-/// Frames in memory where there is a recording, for readers that are nearly in time: those that are recorded, of which older ones come
-/// out of the recording, and those that wait for the disk.
+/// Frames in memory if there is a recording, for subscribers that are almost up to date.
+///
+/// They include the latest recorded frames and all frames that wait for the disk. Older frames come
+/// from the recording.
 const IN_MEMORY: Keep = Keep {
     last: 8_192,
     needed: None,
@@ -34,44 +36,49 @@ const IN_MEMORY: Keep = Keep {
     }),
 };
 
-/// How often the status is put.
+/// Interval between status messages.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
-/// How often it is decided whether lateness is over.
+/// Interval between checks of the deadline.
 const DEADLINE_EVERY: Duration = Duration::from_millis(50);
-/// A node without token is lost when nothing of it has arrived for this long: its last blocks may still be on their way.
+/// Time without samples after which a node without a token is lost. Its last blocks may still be in
+/// transit.
 const GRACE: Duration = Duration::from_secs(2);
-/// The same where the tokens of all nodes are gone: that is a link that is down, and they come back one by one.
+/// Like `GRACE`, but for the case that the tokens of all nodes disappear. The cause is a broken
+/// link, and the tokens return one by one.
 const GRACE_OF_ALL: Duration = Duration::from_secs(12);
-/// How long a frame waits for late samples.
+/// Policy for how long a frame waits for late samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Waiting {
-    /// For ever, so that the same record gives the same frames: for replay and simulation.
+    /// Frames wait indefinitely, so that the same record always gives the same frames. Intended for
+    /// replay and simulation.
     Unlimited,
-    /// As long as this after others have delivered it: for sensors that may be silent.
+    /// Frames wait this long after other nodes have delivered them. Intended for sensors that may
+    /// fall silent.
     Limited(Duration),
 }
 
-/// What one instance of ingest is told.
+/// Settings of one instance of ingest.
 #[derive(Clone, Debug)]
 pub struct IngestSettings {
-    /// The instance.
+    /// Id of the instance.
     pub id: Name,
-    /// Epoch of the first run: higher at each start, such as the wall clock in ns.
+    /// Epoch of the first run. It must increase at each start, like the wall clock in ns.
     pub epoch: u64,
-    /// How long frames wait.
+    /// How long frames wait for late samples.
     pub waiting: Waiting,
-    /// Where frames are recorded; none: nowhere, and a new start begins a new epoch.
+    /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
+    /// new epoch.
     pub recording: Option<RecordingSettings>,
 }
 
-/// What is known of the token of a node.
+/// The state of a node's liveliness token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sign {
-    /// It is there, or has never been there: a sensor need not have one.
+    /// The token is present, or has never been present. A sensor may run without a token.
     Present,
-    /// It is gone, but samples may still be on their way.
+    /// The token has disappeared, but samples may still be in transit.
     Gone,
-    /// It is gone, and no samples have come since.
+    /// The token has disappeared, and no samples have arrived since.
     Lost,
 }
 
@@ -85,11 +92,11 @@ pub struct IngestService {
     nodes: StreamGroup<SampleBlock>,
     last_heard: Vec<Duration>,
     signs: Vec<Sign>,
-    /// Until when no node is lost, because the tokens of all were gone at once.
+    /// Time until which no node is lost, because all tokens disappeared at once.
     patient_until: Duration,
-    /// Whether they are.
+    /// Whether the tokens of all active nodes are missing.
     all_gone: bool,
-    /// Nodes whose last block was their end.
+    /// Whether the last block of each node ended its stream.
     ended: Vec<bool>,
     tokens: LiveWatch,
     frames: NumberedPublisher<FrameBlock>,
@@ -98,22 +105,23 @@ pub struct IngestService {
     keys: Keys,
     id: Name,
     service: Name,
-    /// That of the last block: the nodes of a structure are either all live or all replayed.
+    /// Pace of the last block. The nodes of a structure are either all live or all replayed.
     pace: Pace,
-    /// The same, for the status: none before the first block.
+    /// Pace of the last block for the status; `None` before the first block.
     pace_heard: Option<Pace>,
     done: u64,
     last_time_ns: Option<i64>,
-    /// away while the thread for that writes
+    /// `None` while the disk thread writes.
     recorder: Option<Box<Recorder>>,
     token: LiveToken,
 }
 
 impl IngestService {
-    /// Checks everything and joins the bus.
+    /// Validates the structure and connects to the bus.
     ///
     /// # Errors
-    /// The structure makes no frames, or the bus refuses a declaration.
+    /// The structure has no valid frame layout, the recording cannot be opened, or the bus rejects
+    /// a declaration.
     pub async fn start(
         structure: &Structure,
         bus: &Bus,
@@ -131,11 +139,13 @@ impl IngestService {
         Self::start_with(layout, channels, bus, keys, settings).await
     }
 
-    /// As [`IngestService::start`], for a layout that does not come from a structure file; `channels` names its channels in
-    /// their order.
+    /// Starts the service for a layout that does not come from a structure file.
+    ///
+    /// `channels` contains the names of the channels in layout order. Otherwise this function works
+    /// like [`IngestService::start`].
     ///
     /// # Errors
-    /// The recording cannot be opened, or the bus refuses a declaration.
+    /// The recording cannot be opened, or the bus rejects a declaration.
     pub fn start_with<'a>(
         layout: Layout,
         channels: Vec<String>,
@@ -160,7 +170,8 @@ impl IngestService {
                 }
                 None => (None, None),
             };
-            // Were frames heard of that are not recorded, their numbers must not come again with other samples.
+            // If frames were published but not recorded, their numbers must not be reused for other
+            // samples.
             let epoch = past
                 .as_ref()
                 .map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
@@ -199,7 +210,8 @@ impl IngestService {
                     .grid()
                     .zip(done.checked_sub(1))
                     .map(|(grid, number)| grid.time_ns(number));
-                // Sources may wait for what this service did last before it was killed, and could not say.
+                // Sources may be waiting for progress that this service made but could not publish
+                // before it was killed.
                 progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
             }
             let older = recorder.as_ref().map(|recorder| Older {
@@ -259,7 +271,8 @@ impl IngestService {
                 done,
                 last_time_ns,
                 recorder,
-                // Last, because sources start when they see it: the readers above are there by then.
+                // The token comes last, because sources start when they see it. The readers above
+                // exist by then.
                 token: bus.announce(keys.live(Service::Ingest, &id)).await?,
                 layout,
                 nodes,
@@ -277,10 +290,10 @@ impl IngestService {
         })
     }
 
-    /// Runs until `stop`; samples that have arrived are still aligned.
+    /// Runs until `stop` completes. Samples that have already arrived are still aligned.
     ///
     /// # Errors
-    /// The bus is closed underneath.
+    /// The bus has been closed, or the recording is lost or cannot be closed.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -299,7 +312,8 @@ impl IngestService {
             deadline.set_missed_tick_behavior(MissedTickBehavior::Delay);
             let mut known_tokens = BTreeSet::new();
             loop {
-                // Not biased: at full speed samples never stop, and status and stop must still get their turn.
+                // The selection must not be biased. At full speed samples never stop, and status
+                // and stop must still be served.
                 tokio::select! {
                     arrival = self.nodes.next() => match arrival {
                         Some((node, delivery)) => self.take(node, delivery).await?,
@@ -341,11 +355,13 @@ impl IngestService {
         delivery: Delivery<SampleBlock>,
     ) -> Result<(), IngestError> {
         let Delivery::Block(block) = delivery else {
-            return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
+            // The stream has logged and counted the loss. The alignment treats it as a gap in time.
+            return Ok(());
         };
         self.pace = block.pace;
         if self.pace_heard.replace(block.pace) != Some(block.pace) {
-            self.put_status().await?; // before anybody shows a value of it
+            // The status must arrive before any value of this block.
+            self.put_status().await?;
         }
         self.ended[node] = block.state == StreamState::Ended;
         let elapsed = self.started.elapsed();
@@ -390,7 +406,7 @@ impl IngestService {
         Ok(())
     }
 
-    /// Notes which nodes have come and gone.
+    /// Updates the token state of nodes whose tokens have appeared or disappeared.
     fn compare_tokens(&mut self, before: &BTreeSet<String>, after: &BTreeSet<String>) {
         for (node, layout) in self.layout.nodes().iter().enumerate() {
             let key = self.keys.live(Service::Sensor, &layout.name);
@@ -402,8 +418,10 @@ impl IngestService {
         }
     }
 
-    /// Tells a link that is down from nodes that are gone: all tokens vanish at once then. Whoever was lost meanwhile is expected
-    /// again once the first one is back.
+    /// Distinguishes a broken link from nodes that have disappeared, because a broken link removes
+    /// all tokens at once.
+    ///
+    /// After the outage, when the first token is back, all lost nodes are expected again.
     async fn compare_with_an_outage(&mut self, elapsed: Duration) -> Result<(), IngestError> {
         let known = || {
             (0..self.signs.len())
@@ -430,7 +448,8 @@ impl IngestService {
         self.compare_with_an_outage(elapsed).await?;
         for node in 0..self.signs.len() {
             if self.ended[node] {
-                continue; // it has said goodbye
+                // The node has ended its stream.
+                continue;
             }
             let is_over = silent(&self.last_heard[node]) && elapsed >= self.patient_until;
             if self.signs[node] == Sign::Gone && is_over {
@@ -446,7 +465,8 @@ impl IngestService {
             }
         }
         if self.pace == Pace::Replayed {
-            return Ok(()); // frames wait for the other nodes of a record, however far behind they are
+            // Frames wait for the other nodes of a record, however far behind they are.
+            return Ok(());
         }
         let deadline = self
             .lateness

@@ -1,17 +1,18 @@
-//! Frames that wait for a disk: bounded in number and in bytes, and what has to go is counted.
+//! Frames that wait for the disk, limited in number and bytes. Dropped frames are counted.
 
 use std::collections::VecDeque;
 
 use spandrel_record::LoggedFrames;
 
-/// Frames that wait at most; of more, the oldest are lost to the recording.
+/// Maximum number of waiting frames. Beyond it, the oldest frames are lost to the recording.
 const MOST_FRAMES: u64 = 131_072;
-/// Bytes of samples that wait at most: all those frames of up to 128 channels.
+/// Maximum size of waiting samples, in bytes: the maximum number of frames with 128 channels.
 const MOST_BYTES: usize = 128 << 20;
-/// Bytes of samples that are given to the disk at once: as many again are needed to write them.
+/// Maximum size of samples written at once, in bytes. Writing temporarily requires the same amount
+/// of memory again.
 const PIECE_BYTES: usize = 4 << 20;
 
-/// Blocks that are not recorded yet, oldest first.
+/// Blocks that are not yet recorded, oldest first.
 #[derive(Debug, Default)]
 pub(crate) struct Waiting {
     blocks: VecDeque<LoggedFrames>,
@@ -21,12 +22,12 @@ pub(crate) struct Waiting {
 }
 
 impl Waiting {
-    /// Frames that wait.
+    /// Returns the number of waiting frames.
     pub(crate) fn frames(&self) -> u64 {
         self.frames
     }
 
-    /// Frames that are lost to the recording.
+    /// Returns the number of frames lost to the recording.
     pub(crate) fn lost(&self) -> u64 {
         self.lost
     }
@@ -38,7 +39,8 @@ impl Waiting {
         self.blocks.push_back(block);
     }
 
-    /// The oldest blocks, as many as are written at once; empty where none wait.
+    /// Returns the oldest blocks, at most as many as are written at once. The slice is empty if
+    /// none wait.
     pub(crate) fn piece(&mut self) -> &[LoggedFrames] {
         let mut sum = 0;
         let fits = |block: &&LoggedFrames| {
@@ -50,7 +52,7 @@ impl Waiting {
         &self.blocks.make_contiguous()[..count]
     }
 
-    /// Takes out the oldest blocks, which are written.
+    /// Removes the oldest blocks after they have been written.
     pub(crate) fn written(&mut self, blocks: usize) {
         for block in self.blocks.drain(..blocks) {
             self.frames -= frames(&block);
@@ -58,7 +60,7 @@ impl Waiting {
         }
     }
 
-    /// Gives up the oldest blocks while there are too many.
+    /// Drops the oldest blocks while a limit is exceeded, and counts their frames as lost.
     pub(crate) fn lose_what_is_too_much(&mut self) {
         while self.frames > MOST_FRAMES || self.bytes > MOST_BYTES {
             let Some(oldest) = self.blocks.pop_front() else {
@@ -100,7 +102,7 @@ mod tests {
     #[test]
     fn pieces_are_small_in_order_and_all_there_is() {
         let mut waiting = Waiting::default();
-        // half a mebibyte each: 65,536 values
+        // Half a mebibyte each: 65,536 values.
         (0..20).for_each(|k| waiting.push(block(k * 64, 64, 1024)));
         let mut found = Vec::new();
         loop {
@@ -115,7 +117,8 @@ mod tests {
         }
         assert_eq!(found, (0..20).map(|k| k * 64).collect::<Vec<_>>());
         assert_eq!((waiting.frames(), waiting.bytes, waiting.lost()), (0, 0, 0));
-        // one that is larger than a piece goes alone; one without frames is no reason to stop
+        // A block larger than a piece is written alone. A block without frames must not stop the
+        // loop.
         waiting.push(block(0, 1024, 1024));
         waiting.push(block(1024, 0, 1024));
         assert_eq!(waiting.piece().len(), 1);

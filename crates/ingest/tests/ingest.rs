@@ -20,7 +20,7 @@ use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting
 use tokio::time::timeout;
 use zenoh::qos::CongestionControl;
 
-/// Only ends a hang.
+/// Limits the duration of a test that hangs.
 const DEADLINE: Duration = Duration::from_secs(60);
 const STEP: i64 = 5_000_000;
 
@@ -89,7 +89,7 @@ async fn node(bus: &Bus, text: &str) -> NumberedPublisher<SampleBlock> {
     bus.publish_numbered(stream).await.unwrap()
 }
 
-/// Samples `from..to`; the value of a sample is its number.
+/// Returns samples `from..to`. The value of a sample is its number.
 fn samples(node: &str, epoch: u64, from: u64, to: u64) -> SampleBlock {
     SampleBlock {
         header: Header {
@@ -141,7 +141,8 @@ async fn all_samples_become_frames_however_far_one_node_leads() {
                 .unwrap();
         }
         if node == "base" {
-            // Kept: a node's samples can be fetched as long as the node is there.
+            // The publisher must stay alive, because samples can be fetched only from a running
+            // node.
             std::mem::forget(publisher);
             continue;
         }
@@ -190,13 +191,14 @@ async fn a_silent_node_is_waited_for_as_long_as_allowed_only() {
     ingest.abort();
 }
 
-// What came behind a gap was held back for 5.5 s, while a source was asked that keeps nothing: longer than frames wait.
+// A query to a source without a buffer must not hold back the blocks behind the gap for longer than
+// frames wait.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_only() {
     const BLOCKS: u64 = 100;
     const LOST: u64 = 40;
     let (first, second) = pair().await;
-    // The lateness of two nodes decides, the third is what is late.
+    // Two nodes determine the lateness. The third one is late.
     let nodes = ["base", "middle", "roof"];
     let ingest = start_ingest_of(&second, &nodes, Waiting::Limited(Duration::from_secs(4))).await;
     let (base, middle) = (node(&first, "base").await, node(&first, "middle").await);

@@ -1,38 +1,38 @@
-//! What can go wrong with notices.
+//! Errors of the notification service.
 
 use spandrel_bus::{BusError, NameError};
 use std::path::PathBuf;
 
-/// Errors of the notices.
+/// An error of the notification service.
 #[derive(Debug, thiserror::Error)]
 pub enum NotifyError {
-    /// The configuration cannot be used; the text never holds a secret.
+    /// A setting is invalid. The error text contains no secrets.
     #[error("notify.{place} is {found}, must be {allowed}")]
     Setting {
-        /// Which setting, such as `webhook[0].url`.
+        /// The setting, such as `webhook[0].url`.
         place: String,
-        /// What was found, without secrets.
+        /// The invalid value, without secrets.
         found: String,
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
     /// A file with a secret cannot be read.
     #[error("{}: cannot read the secret of notify.{place}", path.display())]
     Secret {
-        /// Which setting.
+        /// The setting.
         place: String,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// What is to be remembered cannot be kept.
+    /// A checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] spandrel_checkpoint::CheckpointError),
-    /// The bus refuses.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// A name is none.
+    /// A name cannot be part of a key expression.
     #[error(transparent)]
     Name(#[from] NameError),
 }

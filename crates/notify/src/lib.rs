@@ -1,7 +1,9 @@
-//! Sends alerts to people who are not looking: to a webhook, to an Alertmanager, by e-mail.
+//! Sends alerts to webhooks, to an Alertmanager and by e-mail.
 //!
-//! Alerts go into the `outbox`, which knows who wants which, leaves out what was sent already, and says when what is due,
-//! again if it failed; the shell sends it. What has not been delivered outlives the process in the `memory`. The wrong room for decisions: whether there is an alert is for the alert service.
+//! The `outbox` selects the receivers of each alert, drops duplicates, and schedules each notice
+//! and its retries. The shell sends the notices. Undelivered notices survive a restart in the
+//! `memory`. This crate makes no decisions about alerts: that is the responsibility of the alert
+//! service.
 
 mod error;
 mod memory;

@@ -1,4 +1,4 @@
-//! What the notices remember over the death of their process, for each structure.
+//! Checkpoints of the notification service, one state per structure.
 
 use crate::error::NotifyError;
 use crate::outbox::{Remembered, version_1};
@@ -9,19 +9,20 @@ use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing::{info, warn};
 
-/// Version of the layout of [`State`]: raised with every change of a field in it or below.
+/// Version of the layout of [`State`]. Every change of a field in it or in a nested type must
+/// increase it.
 const VERSION: u16 = 2;
 /// Version of the layout of [`FormerState`].
 const FORMER_VERSION: u16 = 1;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct State {
-    /// When it was written, s since the Unix epoch.
+    /// Time of writing, in s since the Unix epoch.
     written_s: u64,
     notices: Remembered,
 }
 
-/// [`State`] as Spandrel 0.1.0 laid it out.
+/// [`State`] in the layout of Spandrel 0.1.0.
 #[derive(Debug, Deserialize)]
 struct FormerState {
     written_s: u64,
@@ -46,7 +47,8 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    /// Opens the folder of the checkpoints of a structure, and reads what an earlier life has left there, and for how long it was away.
+    /// Opens the checkpoint folder of a structure. Also returns the state of an earlier run, if
+    /// any, with its age.
     pub(crate) fn open(
         folder: &Path,
         structure: &Name,
@@ -74,7 +76,7 @@ impl Memory {
             info!(
                 structure = structure.as_str(),
                 waiting = notices.waiting(),
-                "goes on from its checkpoint"
+                "resumed from its checkpoint"
             );
             (
                 notices,
@@ -84,9 +86,10 @@ impl Memory {
         Ok((memory, recalled))
     }
 
-    /// Keeps what is to be remembered: on return it is on the disk, or its failure has been told. Notices are sent all the same then.
+    /// Saves a checkpoint. On return it is on disk, or the failure is logged.
     ///
-    /// Blocks the thread for the time of a write: called where the runtime knows.
+    /// Notices are sent in both cases. The call blocks the thread during the write, so the caller
+    /// must use `block_in_place`.
     pub(crate) fn keep(&mut self, notices: Remembered) {
         let state = State {
             written_s: unix_s(),
@@ -100,7 +103,7 @@ impl Memory {
             Ok(()) => {
                 self.next.sequence += 1;
                 if let Some(failures) = self.failures.succeeded() {
-                    info!(failures, "notices are kept again");
+                    info!(failures, "notices are saved again");
                 }
             }
             Err(error) => self.failed(&error),
@@ -110,11 +113,11 @@ impl Memory {
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.in_a_row();
-            warn!(%error, failures, "notices not kept: after a crash some may be missing, or come twice");
+            warn!(%error, failures, "cannot save notices; after a crash, notices may be missing or be sent twice");
         }
     }
 
-    /// What could not be kept so far.
+    /// Returns the count of failed writes.
     pub(crate) fn failures(&self) -> &Failures {
         &self.failures
     }
@@ -136,9 +139,11 @@ mod tests {
     use crate::outbox::{Outbox, Wish};
     use spandrel_bus::{AlertMessage, AlertState};
 
-    /// Notices that 0.1.0 left on disk, for a webhook (receiver 0) and for mail (receiver 1).
+    /// Returns the notices that Spandrel 0.1.0 left on disk for a webhook (receiver 0) and for
+    /// e-mail (receiver 1).
     ///
-    /// The webhook had taken that storey 1 is raised, and not yet that storey 2 is. Mail had taken that storey 2 is acknowledged.
+    /// The webhook had received the raised alert of storey 1, but not the alert of storey 2. The
+    /// e-mail receiver had received the acknowledged alert of storey 2.
     fn kept_by_0_1_0() -> Outbox {
         let folder = tempfile::tempdir().unwrap();
         let name = "notify-00000000000000000000-00000000000000000001.checkpoint";
@@ -166,7 +171,7 @@ mod tests {
         outbox
     }
 
-    /// Sends everything that is due; returns receiver, key and alert.
+    /// Sends all notices that are due. Returns receiver, key and alert of each.
     fn send(outbox: &mut Outbox) -> Vec<(usize, String, AlertMessage)> {
         let mut sent = Vec::new();
         loop {

@@ -1,10 +1,10 @@
-//! What receivers are told, in their form.
+//! The content of notices in the formats of the receivers.
 
 use crate::outbox::Notice;
 use serde_json::{Value, json};
 use spandrel_bus::{AlertMessage, AlertState, fit_in_words};
 
-/// An alert as on the bus, with its key and its time in words.
+/// Returns the alert as on the bus, with its key and its time in ISO 8601.
 pub(crate) fn plain(notice: &Notice) -> Value {
     let alert = &notice.alert;
     let mut value = json!(alert);
@@ -13,7 +13,9 @@ pub(crate) fn plain(notice: &Notice) -> Value {
     value
 }
 
-/// What `POST /api/v2/alerts` of Alertmanager takes. It counts an alert as over when its end is past, or when it is not repeated.
+/// Returns the body for Alertmanager's `POST /api/v2/alerts`.
+///
+/// Alertmanager resolves an alert when its end has passed or when it is not repeated.
 pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
     let alert = &notice.alert;
     let is_over = matches!(alert.state, AlertState::Cleared | AlertState::Normal);
@@ -29,7 +31,7 @@ pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
     if let Some(verdict) = alert.fit {
         value["annotations"]["fit"] = json!(fit_in_words(verdict, alert.fit_reasons));
     }
-    // when it began is the same in all states, so that they are one alert
+    // The start is the same in all states, so that Alertmanager treats them as one alert.
     value["startsAt"] = json!(iso_8601(alert.since_ns.unwrap_or(alert.time_ns)));
     if is_over {
         value["endsAt"] = json!(iso_8601(alert.time_ns));
@@ -37,7 +39,7 @@ pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
     json!([value])
 }
 
-/// First line and text of an e-mail.
+/// Returns the subject and the text of an e-mail.
 pub(crate) fn mail(notice: &Notice) -> (String, String) {
     let alert = &notice.alert;
     let subject = format!(
@@ -94,7 +96,7 @@ fn figures(alert: &AlertMessage) -> String {
     }
     let (loss, asked) = (percent(alert.rule_loss), percent(alert.rule_credibility));
     lines.push(format!(
-        "Rule:        more than {loss} gone with {asked} credibility; found {}",
+        "Rule:        more than {loss} lost with {asked} credibility; found {}",
         percent(alert.credibility)
     ));
     if let Some(verdict) = alert.fit {
@@ -114,7 +116,7 @@ fn figures(alert: &AlertMessage) -> String {
 
 fn iso_8601(time_ns: i64) -> String {
     let time = jiff::Timestamp::from_nanosecond(i128::from(time_ns));
-    // every time of 64 bits in nanoseconds lies within the calendar
+    // The calendar of `jiff` includes every time of 64 bits in nanoseconds.
     time.map_or_else(|_| time_ns.to_string(), |time| time.to_string())
 }
 
@@ -191,7 +193,7 @@ pub(crate) mod tests {
             "1970-01-01T00:00:20Z",
             "0.8760 of nominal, standard deviation 0.0123",
             "12.4 %, between 9.0 % and 15.0 % with 99.0 % credibility",
-            "more than 5.0 % gone with 99.0 % credibility; found 99.7 %",
+            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
         }

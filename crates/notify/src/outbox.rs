@@ -1,36 +1,43 @@
-//! What has to be sent to whom, and when: pure, time is an input.
+//! Decides which notices to send, to which receivers, and when. It has no clock: the time is an
+//! argument.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{AlertMessage, AlertState, Name};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Notices that wait for one receiver at most; the oldest make room and are counted.
+/// Maximum number of notices in the queue of one receiver. When it is full, the oldest is dropped
+/// and counted.
 const MOST_WAITING: usize = 1_000;
-/// Keys remembered of a structure, so that what comes again is not sent again: more than the alert service tells when it is asked.
+/// Number of keys kept for a structure to detect duplicates. It exceeds the length of the alert
+/// service's log.
 const KEYS_REMEMBERED: usize = 1_000;
-/// Time until a notice that failed is sent again: doubled each time, from this to that.
+/// First and longest delay before a retry. The delay doubles with each attempt.
 const RETRY_AFTER: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(300));
-/// A notice that could not be sent for so long is given up.
+/// Age after which an undelivered notice is dropped.
 pub(crate) const GIVE_UP_AFTER: Duration = Duration::from_secs(24 * 3_600);
-/// A revised loss is told again once it is so many times what was told: an alert from 5 % to 100 % is then told five times at most,
-/// and a loss whose interval has only become narrower is not told again.
+/// Factor by which a loss must grow before a revised alert is sent again.
+///
+/// An alert that grows from 5 % to 100 % is sent at most five times. A loss whose interval only
+/// narrows is not sent again.
 const LOUDER: f64 = 2.0;
-/// How often an alert that stands is told again to receivers that want that.
+/// Interval at which an active alert is repeated to receivers that require it.
 const REPEAT_EVERY: Duration = Duration::from_secs(60);
 
-/// What one receiver wants.
+/// The alerts that one receiver requests.
 #[derive(Clone, Debug)]
 pub(crate) struct Wish {
-    /// Who it is from one start to the next; no secret.
+    /// Name of the receiver, the same after each restart and without secrets.
     pub(crate) name: String,
     pub(crate) states: Vec<AlertState>,
-    /// Whether alerts that stand are told again and again.
+    /// Whether active alerts are repeated.
     pub(crate) repeats: bool,
 }
 
 impl Wish {
-    /// Whether an alert is told again and again while it stands: also where it is not confirmed, if it was told as raised.
+    /// Returns `true` if the receiver requests repetitions of this alert.
+    ///
+    /// An unconfirmed alert is also repeated if the receiver requests raised alerts.
     fn repeats(&self, alert: &AlertMessage) -> bool {
         let told_as = if alert.state == AlertState::Unconfirmed {
             AlertState::Raised
@@ -47,7 +54,7 @@ impl Wish {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Notice {
     pub(crate) receiver: usize,
-    /// The same for the same change of the same alert, so that a receiver can drop what it has.
+    /// Key of the change, which lets a receiver detect duplicates.
     pub(crate) key: String,
     pub(crate) alert: AlertMessage,
 }
@@ -58,7 +65,7 @@ struct Waiting {
     since: Duration,
     due: Duration,
     retry_after: Duration,
-    /// Told before, and told again because it stands: not worth remembering.
+    /// Whether this is a repetition of an active alert, which checkpoints omit.
     is_repeated: bool,
 }
 
@@ -74,64 +81,64 @@ impl Waiting {
     }
 }
 
-/// What waits for one receiver, in order.
+/// The queue of one receiver, in order.
 #[derive(Debug)]
 struct Receiver {
     wish: Wish,
     waiting: VecDeque<Waiting>,
     is_sending: bool,
-    /// Alerts that stand, with the time of their next repetition.
+    /// Active alerts, with the time of their next repetition.
     standing: BTreeMap<Subject, (AlertMessage, Duration)>,
 }
 
-/// What an alert is of: structure and parameter.
+/// The subject of an alert: structure and parameter.
 type Subject = (Name, Name);
 
-/// What is remembered of the notices of one structure.
+/// The checkpoint state of the notices of one structure.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Remembered {
-    /// Keys of changes that need not be taken again, oldest first.
+    /// Keys of changes that have been processed, oldest first.
     keys: Vec<String>,
-    /// How each alert stood last.
+    /// The last change of each alert.
     last: Vec<AlertMessage>,
-    /// What has not been delivered, in the order in which it is to be.
+    /// Undelivered notices in the order of delivery.
     waiting: Vec<Undelivered>,
-    /// What was news of each alert that is not over.
+    /// The changes that were sent for each alert that is not over.
     told: Vec<AlertMessage>,
 }
 
-/// One alert that one receiver does not have yet.
+/// An alert that one receiver has not received yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Undelivered {
     receiver: String,
     alert: AlertMessage,
-    /// How long it had waited when this was written (s).
+    /// Age when the checkpoint was written, in s.
     age_s: u64,
 }
 
 impl Remembered {
-    /// Notices that wait.
+    /// Returns the number of undelivered notices.
     pub(crate) fn waiting(&self) -> usize {
         self.waiting.len()
     }
 }
 
-/// What waits for everybody.
+/// The queues of all receivers.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     boxes: Vec<Receiver>,
     known: BTreeMap<Name, VecDeque<String>>,
     last: BTreeMap<Subject, AlertMessage>,
-    /// Of each alert that is not over, what was news of it last, by state.
+    /// The last change sent in each state, for each alert that is not over.
     told: BTreeMap<Subject, Vec<AlertMessage>>,
-    /// Structures of which something has changed that is to be remembered.
+    /// Structures whose state has changed since the last checkpoint.
     changed: BTreeSet<Name>,
     pub(crate) sent: u64,
     pub(crate) failures: u64,
     pub(crate) given_up: u64,
 }
 
-/// The same for the same change of the same alert.
+/// Returns the key of a change, which is the same for duplicates.
 fn key(alert: &AlertMessage) -> String {
     format!(
         "{}/{}/{}/{}",
@@ -166,11 +173,11 @@ impl Outbox {
         }
     }
 
-    /// Takes an alert; one that was taken before changes nothing.
+    /// Processes an alert. A duplicate has no effect.
     pub(crate) fn take(&mut self, alert: &AlertMessage, now: Duration) {
         let Some(key) = self.learn(alert) else { return };
         let of = subject(alert);
-        // of changes that were missed, one may be told after a later one
+        // After a gap, an older change can arrive after a newer one.
         let is_latest = self
             .last
             .get(&of)
@@ -182,7 +189,8 @@ impl Outbox {
         for (receiver, place) in self.boxes.iter_mut().enumerate() {
             let is_wished = place.wish.states.contains(&alert.state);
             if is_latest {
-                // what is over stands no longer, whoever wants to know of it
+                // An alert that is over is no longer repeated, even to receivers that do not
+                // request its last state.
                 let due = place.standing.remove(&of).map(|(_, due)| due);
                 if place.wish.repeats(alert) {
                     let next = due
@@ -199,7 +207,7 @@ impl Outbox {
                 };
                 place.waiting.push_back(Waiting::new(notice, now, now));
                 if place.waiting.len() > MOST_WAITING {
-                    // one that is being sent stays the first
+                    // The notice that is being sent remains first.
                     let lost = place.waiting.remove(usize::from(place.is_sending));
                     self.changed
                         .extend(lost.map(|lost| lost.notice.alert.structure));
@@ -209,9 +217,10 @@ impl Outbox {
         }
     }
 
-    /// Whether people should be told of an alert; takes note of what they are told.
+    /// Returns `true` if an alert is worth sending, and records it as sent.
     ///
-    /// A state that was told of the same alert is told again once its loss is [`LOUDER`] times what was told.
+    /// A state that was sent before is sent again once its loss is at least [`LOUDER`] times the
+    /// largest loss sent.
     fn is_news(&mut self, of: &Subject, alert: &AlertMessage) -> bool {
         let told = self.told.entry(of.clone()).or_default();
         let is_of_alert = |before: &AlertMessage| {
@@ -222,7 +231,7 @@ impl Outbox {
             .iter()
             .position(|before| before.state == alert.state && is_of_alert(before));
         let loss = |alert: &AlertMessage| alert.loss.unwrap_or(0.0);
-        // a loss that was told in one state is known in the others
+        // A loss sent in one state is known in all states.
         let most = told
             .iter()
             .filter(|before| before.stands() && is_of_alert(before))
@@ -230,7 +239,7 @@ impl Outbox {
             .fold(0.0, f64::max);
         let is_louder = alert.stands() && loss(alert) >= LOUDER * most;
         let is_news = before.is_none() || is_louder;
-        // what is over and what stands are news of each other
+        // After an active alert its end is news, and the reverse.
         told.retain(|before| {
             if alert.stands() {
                 before.stands()
@@ -245,7 +254,7 @@ impl Outbox {
         is_news
     }
 
-    /// Takes note of an alert that need not be told; returns its key if it is new.
+    /// Records an alert without sending it. Returns its key, or `None` if it is a duplicate.
     pub(crate) fn learn(&mut self, alert: &AlertMessage) -> Option<String> {
         let key = key(alert);
         let known = self.known.entry(alert.structure.clone()).or_default();
@@ -260,12 +269,12 @@ impl Outbox {
         Some(key)
     }
 
-    /// The structures of which something has changed since this was last called.
+    /// Returns the structures that have changed since the last call.
     pub(crate) fn take_changed(&mut self) -> BTreeSet<Name> {
         std::mem::take(&mut self.changed)
     }
 
-    /// What is to be remembered of a structure.
+    /// Returns the checkpoint state of a structure.
     pub(crate) fn remembered(&self, structure: &Name, now: Duration) -> Remembered {
         let of_structure = |waiting: &&Waiting| {
             waiting.notice.alert.structure == *structure && !waiting.is_repeated
@@ -303,8 +312,10 @@ impl Outbox {
         }
     }
 
-    /// Goes on from what an earlier life has remembered of a structure, `away` ago. What is for a receiver that is told no longer, or not
-    /// of such an alert, is given up; returns how many.
+    /// Restores the state of an earlier run that ended `away` ago.
+    ///
+    /// Notices for receivers that no longer exist, or no longer request this state, are dropped.
+    /// Returns their number.
     pub(crate) fn recall(
         &mut self,
         structure: &Name,
@@ -364,7 +375,8 @@ impl Outbox {
         lost
     }
 
-    /// What is to be sent now: of each receiver the oldest, so that it hears everything in order.
+    /// Returns the notices to send now. Each receiver gets only its oldest one, so that all arrive
+    /// in order.
     pub(crate) fn due(&mut self, now: Duration) -> Vec<Notice> {
         let mut due = Vec::new();
         for (receiver, place) in self.boxes.iter_mut().enumerate() {
@@ -393,7 +405,7 @@ impl Outbox {
         due
     }
 
-    /// Takes how it went.
+    /// Records the result of an attempt.
     pub(crate) fn done(&mut self, receiver: usize, is_sent: bool, now: Duration) {
         let Some(place) = self.boxes.get_mut(receiver) else {
             return;
@@ -418,7 +430,7 @@ impl Outbox {
             .extend(done.map(|done| done.notice.alert.structure));
     }
 
-    /// Notices that wait.
+    /// Returns the number of notices in all queues.
     pub(crate) fn waiting(&self) -> usize {
         self.boxes.iter().map(|place| place.waiting.len()).sum()
     }
@@ -505,7 +517,7 @@ mod tests {
         }
         assert_eq!(outbox.due(s(5_000))[0].alert.state, AlertState::Cleared);
         outbox.done(0, false, s(5_000));
-        // a receiver that never comes back is given up after a day
+        // A receiver that never recovers is given up after a day.
         for second in (5_000..200_000).step_by(100) {
             let due = outbox.due(s(second));
             due.iter()
@@ -540,7 +552,7 @@ mod tests {
         );
     }
 
-    /// What is sent of these states and losses of one alert.
+    /// Returns the notices sent for one alert with these states and losses.
     fn sent(states: &[(AlertState, f64)]) -> Vec<(AlertState, f64)> {
         let mut outbox = outbox(false);
         let mut sent = Vec::new();
@@ -680,7 +692,7 @@ mod tests {
         );
         assert_eq!(second.remembered(&house, s(100)).waiting(), 0);
 
-        // a receiver of another name, or one that wants other states, does not get what was for this one
+        // Notices for one receiver do not go to a receiver with another name or other states.
         let wish = Wish {
             name: "another".to_owned(),
             states: vec![AlertState::Raised],
@@ -718,7 +730,7 @@ mod tests {
         second.take(&alert(50, AlertState::Cleared), s(1));
         assert_eq!(second.due(s(1))[0].alert.state, AlertState::Cleared);
         second.done(0, true, s(1));
-        // a change that was missed, and is heard late, does not make it stand again
+        // A missed change that arrives late does not make the alert active again.
         second.take(&alert(30, AlertState::Raised), s(2));
         second.due(s(2));
         second.done(0, true, s(2));

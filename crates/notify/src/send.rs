@@ -1,4 +1,4 @@
-//! Sends one notice; blocks until it is sent or has failed.
+//! Sends one notice. The call blocks until the notice is sent or the attempt has failed.
 
 use crate::error::NotifyError;
 use crate::message::{for_alertmanager, mail, plain};
@@ -13,10 +13,10 @@ use lettre::{Message, SmtpTransport, Transport};
 use spandrel_bus::AlertState;
 use std::time::Duration;
 
-/// Time for a receiver to answer.
+/// Time limit for the reply of a receiver.
 const ANSWER_WITHIN: Duration = Duration::from_secs(15);
 
-/// Somebody who can be told.
+/// A receiver of notices.
 pub(crate) enum Receiver {
     Webhook {
         agent: ureq::Agent,
@@ -31,7 +31,7 @@ pub(crate) enum Receiver {
     },
 }
 
-/// All receivers of the settings, which have been checked.
+/// Returns the receivers of the settings, which must have been checked.
 pub(crate) fn receivers(settings: &NotifySettings) -> Result<Vec<Receiver>, NotifyError> {
     let mut receivers = Vec::new();
     for (index, webhook) in settings.webhook.iter().enumerate() {
@@ -97,7 +97,7 @@ fn by_mail(email: &Email, index: usize) -> Result<Receiver, NotifyError> {
 }
 
 impl Receiver {
-    /// What it wants, under a name.
+    /// Returns the request of this receiver under a name.
     pub(crate) fn wish(&self, name: String) -> Wish {
         match self {
             Self::Webhook { webhook, .. } => {
@@ -116,7 +116,7 @@ impl Receiver {
         }
     }
 
-    /// Who it is, without secrets.
+    /// Returns the receiver's address without secrets.
     pub(crate) fn shown(&self) -> String {
         match self {
             Self::Webhook { webhook, .. } => shown(&webhook.url),
@@ -131,7 +131,7 @@ impl Receiver {
     /// Sends a notice.
     ///
     /// # Errors
-    /// Why it was not taken, without secrets.
+    /// Returns the reason for the failure, without secrets.
     pub(crate) fn send(&self, notice: &Notice) -> Result<(), String> {
         match self {
             Self::Webhook {
@@ -152,14 +152,14 @@ impl Receiver {
                 }
                 match request.send(body.to_string()) {
                     Ok(answer) if answer.status().is_success() => Ok(()),
-                    Ok(answer) => Err(format!("answered {}", answer.status())),
-                    // the text of others may name the whole address
-                    Err(ureq::Error::StatusCode(code)) => Err(format!("answered {code}")),
+                    Ok(answer) => Err(format!("replied with {}", answer.status())),
+                    // The messages of other errors could contain the whole URL.
+                    Err(ureq::Error::StatusCode(code)) => Err(format!("replied with {code}")),
                     Err(ureq::Error::Timeout(_)) => {
-                        Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs()))
+                        Err(format!("no reply within {} s", ANSWER_WITHIN.as_secs()))
                     }
                     Err(ureq::Error::Io(error)) => Err(error.to_string()),
-                    Err(ureq::Error::HostNotFound) => Err("no such host".to_owned()),
+                    Err(ureq::Error::HostNotFound) => Err("unknown host".to_owned()),
                     Err(ureq::Error::ConnectionFailed) => Err("cannot connect".to_owned()),
                     Err(ureq::Error::Tls(reason)) => Err(format!("TLS: {reason}")),
                     Err(ureq::Error::Rustls(error)) => Err(format!("TLS: {error}")),
@@ -174,7 +174,7 @@ impl Receiver {
             } => {
                 let (subject, text) = mail(notice);
                 let mut message = Message::builder().from(from.clone()).subject(subject);
-                // one thread for one alert, and one message for one change
+                // A message ID per change lets mail programs detect duplicates.
                 message = message
                     .message_id(Some(format!("<{}@spandrel>", notice.key.replace('/', "."))));
                 for mailbox in to {

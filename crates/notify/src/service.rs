@@ -1,4 +1,4 @@
-//! Joins the outbox to the bus and to the receivers.
+//! Connects the outbox to the bus and to the receivers.
 
 use crate::error::NotifyError;
 use crate::memory::Memory;
@@ -17,18 +17,18 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
-/// How often it is looked what is due.
+/// Interval between checks for notices that are due.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
-/// How often the status is put.
+/// Interval between status messages.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
-/// Alerts that wait to be taken.
+/// Capacity of the queue for alerts.
 const ALERTS_WAITING: usize = 4_096;
-/// Time for the alert service to say how its alerts stand.
+/// Time limit for the reply of the alert service.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
-/// Time for what is being sent to be sent after a stop.
+/// Time limit after a stop for the notices that are being sent.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// Tells of the alerts of one or more structures.
+/// The notification service of one or more structures.
 pub struct NotifyService {
     sources: Vec<Source>,
     receivers: Vec<Arc<Receiver>>,
@@ -40,16 +40,18 @@ pub struct NotifyService {
     id: Name,
 }
 
-/// What an alert service says when it is asked.
+/// The reply of an alert service.
 struct Told {
     structure: Name,
     /// Its last changes, oldest first.
     log: Vec<AlertMessage>,
-    /// How each alert stands.
+    /// The current state of each alert.
     standing: Vec<AlertMessage>,
 }
 
-/// The time that the outbox knows: it goes on evenly, and has begun long enough ago for what an earlier life has left.
+/// The monotonic time used by the outbox.
+///
+/// It starts at [`GIVE_UP_AFTER`], so that the age of restored notices can be subtracted.
 struct Clock(Instant);
 
 impl Clock {
@@ -76,16 +78,19 @@ struct Source {
     token: LiveToken,
     taken: u64,
     memory: Option<Memory>,
-    /// Whether an earlier life, or an earlier answer, has told how the alerts stood.
+    /// Whether a checkpoint or an earlier reply has supplied the state of the alerts.
     has_heard: bool,
 }
 
 impl NotifyService {
-    /// Checks the settings, goes on from what is remembered, listens to the bus and shows liveliness tokens; `id` names this
-    /// instance. Each structure comes with the folder of its checkpoints, or without where nothing is to outlive the process.
+    /// Validates the settings, restores checkpoints, subscribes to alerts and announces liveliness
+    /// tokens.
+    ///
+    /// `id` names this instance. Each structure comes with its checkpoint folder, or `None` if it
+    /// needs no checkpoints.
     ///
     /// # Errors
-    /// When a setting cannot be used, a folder cannot be written, or the bus refuses a declaration.
+    /// Fails if a setting is invalid, a folder cannot be written, or the bus rejects a declaration.
     pub fn start<'a>(
         structures: &'a [(Keys, Option<PathBuf>)],
         bus: &'a Bus,
@@ -156,15 +161,15 @@ impl NotifyService {
             warn!(
                 structure,
                 notices = lost,
-                "given up: their receivers are not in the configuration any more"
+                "dropped notices whose receivers are no longer in the configuration"
             );
         }
     }
 
-    /// Runs until `stop`; what is being sent by then is given time.
+    /// Runs until `stop`. Notices that are being sent may finish within 5 s.
     ///
     /// # Errors
-    /// When the bus is closed underneath.
+    /// Fails if the bus is closed.
     pub fn run<'a>(
         self,
         stop: impl Future<Output = ()> + Send + 'a,
@@ -189,7 +194,7 @@ impl NotifyService {
             if is_late || self.outbox.waiting() > 0 {
                 warn!(
                     waiting = self.outbox.waiting(),
-                    "not all notices have been sent; what is remembered is sent later"
+                    "some notices were not sent; saved notices will be sent after the next start"
                 );
             }
             for source in self.sources {
@@ -212,7 +217,8 @@ impl NotifyService {
                 Some(ended) = sending.join_next() => self.ended(ended),
             }
             self.take();
-            // before the first attempt, so that whatever comes of it a later one has the same key
+            // The checkpoint precedes the first attempt, so that a retry after a crash has the same
+            // key.
             self.keep();
             for notice in self.outbox.due(self.clock.now()) {
                 let Some(receiver) = self.receivers.get(notice.receiver).cloned() else {
@@ -227,7 +233,7 @@ impl NotifyService {
         }
     }
 
-    /// Takes how an attempt went; one that panicked outside of its sending has nothing to say.
+    /// Records the result of an attempt. Ignores an attempt whose task has panicked.
     fn ended(&mut self, ended: Result<(usize, Result<(), String>), JoinError>) {
         let Ok((receiver, result)) = ended else {
             return;
@@ -238,12 +244,9 @@ impl NotifyService {
             .map(|receiver| receiver.shown())
             .unwrap_or_default();
         match &result {
-            Ok(()) => info!(receiver = shown, "alert told"),
+            Ok(()) => info!(receiver = shown, "notice sent"),
             Err(reason) if (self.outbox.failures + 1).is_power_of_two() => {
-                warn!(
-                    receiver = shown,
-                    reason, "alert not told, it is tried again"
-                );
+                warn!(receiver = shown, reason, "notice not sent; retrying");
             }
             Err(_) => {}
         }
@@ -264,7 +267,7 @@ impl NotifyService {
                 source.taken += 1;
                 self.outbox.take(&alert, now);
             }
-            // what was decided while nobody listened is told by whoever decided it
+            // A new alert service reports changes that were decided while no link existed.
             let present = source.alert_services.present();
             if present.difference(&source.present).next().is_some() {
                 self.asked.spawn(ask(self.bus.clone(), source.keys.clone()));
@@ -274,13 +277,16 @@ impl NotifyService {
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
                 Ok(Ok(told)) => self.catch_up(&told, now),
-                Ok(Err(error)) => warn!(%error, "cannot ask how the alerts stand"),
-                Err(error) => warn!(%error, "question how the alerts stand is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query current alerts"),
+                Err(error) => warn!(%error, "query for current alerts failed"),
             }
         }
     }
 
-    /// Takes what was missed. At the first start of all it is told how the alerts stand, and not what was before.
+    /// Processes the reply of an alert service.
+    ///
+    /// The first reply ever received supplies only the current alerts: older changes are recorded
+    /// without sending them.
     fn catch_up(&mut self, told: &Told, now: Duration) {
         let Told {
             structure,
@@ -305,11 +311,11 @@ impl NotifyService {
         standing
             .iter()
             .for_each(|alert| self.outbox.take(alert, now));
-        // a service that did not answer in time has told nothing
+        // An empty reply means that the service did not answer in time.
         source.has_heard |= !standing.is_empty();
     }
 
-    /// Writes what has changed to the disk.
+    /// Saves checkpoints of all structures that have changed.
     fn keep(&mut self) {
         let now = self.clock.now();
         for structure in self.outbox.take_changed() {
@@ -374,13 +380,13 @@ impl NotifyService {
     }
 }
 
-/// Asks an alert service for its last changes, and how its alerts stand.
+/// Queries an alert service for its last changes and the current state of its alerts.
 async fn ask(bus: Bus, keys: Keys) -> Result<Told, BusError> {
     let log = bus
         .ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN)
         .await
         .unwrap_or_else(|error| {
-            warn!(%error, "cannot ask for the last changes of alerts");
+            warn!(%error, "cannot query recent changes of alerts");
             Vec::new()
         });
     let standing = bus
@@ -403,7 +409,9 @@ async fn ask(bus: Bus, keys: Keys) -> Result<Told, BusError> {
     })
 }
 
-/// What each receiver wants, under a name that it has at the next start as well: what is logged of it, and which of those it is.
+/// Returns the request of each receiver under a name that is the same after a restart.
+///
+/// The name is the logged address, with a number to distinguish receivers at the same address.
 fn wishes(receivers: &[Arc<Receiver>]) -> Vec<Wish> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     let named = |receiver: &Arc<Receiver>| {

@@ -1,4 +1,4 @@
-//! Who is told, how, and of what.
+//! Settings of the notification service: receivers, formats and alert states.
 
 use crate::error::NotifyError;
 use lettre::message::Mailbox;
@@ -6,77 +6,77 @@ use serde::Deserialize;
 use spandrel_bus::AlertState;
 use std::path::{Path, PathBuf};
 
-/// All who are told.
+/// The receivers of notices.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NotifySettings {
-    /// Programs that are told over HTTP.
+    /// Programs notified over HTTP.
     pub webhook: Vec<Webhook>,
-    /// People who are told by e-mail.
+    /// People notified by e-mail.
     pub email: Vec<Email>,
 }
 
-/// A program that is told over HTTP.
+/// A program notified over HTTP.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Webhook {
-    /// Where it listens; may hold a secret, and is logged without path and query.
+    /// URL of the receiver. It may contain a secret, so logs omit its path and query.
     pub url: String,
-    /// What it is told in.
+    /// Format of the body.
     #[serde(default)]
     pub format: WebhookFormat,
     /// File with a token that is sent as `Authorization: Bearer …`.
     pub token_file: Option<PathBuf>,
-    /// States that it is told of.
+    /// Alert states to send.
     #[serde(default = "usual_states")]
     pub states: Vec<AlertState>,
 }
 
-/// What a program is told in.
+/// The format of a webhook's body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum WebhookFormat {
-    /// One alert a request, as on the bus, with a key and a link.
+    /// One alert per request, as on the bus, with a key and its time in ISO 8601.
     #[default]
     Spandrel,
-    /// What the interface `POST /api/v2/alerts` of Alertmanager takes; repeated while an alert stands.
+    /// The format of Alertmanager's `POST /api/v2/alerts`. An active alert is repeated.
     Alertmanager,
 }
 
-/// Somebody who is told by e-mail.
+/// People notified by e-mail.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Email {
     /// Mail server.
     pub server: String,
-    /// Its port; without a word the usual one of the encryption.
+    /// Port of the server. `None` selects the default of the encryption.
     pub port: Option<u16>,
-    /// How the connection is protected.
+    /// Encryption of the connection.
     #[serde(default)]
     pub encryption: Encryption,
-    /// Who logs in, if somebody has to.
+    /// User name, if the server requires a login.
     pub user: Option<String>,
     /// File with the password.
     pub password_file: Option<PathBuf>,
     /// Sender.
     pub from: String,
-    /// Receivers.
+    /// Recipients.
     pub to: Vec<String>,
-    /// States that they are told of.
+    /// Alert states to send.
     #[serde(default = "usual_states")]
     pub states: Vec<AlertState>,
 }
 
-/// How the connection to a mail server is protected.
+/// The encryption of the connection to a mail server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Encryption {
-    /// TLS from the beginning (port 465).
+    /// TLS from the start of the connection (port 465).
     #[default]
     Tls,
-    /// TLS after a word in the clear (port 587); refused if the server has none.
+    /// TLS after the STARTTLS command (port 587). Sending fails if the server does not support it.
     Starttls,
-    /// None (port 25): for a server on this machine. A password is refused.
+    /// No encryption (port 25), for a server on the same machine. A password is rejected.
     None,
 }
 
@@ -85,13 +85,13 @@ fn usual_states() -> Vec<AlertState> {
 }
 
 impl NotifySettings {
-    /// Whether nobody is told.
+    /// Returns `true` if there are no receivers.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.webhook.is_empty() && self.email.is_empty()
     }
 
-    /// Makes relative files of secrets relative to a folder.
+    /// Makes relative paths of secret files relative to `folder`.
     pub fn resolve(&mut self, folder: &Path) {
         let tokens = self
             .webhook
@@ -106,10 +106,10 @@ impl NotifySettings {
             .for_each(|path| *path = folder.join(&path));
     }
 
-    /// Checks what the types cannot say, and that files with secrets can be read.
+    /// Checks the values that the types do not restrict, and that files with secrets are readable.
     ///
     /// # Errors
-    /// The first setting that cannot be used.
+    /// Returns the first invalid setting.
     pub fn check(&self) -> Result<(), NotifyError> {
         for (index, webhook) in self.webhook.iter().enumerate() {
             let place = |what: &str| format!("webhook[{index}].{what}");
@@ -117,7 +117,7 @@ impl NotifySettings {
                 .iter()
                 .any(|scheme| webhook.url.starts_with(scheme));
             if !is_http || host(&webhook.url).is_empty() {
-                let found = format!("no such address: {:?}", shown(&webhook.url));
+                let found = format!("{:?}", shown(&webhook.url));
                 return Err(NotifyError::Setting {
                     place: place("url"),
                     found,
@@ -142,7 +142,7 @@ impl NotifySettings {
                 }
             }
             if email.to.is_empty() {
-                let (found, allowed) = ("empty".to_owned(), "one address or more");
+                let (found, allowed) = ("empty".to_owned(), "at least one address");
                 return Err(NotifyError::Setting {
                     place: place("to"),
                     found,
@@ -151,8 +151,8 @@ impl NotifySettings {
             }
             if email.user.is_some() != email.password_file.is_some() {
                 let (found, allowed) = (
-                    "one of user and password-file".to_owned(),
-                    "both or neither",
+                    "only one of user and password-file".to_owned(),
+                    "both or none",
                 );
                 return Err(NotifyError::Setting {
                     place: place("user"),
@@ -163,7 +163,7 @@ impl NotifySettings {
             if email.encryption == Encryption::None && email.user.is_some() {
                 let (found, allowed) = (
                     "none, with a password".to_owned(),
-                    "tls or starttls where somebody logs in",
+                    "tls or starttls if user is set",
                 );
                 return Err(NotifyError::Setting {
                     place: place("encryption"),
@@ -184,7 +184,8 @@ fn check_states(states: &[AlertState], place: &str) -> Result<(), NotifyError> {
     }
     let (found, allowed) = (
         "empty".to_owned(),
-        "one or more of learning, normal, pending, raised, acknowledged, cleared",
+        "one or more of learning, undecided, normal, pending, raised, unconfirmed, acknowledged, \
+         cleared",
     );
     Err(NotifyError::Setting {
         place: place.to_owned(),
@@ -193,7 +194,7 @@ fn check_states(states: &[AlertState], place: &str) -> Result<(), NotifyError> {
     })
 }
 
-/// The secret in a file, without the end of its line.
+/// Returns the secret in a file, without the line ending.
 pub(crate) fn read_secret(path: Option<&Path>, place: &str) -> Result<Option<String>, NotifyError> {
     let Some(path) = path else { return Ok(None) };
     let text = std::fs::read_to_string(path);
@@ -205,14 +206,14 @@ pub(crate) fn read_secret(path: Option<&Path>, place: &str) -> Result<Option<Str
     Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()))
 }
 
-/// Host and port of an address.
+/// Returns host and port of a URL.
 pub(crate) fn host(url: &str) -> &str {
     let rest = url.split_once("://").map_or("", |(_, rest)| rest);
     let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
     authority.rsplit('@').next().unwrap_or_default()
 }
 
-/// An address without what may be secret in it: its user, path and query.
+/// Returns a URL without the parts that may be secret: user, path and query.
 pub(crate) fn shown(url: &str) -> String {
     match url.split_once("://") {
         Some((scheme, _)) => format!("{scheme}://{}/…", host(url)),

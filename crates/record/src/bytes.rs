@@ -1,15 +1,15 @@
-//! Steps through the bytes of a file; what is not there is a fault, not a panic.
+//! A cursor over the bytes of a file. Missing bytes are a fault and never cause a panic.
 
 use crate::fault::Fault;
 
-/// The order of the bytes of a number.
+/// The byte order of numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ByteOrder {
     Little,
     Big,
 }
 
-/// A place in bytes, with the order of the bytes of numbers.
+/// A position in a byte slice, with the byte order of numbers.
 #[derive(Debug, Clone)]
 pub(crate) struct Bytes<'a> {
     data: &'a [u8],
@@ -38,12 +38,12 @@ impl<'a> Bytes<'a> {
         }
     }
 
-    /// Bytes before the next one.
+    /// Returns the number of bytes before the cursor.
     pub(crate) fn position(&self) -> usize {
         self.position
     }
 
-    /// Bytes that are left.
+    /// Returns the number of remaining bytes.
     pub(crate) fn left(&self) -> usize {
         self.data.len() - self.position
     }
@@ -52,7 +52,7 @@ impl<'a> Bytes<'a> {
         self.left() == 0
     }
 
-    /// The next bytes, which are then behind.
+    /// Returns the next `count` bytes, and advances the cursor past them.
     pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], Fault> {
         if count > self.left() {
             let (left, position) = (self.left(), self.position);
@@ -69,7 +69,7 @@ impl<'a> Bytes<'a> {
         Ok(bytes)
     }
 
-    /// Goes to another place; the end of the bytes is allowed.
+    /// Moves the cursor to `position`. The end of the bytes is a valid position.
     pub(crate) fn seek(&mut self, position: usize) -> Result<(), Fault> {
         if position > self.data.len() {
             let found = format!("byte {position}");
@@ -93,7 +93,7 @@ impl<'a> Bytes<'a> {
     numbers! { u8: u8, u16: u16, u32: u32, u64: u64, i16: i16, i32: i32, i64: i64, f32: f32, f64: f64 }
 }
 
-/// Text in UTF-8, or in Latin-1 if it is no UTF-8, without what pads it.
+/// Decodes text as UTF-8, or as Latin-1 if it is not valid UTF-8, and removes padding.
 pub(crate) fn text(bytes: &[u8]) -> String {
     let padding = |symbol: char| symbol.is_whitespace() || symbol == '\0';
     match std::str::from_utf8(bytes) {

@@ -1,41 +1,42 @@
-//! Which column of a file is which channel, and how its numbers become SI.
+//! Assigns columns of a file to channels, and defines the conversion of their numbers to SI.
 
 use crate::{Quantity, RecordError, RecordedChannel};
 
-/// Name of the time column where a mapping names no other.
+/// Default name of the time column.
 const DEFAULT_TIME_COLUMN: &str = "time";
 
-/// The unit of times that are numbers.
+/// The unit of numeric times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeUnit {
-    /// s.
+    /// Times in seconds.
     Seconds,
-    /// ms.
+    /// Times in milliseconds.
     Milliseconds,
-    /// µs.
+    /// Times in microseconds.
     Microseconds,
-    /// ns.
+    /// Times in nanoseconds.
     Nanoseconds,
 }
 
-/// Where the times of a file come from.
+/// The source of the times of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TimeSource {
-    /// From a column of this name; formats that state their times themselves have none, and the name is not used.
+    /// A column. Formats that state their times in another way ignore it.
     Column {
-        /// Its name.
+        /// Name of the column.
         name: String,
-        /// The unit of its numbers.
+        /// Unit of numeric times.
         unit: TimeUnit,
     },
-    /// The file has no times: its rows are counted at this rate.
+    /// A row counter, for a file without times.
     Counted {
         /// Sampling rate in Hz.
         rate_hz: f64,
     },
 }
 
-/// Says where each channel and the time stand in a file; the order of the channels is that of the rows read.
+/// The columns of the channels and of the time in a file. The order of the channels is that of the
+/// values in a row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping {
     time: TimeSource,
@@ -43,7 +44,7 @@ pub struct ColumnMapping {
 }
 
 impl ColumnMapping {
-    /// Maps the given channels, with the time in column `time`.
+    /// Creates a mapping of channels, with the time in s in column `time`.
     pub fn new(channels: Vec<ChannelColumn>) -> Self {
         Self {
             time: TimeSource::Column {
@@ -54,12 +55,12 @@ impl ColumnMapping {
         }
     }
 
-    /// Takes each channel from the column of its own name, in SI units.
+    /// Maps each channel to the column of its own name, in SI units.
     pub fn by_name<S: Into<String>>(channels: impl IntoIterator<Item = S>) -> Self {
         Self::new(channels.into_iter().map(ChannelColumn::new).collect())
     }
 
-    /// Takes the time from the column of this name.
+    /// Sets the name of the time column, with times in s.
     pub fn with_time_column(self, name: impl Into<String>) -> Self {
         Self {
             time: TimeSource::Column {
@@ -70,17 +71,18 @@ impl ColumnMapping {
         }
     }
 
-    /// Takes the time from wherever `time` says.
+    /// Sets the source of the times.
     pub fn with_time(self, time: TimeSource) -> Self {
         Self { time, ..self }
     }
 
-    /// Where the time comes from.
+    /// Returns the source of the times.
     pub fn time(&self) -> &TimeSource {
         &self.time
     }
 
-    /// Name of the column of the time, which a file that is written has in any case.
+    /// Returns the name of the time column. Written files always have one, so the default name
+    /// applies to counted times.
     pub fn time_column(&self) -> &str {
         match &self.time {
             TimeSource::Column { name, .. } => name,
@@ -88,15 +90,15 @@ impl ColumnMapping {
         }
     }
 
-    /// The channels in the order of the values of a row.
+    /// Returns the channels, in the order of the values of a row.
     pub fn channels(&self) -> &[ChannelColumn] {
         &self.channels
     }
 }
 
-/// One channel: its column, and the way from the number in the file to SI.
+/// The column of one channel, and the conversion of its numbers to SI.
 ///
-/// value in SI = SI unit from unit of the column × (scale × number in the file + offset)
+/// value in SI = SI unit per column unit × (scale × number in the file + offset)
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChannelColumn {
     channel: String,
@@ -108,7 +110,7 @@ pub struct ChannelColumn {
 }
 
 impl ChannelColumn {
-    /// Takes `channel` from the column of the same name, in SI units.
+    /// Maps `channel` to the column of the same name, in SI units.
     pub fn new(channel: impl Into<String>) -> Self {
         let channel = channel.into();
         Self {
@@ -121,7 +123,7 @@ impl ChannelColumn {
         }
     }
 
-    /// Takes the channel from the column of this name.
+    /// Sets the name of the column.
     pub fn with_column(self, name: impl Into<String>) -> Self {
         Self {
             column: name.into(),
@@ -132,7 +134,7 @@ impl ChannelColumn {
     /// Declares that the channel is a `quantity` in `unit`.
     ///
     /// # Errors
-    /// [`RecordError::Unit`] if it is no unit of this quantity.
+    /// [`RecordError::Unit`] if `unit` does not belong to the quantity.
     pub fn with_unit(self, unit: &str, quantity: Quantity) -> Result<Self, RecordError> {
         match quantity.si_from(unit) {
             Some(si_from_unit) => Ok(Self {
@@ -148,8 +150,9 @@ impl ChannelColumn {
         }
     }
 
-    /// Declares that the channel is a `quantity` in the unit that the recording states; in SI units if it states none that
-    /// is known. The calibration acts after it.
+    /// Declares that the channel is a `quantity` in the unit that the recording states. If that
+    /// unit is missing or unknown, the numbers are in SI units. The calibration applies after the
+    /// conversion to SI.
     pub fn in_unit_of_file(self, quantity: Quantity) -> Self {
         Self {
             file_unit: Some(quantity),
@@ -157,12 +160,14 @@ impl ChannelColumn {
         }
     }
 
-    /// Factor from the numbers of a recorded channel to SI, by the unit that the recording states, if that counts.
+    /// Returns the factor from the numbers of a recorded channel to SI, if its stated unit applies.
+    /// Otherwise returns 1.
     pub(crate) fn si_from_file(&self, recorded: &RecordedChannel) -> Result<f64, RecordError> {
         self.si_from_stated(recorded.unit().unwrap_or_default())
     }
 
-    /// As [`Self::si_from_file`], of a unit as a file writes it; 1 if it is no unit that is known.
+    /// Works like [`Self::si_from_file`] for a unit as spelled in a file. Returns 1 if the unit is
+    /// unknown.
     pub(crate) fn si_from_stated(&self, unit: &str) -> Result<f64, RecordError> {
         match (self.file_unit, Quantity::of_unit(unit)) {
             (Some(quantity), Some((found, _))) if found != quantity => Err(RecordError::Unit {
@@ -176,10 +181,11 @@ impl ChannelColumn {
         }
     }
 
-    /// Declares the calibration: `scale` in units of the column per number in the file, `offset` in units of the column.
+    /// Sets the calibration: `scale` in column units per number in the file, and `offset` in column
+    /// units.
     ///
     /// # Errors
-    /// [`RecordError::Calibration`] if one of them is not finite, or the scale is zero.
+    /// [`RecordError::Calibration`] if a value is not finite or the scale is zero.
     pub fn with_calibration(self, scale: f64, offset: f64) -> Result<Self, RecordError> {
         if !scale.is_finite() || scale == 0.0 {
             return Err(RecordError::Calibration {
@@ -202,17 +208,18 @@ impl ChannelColumn {
         })
     }
 
-    /// Name of the channel.
+    /// Returns the name of the channel.
     pub fn channel(&self) -> &str {
         &self.channel
     }
 
-    /// Name of the column in the file.
+    /// Returns the name of the column in the file.
     pub fn column(&self) -> &str {
         &self.column
     }
 
-    /// The unit that a file which is written can state: that of SI, if the numbers are in it and the quantity is known.
+    /// Returns the unit for the metadata of a written file: the SI unit if the numbers are in SI
+    /// and the quantity is known. Otherwise the result is empty.
     pub(crate) fn stated_unit(&self) -> &'static str {
         let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
         self.file_unit
@@ -220,26 +227,32 @@ impl ChannelColumn {
             .map_or("", Quantity::si_unit)
     }
 
-    /// Takes a number in the file to SI.
+    /// Converts a number in the file to SI.
     pub(crate) fn si_from_number(&self, number: f64) -> f64 {
         let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
         if is_si {
-            return number; // and not -0.0 + 0.0, which loses the sign and with it the bits
+            // The calculation -0.0 + 0.0 would lose the sign, so the result would not be
+            // bit-identical.
+            return number;
         }
         self.si_from_unit * (self.scale * number + self.offset)
     }
 
-    /// Takes a value in SI to the number that a file holds for it.
+    /// Converts a value in SI to the number in the file.
     pub(crate) fn number_from_si(&self, value: f64) -> f64 {
         let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
         if is_si {
-            return value; // to the same bits
+            // The result must be bit-identical.
+            return value;
         }
         (value / self.si_from_unit - self.offset) / self.scale
     }
 }
 
-/// Where a column stands among the names of a file: under its own, else in front of a unit in brackets, as `roof` in `roof [m/s2]`.
+/// Returns the indices of the columns named `wanted` in a file.
+///
+/// If there is none, returns the columns with this name in front of a unit in brackets, such as
+/// `roof [m/s2]` for `roof`.
 pub(crate) fn places_of<'n>(
     wanted: &str,
     names: impl Iterator<Item = &'n str> + Clone,
@@ -260,14 +273,14 @@ pub(crate) fn places_of<'n>(
     }
 }
 
-/// The name in front of a unit in brackets, if it has one.
+/// Returns the name in front of a unit in brackets, or `None` if there are no brackets.
 fn without_unit(name: &str) -> Option<&str> {
     let (name, _) = name.trim_end().strip_suffix(']')?.rsplit_once('[')?;
     Some(name.trim_end()).filter(|name| !name.is_empty())
 }
 
 impl TimeUnit {
-    /// Digits that a number of this unit has after the point when it is known to the nanosecond.
+    /// Returns the number of decimals of this unit that resolve a nanosecond.
     pub(crate) fn fraction_digits(self) -> usize {
         match self {
             Self::Seconds => 9,
@@ -277,7 +290,7 @@ impl TimeUnit {
         }
     }
 
-    /// The unit of this symbol: `s`, `ms`, `us`, `µs` or `ns`.
+    /// Returns the unit for a symbol: `s`, `ms`, `us`, `µs` or `ns`.
     pub fn of_symbol(symbol: &str) -> Option<Self> {
         match symbol {
             "s" => Some(Self::Seconds),
@@ -295,7 +308,7 @@ mod tests {
 
     #[test]
     fn calibration_acts_before_the_unit() {
-        // 2 V at 0.5 g/V with a bias of -0.1 g are 0.9 g.
+        // 2 V at 0.5 g/V with a bias of -0.1 g is 0.9 g.
         let roof = ChannelColumn::new("roof")
             .with_unit("g", Quantity::Acceleration)
             .and_then(|roof| roof.with_calibration(0.5, -0.1))

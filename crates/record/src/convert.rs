@@ -1,4 +1,4 @@
-//! Writes a recording that is in memory to another file, in SI units where its own are known.
+//! Writes a recording in memory to a file, in SI units where the original units are known.
 
 use std::path::Path;
 
@@ -7,23 +7,23 @@ use crate::{
     RecordedChannel, RecordedFile, RecordedRows, formats::table::unit_of, resample::resampled,
 };
 
-/// Ends of names of files that can be written.
+/// Extensions of supported output files.
 const OUTPUTS: &[&str] = &[".csv", ".mcap"];
 
-/// A format that recordings are written in.
+/// A format for writing recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputFormat {
-    /// Comma-separated: rows of all channels, which must be sampled alike.
+    /// Comma-separated rows of all channels, which must have the same sampling rate.
     Csv,
-    /// MCAP: every channel by itself.
+    /// MCAP, with independent channels.
     Mcap,
 }
 
 impl OutputFormat {
-    /// The format that a file name tells.
+    /// Returns the format that a file name indicates.
     ///
     /// # Errors
-    /// It tells none.
+    /// The extension is not supported.
     pub fn of(path: &Path) -> Result<Self, RecordError> {
         let ending = path
             .extension()
@@ -42,10 +42,11 @@ impl OutputFormat {
 }
 
 impl RecordedFile {
-    /// The same recording with all channels at this rate in Hz, on one grid of time; see [`crate::resample`] for the filter.
+    /// Converts all channels to one sampling rate in Hz, on one time grid. [`crate::resample`]
+    /// describes the filter.
     ///
     /// # Errors
-    /// The rate is not positive and finite, or a channel has no rate.
+    /// The rate is not positive and finite, or a channel has no sampling rate.
     pub fn resampled(self, rate_hz: f64) -> Result<Self, RecordError> {
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             return Err(RecordError::DeclaredRate { found_hz: rate_hz });
@@ -74,13 +75,15 @@ impl RecordedFile {
         Ok(self.with_channels(channels))
     }
 
-    /// Writes the recording to a file of the format that its name tells: `.csv` or `.mcap`.
+    /// Writes the recording as CSV or MCAP, depending on the extension `.csv` or `.mcap`.
     ///
-    /// Values of a unit that is known become SI; others stay as they are. The unit stands in brackets behind the name in CSV (`roof [m/s2]`
-    /// of what was `roof [g]`), and beside it in MCAP. In CSV the times of dated channels are seconds since 1970.
+    /// Values with a known unit are converted to SI units. Other values remain unchanged. In CSV,
+    /// the unit follows the name in brackets: `roof [g]` becomes `roof [m/s2]`. In MCAP, the unit
+    /// is part of the metadata. In CSV, the times of dated channels are seconds since 1970.
     ///
     /// # Errors
-    /// The name tells no format, the file cannot be written, or the channels do not fit: in CSV all must have the same rate.
+    /// The extension is not supported, the file cannot be written, or the channels do not match the
+    /// format. In CSV, all channels must have the same sampling rate.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         match OutputFormat::of(path)? {
             OutputFormat::Csv => self.write_csv(path),
@@ -137,7 +140,8 @@ impl RecordedFile {
                 )
             })
             .collect();
-        // in the order of time, as it was measured; channels in the order of the file where times are the same
+        // Write samples in the order of measurement. Simultaneous samples follow the order of
+        // channels in the file.
         loop {
             let times = channels
                 .iter_mut()
@@ -153,7 +157,8 @@ impl RecordedFile {
     }
 }
 
-/// The unit of the values that are written: that of SI where their own is known; empty if the recording states none.
+/// Returns the unit of the written values: the SI unit if the original unit is known, otherwise the
+/// original unit. The result is empty if the recording states no unit.
 fn written_unit(channel: &RecordedChannel) -> &str {
     channel
         .quantity()
@@ -162,9 +167,10 @@ fn written_unit(channel: &RecordedChannel) -> &str {
         })
 }
 
-/// The name of a column, with the unit of its values in brackets where it can stand there.
+/// Returns the name of a column, followed by the unit of its values in brackets if the unit permits
+/// that.
 fn name_with_unit(channel: &RecordedChannel) -> String {
-    /// What would end the brackets, or the field.
+    /// Characters that would end the brackets or the field.
     const NOT_IN_BRACKETS: [char; 9] = ['[', ']', '(', ')', ',', ';', '"', '\t', '\n'];
     let (name, unit) = (name_in_si(channel), written_unit(channel));
     let is_there = unit.is_empty() || unit_of(name) == unit;
@@ -175,7 +181,7 @@ fn name_with_unit(channel: &RecordedChannel) -> String {
     }
 }
 
-/// The name without the unit in brackets, if the values are taken to SI.
+/// Returns the name of a channel, without a unit in brackets if the values are converted to SI.
 fn name_in_si(channel: &RecordedChannel) -> &str {
     let name = channel.name();
     let is_in_brackets = channel.quantity().is_some() && !unit_of(name).is_empty();
@@ -208,7 +214,7 @@ mod tests {
         RecordedFile::from_channels(Path::new("hall.mseed"), Format::MiniSeed, channels)
     }
 
-    /// Times and bits of all samples that are there.
+    /// Returns times and bits of all existing samples.
     fn present(channel: &RecordedChannel) -> Vec<(i64, u64)> {
         channel
             .timed_samples()
@@ -312,7 +318,7 @@ mod tests {
         }
     }
 
-    /// Broke: a table did not state units at all, and what was a velocity or a voltage could not be told any more.
+    /// A table without units would not distinguish a velocity from a voltage.
     #[test]
     fn units_are_stated_and_read_again_in_a_table() {
         let folder = tempfile::tempdir().unwrap();

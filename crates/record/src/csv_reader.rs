@@ -17,18 +17,21 @@ use crate::{
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
 };
 
-/// Reads a CSV record row by row.
+/// A reader of CSV records, row by row.
 ///
-/// A line names the columns: the first one, or the first of 50 that names the column of the time. A table of numbers alone
-/// has columns `1`, `2` and so on. Columns are separated by commas, semicolons, tabulators or blanks; numbers may have a
-/// decimal comma where commas do not separate. An empty field, or `NaN` as numerical programs print it, is a missing
-/// sample. Columns that the mapping does not name are ignored.
+/// The header is the first line that names the required column, or the first line of the file. It
+/// may follow up to 50 other lines. A table of numbers alone has columns `1`, `2` and so on.
+/// Columns are separated by commas, semicolons, tabs or blanks. Numbers may have a decimal comma if
+/// commas are not the separator.
+///
+/// An empty field, or `NaN`, is a missing sample. Columns that the mapping does not name are
+/// ignored.
 pub struct CsvReader {
     path: PathBuf,
     csv: csv::Reader<Box<dyn Read + Send>>,
     record: ByteRecord,
     layout: TableLayout,
-    /// the header is read, or the first row, that stands in its place, is still in `record`
+    /// Whether `record` still contains the first row, because the table has no header.
     has_row: bool,
     fields_per_row: usize,
     time: RowTime,
@@ -39,7 +42,7 @@ pub struct CsvReader {
     values: Vec<f64>,
 }
 
-/// Where the time of a row comes from.
+/// The source of the time of a row.
 #[derive(Debug, Clone, Copy)]
 enum RowTime {
     Column { index: usize, unit: TimeUnit },
@@ -50,7 +53,7 @@ impl CsvReader {
     /// Opens a file and reads its header.
     ///
     /// # Errors
-    /// The file cannot be opened, or columns of the mapping are missing or there twice.
+    /// The file cannot be opened, or columns of the mapping are missing or occur more than once.
     pub fn open(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let file = File::open(path).map_err(|source| RecordError::Open {
             path: path.to_owned(),
@@ -59,10 +62,10 @@ impl CsvReader {
         Self::new(Box::new(file), path, mapping)
     }
 
-    /// Reads the header from any input; `path` is its name in errors.
+    /// Reads the header from any input. `path` identifies the input in errors.
     ///
     /// # Errors
-    /// As [`CsvReader::open`].
+    /// The same as for [`CsvReader::open`], except for opening.
     pub fn new(
         input: Box<dyn Read + Send>,
         path: &Path,
@@ -95,10 +98,12 @@ impl CsvReader {
         };
         let mut csv = ReaderBuilder::new()
             .delimiter(layout.delimiter())
-            .flexible(true) // we report ragged rows ourselves, with our line numbers
+            // This reader reports ragged rows itself, with its own line numbers.
+            .flexible(true)
             .has_headers(false)
-            // Of the CR LF of Windows the CR stays with the last field and is trimmed as white space. As a terminator it
-            // would leave the LF to the next record, and every line number but the first would be one too small.
+            // The CR of a Windows line ending stays in the last field and is trimmed as white
+            // space. With CRLF as the terminator, the LF would belong to the next record. All line
+            // numbers after the first would then be too small by one.
             .terminator(Terminator::Any(b'\n'))
             .buffer_capacity(READ_BUFFER_BYTES)
             .from_reader(input);
@@ -140,7 +145,8 @@ impl CsvReader {
         })
     }
 
-    /// Reads the next record that is not blank, and gives the line on which it ends; `None` at the end of the file.
+    /// Reads the next non-blank record, and returns the number of its last line. Returns `None` at
+    /// the end of the file.
     fn read_record(&mut self) -> Result<Option<u64>, RecordError> {
         let before = self.layout.lines_before;
         if std::mem::take(&mut self.has_row) {
@@ -163,12 +169,13 @@ impl CsvReader {
             }
             let is_blank = self.record.len() == 1 && self.record[0].trim_ascii().is_empty();
             if !is_blank {
-                return Ok(Some(before + self.csv.position().line() - 1)); // the reader is on the line after
+                // The CSV reader is already on the next line.
+                return Ok(Some(before + self.csv.position().line() - 1));
             }
         }
     }
 
-    /// Reads the time of the record at hand and checks that it increases.
+    /// Parses the time of the current record, and checks that it increases.
     fn parse_time(&mut self, line: u64) -> Result<i64, RecordError> {
         let (index, unit) = match &mut self.time {
             RowTime::Column { index, unit } => (*index, *unit),
@@ -253,20 +260,20 @@ impl RecordReader for CsvReader {
     }
 }
 
-/// Where a channel stands in a row, and the way from its number to SI.
+/// The position of a channel in a row, and the conversion of its number to SI.
 struct MappedColumn {
     index: usize,
-    /// by the unit in brackets behind the name of the column, where that counts
+    /// Factor from the unit in brackets after the column name; 1 if that unit does not apply.
     si_from_file: f64,
     column: ChannelColumn,
 }
 
-/// Ends the last line of files that do not; line numbers rely on it.
+/// Terminator appended to the input, because line numbers require that the last line is terminated.
 const END_OF_LAST_LINE: &[u8] = b"\n";
-/// Some hundred rows per system call.
+/// Size of the read buffer: some hundred rows per system call.
 const READ_BUFFER_BYTES: usize = 64 * 1024;
 
-/// Finds the columns of the mapping in the header: that of the time, and those of the channels.
+/// Finds the columns of the time and the channels in the header.
 fn locate_columns(
     path: &Path,
     line: u64,
@@ -333,7 +340,7 @@ fn locate_columns(
     ))
 }
 
-/// Reads a sample in SI; `NaN` if it is missing, `None` if it is no finite number.
+/// Parses a sample in SI. Returns `NaN` if it is missing, and `None` if it is not a finite number.
 fn parse_sample(text: &str, mapped: &MappedColumn) -> Option<f64> {
     if text.is_empty() {
         return Some(f64::NAN);
@@ -346,7 +353,8 @@ fn parse_sample(text: &str, mapped: &MappedColumn) -> Option<f64> {
         .filter(|value| value.is_finite())
 }
 
-/// A field without white space around it, decimal commas as points; `None` if it is no UTF-8.
+/// Returns a field without surrounding white space and with a decimal point. Returns `None` if it
+/// is not UTF-8.
 fn field_text(record: &ByteRecord, index: usize, has_decimal_comma: bool) -> Option<Cow<'_, str>> {
     let text = record
         .get(index)

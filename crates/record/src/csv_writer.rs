@@ -10,9 +10,10 @@ use crate::{
     ColumnMapping, RecordError, column_mapping::ChannelColumn, record_time::write_seconds,
 };
 
-/// Writes a CSV record row by row: first column `time` in s, then the given columns in SI units.
+/// A writer of CSV records, row by row: the time in s, then the given columns in SI units.
 ///
-/// Numbers have as many digits as they need to read back to the same bits. A missing sample is an empty field.
+/// Numbers have the digits required to read back bit-identical values. A missing sample is an empty
+/// field.
 pub struct CsvWriter {
     path: PathBuf,
     csv: csv::Writer<File>,
@@ -22,7 +23,7 @@ pub struct CsvWriter {
 }
 
 impl CsvWriter {
-    /// Creates the file, or empties it, and writes the header.
+    /// Creates or truncates the file, and writes the header.
     ///
     /// # Errors
     /// The file cannot be created or written.
@@ -33,7 +34,8 @@ impl CsvWriter {
         )
     }
 
-    /// As [`CsvWriter::create`], with the columns, units and time column that `mapping` reads.
+    /// Creates a file like [`CsvWriter::create`], with the columns, units and time column of
+    /// `mapping`.
     ///
     /// # Errors
     /// The file cannot be created or written.
@@ -60,7 +62,7 @@ impl CsvWriter {
         Ok(writer)
     }
 
-    /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` where it is missing.
+    /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` if missing.
     ///
     /// # Errors
     /// The row has the wrong length or an infinite value, or the file cannot be written.
@@ -94,8 +96,10 @@ impl CsvWriter {
             self.text.clear();
             let value = self.columns[column].number_from_si(*value);
             if !value.is_nan() {
-                // The debug form: shortest digits that read back as the same bits, with an exponent where it is shorter.
-                let _ = write!(self.text, "{value:?}"); // writing to a String does not fail
+                // Debug format writes the shortest digits that read back as the same bits, and an
+                // exponent for very large or small numbers.
+                // Writing to a `String` does not fail.
+                let _ = write!(self.text, "{value:?}");
             }
             self.write_field()?;
         }
@@ -104,7 +108,8 @@ impl CsvWriter {
             .map_err(|source| self.error(source))
     }
 
-    /// Writes what is still in memory to the file; a writer that is dropped without it may lose the last rows unseen.
+    /// Flushes buffered rows to the file. Dropping the writer without this call may silently lose
+    /// the last rows.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -127,7 +132,7 @@ impl CsvWriter {
     }
 }
 
-/// Some hundred rows per system call.
+/// Size of the write buffer: some hundred rows per system call.
 const WRITE_BUFFER_BYTES: usize = 64 * 1024;
 
 #[cfg(test)]
@@ -175,7 +180,7 @@ mod tests {
         ));
     }
 
-    /// Any finite number by its bits, or a missing one.
+    /// Generates any finite number by its bits, or a missing sample.
     fn sample() -> impl Strategy<Value = f64> {
         any::<u64>()
             .prop_map(f64::from_bits)

@@ -1,10 +1,10 @@
-//! What can be wrong with a recording.
+//! Errors of reading and writing recordings.
 
 use std::path::PathBuf;
 
 use crate::Fault;
 
-/// Why a recording could not be read or written; lines count from 1, the header included.
+/// An error of reading or writing a recording. Line numbers start at 1 and include the header.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// The file could not be opened or created.
@@ -12,10 +12,10 @@ pub enum RecordError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// Neither the content nor the name of a file is that of a known format.
+    /// Neither the content nor the name of a file matches a known format.
     #[error("{}: is of no known format, must be one of {}", path.display(), allowed.join(", "))]
     UnknownFormat {
         /// The file.
@@ -23,35 +23,35 @@ pub enum RecordError {
         /// The known formats.
         allowed: Vec<&'static str>,
     },
-    /// The content of a file breaks the rules of its format.
+    /// The content of a file violates its format.
     #[error("{}: {format}: {fault}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// Its format in words.
+        /// Name of the format.
         format: &'static str,
-        /// Where and what.
+        /// Position and description of the violation.
         fault: Box<Fault>,
     },
-    /// The file could not be read: input/output.
+    /// Reading the file failed with an input/output error.
     #[error("{}: cannot be read", path.display())]
     ReadFile {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// Channels that the mapping needs are not in the recording.
+    /// The recording lacks channels that the mapping requires.
     #[error("{}: has no channel {}; its channels are {}", path.display(), quoted(missing), quoted(found))]
     MissingChannels {
         /// The file.
         path: PathBuf,
-        /// All needed channels that are not there.
+        /// All missing channels.
         missing: Vec<String>,
-        /// Those that are there.
+        /// The channels of the recording.
         found: Vec<String>,
     },
-    /// The file states no sampling rate of a channel.
+    /// The file does not state the sampling rate of a channel.
     #[error(
         "{}: states no sampling rate of channel `{channel}`; declare one",
         path.display()
@@ -62,7 +62,7 @@ pub enum RecordError {
         /// The channel.
         channel: String,
     },
-    /// Channels are not sampled alike, so that they have no rows in common.
+    /// Channels have different sampling rates and therefore no common rows.
     #[error(
         "{}: channel `{channel}` is sampled at {found_hz:.4} Hz, must be {first_hz:.4} Hz as `{first}`; resample them",
         path.display()
@@ -72,14 +72,14 @@ pub enum RecordError {
         path: PathBuf,
         /// The channel.
         channel: String,
-        /// Its rate, in Hz.
+        /// Its sampling rate, in Hz.
         found_hz: f64,
         /// The first channel.
         first: String,
-        /// Its rate, in Hz.
+        /// Its sampling rate, in Hz.
         first_hz: f64,
     },
-    /// One channel has times of day, another counts from the start of the recording.
+    /// One channel has dates, and another has times relative to the start of the recording.
     #[error(
         "{}: channels `{first}` and `{channel}`: one has a date and the other has none, must be both or neither",
         path.display()
@@ -92,7 +92,7 @@ pub enum RecordError {
         /// The first channel.
         first: String,
     },
-    /// Two rates have no ratio that a filter can be made for.
+    /// The ratio of two sampling rates is not suitable for a filter.
     #[error(
         "{}: channel `{channel}` cannot be resampled from {from_hz} Hz to {to_hz} Hz: their ratio must be one of whole \
          numbers up to {largest}",
@@ -103,25 +103,25 @@ pub enum RecordError {
         path: PathBuf,
         /// The channel.
         channel: String,
-        /// Its rate, in Hz.
+        /// Its sampling rate, in Hz.
         from_hz: f64,
-        /// The rate asked for, in Hz.
+        /// The requested sampling rate, in Hz.
         to_hz: f64,
-        /// Largest whole number.
+        /// Largest integer allowed in the ratio.
         largest: u64,
     },
-    /// A rate that was declared is no rate.
+    /// A declared sampling rate is not positive and finite.
     #[error("sampling rate is {found_hz} Hz, must be positive and finite")]
     DeclaredRate {
         /// The rate found, in Hz.
         found_hz: f64,
     },
-    /// The name of a file to be written tells no format.
+    /// The name of an output file does not indicate a supported format.
     #[error("{}: cannot be written, its name must end in {}", path.display(), allowed.join(" or "))]
     UnknownOutput {
         /// The file.
         path: PathBuf,
-        /// The known ends of file names.
+        /// Supported file name extensions.
         allowed: &'static [&'static str],
     },
     /// A sample cannot be written to MCAP.
@@ -129,11 +129,11 @@ pub enum RecordError {
     NotWritable {
         /// The file.
         path: PathBuf,
-        /// Time of the sample in ns.
+        /// Time of the sample, in ns.
         time_ns: i64,
         /// The sample.
         value: f64,
-        /// What is allowed.
+        /// The allowed values.
         what: &'static str,
     },
     /// Writing an MCAP file failed.
@@ -141,16 +141,16 @@ pub enum RecordError {
     WriteMcap {
         /// The file.
         path: PathBuf,
-        /// What the writer said.
+        /// The error of the MCAP writer.
         source: Box<mcap::McapError>,
     },
-    /// Something else has the folder of a frame log open.
+    /// Another process or log has the folder of a frame log open.
     #[error("{}: the frame log is in use, must be opened by one at a time; stop the other, or give another folder", folder.display())]
     LogInUse {
         /// The folder.
         folder: PathBuf,
     },
-    /// The folder of a frame log holds frames of something else.
+    /// The folder of a frame log contains frames of another layout.
     #[error(
         "{}: the frame log is of another layout: {what} is `{found}`, must be `{expected}`; move the folder away, or give another",
         folder.display()
@@ -158,23 +158,23 @@ pub enum RecordError {
     OtherLog {
         /// The folder.
         folder: PathBuf,
-        /// What differs.
+        /// The property that differs.
         what: &'static str,
-        /// What the folder has.
+        /// Its value in the folder.
         found: String,
-        /// What was asked for.
+        /// The requested value.
         expected: String,
     },
-    /// Frames cannot be put into the log.
+    /// The log cannot store the frames.
     #[error("frames of `{structure}` cannot be logged: {what} is {found}, must be {allowed}")]
     NotLoggable {
         /// The structure.
         structure: String,
-        /// What of them.
+        /// The invalid property.
         what: &'static str,
-        /// What was found.
+        /// Its value.
         found: String,
-        /// What is allowed.
+        /// The allowed values.
         allowed: String,
     },
     /// A file or folder of the frame log could not be written.
@@ -182,30 +182,30 @@ pub enum RecordError {
     WriteLog {
         /// The file or folder.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// Reading failed below the level of records: input/output.
+    /// Reading a table failed with an input/output error.
     #[error("{}:{line}: cannot be read", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Line that was being read.
+        /// The line that was being read.
         line: u64,
-        /// What the reader said.
+        /// The error of the CSV reader.
         source: csv::Error,
     },
-    /// Writing failed.
+    /// Writing a table failed.
     #[error("{}:{line}: cannot be written", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// Line that was being written.
+        /// The line that was being written.
         line: u64,
-        /// What the writer said.
+        /// The error of the CSV writer.
         source: csv::Error,
     },
-    /// Columns that the mapping needs are not in the header.
+    /// The header lacks columns that the mapping requires.
     #[error(
         "{}:{line}: has no column {}; its columns are {}",
         path.display(), quoted(missing), quoted(found)
@@ -215,19 +215,19 @@ pub enum RecordError {
         path: PathBuf,
         /// Line of the header.
         line: u64,
-        /// All needed columns that are not there.
+        /// All missing columns.
         missing: Vec<String>,
         /// The header as found.
         found: Vec<String>,
     },
-    /// A column that the mapping needs is in the header more than once.
+    /// A required column occurs more than once in the header.
     #[error("{}:{line}: column `{column}` is there more than once, must be there once", path.display())]
     RepeatedColumn {
         /// The file.
         path: PathBuf,
         /// Line of the header.
         line: u64,
-        /// Its name.
+        /// Name of the column.
         column: String,
     },
     /// A row has more or fewer fields than the header.
@@ -237,12 +237,12 @@ pub enum RecordError {
         path: PathBuf,
         /// Line of the row.
         line: u64,
-        /// Fields of this row.
+        /// Number of fields in this row.
         found: usize,
-        /// Fields of the header.
+        /// Number of fields in the header.
         expected: usize,
     },
-    /// A field is no finite number.
+    /// A field is not a finite number.
     #[error(
         "{}:{line}: column `{column}` is `{found}`, must be a finite number, or empty for a missing sample",
         path.display()
@@ -257,7 +257,7 @@ pub enum RecordError {
         /// The text of the field.
         found: String,
     },
-    /// A time is neither seconds nor ISO 8601, or is not in the form of the first row.
+    /// A time is not valid, or differs in form from the first time of the file.
     #[error("{}:{line}: time is `{found}`, must be {allowed}", path.display())]
     BadTime {
         /// The file.
@@ -269,7 +269,7 @@ pub enum RecordError {
         /// The forms allowed here.
         allowed: &'static str,
     },
-    /// A time is not later than that of the row before.
+    /// A time is not later than the previous one.
     #[error(
         "{}:{line}: time {found_s} s is not later than {previous_s} s of the row before, must increase",
         path.display()
@@ -281,28 +281,28 @@ pub enum RecordError {
         line: u64,
         /// Its time in s, as decimal text.
         found_s: String,
-        /// The time of the row before in s, as decimal text.
+        /// The previous time in s, as decimal text.
         previous_s: String,
     },
-    /// There are fewer than two rows, so that the file has no sampling rate.
+    /// The file has fewer than two rows and therefore no sampling rate.
     #[error("{}: has {rows} rows, must have at least 2 to have a sampling rate", path.display())]
     TooShort {
         /// The file.
         path: PathBuf,
-        /// Rows found.
+        /// Number of rows found.
         rows: usize,
     },
-    /// The sampling rate of the file is not the declared one.
+    /// The sampling rate of the file differs from the declared rate.
     #[error("{}: is sampled at {found_hz:.4} Hz, must be {declared_hz} Hz as declared", path.display())]
     SamplingRate {
         /// The file.
         path: PathBuf,
-        /// Rate found in the first rows, in Hz.
+        /// Sampling rate of the first rows, in Hz.
         found_hz: f64,
-        /// Declared rate, in Hz.
+        /// Declared sampling rate, in Hz.
         declared_hz: f64,
     },
-    /// A unit is unknown, or is none of the quantity of the channel.
+    /// A unit is unknown or belongs to another quantity than the channel.
     #[error(
         "channel `{channel}`: unit is `{found}`, must be one of {} for {quantity}",
         quoted(allowed)
@@ -312,7 +312,7 @@ pub enum RecordError {
         channel: String,
         /// The unit found.
         found: String,
-        /// The quantity in words.
+        /// Name of the quantity.
         quantity: &'static str,
         /// The units of this quantity.
         allowed: Vec<&'static str>,
@@ -327,7 +327,7 @@ pub enum RecordError {
         /// The value found.
         found: f64,
     },
-    /// The span for the mean of the offset is not a positive time.
+    /// The time span for the offset is not positive and finite.
     #[error("span of the offset is {found_s} s, must be more than 0 and finite")]
     OffsetSpan {
         /// The span found, in s.
@@ -338,11 +338,11 @@ pub enum RecordError {
     RowLength {
         /// The file.
         path: PathBuf,
-        /// Line to be written.
+        /// The line to be written.
         line: u64,
-        /// Values given.
+        /// Number of values given.
         found: usize,
-        /// Columns besides the time.
+        /// Number of columns, without the time column.
         expected: usize,
     },
     /// A value to be written is infinite.
@@ -350,7 +350,7 @@ pub enum RecordError {
     NotFinite {
         /// The file.
         path: PathBuf,
-        /// Line to be written.
+        /// The line to be written.
         line: u64,
         /// The column.
         column: String,
@@ -359,7 +359,7 @@ pub enum RecordError {
     },
 }
 
-/// Lists names as a person would: `a`, `b`.
+/// Formats names as a list, such as `a`, `b`.
 fn quoted<T: AsRef<str>>(names: &[T]) -> String {
     names
         .iter()

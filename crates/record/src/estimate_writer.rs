@@ -1,10 +1,10 @@
-//! Writes what is identified: mean and standard deviation of each quantity, one row per frame.
+//! Writes estimates: mean and standard deviation of each quantity, one row per frame.
 
 use std::path::Path;
 
 use crate::{CsvWriter, RecordError};
 
-/// Writes estimates as CSV: first column `time` in s, then `NAME.mean` and `NAME.std` of each quantity.
+/// A writer of estimates as CSV: the time in s, then `NAME.mean` and `NAME.std` of each quantity.
 pub struct EstimateWriter {
     csv: CsvWriter,
     row: Vec<f64>,
@@ -31,10 +31,12 @@ impl EstimateWriter {
         })
     }
 
-    /// Writes one frame: its time in ns, and mean and standard deviation of each quantity (ratios, or SI units).
+    /// Writes one frame: its time in ns, and mean and standard deviation of each quantity (ratios,
+    /// or SI units).
     ///
     /// # Errors
-    /// There is not one pair per quantity, a value is infinite, or the file cannot be written.
+    /// The number of pairs differs from the number of quantities, a value is infinite, or the file
+    /// cannot be written.
     pub fn write(
         &mut self,
         time_ns: i64,
@@ -46,7 +48,7 @@ impl EstimateWriter {
         self.csv.write_row(time_ns, &self.row)
     }
 
-    /// Writes what is still in memory to the file.
+    /// Flushes buffered rows to the file.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -1,8 +1,8 @@
-//! What is wrong inside a file: where, what was found, what is allowed.
+//! The description of an error inside a file: position, value found and values allowed.
 
 use std::fmt;
 
-/// A place at which a file breaks the rules of its format.
+/// A violation of a file format.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
     place: Place,
@@ -11,19 +11,19 @@ pub struct Fault {
     allowed: String,
 }
 
-/// Where in a file.
+/// A position in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
     /// Line, counted from 1.
     Line(u64),
     /// Byte, counted from 0.
     Byte(u64),
-    /// No one place.
+    /// The whole file.
     File,
 }
 
 impl Fault {
-    /// `what` on this line is `found`, and must be `allowed`.
+    /// Creates a fault on a line: `what` is `found`, but must be `allowed`.
     pub(crate) fn at_line(
         line: u64,
         what: impl Into<String>,
@@ -38,7 +38,7 @@ impl Fault {
         }
     }
 
-    /// `what` at this byte is `found`, and must be `allowed`.
+    /// Creates a fault at a byte: `what` is `found`, but must be `allowed`.
     pub(crate) fn at_byte(
         byte: usize,
         what: impl Into<String>,
@@ -53,7 +53,7 @@ impl Fault {
         }
     }
 
-    /// `what` of the file as a whole is `found`, and must be `allowed`.
+    /// Creates a fault of the whole file: `what` is `found`, but must be `allowed`.
     pub(crate) fn of_file(
         what: impl Into<String>,
         found: impl fmt::Display,
@@ -67,7 +67,8 @@ impl Fault {
         }
     }
 
-    /// The same fault, seen from a file in which the bytes begin at `start`.
+    /// Converts a byte position within a part of a file to a position in the file, where the part
+    /// begins at byte `start`.
     pub(crate) fn moved_by(mut self, start: usize) -> Self {
         if let Place::Byte(byte) = &mut self.place {
             *byte = byte.saturating_add(start as u64);

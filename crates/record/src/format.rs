@@ -1,4 +1,4 @@
-//! The formats of recordings, told by content and then by name.
+//! The supported formats of recordings, detected by content and then by file name.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::table_layout::TableLayout;
 /// The format of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// Text table: comma-separated, or by semicolons, tabulators or blanks.
+    /// Text table with commas, semicolons, tabs or blanks as separators.
     Table,
     /// miniSEED 2 or 3.
     MiniSeed,
@@ -30,15 +30,15 @@ pub enum Format {
     Tdms,
     /// MCAP.
     Mcap,
-    /// Compressed by gzip: one recording.
+    /// One recording, compressed by gzip.
     Gzip,
-    /// Zip archive of recordings.
+    /// ZIP archive of recordings.
     Zip,
     /// Folder of recordings.
     Folder,
 }
 
-/// All formats, for messages.
+/// All formats, for error messages.
 const ALL: [Format; 13] = [
     Format::Table,
     Format::MiniSeed,
@@ -55,11 +55,12 @@ const ALL: [Format; 13] = [
     Format::Folder,
 ];
 
-/// Ends of names of text tables, for which the content is no proof.
+/// File name extensions of text tables. Their content is not conclusive.
 const TABLE_NAMES: [&str; 5] = ["csv", "tsv", "txt", "dat", "asc"];
 
 impl Format {
-    /// The format of a file, from its first bytes and its name; `None` if it is none of them.
+    /// Returns the format of a file, based on its first bytes and its name. Returns `None` if the
+    /// format is unknown.
     pub fn of(head: &[u8], path: &Path) -> Option<Self> {
         Self::of_content(head).or_else(|| {
             let ending = path.extension()?.to_str()?.to_ascii_lowercase();
@@ -67,7 +68,7 @@ impl Format {
         })
     }
 
-    /// The format that the first bytes of a file prove.
+    /// Returns the format that the first bytes of a file prove.
     pub fn of_content(head: &[u8]) -> Option<Self> {
         let binary = [
             (mcap::is_mcap(head), Self::Mcap),
@@ -98,7 +99,7 @@ impl Format {
             .map(|(_, format)| format)
     }
 
-    /// The format in words.
+    /// Returns the name of the format.
     pub fn name(self) -> &'static str {
         match self {
             Self::Table => "text table (CSV)",
@@ -117,13 +118,13 @@ impl Format {
         }
     }
 
-    /// The names of all formats.
+    /// Returns the names of all formats.
     pub(crate) fn names() -> Vec<&'static str> {
         ALL.into_iter().map(Self::name).collect()
     }
 }
 
-/// Whether bytes are text: no control characters but those of lines.
+/// Returns `true` if the bytes are text: they contain no control characters except white space.
 fn is_text(head: &[u8]) -> bool {
     !head.is_empty()
         && !head

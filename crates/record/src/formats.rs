@@ -1,4 +1,4 @@
-//! The formats that are read whole, a file or folder each; the streaming CSV reader stands beside them.
+//! Formats whose files are read as a whole. The CSV reader, which streams, is in `csv_reader`.
 
 pub(crate) mod at2;
 pub(crate) mod cosmos;

@@ -1,9 +1,15 @@
 //! The frame log: all frames of a structure on disk, in segments that are MCAP files.
 //!
-//! Blocks of frames go in; frames come out by epoch and number, the same to the bit. A segment is an MCAP file named after its
-//! first frame, with one channel `frames`; each append is one chunk with its checksum, so that what a crash leaves is whole up
-//! to the last append. The layout of a message stands in the schema of each segment, and structure, channels and nodes in the
-//! metadata of its channel: any reader of MCAP opens it, and a few lines read it.
+//! Blocks of frames are appended, and read by epoch and sequence number. Frames read back are
+//! bit-identical.
+//!
+//! A segment is an MCAP file named after its first frame, with one channel `frames`. Each append
+//! writes one chunk with a checksum. After a crash, a segment is therefore intact up to the last
+//! complete append.
+//!
+//! Any MCAP reader can open a segment, and a few lines of code can decode it. The schema of each
+//! segment describes the layout of a message. The metadata of its channel contains structure,
+//! channels and nodes.
 //!
 //! ```
 //! use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
@@ -34,8 +40,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Frames are in the order of epoch and number. Frames that are there already, or are before the last one, are passed over by
-//! an append; those of an epoch lower than the last are refused, as are those of an epoch that has ended.
+//! Frames are in the order of epoch and sequence number. An append skips frames that the log
+//! already contains, and frames before the last one. It rejects frames of a lower epoch than the
+//! last, and frames of an epoch that has ended.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -70,26 +77,28 @@ pub use syncer::LogSyncer;
 
 use crate::RecordError;
 
-/// Chunks after which a segment ends: live samples in blocks of 50 ms are twenty chunks a second, and the end of a segment goes over all of
-/// its chunks.
+/// Maximum number of chunks in a segment. Live samples in blocks of 50 ms produce twenty chunks per
+/// second, and closing a segment reads all of its chunks.
 const MOST_CHUNKS: u32 = 1 << 12;
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// How long segments are, and how many are kept.
+/// Length and retention of segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LogSettings {
-    /// A segment of this many bytes is followed by another one.
+    /// Size at which a segment is full, in bytes.
     pub segment_bytes: u64,
-    /// As is one of this many seconds, by the times of its frames.
+    /// Time span at which a segment is full, in s, based on the times of its frames.
     pub segment_s: u64,
-    /// The oldest segments are deleted while all of them have more bytes than this.
+    /// Maximum total size of all segments, in bytes. The oldest segments beyond it are deleted.
     pub keep_bytes: u64,
-    /// The oldest segments are deleted whose frames are all older than this, in s, by the time of the newest frame.
+    /// Maximum age of frames, in s, relative to the newest frame. Segments that contain only older
+    /// frames are deleted.
     pub keep_s: u64,
 }
 
 impl Default for LogSettings {
-    /// Segments of 64 MiB or an hour (or of 4096 appends, whatever the settings say); 10 GiB or 30 days of them.
+    /// Returns the default settings. A segment is full after 64 MiB or one hour, or after 4096
+    /// appends, which is not configurable. The log keeps up to 10 GiB and 30 days.
     fn default() -> Self {
         Self {
             segment_bytes: 64 << 20,
@@ -100,24 +109,24 @@ impl Default for LogSettings {
     }
 }
 
-/// What was found when a log was opened.
+/// The state of a log when it was opened.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpenedLog {
-    /// The last block that is whole.
+    /// The last intact block.
     pub last: Option<LoggedFrames>,
-    /// Whether the newest segment was closed in order; true where there is none.
+    /// Whether the newest segment was closed properly; `true` if there is none.
     pub was_closed: bool,
-    /// Whether the newest segment was written since this machine was started; true where that cannot be told.
+    /// Whether the newest segment was written since the machine booted; `true` if unknown.
     pub same_boot: bool,
-    /// What was noted last with [`FrameLog::note_complete`]; none where nothing was.
+    /// The last value passed to [`FrameLog::note_complete`]; `None` if unknown.
     pub is_complete: Option<bool>,
-    /// Bytes that were cut off behind the last whole chunk.
+    /// Number of bytes removed after the last complete chunk.
     pub torn_bytes: u64,
-    /// Segments in which nothing could be read: where they are now.
+    /// New paths of segments from which nothing could be read.
     pub set_aside: Vec<PathBuf>,
 }
 
-/// How far the log goes.
+/// The end of the log.
 #[derive(Debug, Clone, Copy)]
 struct LogEnd {
     epoch: u64,
@@ -125,10 +134,10 @@ struct LogEnd {
     ended: bool,
 }
 
-/// Writes the frame log of a structure.
+/// A writer of the frame log of a structure.
 ///
-/// Dropped without [`FrameLog::close`] it loses nothing; the last segment then has no index, and is mended when the log is
-/// opened again.
+/// Dropping the log without [`FrameLog::close`] loses no frames. The last segment then has no
+/// index, and the next [`FrameLog::open`] repairs it.
 pub struct FrameLog {
     folder: Arc<Folder>,
     stated: StatedLayout,
@@ -150,12 +159,14 @@ impl std::fmt::Debug for FrameLog {
 }
 
 impl FrameLog {
-    /// Opens the log of a folder, which is created with its parents if it is not there, and locked as long as the log is open.
+    /// Opens the log in a folder, and locks the folder while the log is open.
     ///
-    /// The end of the newest segment is mended, and the oldest segments are deleted as the settings say.
+    /// Creates the folder and its parents if they do not exist. Repairs the end of the newest
+    /// segment, and deletes old segments according to the settings.
     ///
     /// # Errors
-    /// Somebody else has the log open, it is of another layout, or the folder cannot be read or written.
+    /// The log is already open, the folder contains another layout, or the folder cannot be read or
+    /// written.
     pub fn open(
         folder: &Path,
         layout: LogLayout,
@@ -167,7 +178,8 @@ impl FrameLog {
             source,
         })?;
         if let Some(parent) = folder.parent().filter(|_| is_new) {
-            // the name of the folder too; a parent that cannot be opened for reading is no reason to log nothing
+            // The entry of the folder in its parent needs a sync, too. An unreadable parent must
+            // not prevent logging.
             let _ = sync_folder(parent);
         }
         let note = Note::lock(folder)?;
@@ -177,7 +189,8 @@ impl FrameLog {
             boot_id: layout::boot_id(),
         };
         let found = opening::newest(&shared, &stated)?;
-        // a segment may be in order because it was full, and the next one lost with the power
+        // A segment may have ended properly because it was full, while a power failure lost the
+        // next one.
         let was_closed = found.was_closed && note.allows_closed();
         let opened = OpenedLog {
             was_closed,
@@ -203,13 +216,16 @@ impl FrameLog {
         Ok((log, opened))
     }
 
-    /// Appends blocks as one chunk, all or nothing; they are with the operating system when it returns.
+    /// Appends blocks as one chunk, either completely or not at all. On return, the operating
+    /// system has accepted the data.
     ///
-    /// Frames up to the last one of the log are passed over, and so are blocks without frames unless they end the epoch.
+    /// Skips frames that the log already contains. Skips blocks without frames unless they end the
+    /// epoch.
     ///
     /// # Errors
-    /// Nothing of the blocks is in the log then. A block is not as the layout says, is of an epoch before the last one or of one
-    /// that has ended; or the file cannot be written, and the next append begins another.
+    /// After an error, the log contains none of the blocks. A block does not match the layout, or
+    /// belongs to a lower epoch than the last or to an epoch that has ended. Or the file cannot be
+    /// written; the next append then begins a new file.
     pub fn append(&mut self, blocks: &[LoggedFrames]) -> Result<(), RecordError> {
         let (blocks, end) = self.new_of(blocks)?;
         let Some(first) = blocks.first() else {
@@ -222,7 +238,7 @@ impl FrameLog {
             .max()
             .unwrap_or(start_ns);
         if self.is_full(start_ns) {
-            // what does not fit on the disk is cut off again: frames are not in danger
+            // An incomplete end is cut off again if the disk is full. No frames are lost.
             let _ = self.end_segment();
         }
         self.note.written()?;
@@ -255,7 +271,7 @@ impl FrameLog {
         }
         self.segment = Some(segment);
         self.end = end;
-        // a segment that cannot be deleted is no reason to lose frames; it is tried again
+        // A failed deletion must not prevent logging. It is retried later.
         if begins {
             let _ = self.delete_older_than(newest_ns);
         }
@@ -263,36 +279,37 @@ impl FrameLog {
         Ok(())
     }
 
-    /// Notes on the disk whether the log has all frames that others may know of, for whoever opens it after a crash. That it has
-    /// not can be noted on a full disk as well.
+    /// Saves a mark on disk that shows after a crash whether the log contains all published frames.
+    /// An incomplete log can be marked even on a full disk.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// The mark cannot be written.
     pub fn note_complete(&mut self, is_complete: bool) -> Result<(), RecordError> {
         self.note.complete(is_complete)
     }
 
-    /// What brings the log to the disk itself, on any thread.
+    /// Returns a handle that syncs the log to disk from any thread.
     pub fn syncer(&self) -> LogSyncer {
         self.syncer.clone()
     }
 
-    /// What reads the log, on any thread.
+    /// Returns a reader of the log for any thread.
     pub fn reader(&self) -> FrameLogReader {
         FrameLogReader::new(Arc::clone(&self.folder))
     }
 
-    /// Ends the last segment with index and footer, and waits until everything is on the disk.
+    /// Closes the last segment with index and footer, and waits until all data is synced to disk.
     ///
     /// # Errors
-    /// The end does not fit on the disk, or the disk refuses; the frames themselves are in the log.
+    /// The disk is full or reports another error. The log still contains all frames.
     pub fn close(mut self) -> Result<(), RecordError> {
         self.end_segment()?;
         self.syncer.sync()?;
         self.note.closed()
     }
 
-    /// The blocks, or parts of them, that are not in the log yet, and how far it goes with them.
+    /// Returns the blocks, or parts of blocks, that the log does not contain yet, and the end of
+    /// the log after them.
     fn new_of<'a>(
         &self,
         blocks: &'a [LoggedFrames],
@@ -345,7 +362,7 @@ impl FrameLog {
         Ok((new, end))
     }
 
-    /// Whether frames of this time begin another segment.
+    /// Returns `true` if a frame at `time_ns` (ns) must begin a new segment.
     fn is_full(&self, time_ns: i64) -> bool {
         let Some(segment) = &self.segment else {
             return false;
@@ -357,7 +374,7 @@ impl FrameLog {
             || lasts_ns >= span_ns
     }
 
-    /// Ends the segment that is being written, if there is one.
+    /// Closes the current segment, if there is one.
     fn end_segment(&mut self) -> Result<(), RecordError> {
         let Some(segment) = self.segment.take() else {
             return Ok(());
@@ -371,10 +388,11 @@ impl FrameLog {
         finished.map(|_| ())
     }
 
-    /// Cuts off what did not become a whole chunk.
+    /// Removes an incomplete chunk from the end of a segment.
     fn cut_back(&self, segment: OpenSegment) {
         let (name, bytes) = (segment.name(), segment.bytes());
-        // where even that fails, the rest of a chunk stays behind the last whole one, and is never read
+        // If this fails, an incomplete chunk remains after the last complete one. Readers ignore
+        // it.
         let length = segment.cut_back().unwrap_or(bytes);
         let mut segments = self.folder.segments();
         match length {
@@ -386,7 +404,8 @@ impl FrameLog {
         }
     }
 
-    /// Deletes the oldest segments while there are too many bytes; never the one that is being written.
+    /// Deletes the oldest segments while the total size exceeds the limit, but never the newest
+    /// one.
     fn delete_beyond_size(&self) -> Result<(), RecordError> {
         loop {
             let oldest = {
@@ -403,7 +422,8 @@ impl FrameLog {
         }
     }
 
-    /// Deletes the oldest segments that were over, by the beginning of the next one, before the time that is kept.
+    /// Deletes the oldest segments whose frames are all too old. The start of the next segment
+    /// marks the end of a segment.
     fn delete_older_than(&self, newest_ns: i64) -> Result<(), RecordError> {
         let keep_ns =
             i64::try_from(self.settings.keep_s.saturating_mul(NANOSECONDS)).unwrap_or(i64::MAX);
@@ -414,7 +434,8 @@ impl FrameLog {
             match opening::start_ns(&self.folder, *name) {
                 Some(start_ns) if start_ns < first_kept_ns => over = place,
                 Some(_) => break,
-                None => {} // it cannot be read: the next one tells
+                // This segment cannot be read, so the next one decides.
+                None => {}
             }
         }
         names
@@ -434,12 +455,12 @@ impl LogEnd {
     }
 }
 
-/// Whether a file of this name is a segment of a frame log.
+/// Returns `true` if a file name is that of a segment.
 pub(crate) fn is_segment(file_name: &str) -> bool {
     SegmentName::parse(file_name).is_some()
 }
 
-/// Whether a file of this name is in the folder of a frame log without being part of the recording.
+/// Returns `true` if a file name is that of the lock file, which is not part of the recording.
 pub(crate) fn is_lock(file_name: &str) -> bool {
     file_name == note::LOCK
 }

@@ -1,8 +1,8 @@
-//! Reads and writes recordings of vibration and of estimates on disk.
+//! Reads and writes recordings of vibration, and writes recordings of estimates.
 //!
-//! A file and a [`ColumnMapping`] go in; rows come out: a time in nanoseconds and one value in SI units per channel, `NaN`
-//! where a sample is missing. In the other direction rows of a record or of estimates go in and a file comes out. Values
-//! written and read back are the same to the bit.
+//! A reader takes a file and a [`ColumnMapping`] and returns rows. A row is a time in nanoseconds
+//! and one value per channel in SI units, `NaN` where a sample is missing. A writer takes rows of a
+//! record or of estimates and writes a file. Values written and read back are bit-identical.
 //!
 //! ```
 //! use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, Quantity, RecordReader};
@@ -19,21 +19,24 @@
 //! # Ok::<(), spandrel_record::RecordError>(())
 //! ```
 //!
-//! - [`quantity`]: units that a column may have, and their factors to SI
-//! - [`column_mapping`]: which column or channel of a file is which channel
-//! - [`record_time`]: times in files to nanoseconds and back
-//! - [`record_reader`]: what every format gives: rows
-//! - [`format`](mod@format): the formats, told by content and name
-//! - [`recorded`]: channels as they stand in a file; [`recorded_file`]: one entry for all formats
-//! - [`csv_reader`], [`recorded_rows`]: rows of a table as it is read, and of any file in memory
-//! - [`resample`]: another sampling rate, with a filter against aliasing
-//! - [`recording`]: a file of any format with its sampling rate, and its offsets removed
-//! - [`spectrum`], [`recording_summary`]: what a recording holds
-//! - [`csv_writer`], [`mcap_writer`], [`record_writer`], [`estimate_writer`], [`convert`]: what is written
-//! - [`frame_log`]: frames as they are made, on disk before anybody uses them
+//! - [`quantity`]: units of columns, and their factors to SI
+//! - [`column_mapping`]: assigns columns or channels of a file to channels of the structure
+//! - [`record_time`]: converts times in files to nanoseconds and back
+//! - [`record_reader`]: the trait that returns the rows of any format
+//! - [`format`](mod@format): the supported formats, detected by content and file name
+//! - [`recorded`]: channels as stored in a file; [`recorded_file`]: reads a file of any format
+//! - [`csv_reader`], [`recorded_rows`]: the rows of a table that is streamed, and of a file in
+//!   memory
+//! - [`resample`]: converts to another sampling rate, with an anti-aliasing filter
+//! - [`recording`]: reads a file of any format, determines its sampling rate and removes its
+//!   offsets
+//! - [`spectrum`], [`recording_summary`]: summarise the content of a recording
+//! - [`csv_writer`], [`mcap_writer`], [`record_writer`], [`estimate_writer`], [`convert`]: write
+//!   files
+//! - [`frame_log`]: records frames on disk before they are published
 //!
-//! Samples are neither resampled nor filtered unless that is asked for, and never interpolated: which sample belongs to which frame is the
-//! work of alignment, not of reading.
+//! Samples are resampled or filtered only on request, and never interpolated. Alignment, not
+//! reading, assigns samples to frames.
 
 mod bytes;
 pub mod column_mapping;

@@ -1,12 +1,15 @@
-//! Parses the records of MCAP files, through the crate `mcap`, without believing what a damaged one says of its texts.
+//! Parses MCAP records with the crate `mcap`, but checks the lengths of strings first, because a
+//! damaged file may state any length.
 
 use mcap::records::{Record, op};
 use mcap::{McapError, McapResult};
 
-/// Parses a record, whose texts have to lie within it: `mcap` reserves up to 4 GiB for a text on the word of its length alone.
+/// Parses a record after checking that its strings lie within it.
+///
+/// The crate `mcap` allocates up to 4 GiB for a string, based on its stated length alone.
 ///
 /// # Errors
-/// It is none.
+/// The record is not valid.
 pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
     match texts_fit(opcode, body) {
         Some(()) => mcap::parse_record(opcode, body),
@@ -14,7 +17,9 @@ pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
     }
 }
 
-/// Goes over the texts of a record; `None` if one of them is longer than what is left. Layouts: <https://mcap.dev/spec>, records.
+/// Checks the strings of a record, and returns `None` if one of them exceeds the record.
+///
+/// Source: <https://mcap.dev/spec>, section "Records".
 fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
     let two = |before: usize| after_text(after_text(body.get(before..)?)?);
     match opcode {
@@ -22,7 +27,8 @@ fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
         op::SCHEMA => two(2).map(drop),
         op::CHANNEL => map_fits(two(4)?),
         op::CHUNK => after_text(body.get(28..)?).map(drop),
-        op::CHUNK_INDEX => after_text(after_text(body.get(32..)?)?.get(8..)?).map(drop), // its first list is as long as it says, too
+        // The first list of a chunk index starts with its length in bytes, too.
+        op::CHUNK_INDEX => after_text(after_text(body.get(32..)?)?.get(8..)?).map(drop),
         op::ATTACHMENT => two(16).map(drop),
         op::ATTACHMENT_INDEX => two(40).map(drop),
         op::METADATA => map_fits(after_text(body)?),
@@ -31,13 +37,13 @@ fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
     }
 }
 
-/// What follows a text, or a list, that begins with its length in bytes.
+/// Returns the bytes after a string or list, which starts with its length in bytes.
 fn after_text(bytes: &[u8]) -> Option<&[u8]> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     rest.get(usize::try_from(u32::from_le_bytes(*length)).ok()?..)
 }
 
-/// Goes over a list of pairs of texts.
+/// Checks the strings of a list of pairs.
 fn map_fits(bytes: &[u8]) -> Option<()> {
     let behind = after_text(bytes)?;
     let mut pairs = bytes.get(4..bytes.len() - behind.len())?;
@@ -55,7 +61,7 @@ mod tests {
         [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
     }
 
-    /// Records with texts, as their writers make them.
+    /// Returns records with strings in the encoding of MCAP writers.
     fn records() -> Vec<(u8, Vec<u8>)> {
         let pairs = [text("unit"), text("m/s2")].concat();
         let map = [&(pairs.len() as u32).to_le_bytes()[..], &pairs].concat();
@@ -84,7 +90,7 @@ mod tests {
         ]
     }
 
-    // Broke: one changed bit in the length of a text had a gigabyte reserved.
+    // A changed bit in the length of a string must not cause an allocation of a gigabyte.
     #[test]
     fn a_record_is_read_and_no_changed_bit_has_more_reserved_than_it_has() {
         for (opcode, body) in records() {

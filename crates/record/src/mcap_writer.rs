@@ -1,6 +1,7 @@
-//! Writes MCAP recordings: a topic per channel, a JSON message per sample, in chunks.
+//! Writes MCAP recordings in chunks: one topic per channel, one JSON message per sample.
 //!
-//! Foxglove and other readers of MCAP plot `TOPIC.value` as it stands: messages are `{"value":0.25}` with a JSON schema.
+//! Messages are `{"value":0.25}` with a JSON schema. Foxglove and other MCAP readers can therefore
+//! plot `TOPIC.value` directly.
 
 use std::{
     collections::BTreeMap,
@@ -15,30 +16,31 @@ use mcap::{WriteOptions, Writer, records::MessageHeader};
 use crate::formats::mcap::{VALUE_FIELD, keys};
 use crate::{ChannelColumn, ColumnMapping, RecordError, TimeOrigin};
 
-/// Messages after which a chunk is ended and handed to the operating system: what a crash may cost. At 20 channels of
-/// 200 Hz that is a second; compression gains little beyond.
+/// Number of messages per chunk. Each complete chunk is written to the operating system, so a crash
+/// loses at most one chunk. It covers a second of 20 channels at 200 Hz. Larger chunks compress
+/// little better.
 const CHUNK_MESSAGES: u32 = 4096;
 const SCHEMA_NAME: &str = "spandrel.Sample";
 
-/// What a recording states of a channel.
+/// The metadata of a channel in an MCAP recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct McapChannel {
-    /// Topic.
+    /// Name of the topic.
     pub name: String,
-    /// Unit of the values, empty if it is not known.
+    /// Unit of the values; empty if unknown.
     pub unit: String,
-    /// Place and direction, empty if they are not known.
+    /// Location and direction; empty if unknown.
     pub description: String,
-    /// Sampling rate in Hz, if it is known.
+    /// Sampling rate in Hz, if known.
     pub sampling_rate_hz: Option<f64>,
-    /// What the times count from.
+    /// Reference of the times.
     pub origin: TimeOrigin,
 }
 
-/// Writes an MCAP recording sample by sample.
+/// A writer of MCAP recordings, sample by sample.
 ///
-/// After every 4096 samples a chunk is whole and with the operating system: a process that is killed leaves a file that is
-/// readable up to there.
+/// After every 4096 samples, a complete chunk is written to the operating system. If the process is
+/// killed, the file is readable up to the last complete chunk.
 pub struct McapWriter {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
@@ -49,7 +51,7 @@ pub struct McapWriter {
 }
 
 impl McapWriter {
-    /// Creates the file, or empties it, and writes what it states of its channels.
+    /// Creates or truncates the file, and writes the metadata of the channels.
     ///
     /// # Errors
     /// The file cannot be created or written.
@@ -64,8 +66,10 @@ impl McapWriter {
         };
         let mut writer = WriteOptions::new()
             .library(concat!("spandrel ", env!("CARGO_PKG_VERSION")))
-            .disable_seeking(true) // a chunk goes out when it is whole: half of one would state a length of zero
-            .compression_threads(0) // here: a thread for chunks this small only costs
+            // Chunks are written when complete. An incomplete chunk would state a length of zero.
+            .disable_seeking(true)
+            // Compress on this thread. A separate thread is slower for chunks this small.
+            .compression_threads(0)
             .create(BufWriter::new(file))
             .map_err(refused)?;
         let schema = writer
@@ -88,7 +92,8 @@ impl McapWriter {
         })
     }
 
-    /// Creates the file for rows at a rate in Hz, with the columns and units that `mapping` reads; times count from the first row.
+    /// Creates a file for rows at `rate_hz` (Hz), with the columns and units of `mapping`. Times
+    /// are relative to the start of the recording.
     ///
     /// # Errors
     /// The file cannot be created or written.
@@ -111,10 +116,11 @@ impl McapWriter {
         })
     }
 
-    /// Writes one row: `time_ns` in ns, and one value per column of the mapping in SI units, `NaN` where it is missing.
+    /// Writes one row: `time_ns` in ns, and one value per column of the mapping in SI units, `NaN`
+    /// if missing.
     ///
     /// # Errors
-    /// The row has the wrong length, or as [`McapWriter::write`].
+    /// The row has the wrong length, or one of the errors of [`McapWriter::write`] occurs.
     pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
         if values.len() != self.columns.len() {
             let line = 1 + self
@@ -136,10 +142,11 @@ impl McapWriter {
         Ok(())
     }
 
-    /// Writes a sample of the channel at `place` in the list; a missing one (`NaN`) is no message.
+    /// Writes a sample of the channel with index `place`. Skips a missing sample (`NaN`).
     ///
     /// # Errors
-    /// The time is before 1970, the value is infinite, there is no such channel, or the file cannot be written.
+    /// The time is before 1970, the value is infinite, the channel does not exist, or the file
+    /// cannot be written.
     pub fn write(&mut self, place: usize, time_ns: i64, value: f64) -> Result<(), RecordError> {
         if value.is_nan() {
             return Ok(());
@@ -163,7 +170,8 @@ impl McapWriter {
             *sequence = sequence.wrapping_add(1);
         }
         self.text.clear();
-        // shortest digits that read back as the same bits; writing to a String does not fail
+        // Debug format writes the shortest digits that read back as the same bits. Writing to a
+        // `String` does not fail.
         let _ = write!(self.text, "{{\"{VALUE_FIELD}\":{value:?}}}");
         let header = MessageHeader {
             channel_id,
@@ -182,7 +190,8 @@ impl McapWriter {
         Ok(())
     }
 
-    /// Writes the index and the end; a writer that is dropped without it may lose the last chunk unseen.
+    /// Writes the index and the end of the file. Dropping the writer without this call may silently
+    /// lose the last chunk.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -225,7 +234,7 @@ impl McapChannel {
     }
 }
 
-/// The JSON schema of a message.
+/// Returns the JSON schema of a message.
 fn schema() -> String {
     let value = serde_json::json!({ "type": "number", "description": "sample in the unit of the channel's metadata" });
     let properties = serde_json::json!({ VALUE_FIELD: value });

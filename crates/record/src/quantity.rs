@@ -1,7 +1,7 @@
 //! Units that a column may have, and their factors to SI.
 //!
-//! Factors: BIPM, *The International System of Units* (9th edition, 2019), table 8 and section 2.3; standard gravity
-//! g = 9.80665 m/s² by the 3rd CGPM (1901).
+//! Source: BIPM, *The International System of Units* (9th edition, 2019), table 8 and section 2.3.
+//! Standard gravity is g = 9.80665 m/s², as defined by the 3rd CGPM (1901).
 
 use std::f64::consts::PI;
 
@@ -30,11 +30,11 @@ pub enum Quantity {
     Pressure,
     /// Electric voltage, SI unit V.
     Voltage,
-    /// Temperature, as °C: differences are what counts, and no offset is added.
+    /// Temperature in °C. Only differences matter, so no offset is added.
     Temperature,
 }
 
-/// All quantities, in the order in which a unit is looked for.
+/// All quantities, in the order in which [`Quantity::of_unit`] searches them.
 const ALL: [Quantity; 12] = [
     Quantity::Acceleration,
     Quantity::Velocity,
@@ -50,12 +50,12 @@ const ALL: [Quantity; 12] = [
     Quantity::Temperature,
 ];
 
-/// Standard gravity in m/s².
+/// Standard gravity, in m/s².
 const STANDARD_GRAVITY: f64 = 9.80665;
 const DEGREE: f64 = PI / 180.0;
 
 impl Quantity {
-    /// Units of this quantity with the factor that takes a value to SI; the SI unit comes first.
+    /// Returns the units of this quantity with their factors to SI. The SI unit comes first.
     fn units(self) -> &'static [(&'static str, f64)] {
         match self {
             Self::Acceleration => &[
@@ -107,7 +107,7 @@ impl Quantity {
         }
     }
 
-    /// Factor that takes a value in `unit` to SI; `None` if it is no unit of this quantity.
+    /// Returns the factor from `unit` to SI, or `None` if `unit` does not belong to this quantity.
     pub fn si_from(self, unit: &str) -> Option<f64> {
         self.units()
             .iter()
@@ -115,9 +115,10 @@ impl Quantity {
             .map(|(_, factor)| *factor)
     }
 
-    /// The quantity of a unit as files write it, and the factor that takes a value to SI; `None` if it is not known.
+    /// Returns the quantity of a unit, and the factor from this unit to SI.
     ///
-    /// `CM/SEC/SEC`, `cm/s^2` and `cm/s2` are the same. Lengths alone (`m`) are displacements.
+    /// Accepts common spellings in files: `CM/SEC/SEC`, `cm/s^2` and `cm/s2` are the same. A plain
+    /// length (`m`) is a displacement. Returns `None` if the unit is unknown.
     pub fn of_unit(unit: &str) -> Option<(Self, f64)> {
         let exact = |symbol: &str| {
             ALL.into_iter()
@@ -126,17 +127,17 @@ impl Quantity {
         exact(unit).or_else(|| exact(&plain(unit)))
     }
 
-    /// The SI unit.
+    /// Returns the SI unit.
     pub fn si_unit(self) -> &'static str {
         self.units().first().map_or("1", |(symbol, _)| *symbol)
     }
 
-    /// The units of this quantity, the SI unit first.
+    /// Returns the units of this quantity, with the SI unit first.
     pub fn allowed_units(self) -> Vec<&'static str> {
         self.units().iter().map(|(symbol, _)| *symbol).collect()
     }
 
-    /// The quantity in words.
+    /// Returns the name of the quantity.
     pub fn name(self) -> &'static str {
         match self {
             Self::Acceleration => "acceleration",
@@ -155,7 +156,7 @@ impl Quantity {
     }
 }
 
-/// A unit as seismological files write it, in the writing of this module.
+/// Converts a unit in seismological spelling to the spelling of this module.
 fn plain(unit: &str) -> String {
     let lower = unit.trim().to_ascii_lowercase();
     let seconds = lower

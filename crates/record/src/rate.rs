@@ -1,9 +1,10 @@
-//! The sampling rate that times tell.
+//! Determines sampling rates from time steps.
 
-/// Relative difference up to which the inverse of a step is meant to be a whole number of Hz.
+/// Relative tolerance within which a rate is rounded to a whole number of Hz.
 const WHOLE_HZ: f64 = 1e-9;
 
-/// Sampling rate in Hz of a step in s: 50 kHz of 2e-5 s, and not what rounding makes of it.
+/// Returns the sampling rate in Hz for a step in s. Removes rounding errors: a step of 2e-5 s gives
+/// exactly 50 kHz.
 pub(crate) fn rate_from_step(step_s: f64) -> f64 {
     let rate_hz = 1.0 / step_s;
     let whole_hz = rate_hz.round();
@@ -14,10 +15,13 @@ pub(crate) fn rate_from_step(step_s: f64) -> f64 {
     }
 }
 
-/// Sampling rate in Hz from times in ns; `None` if there are fewer than two, or they do not increase.
+/// Returns the sampling rate in Hz for times in ns.
 ///
-/// The median step tells what is a gap (more than half a step off); the mean of the others is the step. The median alone
-/// would not do: times rounded to milliseconds at 120 Hz have the steps 8, 8, 9 ms, and a median of 125 Hz.
+/// Steps that differ from the median by more than half of it are gaps. The result is based on the
+/// mean of the other steps. The median alone would be wrong: times at 120 Hz rounded to
+/// milliseconds have steps of 8, 8 and 9 ms, and a median of 125 Hz.
+///
+/// Returns `None` if there are fewer than two times, or if they do not increase.
 pub(crate) fn rate_from_times(times_ns: &[i64]) -> Option<f64> {
     let mut steps_ns: Vec<i64> = times_ns
         .windows(2)

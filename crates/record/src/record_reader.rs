@@ -1,31 +1,33 @@
-//! What every format gives: rows.
+//! The common interface of all formats: rows.
 
 use std::path::Path;
 
 use crate::RecordError;
 
-/// One instant of a recording.
+/// The values of a recording at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row<'a> {
-    /// Time of measurement in ns: since 1970 UTC, or since the start of the record if its times are relative.
+    /// Time of measurement in ns, since 1970 UTC, or since the start of the record if its times are
+    /// relative.
     pub time_ns: i64,
-    /// One value per channel in SI units, in the order of the mapping; `NaN` is a missing sample.
+    /// One value per channel in SI units, in the order of the mapping; `NaN` if missing.
     pub values: &'a [f64],
 }
 
-/// Gives the rows of a recording one after the other, in constant memory.
+/// A reader that returns the rows of a recording one after the other.
 ///
-/// Times increase strictly. A gap in time stays a gap: nothing is filled or interpolated.
+/// Times increase strictly. Gaps in time remain gaps: readers neither fill nor interpolate them.
 pub trait RecordReader: Send {
-    /// The file that is read.
+    /// Returns the path of the file.
     fn path(&self) -> &Path;
 
-    /// Names of the channels in the order of the values of a row.
+    /// Returns the names of the channels, in the order of the values of a row.
     fn channels(&self) -> &[String];
 
-    /// Reads the next row; `None` at the end.
+    /// Reads the next row. Returns `None` at the end.
     ///
     /// # Errors
-    /// A [`RecordError`] with file and line; reading cannot go on after it.
+    /// A [`RecordError`] that names the file and, for a table, the line. Reading cannot continue
+    /// after an error.
     fn next_row(&mut self) -> Result<Option<Row<'_>>, RecordError>;
 }

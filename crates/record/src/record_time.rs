@@ -1,6 +1,7 @@
-//! Times in files to nanoseconds and back.
+//! Converts times in files to nanoseconds and back.
 //!
-//! Seconds are read as decimal digits, not through `f64`: seconds since 1970 in `f64` are known to 0.24 µs only.
+//! Seconds are parsed as decimal digits, not as `f64`. An `f64` resolves seconds since 1970 only to
+//! 0.24 µs.
 
 use std::fmt::Write as _;
 
@@ -10,7 +11,7 @@ use crate::TimeUnit;
 
 const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 
-/// The form of the times of one file; a file does not mix them.
+/// The form of the times in a file. All times of a file have the same form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum TimeForm {
     Seconds,
@@ -18,7 +19,7 @@ pub(crate) enum TimeForm {
 }
 
 impl TimeForm {
-    /// The form of the first time of a file.
+    /// Returns the form of the first time in a file.
     pub(crate) fn of(text: &str) -> Option<Self> {
         if seconds_to_ns(text).is_some() {
             return Some(Self::Seconds);
@@ -26,7 +27,7 @@ impl TimeForm {
         iso_8601_to_ns(text).map(|_| Self::Iso8601)
     }
 
-    /// Reads a time of this form in ns; numbers are in `unit`.
+    /// Parses a time of this form as ns. `unit` is the unit of a time that is a number.
     pub(crate) fn parse_ns(self, text: &str, unit: TimeUnit) -> Option<i64> {
         match self {
             Self::Seconds => number_to_ns(text, unit.fraction_digits()),
@@ -34,7 +35,7 @@ impl TimeForm {
         }
     }
 
-    /// The form in words.
+    /// Returns a description of the form.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Seconds => "a number as the first time of the file",
@@ -43,12 +44,13 @@ impl TimeForm {
     }
 }
 
-/// Reads seconds as nanoseconds.
+/// Parses seconds as nanoseconds.
 fn seconds_to_ns(text: &str) -> Option<i64> {
     number_to_ns(text, TimeUnit::Seconds.fraction_digits())
 }
 
-/// Reads a number as nanoseconds: round(number × 10^digits), half away from zero; `None` if it is no number or out of range.
+/// Parses a number as nanoseconds: round(number × 10^digits), half away from zero. Returns `None`
+/// if the text is not a number or out of range.
 fn number_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
     let (sign, digits) = match text.strip_prefix('-') {
         Some(rest) => (-1, rest),
@@ -89,14 +91,14 @@ fn number_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
     Some(sign * magnitude)
 }
 
-/// Reads a number with an exponent, as programs print very small times, through `f64`.
+/// Parses a number with an exponent, a common notation for very small times, as `f64`.
 fn exponent_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
     let nanoseconds = (text.parse::<f64>().ok()? * 10_f64.powi(fraction_digits as i32)).round();
     let is_in_range = nanoseconds.abs() < i64::MAX as f64;
     is_in_range.then_some(nanoseconds as i64)
 }
 
-/// Reads ISO 8601 as nanoseconds since 1970; without an offset from UTC it is taken as UTC.
+/// Parses ISO 8601 as nanoseconds since 1970. A time without a UTC offset counts as UTC.
 fn iso_8601_to_ns(text: &str) -> Option<i64> {
     let timestamp = match text.parse::<Timestamp>() {
         Ok(timestamp) => timestamp,
@@ -110,7 +112,8 @@ fn iso_8601_to_ns(text: &str) -> Option<i64> {
     i64::try_from(timestamp.as_nanosecond()).ok()
 }
 
-/// Nanoseconds since 1970 of a date and time of day in UTC; `None` if there is no such date. A leap second is the next one.
+/// Returns the nanoseconds since 1970 of a UTC date and time. Returns `None` if the date or time
+/// does not exist. A leap second counts as the following second.
 pub(crate) fn civil_ns(
     year: i64,
     month: i64,
@@ -128,7 +131,7 @@ pub(crate) fn civil_ns(
     ns_of(date, hour, minute, second)
 }
 
-/// As [`civil_ns`], with the day of the year, from 1.
+/// Works like [`civil_ns`], with the day of the year instead of month and day, starting at 1.
 pub(crate) fn day_of_year_ns(
     year: i64,
     day: i64,
@@ -163,7 +166,7 @@ fn ns_of(date: jiff::civil::Date, hour: i64, minute: i64, second: f64) -> Option
         .checked_add(fraction_ns)
 }
 
-/// Writes `time_ns` in seconds with as many digits as it needs, so that it reads back as the same nanosecond.
+/// Writes `time_ns` in seconds, with enough digits to read back the same nanosecond.
 ///
 /// ```
 /// let mut text = String::new();
@@ -175,20 +178,21 @@ pub fn write_seconds(time_ns: i64, text: &mut String) {
     let sign = if time_ns < 0 { "-" } else { "" };
     let whole = magnitude / NANOSECONDS_PER_SECOND.unsigned_abs();
     let fraction = magnitude % NANOSECONDS_PER_SECOND.unsigned_abs();
-    let _ = write!(text, "{sign}{whole}"); // writing to a String does not fail
+    // Writing to a `String` does not fail.
+    let _ = write!(text, "{sign}{whole}");
     if fraction > 0 {
         let _ = write!(text, ".{fraction:09}");
         text.truncate(text.trim_end_matches('0').len());
     }
 }
 
-/// `time_ns` since 1970 as a date and time of day in UTC, ISO 8601.
+/// Returns the UTC date and time of `time_ns` since 1970, in ISO 8601.
 pub(crate) fn iso_text(time_ns: i64) -> String {
     Timestamp::from_nanosecond(i128::from(time_ns))
         .map_or_else(|_| seconds_text(time_ns), |timestamp| timestamp.to_string())
 }
 
-/// `time_ns` in seconds as decimal text.
+/// Returns `time_ns` in seconds as decimal text.
 pub(crate) fn seconds_text(time_ns: i64) -> String {
     let mut text = String::new();
     write_seconds(time_ns, &mut text);

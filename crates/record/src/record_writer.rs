@@ -1,22 +1,23 @@
-//! Writes rows in the format that the name of the file tells.
+//! Writes rows in the format that the file name indicates.
 
 use std::path::Path;
 
 use crate::{ColumnMapping, CsvWriter, McapWriter, OutputFormat, RecordError};
 
-/// Writes a record row by row, as CSV or MCAP.
+/// A writer of records, row by row, as CSV or MCAP.
 pub enum RecordWriter {
-    /// Comma-separated.
+    /// Comma-separated values.
     Csv(Box<CsvWriter>),
-    /// MCAP, a topic per channel.
+    /// MCAP, with one topic per channel.
     Mcap(Box<McapWriter>),
 }
 
 impl RecordWriter {
-    /// Creates the file with the columns and units that `mapping` reads, for rows at a rate in Hz.
+    /// Creates a file with the columns and units of `mapping`, for rows at `rate_hz` (Hz).
     ///
     /// # Errors
-    /// The name tells no format, or the file cannot be created or written.
+    /// The file name does not indicate a supported format, or the file cannot be created or
+    /// written.
     pub fn create(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
         match OutputFormat::of(path)? {
             OutputFormat::Csv => {
@@ -27,7 +28,7 @@ impl RecordWriter {
         }
     }
 
-    /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` where it is missing.
+    /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` if missing.
     ///
     /// # Errors
     /// The row has the wrong length or an infinite value, or the file cannot be written.
@@ -38,7 +39,7 @@ impl RecordWriter {
         }
     }
 
-    /// Writes what is still in memory to the file.
+    /// Writes buffered data to the file.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -1,17 +1,17 @@
-//! A recording as it stands in a file: channels with name, unit, sampling rate, start and samples.
+//! A recording as stored in a file: channels with name, unit, sampling rate, start and samples.
 
 use crate::{Quantity, rate::rate_from_times};
 
-/// What the times of a channel count from.
+/// The reference of the times of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeOrigin {
-    /// 1970, UTC. Times of day without a zone are taken as UTC.
+    /// 1970, UTC. Dates without a time zone count as UTC.
     Epoch,
-    /// The start of the recording: the file has no date.
+    /// The start of the recording, because the file has no date.
     Start,
 }
 
-/// Samples without a hole between them, one per time step.
+/// Evenly spaced samples, one per time step, without a gap in time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Segment {
     start_ns: i64,
@@ -19,28 +19,29 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Samples of which the first was taken at `start_ns`; `NaN` is a missing one.
+    /// Creates a segment whose first sample was taken at `start_ns` (ns). `NaN` is a missing
+    /// sample.
     pub fn new(start_ns: i64, samples: Vec<f64>) -> Self {
         Self { start_ns, samples }
     }
 
-    /// Time of the first sample in ns.
+    /// Returns the time of the first sample, in ns.
     pub fn start_ns(&self) -> i64 {
         self.start_ns
     }
 
-    /// The samples in the unit of the channel, `NaN` where one is missing.
+    /// Returns the samples in the unit of the channel, `NaN` if missing.
     pub fn samples(&self) -> &[f64] {
         &self.samples
     }
 }
 
-/// Samples that are missing between two that are there.
+/// A run of missing samples between two existing ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Gap {
-    /// Time of the last sample before, in ns.
+    /// Time of the last sample before the gap, in ns.
     pub after_ns: i64,
-    /// How many samples are missing.
+    /// Number of missing samples.
     pub samples: u64,
 }
 
@@ -56,9 +57,10 @@ pub struct RecordedChannel {
 }
 
 impl RecordedChannel {
-    /// A channel sampled at a rate in Hz; segments come in the order of time and do not overlap.
+    /// Creates a channel with a sampling rate in Hz. Segments must be in time order and must not
+    /// overlap.
     ///
-    /// Without a rate the file says nothing of time, and there is one segment.
+    /// Without a sampling rate, the file contains no times, and there must be one segment.
     pub fn new(
         name: impl Into<String>,
         sampling_rate_hz: Option<f64>,
@@ -77,8 +79,10 @@ impl RecordedChannel {
         }
     }
 
-    /// A channel from single samples with their times, which increase; the times tell the rate if it is not stated. Where a
-    /// time is off the grid of the rate by more than half a step, a new segment begins.
+    /// Creates a channel from single samples with increasing times.
+    ///
+    /// The times determine the rate if it is not stated. A sample that is off the grid of the rate
+    /// by more than half a step begins a new segment.
     pub(crate) fn from_times(
         name: impl Into<String>,
         stated_rate_hz: Option<f64>,
@@ -108,7 +112,7 @@ impl RecordedChannel {
         Self::new(name, Some(rate_hz), segments)
     }
 
-    /// The same channel with the unit that the file states.
+    /// Sets the unit as stated in the file.
     pub fn with_unit(self, unit: impl Into<String>) -> Self {
         Self {
             unit: Some(unit.into()).filter(|unit| !unit.is_empty()),
@@ -116,7 +120,7 @@ impl RecordedChannel {
         }
     }
 
-    /// The same channel with what the file says of its place and direction.
+    /// Sets the description of location and direction from the file.
     pub fn with_description(self, description: impl Into<String>) -> Self {
         Self {
             description: Some(description.into()).filter(|text| !text.is_empty()),
@@ -124,12 +128,12 @@ impl RecordedChannel {
         }
     }
 
-    /// The same channel with times that count from `origin`.
+    /// Sets the reference of the times.
     pub fn with_origin(self, origin: TimeOrigin) -> Self {
         Self { origin, ..self }
     }
 
-    /// The same channel with other samples, at another rate in Hz.
+    /// Returns the same channel with other samples, at another rate in Hz.
     pub(crate) fn with_samples(&self, rate_hz: f64, segments: Vec<Segment>) -> Self {
         let Self {
             name,
@@ -152,7 +156,7 @@ impl RecordedChannel {
         Self { name, ..self }
     }
 
-    /// The same channel, at this rate in Hz if the file states none.
+    /// Sets the rate in Hz if the file does not state one.
     pub(crate) fn with_declared_rate(self, rate_hz: f64) -> Self {
         Self {
             sampling_rate_hz: self.sampling_rate_hz.or(Some(rate_hz)),
@@ -160,65 +164,68 @@ impl RecordedChannel {
         }
     }
 
-    /// Name of the channel, one of its kind in the recording.
+    /// Returns the name of the channel, which is unique in the recording.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Unit as the file writes it, if it does.
+    /// Returns the unit as spelled in the file, or `None` if the file does not state it.
     pub fn unit(&self) -> Option<&str> {
         self.unit.as_deref()
     }
 
-    /// The quantity that the unit tells, and the factor that takes samples to SI.
+    /// Returns the quantity of the unit, and the factor to SI. Returns `None` if the unit is
+    /// missing or unknown.
     pub fn quantity(&self) -> Option<(Quantity, f64)> {
         self.unit.as_deref().and_then(Quantity::of_unit)
     }
 
-    /// What the file says of place and direction.
+    /// Returns the description of location and direction from the file.
     pub fn description(&self) -> Option<&str> {
         self.description.as_deref()
     }
 
-    /// Sampling rate in Hz, if the file tells it.
+    /// Returns the sampling rate in Hz, or `None` if the file does not state it.
     pub fn sampling_rate_hz(&self) -> Option<f64> {
         self.sampling_rate_hz
     }
 
-    /// What the times count from.
+    /// Returns the reference of the times.
     pub fn origin(&self) -> TimeOrigin {
         self.origin
     }
 
-    /// The samples in the order of time.
+    /// Returns the segments in time order.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
     }
 
-    /// Samples that are there.
+    /// Returns the number of samples that are not missing.
     pub fn present(&self) -> u64 {
         self.samples().filter(|sample| !sample.is_nan()).count() as u64
     }
 
-    /// All samples one after the other, `NaN` where one is missing within a segment.
+    /// Returns all samples one after the other, `NaN` where one is missing within a segment.
     pub fn samples(&self) -> impl Iterator<Item = f64> + '_ {
         self.segments
             .iter()
             .flat_map(|segment| segment.samples.iter().copied())
     }
 
-    /// Time of the first sample in ns.
+    /// Returns the time of the first sample, in ns.
     pub fn start_ns(&self) -> Option<i64> {
         self.segments.first().map(|segment| segment.start_ns)
     }
 
-    /// Time of the last sample in ns; `None` without samples or rate.
+    /// Returns the time of the last sample, in ns. Returns `None` without samples or without a
+    /// rate.
     pub fn end_ns(&self) -> Option<i64> {
         let (segment, rate_hz) = (self.segments.last()?, self.sampling_rate_hz?);
         Some(time_of(segment, segment.samples.len() - 1, rate_hz))
     }
 
-    /// Times and values in order, missing samples included; empty without a rate.
+    /// Returns times and values in order, including missing samples. Without a rate, the iterator
+    /// is empty.
     pub fn timed_samples(&self) -> impl Iterator<Item = (i64, f64)> + '_ {
         self.sampling_rate_hz.into_iter().flat_map(move |rate_hz| {
             self.segments.iter().flat_map(move |segment| {
@@ -228,7 +235,8 @@ impl RecordedChannel {
         })
     }
 
-    /// Runs of samples that are missing between two that are there; empty without a rate.
+    /// Returns all runs of missing samples between two existing ones. Without a rate, the result is
+    /// empty.
     pub fn gaps(&self) -> Vec<Gap> {
         let Some(rate_hz) = self.sampling_rate_hz else {
             return Vec::new();
@@ -252,7 +260,7 @@ impl RecordedChannel {
     }
 }
 
-/// Time in ns of sample `index` of a segment: start + round(index · 10⁹ / rate).
+/// Returns the time in ns of sample `index` of a segment: start + round(index · 10⁹ / rate).
 fn time_of(segment: &Segment, index: usize, rate_hz: f64) -> i64 {
     segment
         .start_ns
@@ -266,7 +274,8 @@ mod tests {
     #[test]
     fn holes_in_time_and_missing_samples_are_gaps() {
         let first = Segment::new(0, vec![1.0, f64::NAN, f64::NAN, 2.0]);
-        let second = Segment::new(80_000_000, vec![3.0, 4.0]); // 30 ms are followed by 80 ms: four are missing
+        // From 30 ms to 80 ms, four samples are missing.
+        let second = Segment::new(80_000_000, vec![3.0, 4.0]);
         let channel = RecordedChannel::new("a", Some(100.0), vec![first, second]);
         let expected = [
             Gap {

@@ -1,4 +1,4 @@
-//! One entry for all formats: a path gives channels.
+//! Reads the channels of a file of any format.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -14,18 +14,18 @@ use crate::table_layout::HEAD_BYTES;
 use crate::unpacked::UnpackingBudget;
 use crate::{ColumnMapping, Format, RecordError, RecordedChannel, TimeUnit};
 
-/// What a file may not say of itself.
+/// Properties that a file may not state itself.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ReadOptions {
-    /// Column of the time in a table.
+    /// Name of the time column of a table.
     pub time_column: Option<String>,
-    /// Unit of times in a table that are numbers; seconds if it is not given.
+    /// Unit of numeric times in a table; seconds if `None`.
     pub time_unit: Option<TimeUnit>,
-    /// Sampling rate in Hz of channels for which the file states none.
+    /// Sampling rate in Hz of channels for which the file does not state one.
     pub sampling_rate_hz: Option<f64>,
 }
 
-/// A recording as it stands in a file, whole and in memory.
+/// A recording as stored in a file, completely in memory.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedFile {
     path: PathBuf,
@@ -34,12 +34,12 @@ pub struct RecordedFile {
     remarks: Vec<String>,
 }
 
-/// Archives within archives beyond this are not looked into.
+/// Maximum nesting depth of archives.
 const DEEPEST: usize = 3;
-/// Files in an archive or folder beyond this are no recording.
+/// Maximum number of files in an archive or folder.
 const MOST_MEMBERS: usize = 10_000;
 
-/// What was read of a file.
+/// The content of a file.
 struct Contents {
     format: Format,
     channels: Vec<RecordedChannel>,
@@ -47,10 +47,11 @@ struct Contents {
 }
 
 impl RecordedFile {
-    /// Reads a file of any known format, told by its content and then by its name; or all recordings of a folder.
+    /// Reads a file of any known format, detected by its content and then by its name, or all
+    /// recordings in a folder.
     ///
     /// # Errors
-    /// The format is not known, or the content breaks its rules; the error says where.
+    /// The format is unknown, or the content violates it. The error states the position.
     pub fn read(path: &Path, options: &ReadOptions) -> Result<Self, RecordError> {
         if let Some(found_hz) = options
             .sampling_rate_hz
@@ -81,7 +82,7 @@ impl RecordedFile {
         })
     }
 
-    /// A recording from channels that are there already.
+    /// Creates a recording from existing channels.
     pub fn from_channels(path: &Path, format: Format, channels: Vec<RecordedChannel>) -> Self {
         Self {
             path: path.to_owned(),
@@ -91,27 +92,28 @@ impl RecordedFile {
         }
     }
 
-    /// The file, or folder.
+    /// Returns the path of the file or folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Its format.
+    /// Returns the format.
     pub fn format(&self) -> Format {
         self.format
     }
 
-    /// Its channels, in the order of the file.
+    /// Returns the channels, in the order of the file.
     pub fn channels(&self) -> &[RecordedChannel] {
         &self.channels
     }
 
-    /// What a person should know: that a file was cut off, what of an archive was left out.
+    /// Returns remarks for the user, such as a truncated file or ignored files of an archive.
     pub fn remarks(&self) -> &[String] {
         &self.remarks
     }
 
-    /// The same recording with the channels of a mapping alone; those that it lacks are found out later.
+    /// Keeps only the channels of a mapping, or all channels if none matches. Later steps report
+    /// missing channels.
     pub(crate) fn only(self, mapping: &ColumnMapping) -> Self {
         let names = self.channels.iter().map(RecordedChannel::name);
         let mut mapped: Vec<usize> = mapping
@@ -132,7 +134,7 @@ impl RecordedFile {
         self.with_channels(channels)
     }
 
-    /// The same recording with other channels.
+    /// Returns the same recording with other channels.
     pub(crate) fn with_channels(self, channels: Vec<RecordedChannel>) -> Self {
         Self { channels, ..self }
     }
@@ -164,7 +166,7 @@ fn fault(path: &Path, format: Format, fault: Fault) -> RecordError {
     }
 }
 
-/// The reading of a file, with all files inside it.
+/// The state of reading a file and all files inside it.
 struct Reading<'a> {
     options: &'a ReadOptions,
     budget: UnpackingBudget,
@@ -228,7 +230,8 @@ impl<'a> Reading<'a> {
                 let members = zip_members(&bytes, path, &mut self.budget)?;
                 return self.members(members, path, format, depth);
             }
-            Format::Folder => Vec::new(), // of a path, and not of bytes
+            // A path can be a folder, but bytes cannot.
+            Format::Folder => Vec::new(),
         };
         Ok(Contents {
             format,
@@ -237,7 +240,8 @@ impl<'a> Reading<'a> {
         })
     }
 
-    /// Reads all members that are recordings. Names that are there more than once get the name of their file in front.
+    /// Reads all members that are recordings. If a channel name is not unique, the name of its file
+    /// is prepended.
     fn members(
         &mut self,
         members: Members,
@@ -248,7 +252,7 @@ impl<'a> Reading<'a> {
         let mut channels: Vec<(String, RecordedChannel)> = Vec::new();
         let (mut remarks, mut left_out) = (Vec::new(), Vec::new());
         for (name, bytes) in members {
-            // by content alone: an archive also holds read-me files
+            // Only the content counts, because an archive may also contain readme files.
             if Format::of_content(head_of(&bytes)).is_none() {
                 left_out.push(name);
                 continue;
@@ -357,7 +361,7 @@ fn zip_members(
     Ok(members)
 }
 
-/// The files of a folder, by name.
+/// Returns the files of a folder, sorted by name.
 fn folder_files(path: &Path) -> Result<Vec<PathBuf>, RecordError> {
     let refused = |source| RecordError::ReadFile {
         path: path.to_owned(),
@@ -392,14 +396,14 @@ fn folder_members(path: &Path) -> Result<Members, RecordError> {
         .collect()
 }
 
-/// Whether a folder is that of a frame log.
+/// Returns `true` if a folder contains a frame log.
 fn has_frame_log(path: &Path) -> Result<bool, RecordError> {
     Ok(folder_files(path)?
         .iter()
         .any(|file| frame_log::is_segment(&name_of(file))))
 }
 
-/// Reads the segments of a frame log, one after the other, as one recording.
+/// Reads all segments of a frame log as one recording.
 fn frame_log_folder(path: &Path) -> Result<Contents, RecordError> {
     let mut frames = FrameRows::default();
     let (mut remarks, mut left_out) = (Vec::new(), Vec::new());

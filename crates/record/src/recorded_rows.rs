@@ -1,4 +1,4 @@
-//! Rows of a recording that is in memory: its channels side by side, as a mapping names them.
+//! Rows of a recording in memory, with the channels that a mapping selects.
 
 use std::path::{Path, PathBuf};
 
@@ -7,13 +7,13 @@ use crate::{
     TimeSource, column_mapping::places_of,
 };
 
-/// Relative difference up to which channels are sampled alike; more than clocks of one recorder differ.
+/// Relative tolerance of equal sampling rates. Clocks within one recorder differ by less.
 const RATE_TOLERANCE: f64 = 1e-4;
 
-/// Gives the rows of a recording in memory.
+/// A reader of the rows of a recording in memory.
 ///
-/// A row stands at the time of a sample of the first channel, or a whole number of steps from it; samples of the others go to
-/// the nearest row and are not interpolated. Where a channel has no sample its value is missing.
+/// Rows are on the time grid of the first channel. Samples of the other channels go to the nearest
+/// row and are not interpolated. A channel without a sample in a row has a missing value.
 pub struct RecordedRows {
     path: PathBuf,
     names: Vec<String>,
@@ -23,16 +23,17 @@ pub struct RecordedRows {
     values: Vec<f64>,
 }
 
-/// A channel with its samples still to come: number of the row and value in SI units.
+/// The remaining samples of a channel: row number and value in SI units.
 struct Column {
     samples: std::iter::Peekable<Box<dyn Iterator<Item = (i64, f64)> + Send>>,
 }
 
 impl RecordedRows {
-    /// Picks the channels of the mapping.
+    /// Selects the channels of the mapping.
     ///
     /// # Errors
-    /// Channels are missing, have no rate or other ones, or units of another quantity; or some have dates and some have none.
+    /// Channels are missing, have different sampling rates or none, or have units of another
+    /// quantity. Or some channels have dates and others do not.
     pub fn new(file: &RecordedFile, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let path = || file.path().to_owned();
         let of_name = |name: &str| match places_of(
@@ -41,7 +42,8 @@ impl RecordedRows {
         )[..]
         {
             [place] => file.channels().get(place),
-            _ => None, // several only in front of different units
+            // Several channels can match only if the unit follows the name.
+            _ => None,
         };
         let missing: Vec<String> = mapping
             .channels()
@@ -135,7 +137,7 @@ impl RecordedRows {
     }
 }
 
-/// Times and samples of a channel, with the channel inside.
+/// Returns times and samples of a channel as an iterator that owns them.
 fn owned_samples(channel: RecordedChannel) -> impl Iterator<Item = (i64, f64)> + Send {
     let rate_hz = channel.sampling_rate_hz().unwrap_or(1.0);
     let segments: Vec<(i64, Vec<f64>)> = channel
@@ -175,7 +177,7 @@ impl RecordReader for RecordedRows {
                 .samples
                 .next_if(|(own, _)| *own == row)
                 .map_or(f64::NAN, |(_, sample)| sample);
-            // of two samples nearest to one row the first stays
+            // If two samples are nearest to one row, the first one counts.
             while column.samples.next_if(|(own, _)| *own == row).is_some() {}
         }
         let since_start_ns = (row as f64 * 1e9 / self.rate_hz).round() as i64;
@@ -218,7 +220,8 @@ mod tests {
     #[test]
     fn samples_go_to_the_nearest_row_and_gaps_are_missing() {
         let ahead = channel("a", 100.0, 0, &[1.0, 2.0, 3.0]);
-        let late = channel("b", 100.0, 13_000_000, &[5.0, 6.0]); // 13 ms are nearest to 10 ms, 23 ms to 20 ms
+        // The nearest row of 13 ms is 10 ms, and that of 23 ms is 20 ms.
+        let late = channel("b", 100.0, 13_000_000, &[5.0, 6.0]);
         let found = rows(
             &file(vec![ahead, late]),
             &ColumnMapping::by_name(["a", "b"]),

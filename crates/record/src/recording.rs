@@ -1,4 +1,4 @@
-//! A file of any format with its sampling rate, and its offsets removed.
+//! Reads a file of any format, determines its sampling rate and removes its offsets.
 
 use std::{collections::VecDeque, fs::File, io::Read, path::Path};
 
@@ -7,10 +7,10 @@ use crate::{
     RecordedRows, Row, TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
 };
 
-/// Whether the constant part of each channel is taken away, such as the tilt of an accelerometer.
+/// Policy for the constant part of each channel, such as the tilt of an accelerometer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum OffsetRemoval {
-    /// Values stay as they are in the file.
+    /// Values remain as in the file.
     Keep,
     /// The mean of each channel over the first seconds is subtracted from the whole channel.
     MeanOfFirst {
@@ -19,9 +19,11 @@ pub enum OffsetRemoval {
     },
 }
 
-/// Reads a recording with its first rows looked at ahead: they give the sampling rate and the offsets.
+/// A reader that buffers the first rows of a recording to determine the sampling rate and the
+/// offsets.
 ///
-/// Holds at most 1000 rows, or those of the span of the offset; after them the rows stream.
+/// The buffer contains 1001 rows, or more if the span of the offset requires it. All later rows are
+/// streamed.
 pub struct Recording {
     reader: Box<dyn RecordReader>,
     head: VecDeque<(i64, Vec<f64>)>,
@@ -31,32 +33,35 @@ pub struct Recording {
     values: Vec<f64>,
 }
 
-/// Whether a recording is brought to another rate while it is read.
+/// Policy for the conversion of a recording to another sampling rate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Resampling {
-    /// Samples stay as they are in the file.
+    /// Samples remain as in the file.
     None,
-    /// All channels are brought to one rate, through a filter against aliasing; the whole file is in memory.
+    /// All channels are converted to one rate, with an anti-aliasing filter. The whole file is in
+    /// memory.
     To {
-        /// The rate, in Hz.
+        /// The target rate, in Hz.
         rate_hz: f64,
     },
 }
 
-/// Rows that the sampling rate is found from: enough that times rounded to milliseconds average out below
-/// [`RATE_TOLERANCE`] up to 1000 Hz.
+/// Number of rows that determine the sampling rate. With this number, the error of times rounded to
+/// milliseconds averages to less than [`RATE_TOLERANCE`] up to 1000 Hz.
 const RATE_ROWS: usize = 1001;
-/// Relative difference up to which a rate found is the declared one: well above the drift of quartz clocks (1e-4) and
-/// what rounded times leave after averaging. At this difference a sample still moves by half a step in 500 only.
+/// Relative tolerance between the measured and the declared rate. It is well above the drift of
+/// quartz clocks (1e-4) and the averaged error of rounded times. At this difference, a sample moves
+/// by half a step in 500 samples.
 const RATE_TOLERANCE: f64 = 1e-3;
 
 impl Recording {
-    /// Opens a file of any known format, told by its content and then by its name.
+    /// Opens a file of any known format, detected by its content and then by its name.
     ///
-    /// Tables are read row by row, other formats are held in memory.
+    /// Tables are streamed. Files of other formats are read into memory.
     ///
     /// # Errors
-    /// The format is unknown, the file does not fit the mapping, or one of its first rows is wrong.
+    /// The format is unknown, the file does not match the mapping, or one of its first rows is
+    /// invalid.
     pub fn open(
         path: &Path,
         mapping: &ColumnMapping,
@@ -65,10 +70,12 @@ impl Recording {
         Self::open_resampled(path, mapping, offset, Resampling::None)
     }
 
-    /// As [`Recording::open`], at another rate if `resampling` says so. Offsets are removed afterwards.
+    /// Opens a file like [`Recording::open`], and resamples it as `resampling` specifies. Offsets
+    /// are removed after resampling.
     ///
     /// # Errors
-    /// As [`Recording::open`]; or the rate is none, or the file states none of its own.
+    /// As for [`Recording::open`]. Also, the target rate is not valid, or the file does not state
+    /// its own rate.
     pub fn open_resampled(
         path: &Path,
         mapping: &ColumnMapping,
@@ -84,7 +91,7 @@ impl Recording {
                 )?),
             },
             Resampling::To { rate_hz } => {
-                // channels that are not asked for are not filtered
+                // Channels that are not required need not be filtered.
                 let file = RecordedFile::read(path, &options_of(mapping))?.only(mapping);
                 Box::new(RecordedRows::new(&file.resampled(rate_hz)?, mapping)?)
             }
@@ -92,10 +99,10 @@ impl Recording {
         Self::new(reader, offset)
     }
 
-    /// Looks ahead into any reader.
+    /// Buffers the first rows of a reader.
     ///
     /// # Errors
-    /// The span of the offset is no positive time, or one of the first rows is wrong.
+    /// The span of the offset is not a positive time, or one of the first rows is invalid.
     pub fn new(
         mut reader: Box<dyn RecordReader>,
         offset: OffsetRemoval,
@@ -103,7 +110,8 @@ impl Recording {
         let span_ns = match offset {
             OffsetRemoval::Keep => 0,
             OffsetRemoval::MeanOfFirst { seconds } if seconds.is_finite() && seconds > 0.0 => {
-                (seconds * 1e9).round() as i64 // saturates far beyond any record
+                // The conversion saturates far beyond the length of any record.
+                (seconds * 1e9).round() as i64
             }
             OffsetRemoval::MeanOfFirst { seconds } => {
                 return Err(RecordError::OffsetSpan { found_s: seconds });
@@ -140,7 +148,7 @@ impl Recording {
         })
     }
 
-    /// The sampling rate in Hz: from the mean of the steps in time of the first 1000, without those that are gaps.
+    /// Returns the sampling rate in Hz, from the mean of the first 1000 time steps without gaps.
     ///
     /// # Errors
     /// [`RecordError::TooShort`] if there are fewer than two rows.
@@ -152,10 +160,12 @@ impl Recording {
         self.sampling_rate_hz.ok_or_else(too_short)
     }
 
-    /// Checks that the file is sampled at the declared rate in Hz within 0.1 %, and gives back the declared rate.
+    /// Checks that the sampling rate is within 0.1 % of the declared rate (Hz), and returns the
+    /// declared rate.
     ///
     /// # Errors
-    /// [`RecordError::SamplingRate`] if it is not, [`RecordError::TooShort`] if there are fewer than two rows.
+    /// [`RecordError::SamplingRate`] if the rates differ. [`RecordError::TooShort`] if there are
+    /// fewer than two rows.
     pub fn check_sampling_rate(&self, declared_hz: f64) -> Result<f64, RecordError> {
         let found_hz = self.sampling_rate_hz()?;
         let is_declared = (found_hz - declared_hz).abs() <= RATE_TOLERANCE * declared_hz;
@@ -169,14 +179,15 @@ impl Recording {
         })
     }
 
-    /// What is subtracted from each channel, in SI units; `None` if offsets are kept, or if the channel has no sample in
-    /// the span.
+    /// Returns the offset that is subtracted from each channel, in SI units. An entry is `None` if
+    /// offsets are kept or if the channel has no sample in the span.
     pub fn offsets(&self) -> &[Option<f64>] {
         &self.offsets
     }
 }
 
-/// Opens a table, compressed by gzip or not, to be read row by row; `None` if the file is something else.
+/// Opens a table for streaming, compressed by gzip or not. Returns `None` if the file has another
+/// format.
 fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader>, RecordError> {
     if path.is_dir() {
         return Ok(None);
@@ -211,7 +222,7 @@ fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader
     }
 }
 
-/// What a mapping says of a file that says too little.
+/// Returns the properties that a mapping declares for files that do not state them.
 fn options_of(mapping: &ColumnMapping) -> ReadOptions {
     let options = ReadOptions::default();
     match mapping.time() {
@@ -262,7 +273,7 @@ impl RecordReader for Recording {
     }
 }
 
-/// The mean of the samples of one channel that are there.
+/// The running mean of the samples of one channel, without missing samples.
 #[derive(Debug, Clone, Default)]
 struct RunningMean {
     sum: f64,

@@ -1,4 +1,5 @@
-//! What a recording holds, for people and for programs: channels, span, gaps, statistics, peaks of the spectrum.
+//! Summarises a recording for users and programs: channels, duration, gaps, statistics and spectral
+//! peaks.
 
 use std::fmt;
 
@@ -7,92 +8,93 @@ use serde::Serialize;
 use crate::record_time::{iso_text, seconds_text};
 use crate::{RecordedChannel, RecordedFile, SpectralPeak, Spectrum, TimeOrigin};
 
-/// Gaps of a channel that are told one by one.
+/// Maximum number of gaps listed per channel.
 const MOST_GAPS: usize = 5;
 
-/// What a recording holds.
+/// The summary of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingSummary {
-    /// The file.
+    /// Path of the file.
     pub path: String,
-    /// Its format in words.
+    /// Name of the format.
     pub format: &'static str,
-    /// What a person should know of it.
+    /// Remarks for the user.
     pub remarks: Vec<String>,
-    /// Its channels, in the order of the file.
+    /// Channels, in the order of the file.
     pub channels: Vec<ChannelSummary>,
 }
 
-/// What a channel holds; values in the unit of the file.
+/// The summary of a channel. Values are in the unit of the file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChannelSummary {
-    /// Its name, as a mapping names it.
+    /// Name of the channel, as used in a mapping.
     pub name: String,
-    /// What the file says of place and direction.
+    /// Description of location and direction from the file.
     pub description: Option<String>,
-    /// Unit as the file writes it.
+    /// Unit as spelled in the file.
     pub unit: Option<String>,
-    /// The quantity that the unit tells.
+    /// Quantity of the unit.
     pub quantity: Option<&'static str>,
-    /// Factor that takes values to SI.
+    /// Factor from the unit to SI.
     pub si_from_unit: Option<f64>,
-    /// Sampling rate in Hz, if the file states it.
+    /// Sampling rate in Hz, if known.
     pub sampling_rate_hz: Option<f64>,
-    /// Whether the times are dates in UTC; if not, they count from the start of the recording.
+    /// Whether the times are dates in UTC. Otherwise they are relative to the start of the
+    /// recording.
     pub is_dated: bool,
-    /// Time of the first sample in ns.
+    /// Time of the first sample, in ns.
     pub start_ns: Option<i64>,
     /// Time from the first to the last sample, in s.
     pub span_s: Option<f64>,
-    /// Samples that are there.
+    /// Number of samples that are not missing.
     pub samples: u64,
-    /// Samples that are missing between the first and the last.
+    /// Number of missing samples between the first and the last sample.
     pub missing: u64,
-    /// Where samples are missing.
+    /// The gaps of the channel.
     pub gaps: Vec<GapSummary>,
-    /// Statistics of the samples that are there; none if there is none.
+    /// Statistics of the existing samples; `None` if there are none.
     pub statistics: Option<Statistics>,
-    /// The peaks of the spectrum, in the order of frequency.
+    /// Peaks of the spectrum, in order of frequency.
     pub spectral_peaks: Vec<PeakSummary>,
 }
 
-/// Samples that are missing.
+/// A run of missing samples.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GapSummary {
-    /// From the start of the channel to the last sample before, in s.
+    /// Time from the start of the channel to the last sample before the gap, in s.
     pub after_s: f64,
-    /// How many are missing.
+    /// Number of missing samples.
     pub samples: u64,
 }
 
 /// Statistics of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Statistics {
-    /// Mean.
+    /// Mean value.
     pub mean: f64,
-    /// Standard deviation, of the samples as the whole population.
+    /// Standard deviation, with the samples as the whole population.
     pub std: f64,
     /// Lowest value.
     pub min: f64,
     /// Highest value.
     pub max: f64,
-    /// The value that is farthest from zero.
+    /// The value with the largest absolute value.
     pub peak: f64,
-    /// From the start of the channel to the peak, in s.
+    /// Time from the start of the channel to the peak, in s.
     pub peak_after_s: Option<f64>,
 }
 
 /// A peak of the spectrum.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PeakSummary {
-    /// Where, in Hz.
+    /// Frequency, in Hz.
     pub frequency_hz: f64,
-    /// How high, in unit²/Hz.
+    /// Density, in unit²/Hz.
     pub density: f64,
 }
 
 impl RecordingSummary {
-    /// Looks through a recording.
+    /// Summarises a recording.
     pub fn of(file: &RecordedFile) -> Self {
         Self {
             path: file.path().display().to_string(),
@@ -102,7 +104,7 @@ impl RecordingSummary {
         }
     }
 
-    /// As one JSON object; numbers that are not finite are null.
+    /// Formats the summary as one JSON object. Non-finite numbers become null.
     pub fn json(&self) -> String {
         format!("{:#}\n", serde_json::json!(self))
     }
@@ -153,12 +155,13 @@ impl ChannelSummary {
 }
 
 impl Statistics {
-    /// Statistics of the samples that are there; `None` if there is none.
+    /// Computes the statistics of the existing samples. Returns `None` if there are none.
     pub fn of(channel: &RecordedChannel) -> Option<Self> {
         let present = || channel.samples().filter(|sample| !sample.is_nan());
         let count = present().count() as f64;
         let first = present().next()?;
-        // about the first value, so that a large offset does not cost the digits of the deviation
+        // Sums are relative to the first value, so that a large offset does not reduce the
+        // precision.
         let mean = first + present().map(|sample| sample - first).sum::<f64>() / count;
         let variance = present()
             .map(|sample| (sample - mean) * (sample - mean))
@@ -287,21 +290,21 @@ impl fmt::Display for ChannelSummary {
     }
 }
 
-/// Digits after the point that tell one sample from the next: three at least.
+/// Returns the number of decimals, at least three, that distinguish the times of two samples.
 fn digits_of_times(rate_hz: Option<f64>) -> usize {
-    /// No time is known better than to the nanosecond.
+    /// Maximum number of decimals, because times have a resolution of 1 ns.
     const MOST: f64 = 9.0;
     rate_hz
         .filter(|rate_hz| *rate_hz > 0.0)
         .map_or(3.0, |rate_hz| rate_hz.log10().ceil().clamp(3.0, MOST)) as usize
 }
 
-/// A number of things, in the singular where it is one.
+/// Formats a count with its noun, in the singular if the count is 1.
 fn counted(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
-/// A number with six digits, without zeros at its end.
+/// Formats a number with six significant digits, without trailing zeros.
 fn rounded(number: f64) -> String {
     let magnitude = number.abs();
     if number == 0.0 || !(1e-4..1e7).contains(&magnitude) {
@@ -349,7 +352,8 @@ mod tests {
         assert_eq!(value["channels"][0]["si_from_unit"], 0.01);
     }
 
-    /// Broke: the peak of a recording at 20 kHz lay "after 0.001 s" wherever it was within some twenty samples.
+    /// At 20 kHz, three decimals would show "after 0.001 s" for some twenty samples around the
+    /// peak.
     #[test]
     fn times_tell_one_sample_from_the_next() {
         let mut samples = vec![0.0; 100];

@@ -1,30 +1,36 @@
-//! Resampling to another rate, with a filter against aliasing.
+//! Resampling to another rate, with an anti-aliasing filter.
 //!
-//! The filter is a sinc with a Kaiser window, symmetric about each output sample, so that it has no phase (A. V. Oppenheim and R. W. Schafer,
-//! *Discrete-Time Signal Processing*, 3rd edition, section 7.5.3). With the lower of the two rates as unit: it passes up to 0.40, stops from 0.50 on, which
-//! is half the lower rate, and is down by 80 dB there; ripple and aliases are 1e-4 of the amplitude.
+//! The filter is a sinc with a Kaiser window. It is symmetric about each output sample, so it has
+//! zero phase. Relative to the lower of the two rates, the pass band ends at 0.40. The stop band
+//! begins at 0.50, which is half the lower rate, with an attenuation of 80 dB. Ripple and aliases
+//! are 1e-4 of the amplitude.
+//!
+//! Source: A. V. Oppenheim and R. W. Schafer, *Discrete-Time Signal Processing*, 3rd edition,
+//! section 7.5.3.
 
 use std::f64::consts::PI;
 
 use crate::{RecordedChannel, Segment};
 
-/// Middle of the transition band, as a share of the lower rate.
+/// Centre of the transition band, as a fraction of the lower rate.
 const CUTOFF: f64 = 0.45;
-/// Width of the transition band, as a share of the lower rate.
+/// Width of the transition band, as a fraction of the lower rate.
 const TRANSITION: f64 = 0.10;
-/// Attenuation in the stop band (dB).
+/// Attenuation in the stop band, in dB.
 const ATTENUATION_DB: f64 = 80.0;
-/// Positions between two input samples for which the filter is tabulated; it is interpolated between them, with an error
-/// of (π/512)²/8 of the amplitude, 106 dB down.
+/// Number of positions between two input samples at which the filter is tabulated. Linear
+/// interpolation between them causes an error of (π/512)²/8 of the amplitude, which is -106 dB.
 const POSITIONS: usize = 512;
-/// Relative difference up to which two rates are the same and nothing is done: clocks differ by less.
+/// Relative tolerance within which two rates count as equal and the channel remains unchanged.
+/// Clocks differ by less.
 const SAME_RATE: f64 = 1e-3;
 
-/// Brings a channel to another rate in Hz; `grid_ns` is the time of one output sample, and with it of all.
+/// Resamples a channel to `to_hz` (Hz). `grid_ns` (ns) is the time of any output sample and defines
+/// the time grid.
 ///
-/// Each run of samples without a gap is filtered alone, and its first and last values are held beyond its ends; so a gap
-/// stays a gap, and a value within 26 steps of the lower rate from an end is less exact. A channel that has the rate, or
-/// none, is left as it is.
+/// Each gap-free run of samples is filtered separately, so a gap remains a gap. The first and last
+/// values of a run extend beyond its ends. Values within 26 steps of the lower rate from an end are
+/// therefore less accurate. A channel that already has the rate, or has no rate, remains unchanged.
 pub(crate) fn resampled(channel: &RecordedChannel, to_hz: f64, grid_ns: i64) -> RecordedChannel {
     let from_hz = match channel.sampling_rate_hz() {
         Some(from_hz) if (from_hz - to_hz).abs() > SAME_RATE * to_hz => from_hz,
@@ -43,7 +49,7 @@ pub(crate) fn resampled(channel: &RecordedChannel, to_hz: f64, grid_ns: i64) -> 
     channel.with_samples(to_hz, segments)
 }
 
-/// Runs of samples that are there, each with the number of its first one.
+/// Returns the runs of existing samples, each with the index of its first sample.
 pub(crate) fn runs(samples: &[f64]) -> impl Iterator<Item = (usize, &[f64])> {
     let mut start = 0;
     samples
@@ -55,26 +61,27 @@ pub(crate) fn runs(samples: &[f64]) -> impl Iterator<Item = (usize, &[f64])> {
         })
 }
 
-/// The filter from one rate to another.
+/// The filter from one sampling rate to another.
 struct Filter {
     from_hz: f64,
     to_hz: f64,
-    /// input samples on either side of an output sample
+    /// Number of input samples on either side of an output sample.
     reach: usize,
     positions: usize,
-    /// by position between two input samples, then by input sample from the earliest on
+    /// Filter weights by position between two input samples, then by input sample, earliest first.
     table: Vec<f64>,
 }
 
 impl Filter {
     fn new(from_hz: f64, to_hz: f64) -> Self {
-        // Kaiser's formulas: length from attenuation and width of the transition, and the shape of the window
-        let lower = (to_hz / from_hz).min(1.0); // the lower rate in samples of the input
+        // Kaiser's formulas for the filter length (from attenuation and transition width) and the
+        // window shape.
+        let lower = (to_hz / from_hz).min(1.0); // lower rate as a fraction of the input rate
         let length = (ATTENUATION_DB - 7.95) / (2.285 * 2.0 * PI * TRANSITION * lower);
         let beta = 0.1102 * (ATTENUATION_DB - 8.7);
         let half = length / 2.0;
         let reach = half.ceil() as usize;
-        // a longer filter is smoother: it needs fewer positions for the same error
+        // A longer filter is smoother and needs fewer positions for the same error.
         let positions = ((POSITIONS as f64 * lower).ceil() as usize).max(2);
         let cutoff = CUTOFF * lower;
         let mut table = Vec::with_capacity((positions + 1) * 2 * reach);
@@ -100,7 +107,8 @@ impl Filter {
         }
     }
 
-    /// Filters a run of samples; the output lies on the grid and within the run. `None` if no time of the grid does.
+    /// Filters a run of samples. The output is on the grid and within the run. Returns `None` if
+    /// the run contains no grid time.
     fn apply(&self, start_ns: i64, run: &[f64], grid_ns: i64) -> Option<Segment> {
         let grid_step = start_ns.saturating_sub(grid_ns) as f64 * self.to_hz / 1e9;
         let first = (grid_step - GRID_TOLERANCE).ceil();
@@ -119,7 +127,7 @@ impl Filter {
         (!samples.is_empty()).then(|| Segment::new(first_ns, samples))
     }
 
-    /// The value at a place between input samples.
+    /// Returns the value at `place`, in input samples from the start of the run.
     fn value(&self, run: &[f64], place: f64) -> f64 {
         let whole = place.floor();
         let position = (place - whole) * self.positions as f64;
@@ -133,15 +141,18 @@ impl Filter {
         let (mut sum, mut total) = (0.0, 0.0);
         for (tap, (here, there)) in weights.0.iter().zip(weights.1).enumerate() {
             let weight = here + between * (there - here);
-            let index = (earliest + tap as i64).clamp(0, run.len() as i64 - 1) as usize; // ends are held
+            // Values at the ends extend beyond the run.
+            let index = (earliest + tap as i64).clamp(0, run.len() as i64 - 1) as usize;
             sum += weight * run[index];
             total += weight;
         }
-        sum / total // so that a constant stays what it is
+        // The normalisation preserves a constant.
+        sum / total
     }
 }
 
-/// Share of a step by which a time may lie before the start of a run and still count as its start: rounding to 1 ns.
+/// Tolerance for a grid time outside the ends of a run, as a fraction of a step. It covers rounding
+/// to 1 ns.
 const GRID_TOLERANCE: f64 = 1e-4;
 
 fn sinc(argument: f64) -> f64 {
@@ -153,7 +164,8 @@ fn sinc(argument: f64) -> f64 {
     }
 }
 
-/// Modified Bessel function of the first kind and order 0, by its power series, which converges for any argument.
+/// Returns the modified Bessel function of the first kind and order 0. Its power series converges
+/// for any argument.
 fn bessel_i0(argument: f64) -> f64 {
     let quarter_square = argument * argument / 4.0;
     let (mut term, mut sum, mut order) = (1.0, 1.0, 1.0);
@@ -177,7 +189,7 @@ mod tests {
         RecordedChannel::new("a", Some(rate_hz), vec![Segment::new(0, samples)])
     }
 
-    /// Largest difference from the sine itself, away from the ends.
+    /// Returns the largest deviation from the exact sine, away from the ends.
     fn worst(channel: &RecordedChannel, frequency_hz: f64, amplitude: f64) -> f64 {
         let (start_ns, end_ns) = (
             channel.start_ns().unwrap() + 1_000_000_000,
@@ -194,7 +206,8 @@ mod tests {
 
     #[test]
     fn sine_in_the_pass_band_is_kept_at_its_times() {
-        // ratios of whole numbers, an odd one, up and down; 0.40 of the lower rate is the edge of the pass band
+        // Integer ratios and an irregular one, up and down. The pass band ends at 0.40 of the lower
+        // rate.
         for (from_hz, to_hz) in [
             (200.0, 100.0),
             (120.0, 100.0),
@@ -241,7 +254,8 @@ mod tests {
         let out = resampled(&channel, 100.0, 0);
         let gaps = out.gaps();
         assert_eq!(gaps.len(), 1);
-        // 0.995 s is the last sample before, 1.2 s the first one after: 0.99 and 1.20 s on the grid
+        // The last sample before the gap is at 0.995 s and the first one after it at 1.2 s: 0.99 s
+        // and 1.20 s on the grid.
         assert_eq!((gaps[0].after_ns, gaps[0].samples), (990_000_000, 20));
     }
 

@@ -1,7 +1,7 @@
 //! Power spectral density by Welch's method, and its peaks.
 //!
-//! Source: P. D. Welch (1967), *IEEE Transactions on Audio and Electroacoustics* 15, 70–73: windows of Hann that overlap by half, each
-//! without its mean; the density is one-sided.
+//! Source: P. D. Welch (1967), *IEEE Transactions on Audio and Electroacoustics* 15, 70–73. The
+//! Hann windows overlap by half, and the mean of each is removed. The density is one-sided.
 
 use std::f64::consts::PI;
 
@@ -10,14 +10,15 @@ use realfft::RealFftPlanner;
 use crate::RecordedChannel;
 use crate::resample::runs;
 
-/// Samples of a window: at most, for a spectrum that a person reads, and at least, to have one at all.
+/// Maximum and minimum number of samples per window. The maximum gives a spectrum of readable size,
+/// and the minimum is required for a useful spectrum.
 const LONGEST_WINDOW: usize = 8192;
 const SHORTEST_WINDOW: usize = 64;
-/// Windows over which a record is averaged where it is long enough; they overlap by half.
+/// Number of half-overlapping windows to average if the record is long enough.
 const AVERAGES: usize = 8;
-/// Factor by which a peak stands above the higher of the valleys beside it.
+/// Minimum ratio of a peak to the higher of its two adjacent valleys.
 const PROMINENCE: f64 = 4.0;
-/// Peaks that are told.
+/// Maximum number of peaks returned.
 const MOST_PEAKS: usize = 6;
 
 /// A one-sided power spectral density.
@@ -30,14 +31,15 @@ pub struct Spectrum {
 /// A peak of a spectrum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpectralPeak {
-    /// Where it stands, in Hz, by a parabola through the logarithms of its three highest values.
+    /// Frequency in Hz, from a parabola through the logarithms of the three highest values.
     pub frequency_hz: f64,
-    /// How high, in unit²/Hz.
+    /// Density at the highest value, in unit²/Hz.
     pub density: f64,
 }
 
 impl Spectrum {
-    /// The spectrum of a channel; gaps are left out. `None` if there is no rate, or no run of 64 samples without a gap.
+    /// Computes the spectrum of a channel, without its gaps. Returns `None` if the channel has no
+    /// sampling rate or no gap-free run of 64 samples.
     pub fn of(channel: &RecordedChannel) -> Option<Self> {
         let rate_hz = channel.sampling_rate_hz()?;
         let runs: Vec<&[f64]> = channel
@@ -70,7 +72,8 @@ impl Spectrum {
                     .zip(piece)
                     .zip(&window)
                     .for_each(|((input, sample), weight)| *input = (sample - mean) * weight);
-                transform.process(&mut input, &mut output).ok()?; // lengths are those of the plan
+                // The lengths are those of the plan.
+                transform.process(&mut input, &mut output).ok()?;
                 density
                     .iter_mut()
                     .zip(&output)
@@ -80,7 +83,7 @@ impl Spectrum {
         }
         let scale = 2.0 / (rate_hz * power * f64::from(windows));
         density.iter_mut().for_each(|density| *density *= scale);
-        // zero and half the sampling rate have no mirror image
+        // The values at 0 Hz and at half the sampling rate have no mirror image.
         for end in [0, density.len() - 1] {
             density[end] /= 2.0;
         }
@@ -90,21 +93,21 @@ impl Spectrum {
         })
     }
 
-    /// Distance of two values, in Hz; the first one stands at 0 Hz.
+    /// Returns the distance between two values, in Hz. The first value is at 0 Hz.
     pub fn step_hz(&self) -> f64 {
         self.step_hz
     }
 
-    /// The density in unit²/Hz, from 0 Hz to half the sampling rate.
+    /// Returns the density in unit²/Hz, from 0 Hz to half the sampling rate.
     pub fn density(&self) -> &[f64] {
         &self.density
     }
 
-    /// The highest peaks, at most six, in the order of frequency.
+    /// Returns the highest peaks, at most six, in order of frequency.
     pub fn peaks(&self) -> Vec<SpectralPeak> {
         let density = &self.density;
         let mut peaks: Vec<SpectralPeak> = Vec::new();
-        // next to 0 Hz stand drift and what is left of the mean
+        // The values next to 0 Hz contain drift and the rest of the mean.
         for index in 2..density.len().saturating_sub(1) {
             let height = density[index];
             let is_highest = height > density[index - 1] && height >= density[index + 1];
@@ -134,7 +137,8 @@ impl Spectrum {
     }
 }
 
-/// The higher of the lowest values on either side, up to where the density is higher than at the peak.
+/// Returns the higher of the minima on both sides of a peak. On each side, the search ends at the
+/// first value above the peak.
 fn valley_beside(density: &[f64], index: usize) -> f64 {
     let height = density[index];
     let lowest = |values: &mut dyn Iterator<Item = &f64>| {
@@ -177,7 +181,7 @@ mod tests {
 
     #[test]
     fn density_sums_to_the_variance() {
-        // Parseval: 3²/2 + 0.5²/2
+        // Parseval's theorem: 3²/2 + 0.5²/2.
         let spectrum = Spectrum::of(&channel(two_sines())).unwrap();
         let variance = spectrum.density().iter().sum::<f64>() * spectrum.step_hz();
         assert!((variance - 4.625).abs() < 0.01, "{variance}");

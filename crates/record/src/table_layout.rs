@@ -1,19 +1,19 @@
-//! How a text table is laid out: what separates its columns, where its header stands, how its numbers are written.
+//! Detects the layout of a text table: column separator, position of the header and number format.
 
 use std::io::Read;
 
 use crate::record_time::TimeForm;
 
-/// Lines in front of the header that are looked through: recorders write who and when.
+/// Maximum number of lines before the header. Recorders write metadata there.
 const MOST_LINES_BEFORE_HEADER: usize = 50;
-/// Bytes at the start of a file that are looked at.
+/// Number of bytes at the start of a file that are examined.
 pub(crate) const HEAD_BYTES: u64 = 1 << 16;
 const BYTE_ORDER_MARK: &str = "\u{feff}";
 
-/// What separates the columns of a table.
+/// The column separator of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Separator {
-    /// A comma, semicolon or tabulator.
+    /// A comma, semicolon or tab.
     Byte(u8),
     /// Any number of blanks.
     Blanks,
@@ -23,22 +23,23 @@ pub(crate) enum Separator {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct TableLayout {
     pub(crate) separator: Separator,
-    /// numbers are written `0,5`
+    /// Whether numbers are written with a decimal comma (`0,5`).
     pub(crate) has_decimal_comma: bool,
-    /// without a header columns are called by their number, from 1
+    /// Whether the table has a header. Otherwise column names are numbers from 1.
     pub(crate) has_header: bool,
-    /// what stands before the header, or before the first row if there is none
+    /// Number of lines before the header, or before the first row without a header.
     pub(crate) lines_before: u64,
     pub(crate) bytes_before: usize,
-    /// fields of the header, or of the first row
+    /// Number of fields in the header, or in the first row without a header.
     pub(crate) columns: usize,
 }
 
 impl TableLayout {
-    /// Finds the layout from the first bytes of a file.
+    /// Detects the layout from the first bytes of a file.
     ///
-    /// With a wanted column the header is the first line that names it. Without one it is the first line that is followed by
-    /// a row of numbers of the same length. If there is none it is the first line, unless that is numbers.
+    /// With `wanted_column`, the header is the first line that names this column. Otherwise, it is
+    /// the first line followed by a row of numbers of the same length. If no line qualifies, the
+    /// first line is the header, unless it consists of numbers.
     pub(crate) fn find(head: &[u8], wanted_column: Option<&str>) -> Self {
         let text = String::from_utf8_lossy(head);
         let text = text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&text);
@@ -49,7 +50,7 @@ impl TableLayout {
         };
         let mut lines = Vec::new();
         let mut start = 0;
-        // lengths in bytes of the file and not of the text, in which what is no UTF-8 has become longer
+        // Lengths refer to the bytes of the file. Lossy decoding lengthens text that is not UTF-8.
         for line in head[mark_bytes..]
             .split_inclusive(|byte| *byte == b'\n')
             .take(MOST_LINES_BEFORE_HEADER + 2)
@@ -62,7 +63,7 @@ impl TableLayout {
             ));
             start += line.len();
         }
-        // a spreadsheet's own word on the separator
+        // Spreadsheet programs may state the separator in the first line.
         let stated = text
             .lines()
             .next()
@@ -73,7 +74,7 @@ impl TableLayout {
             Some(stated) => Separator::Byte(stated),
         };
         let header = match wanted_column {
-            // numbers alone are a row, also if one of them is the number of a column
+            // A line of numbers is a row, even if one of them equals the number of a column.
             Some(wanted) => lines.iter().position(|(_, line)| {
                 let fields = fields(line, separator(line));
                 fields.iter().any(|field| field == wanted)
@@ -109,7 +110,8 @@ impl TableLayout {
         }
     }
 
-    /// Whether a file is surely a table: a header and numbers below it, separated by more than blanks.
+    /// Returns `true` if a file is certainly a table: a header, and numbers below it, with a
+    /// separator other than blanks.
     pub(crate) fn is_table(head: &[u8]) -> bool {
         let layout = Self::find(head, None);
         let text = String::from_utf8_lossy(head);
@@ -124,7 +126,7 @@ impl TableLayout {
             && fields.iter().any(|field| is_number(field))
     }
 
-    /// What the csv crate is told.
+    /// Returns the delimiter for the `csv` crate.
     pub(crate) fn delimiter(&self) -> u8 {
         match self.separator {
             Separator::Byte(separator) => separator,
@@ -133,7 +135,8 @@ impl TableLayout {
     }
 }
 
-/// The separator of a line: semicolon before tabulator before comma, because commas also stand within numbers.
+/// Returns the separator of a line. Semicolons take precedence over tabs, and tabs over commas,
+/// because numbers may contain commas.
 fn separator_of(line: &str) -> Separator {
     let mut is_quoted = false;
     let mut found = [false; 3];
@@ -163,7 +166,7 @@ fn fields(line: &str, separator: Separator) -> Vec<String> {
     }
 }
 
-/// Whether a line is no row, and the next one that is not blank is a row of the same length.
+/// Returns `true` if a line is not a row, and the next non-blank line is a row of the same length.
 fn is_header(
     lines: &[(usize, String)],
     index: usize,
@@ -193,7 +196,8 @@ fn is_comma_number(field: &str) -> bool {
     field.matches(',').count() == 1 && field.replace(',', ".").parse::<f64>().is_ok()
 }
 
-/// Makes one blank of many, and none at the ends of a line, so that a blank separates columns.
+/// A reader that merges repeated blanks and tabs, and removes them at the ends of lines, so that a
+/// single blank separates columns.
 pub(crate) struct SingleBlanks<R> {
     input: R,
     ready: Vec<u8>,
@@ -202,7 +206,7 @@ pub(crate) struct SingleBlanks<R> {
     is_line_start: bool,
 }
 
-/// Bytes that are read at once.
+/// Number of bytes read at once.
 const PIECE_BYTES: usize = 64 * 1024;
 
 impl<R: Read> SingleBlanks<R> {
@@ -216,7 +220,7 @@ impl<R: Read> SingleBlanks<R> {
         }
     }
 
-    /// Makes the next bytes ready; none at the end of the input.
+    /// Prepares the next bytes. Prepares none at the end of the input.
     fn refill(&mut self) -> std::io::Result<()> {
         let mut piece = vec![0; PIECE_BYTES];
         self.ready.clear();
@@ -239,7 +243,7 @@ impl<R: Read> SingleBlanks<R> {
                     }
                 }
             }
-            // blanks alone make nothing ready, and are not the end
+            // A piece of blanks alone yields no bytes, but it is not the end of the input.
             if count == 0 || !self.ready.is_empty() {
                 return Ok(());
             }

@@ -1,11 +1,11 @@
-//! Unpacks compressed data with an upper bound: a small file may claim to be a large one.
+//! Decompresses data up to a limit, because a small file may expand to a huge one.
 
 use std::io::Read;
 
-/// Bytes that may be unpacked of one file: more than a day of 20 channels at 200 Hz as text.
+/// Maximum number of decompressed bytes per file: more than a day of 20 channels at 200 Hz as text.
 const MOST_BYTES: u64 = 4 << 30;
 
-/// What may still be unpacked of a file, with all that is inside it.
+/// The number of bytes that may still be decompressed from a file, including nested archives.
 #[derive(Debug)]
 pub(crate) struct UnpackingBudget {
     left: u64,
@@ -16,7 +16,8 @@ impl UnpackingBudget {
         Self { left: MOST_BYTES }
     }
 
-    /// Reads all that a decoder gives; the memory grows with it, not with what a header states. The error is what was found.
+    /// Reads all output of a decoder. Memory grows with the actual output, not with the size in a
+    /// header. The error describes the problem found.
     pub(crate) fn unpack(&mut self, decoder: impl Read) -> Result<Vec<u8>, String> {
         let mut bytes = Vec::new();
         decoder

@@ -1,4 +1,4 @@
-//! The frame log where its process is killed, and where its disk is full.
+//! Tests the frame log when its process is killed and when its disk is full.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::io::{BufRead, BufReader};
@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use spandrel_record::{FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LoggedFrames};
 
-/// Where the child writes its log; the parent sets it.
+/// Environment variable with the log folder of the child process, set by the parent.
 const FOLDER: &str = "FRAME_LOG_FOLDER";
 const FRAMES_PER_APPEND: u64 = 5;
 
@@ -37,7 +37,7 @@ fn frames(from: u64, count: u64) -> LoggedFrames {
     }
 }
 
-/// Reads all frames and checks each; one past the last one.
+/// Reads and checks all frames, and returns the number after the last one.
 fn checked(reader: &FrameLogReader) -> u64 {
     let mut after = 0;
     while let Some(answer) = reader.read(1, after, 1000, usize::MAX).unwrap() {
@@ -114,11 +114,11 @@ fn a_killed_writer_has_lost_nothing_that_it_was_told_is_there() {
     }
 }
 
-/// A disk of its own, in memory.
+/// A separate file system in memory.
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// Mounts one of this size. Without the right to do so the test says that it was skipped.
+    /// Mounts a file system of the given size. Without permission, prints that the test is skipped.
     fn or_skip(folder: &Path, size: &str) -> Option<Self> {
         let options = format!("size={size}");
         let mounted = Command::new("mount")
@@ -137,7 +137,7 @@ impl SmallDisk {
 
 impl Drop for SmallDisk {
     fn drop(&mut self) {
-        // it goes with the machine at the latest
+        // It disappears with the machine at the latest.
         let _ = Command::new("umount").arg("-l").arg(&self.0).status();
     }
 }

@@ -1,5 +1,5 @@
-//! A segment of a real recording, damaged in many ways: what is read of it is what was written, never anything else, and takes no more
-//! memory than the file accounts for.
+//! Damages a segment of a real recording in many ways. Reading must return only frames that were
+//! written, and memory must stay in proportion to the file size.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,17 +18,18 @@ use spandrel_record::{FrameLog, LogLayout, LogSettings, ReadOptions, RecordedFil
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Damaged files for each seed.
+/// Number of damaged files per seed.
 const FILES: usize = 300;
-/// What reading may take beside the file: buffers of fixed size.
+/// Memory for buffers of fixed size while reading, in bytes.
 const BUFFERS_BYTES: u64 = 6 << 20;
-/// Times the file that reading may take: its bytes, its values, and lists that have doubled.
+/// Maximum ratio of other memory to the file size: its bytes, its values, and lists that have
+/// doubled.
 const TIMES_THE_FILE: u64 = 12;
 
-/// Values of each frame, to the bit, by epoch and number.
+/// Bits of the values of each frame, by epoch and number.
 type Frames = BTreeMap<(u64, u64), Vec<u64>>;
 
-/// The segment that version 0.1.0 has left.
+/// Returns the segment written by version 0.1.0.
 fn kept() -> (String, Vec<u8>) {
     let folder = "../../tests/fixtures/kept/0.1.0/state/spandrel/kept/house/recording";
     let files = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).unwrap();
@@ -43,7 +44,7 @@ fn kept() -> (String, Vec<u8>) {
     )
 }
 
-/// That of its structure file.
+/// Returns the layout of its structure file.
 fn layout() -> LogLayout {
     let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
     LogLayout {
@@ -54,14 +55,15 @@ fn layout() -> LogLayout {
     }
 }
 
-/// A folder in memory where there is one: hundreds of logs are opened and mended here.
+/// Returns a folder in memory if possible, because these tests open and repair hundreds of logs.
 fn quick_folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm")
         .or_else(|_| tempfile::tempdir())
         .unwrap()
 }
 
-/// All frames that a log of this one segment has; an error in words where it is refused as a whole.
+/// Returns all frames in a log with this single segment, or an error message if it is rejected as a
+/// whole.
 fn read(folder: &Path, name: &str, bytes: &[u8]) -> Result<Frames, String> {
     std::fs::write(folder.join(name), bytes).unwrap();
     let (log, _) = FrameLog::open(folder, layout(), LogSettings::default())
@@ -80,7 +82,8 @@ fn read(folder: &Path, name: &str, bytes: &[u8]) -> Result<Frames, String> {
                     .zip(rows),
             );
             if answer.end() <= after {
-                break; // only the end of the epoch is left
+                // Only the end of the epoch is left.
+                break;
             }
             after = answer.end();
         }
@@ -88,7 +91,7 @@ fn read(folder: &Path, name: &str, bytes: &[u8]) -> Result<Frames, String> {
     Ok(frames)
 }
 
-/// Does something and checks what it took.
+/// Runs `work` and checks its memory use.
 #[track_caller]
 fn within_memory<T>(what: &str, file_bytes: usize, work: impl FnOnce() -> T) -> T {
     let mut result = None;

@@ -1,6 +1,7 @@
-//! Reads the aligned records of the three-storey shake table, where they are at hand.
+//! Reads the aligned records of the three-storey shake table, if they are available.
 //!
-//! Source: STAIRlab/mdof, `notebooks/uploads/mini_shake_table`, BSD-2-Clause (Chrystal Chern, 2023).
+//! Source: STAIRlab/mdof, `notebooks/uploads/mini_shake_table`, BSD-2-Clause (Chrystal Chern,
+//! 2023).
 
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
@@ -10,7 +11,7 @@ use spandrel_record::{
     ChannelColumn, ColumnMapping, OffsetRemoval, Quantity, RecordReader, Recording,
 };
 
-/// File, rows, channels. Rows as counted by `wc -l` less the header.
+/// File, number of rows and channels. The number of rows is that of `wc -l` minus the header.
 const RECORDS: [(&str, usize, &[&str]); 8] = [
     ("flexible-northridge.csv", 12116, THREE_STOREYS),
     ("flexible-sine1.0.csv", 19339, THREE_STOREYS),
@@ -24,7 +25,7 @@ const RECORDS: [(&str, usize, &[&str]); 8] = [
 const THREE_STOREYS: &[&str] = &["ground", "floor1", "floor2", "floor3"];
 const ONE_STOREY: &[&str] = &["ground", "top"];
 
-/// The folder of the records, or a clear word that the test is skipped.
+/// Returns the folder of the records. If it does not exist, prints that the test is skipped.
 fn folder() -> Option<PathBuf> {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/data/mini-shake-table/aligned");
@@ -61,7 +62,7 @@ fn shake_table_records_are_read_whole_at_120_hz() {
         );
         let mut count = 0_i64;
         while let Some(row) = recording.next_row().unwrap() {
-            // Each sample lies on the grid of 120 Hz, but for the rounding of the file to 1 µs.
+            // Each sample is on the 120 Hz grid, except for rounding to 1 µs in the file.
             let on_grid_ns = (count as f64 * 1e9 / 120.0).round() as i64;
             assert!(
                 (row.time_ns - on_grid_ns).abs() <= 500,

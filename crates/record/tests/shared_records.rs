@@ -1,6 +1,8 @@
-//! Reads real records in all formats, where they are at hand, and compares counts, rates and peaks with what their sources state.
+//! Reads real records in all formats, if they are available, and compares counts, rates and peaks
+//! with the figures of their sources.
 //!
-//! The records stand in `shared/data` beside the repository; each folder has a page on source, licence and figures.
+//! The records are in `shared/data` beside the repository. A page in each folder lists source,
+//! licence and figures.
 
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
@@ -11,7 +13,8 @@ use spandrel_record::{
     TimeOrigin, TimeUnit,
 };
 
-/// A file or folder of the shared records, or a clear word that the test is skipped.
+/// Returns the path of a shared file or folder. If it does not exist, prints that the test is
+/// skipped.
 fn at_hand(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/data")
@@ -54,7 +57,7 @@ fn statistics(channel: &RecordedChannel) -> Statistics {
     Statistics::of(channel).unwrap()
 }
 
-/// Checks number of samples without a gap, rate (Hz) and peak with its tolerance.
+/// Checks the number of samples without a gap, the rate (Hz), and the peak within a tolerance.
 fn check(channel: &RecordedChannel, count: usize, rate_hz: f64, peak: f64, tolerance: f64) {
     let name = channel.name();
     assert_eq!(samples(channel).len(), count, "{name}");
@@ -87,7 +90,7 @@ fn steim_compressed_mini_seed_of_strong_motion_is_whole() {
             ),
             (45_000, Some(100.0), 0)
         );
-        // the name of the file states the span: 20:13:10 to 20:20:40
+        // The file name states the time span: 20:13:10 to 20:20:40.
         assert_eq!(channel.start_ns().unwrap() / 1_000_000_000, 1_640_031_190);
     }
     let Some(file) =
@@ -122,7 +125,7 @@ fn reference_mini_seed_is_the_same_in_both_versions_and_byte_orders() {
     let float = read("reader-formats/reference-testdata-float32.mseed3").unwrap();
     let float = samples(channel(&float, "XX.TEST..BHZ"));
     assert_eq!(float.len(), 500);
-    // the same signal, cut to whole counts; floating point has 24 bits of them
+    // The same signal as whole counts. Floating-point numbers contain 24 bits of them.
     let worst = |whole: f64| 1.0 + whole.abs() * f64::from(f32::EPSILON) / 2.0;
     assert!(
         float
@@ -212,7 +215,8 @@ fn cosmos_files_have_the_peaks_of_their_headers() {
     check(&file.channels()[0], 7000, 100.0, -161.962, 1e-3);
     assert_eq!(statistics(&file.channels()[0]).peak_after_s, Some(27.85));
 
-    // the recorder ran at 50 Hz, the samples of the file are 5 ms apart; their peak is stated at 76.215 s
+    // The recorder ran at 50 Hz, but the samples in the file are 5 ms apart. The file states their
+    // peak at 76.215 s.
     let file = read("reader-formats/us1000hyfh_akbmrp_AKBMR--n.1000hyfh.BNZ.--.acc.V2c").unwrap();
     check(
         channel(&file, "BMR.BNZ.AK.--.acceleration"),
@@ -249,7 +253,8 @@ fn csmip_file_of_three_channels_has_the_peaks_of_its_header() {
     );
 }
 
-/// Archive, channels of the station, samples, rate (Hz), peaks of channels 3 and 7 (cm/s²) as the page of the folder rounds them.
+/// Archive, channels of the station, samples, rate (Hz), and peaks of channels 3 and 7 (cm/s²) as
+/// rounded on the page of the folder.
 const PAINTER_STREET: [(&str, usize, usize, f64, f64, f64); 7] = [
     (
         "RioDell_14Sep2012_71842255_ce89324p.zip",
@@ -305,7 +310,7 @@ fn archives_of_seven_earthquakes_have_their_channels_and_peaks() {
                 "{name}: channel {number}: peak {found}, stated {peak}"
             );
             assert_eq!(channel.sampling_rate_hz(), Some(rate_hz), "{name}");
-            // the page gives whole seconds
+            // The page states whole seconds.
             let (found, stated) = (samples(channel).len() as f64, count as f64);
             assert!((found - stated).abs() <= rate_hz, "{name}: {found} samples");
         }
@@ -324,7 +329,7 @@ fn universal_files_in_text_and_binary_agree() {
             (samples(channel).len(), channel.unit()),
             (79_292, Some("Pa"))
         );
-        // the increment has six digits
+        // The increment has six digits.
         assert!((channel.sampling_rate_hz().unwrap() / 65_536.0 - 1.0).abs() < 1e-5);
     }
     let worst = samples(text)
@@ -361,7 +366,7 @@ fn tdms_files_of_all_kinds_are_read() {
             ),
             (2000, Some(50_000.0), Some("Volts"))
         );
-        // a test signal: channels lie some 0.83 V above each other
+        // A test signal: successive channels are about 0.83 V apart.
         let mean = statistics(channel).mean;
         assert!(
             (mean - 0.06 - 0.82 * place as f64).abs() < 0.1,
@@ -407,7 +412,7 @@ fn folder_of_a_building_in_smc_has_the_peaks_of_its_headers() {
         return;
     };
     assert_eq!(file.channels().len(), 14);
-    // `pk acc` of the headers has three digits
+    // `pk acc` in the headers has three digits.
     for (place, peak) in [
         ("HN2.NP.4E", -54.3),
         ("HN2.NP.4W", -44.7),
@@ -462,7 +467,7 @@ fn matlab_file_of_a_floating_bridge_has_its_sensors_and_the_dead_ones() {
             && (5e-4..6.5e-4).contains(&std("3N.y"))
             && (2.9e-4..4.5e-4).contains(&std("4S.z"))
     );
-    // 0.615 Hz stands out in all sensors
+    // All sensors have a distinct peak at 0.615 Hz.
     for sensor in ["2S", "2N", "3S", "3N", "4S", "4N"] {
         let peaks = Spectrum::of(channel(&file, &format!("{sensor}.y")))
             .unwrap()
@@ -550,7 +555,7 @@ fn tables_without_header_are_read_at_a_declared_rate() {
         file.channels()
             .iter()
             .for_each(|channel| check(channel, 40_960, 100.0, statistics(channel).peak, 0.0));
-        // floors 1 to 3 in m/s², by the factors of the folder's page
+        // Floors 1 to 3 in m/s², with the factors on the page of the folder.
         for (column, factor) in [("5", 2.0), ("6", 1.0), ("7", 1.0)] {
             let std = factor * statistics(channel(&file, column)).std;
             assert!(
@@ -591,7 +596,8 @@ fn compressed_files_of_a_recorder_are_read_behind_their_preamble() {
 
 #[test]
 fn aligned_shake_table_records_have_the_frequencies_of_their_page() {
-    // first mode, top against ground: 7.8 to 8.0 Hz with stiff walls, 3.7 to 3.8 Hz with flexible ones
+    // First mode, top relative to ground: 7.8 to 8.0 Hz with stiff walls, 3.7 to 3.8 Hz with
+    // flexible ones.
     for (state, range_hz) in [("stiff", 7.7..8.1), ("flexible", 3.6..3.9)] {
         let Some(file) = read(&format!("mini-shake-table/aligned/{state}-northridge.csv")) else {
             return;

@@ -1,45 +1,48 @@
-//! Cuts the rows of a structure into the sample blocks of its nodes: no clock, no network.
+//! Cuts the rows of a structure into the sample blocks of its nodes, without a clock or network.
 
 use spandrel_bus::{Block, Header, Name, NameError, Pace, SampleBlock, StreamState, TimeGrid};
 use spandrel_structure::Structure;
 
-/// A sample may be this share of a step away from the even spacing of its block, else a new block starts.
+/// Maximum deviation of a sample from the even spacing of its block, as a fraction of the time
+/// step. A larger deviation starts a new block.
 ///
-/// Times written with few digits are not evenly spaced to the nanosecond; a block gives them back evenly. A hundredth of a
-/// step is ten times what the clock of a sensor is good for, and moves no sample to another frame that was not on the edge.
+/// Times written with few digits are not evenly spaced to the nanosecond, but the samples of a
+/// block are. A hundredth of a step is ten times the precision of a sensor clock. It moves a sample
+/// to another frame only if the sample lies on the edge between two frames.
 const UNEVEN_SHARE: f64 = 0.01;
 
-/// One node as the cutter sees it.
+/// A node, as the [`Cutter`] requires it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodePlan {
-    /// Its name.
+    /// Name of the node.
     pub name: Name,
-    /// Its channels.
+    /// Number of channels.
     pub channels: u16,
-    /// Its sampling rate, Hz.
+    /// Sampling rate, Hz.
     pub sampling_rate_hz: f64,
-    /// Whether it is slower than the rows: rows without a sample of it are then no missing samples.
+    /// Sampling of the node in relation to the rows. If the node is slower, a row without its
+    /// values is not a missing sample.
     pub pace: NodePace,
-    /// How far its clock is ahead at the first row, ns.
+    /// Clock offset at the first row, ns; positive if the clock is ahead.
     pub clock_offset_ns: i64,
-    /// How much faster it runs, parts per million.
+    /// Clock drift, parts per million; positive if the clock runs fast.
     pub clock_drift_ppm: f64,
 }
 
-/// How a node is sampled, compared with the rows.
+/// The sampling rate of a node in relation to the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NodePace {
-    /// Each row has a sample of the node, maybe with missing values.
+    /// Each row has a sample of the node, possibly with missing values.
     EveryRow,
-    /// Rows in between have none.
+    /// Some rows have no sample of the node.
     Slower,
 }
 
 impl NodePlan {
-    /// The nodes of a structure, with the clocks of its simulation or with right ones.
+    /// Returns the nodes of a structure, with either simulated clock errors or exact clocks.
     ///
     /// # Errors
-    /// A node's name is no chunk of a key expression.
+    /// The name of a node is not a valid chunk of a key expression.
     pub fn of(structure: &Structure, clocks: Clocks) -> Result<Vec<Self>, NameError> {
         let simulated = |all: &[f64], index: usize| match clocks {
             Clocks::Right => 0.0,
@@ -49,7 +52,8 @@ impl NodePlan {
         let nodes = structure.nodes().iter().enumerate().map(|(index, node)| {
             Ok(Self {
                 name: Name::new(node.name())?,
-                channels: node.channels().len() as u16, // a structure has far fewer
+                // A structure has far fewer channels than `u16::MAX`.
+                channels: node.channels().len() as u16,
                 sampling_rate_hz: node
                     .sampling_rate_hz()
                     .unwrap_or(structure.sampling_rate_hz()),
@@ -64,7 +68,7 @@ impl NodePlan {
         nodes.collect()
     }
 
-    /// Returns how far its clock is ahead so long after the first row, ns.
+    /// Returns how far the node's clock is ahead (ns), `elapsed_ns` (ns) after the first row.
     #[must_use]
     pub fn clock_ahead_ns(&self, elapsed_ns: i64) -> i64 {
         let drifted_ns = (elapsed_ns as f64 * self.clock_drift_ppm * 1e-6).round() as i64;
@@ -72,33 +76,35 @@ impl NodePlan {
     }
 }
 
-/// Whose clocks are right.
+/// The clock errors of the nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clocks {
-    /// All: the times of a record are what was measured.
+    /// No errors: the times of a record are the measured times.
     Right,
-    /// Off by what the structure file says of its simulation.
+    /// The offsets and drifts in the simulation section of the structure file.
     AsSimulated,
 }
 
-/// Cuts rows into blocks, one open block per node.
+/// Cuts rows into blocks. Each node has one open block.
 ///
-/// A block is given out when the next sample comes, so that the end of a node travels with its last samples.
+/// A complete block is returned only when the next sample arrives. The end of a stream therefore
+/// travels with the last samples of the node.
 #[derive(Debug)]
 pub struct Cutter {
     nodes: Vec<NodePlan>,
     open: Vec<SampleBlock>,
-    /// Most samples of a block, per node.
+    /// Maximum number of samples per block, for each node.
     block_samples: Vec<u64>,
     /// Time of the first row, ns.
     first_ns: Option<i64>,
-    /// Frames that are made already, and the number of the first that is not.
+    /// The frame grid and the sequence number of the first frame that does not exist yet.
     resume: Option<(TimeGrid, u64)>,
 }
 
 impl Cutter {
-    /// A cutter whose blocks have at most `block_samples` samples of the fastest node, and of the others what they take in
-    /// that time: a frame waits for all its nodes.
+    /// Creates a cutter whose blocks have at most `block_samples` samples of the fastest node.
+    ///
+    /// Blocks of slower nodes cover the same time, because a frame waits for all its nodes.
     #[must_use]
     pub fn new(nodes: Vec<NodePlan>, epoch: u64, block_samples: u64) -> Self {
         let open = nodes.iter().map(|node| SampleBlock {
@@ -131,29 +137,30 @@ impl Cutter {
         }
     }
 
-    /// Makes the blocks say this of their samples, in place of [`Pace::Replayed`].
+    /// Sets the pace of the blocks, which is [`Pace::Replayed`] by default.
     #[must_use]
     pub fn with_pace(mut self, pace: Pace) -> Self {
         self.open.iter_mut().for_each(|block| block.pace = pace);
         self
     }
 
-    /// Leaves out the samples of frames before number `next`, which ingest has made of what an earlier life of the nodes put.
+    /// Skips samples of frames before number `next`. Ingest has already built these frames from the
+    /// samples of an earlier run of the nodes.
     #[must_use]
     pub fn resuming(mut self, frames: TimeGrid, next: u64) -> Self {
         self.resume = Some((frames, next));
         self
     }
 
-    /// The nodes.
+    /// Returns the nodes.
     #[must_use]
     pub fn nodes(&self) -> &[NodePlan] {
         &self.nodes
     }
 
-    /// Takes the next row; blocks that are complete are appended to `blocks`, each with the place of its node.
+    /// Adds the next row, and appends complete blocks to `blocks`, each with the index of its node.
     ///
-    /// Channels that the row lacks are missing.
+    /// If `values` is shorter than a row, the remaining channels count as missing.
     pub fn push(&mut self, time_ns: i64, values: &[f64], blocks: &mut Vec<(usize, SampleBlock)>) {
         let elapsed_ns = time_ns.saturating_sub(*self.first_ns.get_or_insert(time_ns));
         let mut values = values.iter().copied().chain(std::iter::repeat(f64::NAN));
@@ -186,7 +193,7 @@ impl Cutter {
         }
     }
 
-    /// Ends all nodes; their last blocks are appended to `blocks`.
+    /// Ends all nodes, and appends their last blocks to `blocks`.
     pub fn end(&mut self, blocks: &mut Vec<(usize, SampleBlock)>) {
         for (index, open) in self.open.iter_mut().enumerate() {
             let next = empty_after(open);
@@ -197,7 +204,7 @@ impl Cutter {
     }
 }
 
-/// Whether a sample of this time is the next of an evenly spaced block.
+/// Returns `true` if a sample at `time_ns` continues the evenly spaced block.
 fn continues(block: &SampleBlock, time_ns: i64) -> bool {
     let Some(grid) = TimeGrid::new(block.header.time_ns, block.sampling_rate_hz) else {
         return false;
@@ -367,7 +374,7 @@ mod tests {
                 .map(|block| block.header.time_ns)
                 .collect::<Vec<_>>()
         };
-        // 20 samples of 5 ms are 100 ms, of which 50 ppm are 5 µs
+        // 20 samples of 5 ms take 100 ms, so a drift of 50 ppm adds 5 µs.
         assert_eq!(
             (times(0), times(1)),
             (vec![1000, 100_001_000], vec![1007, 100_006_007])

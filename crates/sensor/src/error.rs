@@ -1,15 +1,15 @@
-//! What can keep sensor nodes from starting, or end them.
+//! Errors that prevent sensor nodes from starting or terminate them.
 
 use spandrel_bus::{BusError, NameError};
 use spandrel_record::RecordError;
 
-/// Errors of simulated and replayed sensor nodes.
+/// An error of simulated or replayed sensor nodes.
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
-    /// A node's name is no chunk of a key expression.
+    /// The name of a node is not a valid chunk of a key expression.
     #[error("name of a node is no key")]
     Name(#[from] NameError),
-    /// The bus refused a declaration or is closed.
+    /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The record cannot be read to its end.

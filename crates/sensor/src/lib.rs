@@ -1,7 +1,8 @@
-//! Sensor nodes that are not hardware: simulated ones, and a replayed record.
+//! Sensor nodes without hardware: simulated nodes and replayed recordings.
 //!
-//! Rows of all channels of a structure go in; each node's samples come out on the bus in blocks, at the speed asked for,
-//! never further ahead than the services downstream can follow.
+//! The input is rows with all channels of a structure. The output is the samples of each node,
+//! published in blocks at the requested speed. A flow-control window limits how far the output can
+//! be ahead of the downstream services.
 //!
 //! ```
 //! use spandrel_sensor::{Cutter, NodePace, NodePlan};
@@ -22,13 +23,13 @@
 //! # Ok::<(), spandrel_bus::NameError>(())
 //! ```
 //!
-//! - [`open_record`], [`column_mapping`]: a recording as the structure file describes it
-//! - [`Row`], [`simulated_rows`], [`recorded_rows`]: where samples come from
-//! - [`Cutter`]: rows to blocks per node; no clock, no network
-//! - [`Speed`], [`Window`]: how fast rows may be put
-//! - [`SensorService`]: joins them to the bus
+//! - [`open_record`], [`column_mapping`]: a recording, read as the structure file describes it
+//! - [`Row`], [`simulated_rows`], [`recorded_rows`]: sources of samples
+//! - [`Cutter`]: converts rows to one stream of blocks per node, without a clock or network
+//! - [`Speed`], [`Window`]: control how fast rows are published
+//! - [`SensorService`]: publishes the blocks on the bus
 //!
-//! The wrong room for a driver of real hardware: that puts its own sample blocks.
+//! A driver for real hardware does not belong here. It publishes its own sample blocks.
 
 mod record_source;
 mod rows;

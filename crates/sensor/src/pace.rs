@@ -1,4 +1,5 @@
-//! How fast rows may be put: the speed asked for, and the window that keeps a source from running ahead.
+//! Controls how fast rows are published: the requested speed, and a window that limits the lead of
+//! a source.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -8,16 +9,19 @@ use spandrel_bus::Progress;
 /// Speed of a simulation or replay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// This many times as fast as it was measured; positive.
+    /// A multiple of the original speed; positive.
     Factor(f64),
-    /// As fast as it is identified.
+    /// As fast as the downstream services process the rows.
     Max,
-    /// As it is measured: a row is due when the clock on the wall shows its time, and waits for nobody.
+    /// Real time: a row is due when the wall clock reaches its timestamp. Live nodes must not wait
+    /// for other services, so [`wait_for`](crate::SensorSettings::wait_for) should be empty.
     Live,
 }
 
 impl Speed {
-    /// When a row is due, measured from the first one; none if at once.
+    /// Returns when a row is due, relative to the first row.
+    ///
+    /// `None` means that the row is due immediately.
     #[must_use]
     pub fn due(self, first_ns: i64, time_ns: i64) -> Option<Duration> {
         match self {
@@ -31,29 +35,30 @@ impl Speed {
     }
 }
 
-/// What may be on the way between a source and the services that it waits for.
+/// The maximum number of rows in transit between a source and the services that it waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Rows put and not yet done, at most. Rows, not time: a hole in a record holds none, however long it is.
+    /// Maximum number of published but unprocessed rows. The limit is in rows, not time, because a
+    /// gap in a record contains no rows, whatever its duration.
     pub rows: u64,
-    /// Distance of two rows, ns.
+    /// Time between two rows, ns.
     pub step_ns: i64,
-    /// How far the clock of any node is ahead, ns.
+    /// Maximum lead of any node's clock, ns.
     pub clock_ahead_ns: i64,
-    /// Frames of epochs below this are of an earlier run.
+    /// Lowest epoch of this run. Frames of lower epochs belong to an earlier run.
     pub min_epoch: u64,
 }
 
-/// The rows last put, batch by batch: as many as the window may hold, and some more.
+/// The most recently published batches of rows, which cover at least the window.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RowsPut {
-    /// Time of the last row of a batch, ns, and number of its rows.
+    /// Time of the last row (ns) and number of rows of each batch.
     batches: VecDeque<(i64, u64)>,
     rows: u64,
 }
 
 impl RowsPut {
-    /// Adds a batch; forgets what is older than the window.
+    /// Adds a batch, and drops batches older than the window.
     pub fn push(&mut self, window: &Window, time_ns: i64, rows: u64) {
         self.batches.push_back((time_ns, rows));
         self.rows += rows;
@@ -71,7 +76,7 @@ impl RowsPut {
         self.batches.back().map(|(time_ns, _)| *time_ns)
     }
 
-    /// Rows of batches whose last row is after a time (ns).
+    /// Returns the number of rows in batches whose last row is later than `time_ns` (ns).
     fn after(&self, time_ns: i64) -> u64 {
         self.batches
             .iter()
@@ -82,9 +87,10 @@ impl RowsPut {
 }
 
 impl Window {
-    /// Whether a batch of so many rows may be put after `put`.
+    /// Returns `true` if a batch of `rows` rows may follow `put`.
     ///
-    /// Progress beyond what has been put is that of an earlier run over the same record, and does not count.
+    /// Progress beyond the published rows belongs to an earlier run over the same record and is
+    /// ignored.
     #[must_use]
     pub fn admits(&self, rows: u64, put: &RowsPut, progress: Option<&Progress>) -> bool {
         let furthest = put.last_ns().map_or(i64::MIN, |last_ns| {
@@ -100,7 +106,7 @@ impl Window {
         put.after(done_ns) + rows <= self.rows.max(rows)
     }
 
-    /// Whether everything up to the last sample, of time `last_ns`, is done.
+    /// Returns `true` if everything up to the last sample, at `last_ns` (ns), has been processed.
     #[must_use]
     pub fn all_done(&self, last_ns: i64, progress: &Progress) -> bool {
         // The frame of the last sample is at most half a step before it.
@@ -134,7 +140,7 @@ mod tests {
         }
     }
 
-    /// Batches of 5 rows of these times, ns.
+    /// Returns batches of 5 rows that end at these times, ns.
     fn put(times_ns: &[i64]) -> RowsPut {
         let mut put = RowsPut::default();
         times_ns

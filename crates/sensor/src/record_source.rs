@@ -1,4 +1,4 @@
-//! Opens a recording as the structure file says: columns, units, offsets, rate.
+//! Opens a recording as the structure file describes it: columns, units, offsets and sampling rate.
 
 use spandrel_record::{
     ChannelColumn, ColumnMapping, OffsetRemoval, RecordError, Recording, Resampling, TimeSource,
@@ -7,17 +7,17 @@ use spandrel_record::{
 use spandrel_structure::{Quantity, Structure};
 use std::path::Path;
 
-/// Returns where each channel of a structure is in its recordings, and in which unit.
+/// Returns the column and unit of each channel of a structure in its recordings.
 ///
 /// # Errors
-/// [`RecordError::Calibration`] if a calibration is no number that can be undone.
+/// [`RecordError::Calibration`] if a calibration cannot be inverted.
 pub fn column_mapping(structure: &Structure) -> Result<ColumnMapping, RecordError> {
     let map = structure.record();
     let columns = structure
         .channels()
         .zip(map.columns())
         .map(|(channel, column)| {
-            // the structure file has already turned its unit into the factor
+            // The structure file has already included its unit in the factor.
             let mapped = ChannelColumn::new(channel.name())
                 .with_column(column.column())
                 .with_calibration(column.factor(), column.offset())?;
@@ -43,7 +43,8 @@ pub fn column_mapping(structure: &Structure) -> Result<ColumnMapping, RecordErro
     Ok(ColumnMapping::new(columns).with_time(time))
 }
 
-/// The quantity of a channel as recordings know it: they do not say what an acceleration is relative to.
+/// Converts the quantity of a channel to that of a recording, which does not specify the reference
+/// of an acceleration.
 fn quantity(of_channel: Quantity) -> spandrel_record::Quantity {
     match of_channel {
         Quantity::AbsoluteAcceleration
@@ -57,10 +58,14 @@ fn quantity(of_channel: Quantity) -> spandrel_record::Quantity {
     }
 }
 
-/// Opens `path` for `structure`, resamples it if the structure file says so, and checks that it has the structure's rate.
+/// Opens a recording for a structure.
+///
+/// Resamples it if the structure file specifies that, and checks that it has the structure's
+/// sampling rate.
 ///
 /// # Errors
-/// When the file cannot be read, lacks columns or has another rate; the error names what the file has.
+/// The file cannot be read, lacks columns or has another sampling rate. The error names what the
+/// file contains.
 pub fn open_record(structure: &Structure, path: &Path) -> Result<Recording, RecordError> {
     let offset = match structure.record().remove_offset_s() {
         seconds if seconds > 0.0 => OffsetRemoval::MeanOfFirst { seconds },

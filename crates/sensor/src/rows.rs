@@ -1,21 +1,22 @@
-//! Where samples come from: a simulation or a record, instant by instant.
+//! Sources of samples, row by row: a simulation or a record.
 
 use spandrel_bus::TimeGrid;
 use spandrel_record::{RecordError, RecordReader};
 use spandrel_structure::Structure;
 
-/// All channels of a structure at one instant.
+/// The values of all channels of a structure at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// Time of measurement, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// A value per channel in frame order, SI units, NaN = missing.
+    /// One value per channel in frame order, SI units; NaN if missing.
     pub values: Vec<f64>,
 }
 
-/// Simulates a structure from `start_ns` (ns since the Unix epoch), for a number of frames or without end.
+/// Simulates a structure from `start_ns` (ns since the Unix epoch).
 ///
-/// Empty if the rate of the structure is none that frames can have.
+/// Returns `frames` rows, or an endless iterator if `frames` is `None`. The iterator is empty if
+/// the sampling rate of the structure is invalid for frames.
 pub fn simulated_rows(
     structure: &Structure,
     seed: u64,
@@ -34,7 +35,7 @@ pub fn simulated_rows(
     })
 }
 
-/// Reads a record; its times are moved by `shift_ns`.
+/// Reads the rows of a record and adds `shift_ns` (ns) to their times.
 pub fn recorded_rows(
     mut reader: impl RecordReader + 'static,
     shift_ns: i64,
@@ -42,7 +43,8 @@ pub fn recorded_rows(
     let mut failed = false;
     std::iter::from_fn(move || {
         if failed {
-            return None; // reading cannot go on after an error
+            // Reading cannot continue after an error.
+            return None;
         }
         let row = reader.next_row().transpose()?;
         failed = row.is_err();

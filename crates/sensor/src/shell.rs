@@ -1,4 +1,4 @@
-//! Puts the blocks of simulated or replayed nodes on the bus.
+//! Publishes the blocks of simulated or replayed nodes on the bus.
 
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -16,34 +16,38 @@ use crate::error::SensorError;
 use crate::pace::{RowsPut, Speed, Window};
 use crate::rows::Row;
 
-/// Frames on the way at most: a few seconds of work, and less than any queue or ring downstream holds.
+/// Maximum number of frames in transit: a few seconds of work, and less than the capacity of any
+/// queue or ring downstream.
 pub const WINDOW_FRAMES: u64 = 4096;
-/// Samples that a node keeps for readers that missed some: four windows.
+/// Number of samples that a node keeps for readers that missed some: four windows.
 pub const SAMPLES_KEPT: u64 = 4 * WINDOW_FRAMES;
 
 /// Samples per block at full speed.
 const LARGE_BLOCK: u64 = 128;
-/// Duration of a block at a given speed, s of wall clock: what a dashboard sees as at once.
+/// Duration of a block in wall-clock time, s. A dashboard shows this delay as instantaneous.
 const BLOCK_S: f64 = 0.05;
-/// Batches of blocks that are cut ahead; when they wait, cutting waits.
+/// Maximum number of batches that are cut ahead. If the queue is full, cutting pauses.
 const BATCHES_WAITING: usize = 8;
-/// Without any progress for this long, a source that is done leaves with a warning.
+/// Time without progress after which a source that has sent everything stops with a warning.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// As [`PATIENCE`], after a stop: those waited for may have been stopped as well.
+/// Like [`PATIENCE`], but after a stop request, because the services waited for may have stopped as
+/// well.
 const PATIENCE_AFTER_STOP: Duration = Duration::from_secs(2);
-/// Time for ingest to say where the frames stand.
+/// Timeout of the query for the current frame position of ingest.
 const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What a simulation or replay is told.
+/// Settings of a simulation or replay.
 #[derive(Clone, Debug)]
 pub struct SensorSettings {
-    /// How fast.
+    /// Speed of the rows.
     pub speed: Speed,
-    /// Epoch of the nodes: higher at each start, such as the wall clock in ns.
+    /// Epoch of the nodes. It must increase at each start, like the wall clock in ns.
     pub epoch: u64,
-    /// Services whose liveliness token is waited for, and whose progress is not run away from.
+    /// Services to wait for. The source starts when their liveliness tokens appear, and does not
+    /// run ahead of their progress.
     pub wait_for: Vec<Service>,
-    /// Whether to go on where the frames of ingest end, in place of a run of its own: after these nodes were killed.
+    /// Whether to resume after the last frame of ingest instead of starting a new run. Used after
+    /// the nodes were killed.
     pub resume: bool,
 }
 
@@ -60,14 +64,15 @@ pub struct SensorService {
     progress: Vec<(Service, ProgressWatch)>,
 }
 
-/// Blocks cut together, with the time of the last row in them, and the rows since the batch before.
+/// Blocks cut together, with the time of the last row in them (ns) and the number of rows since the
+/// previous batch.
 struct Batch {
     time_ns: i64,
     rows: u64,
     blocks: Vec<(usize, SampleBlock)>,
 }
 
-/// How far the nodes have come.
+/// The progress of the nodes.
 struct Put {
     first_ns: i64,
     rows: RowsPut,
@@ -76,14 +81,16 @@ struct Put {
     next: Vec<Option<SampleBlock>>,
 }
 
-/// Services that are not there for so long are asked for aloud.
+/// Time after which a warning names a service that has not appeared.
 const TOLD_AFTER: Duration = Duration::from_secs(1);
 
 impl SensorService {
-    /// Declares the nodes; `rate_hz` (Hz) is that of the rows.
+    /// Declares the nodes on the bus.
+    ///
+    /// `rate_hz` is the sampling rate of the rows, Hz.
     ///
     /// # Errors
-    /// The bus refuses a declaration.
+    /// The bus rejects a declaration.
     pub fn start<'a>(
         nodes: Vec<NodePlan>,
         rate_hz: f64,
@@ -139,10 +146,13 @@ impl SensorService {
         })
     }
 
-    /// Runs until the rows end or `stop`, and until the services waited for have done what was put; returns how many rows that was.
+    /// Publishes rows until they end or `stop` completes, and then waits until the services have
+    /// processed them.
+    ///
+    /// Returns the number of published rows.
     ///
     /// # Errors
-    /// The record cannot be read to its end, or the bus is closed underneath.
+    /// The record cannot be read to its end, or the bus has been closed.
     pub fn run<'a, E>(
         self,
         rows: impl Iterator<Item = Result<Row, E>> + Send + 'static,
@@ -197,7 +207,8 @@ impl SensorService {
                 std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
             let (out, batches) = flume::bounded(BATCHES_WAITING);
             let mut cutting = JoinSet::new();
-            // A thread of its own: a simulation computes, and a record waits for the disk.
+            // Cutting needs its own thread, because a simulation computes and a record waits for
+            // the disk.
             cutting.spawn_blocking(move || cut_all(cutter, rows, &out));
             let put_all = self.put_all(min_epoch, &batches, &mut put);
             let patience = tokio::select! {
@@ -210,14 +221,15 @@ impl SensorService {
                     PATIENCE_AFTER_STOP
                 }
             };
-            drop(batches); // ends the cutting, if it has not ended
+            // Ends the cutting if it is still running.
+            drop(batches);
             self.wait_until_done(&self.window(min_epoch, 0), put.last_sample_ns, patience)
                 .await;
             let cut = cutting.join_next().await;
             self.withdraw().await?;
             match cut {
                 Some(Ok(Err(error))) => Err(error),
-                // Cutting does not panic; if it did, the panic has been reported where it happened.
+                // Cutting does not panic. If it did, the panic hook has already reported the panic.
                 Some(Ok(Ok(())) | Err(_)) | None => Ok(put.total),
             }
         })
@@ -243,7 +255,7 @@ impl SensorService {
         Ok(())
     }
 
-    /// The last frame that ingest has made, and where its stream stands.
+    /// Returns the last frame that ingest has built, and the current position of its stream.
     async fn last_frame(&self) -> Option<(FrameBlock, CaughtUp)> {
         self.bus
             .last_item(&self.keys.recording(), POSITION_TIMEOUT)
@@ -263,7 +275,8 @@ impl SensorService {
         self.cutter = cutter.resuming(grid, last.end());
     }
 
-    /// The lowest epoch of frames of this run; what ingest has said of earlier ones must not count for it.
+    /// Returns the lowest epoch of frames of this run. Progress that ingest reported for earlier
+    /// epochs must not count.
     async fn min_epoch(&self) -> u64 {
         let asks = self.settings.wait_for.contains(&Service::Ingest);
         let position = if asks {
@@ -280,10 +293,11 @@ impl SensorService {
         }
     }
 
-    /// The window so long after the first row (ns): clocks that drift move apart.
+    /// Returns the window `elapsed_ns` (ns) after the first row. It grows as drifting clocks
+    /// diverge.
     fn window(&self, min_epoch: u64, elapsed_ns: i64) -> Window {
         let step_ns = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.step_ns());
-        // A frame is done when the node whose clock is furthest behind has reached it.
+        // A frame is complete when the node with the slowest clock has reached it.
         let clocks = || {
             self.cutter
                 .nodes()
@@ -340,7 +354,7 @@ impl SensorService {
         Ok(())
     }
 
-    /// Ends the nodes where they are.
+    /// Ends the nodes at their current position.
     async fn end_now(&self, put: &Put) -> Result<(), SensorError> {
         for (publisher, last) in self.publishers.iter().zip(&put.next) {
             if let Some(end) = last {
@@ -350,7 +364,8 @@ impl SensorService {
         Ok(())
     }
 
-    /// The samples must stay here to be fetched until nobody needs them.
+    /// Waits until all services have processed the samples, because subscribers can fetch samples
+    /// only while this process runs.
     async fn wait_until_done(&mut self, window: &Window, last_sample_ns: i64, patience: Duration) {
         let structure = self.keys.structure().as_str();
         for (service, watch) in &mut self.progress {
@@ -362,7 +377,8 @@ impl SensorService {
                 let changed = watch.wait_for(|progress| Some(progress) != seen.as_ref());
                 match timeout(patience, changed).await {
                     Ok(progress) => seen = Some(progress),
-                    Err(_elapsed) if last_sample_ns == i64::MIN => break, // nothing was put
+                    // Nothing was published.
+                    Err(_elapsed) if last_sample_ns == i64::MIN => break,
                     Err(_elapsed) => {
                         warn!(
                             structure,
@@ -389,7 +405,8 @@ impl SensorService {
 }
 
 impl Put {
-    /// Notes a block before it is put; once its put has begun, so has its number.
+    /// Records a block before it is published. Once publishing has started, its sequence numbers
+    /// are in use.
     fn note(&mut self, node: usize, block: &SampleBlock) {
         let mut end = block.clone();
         if let (Some(grid), Some(last)) = (block.grid(), block.count().checked_sub(1)) {
@@ -404,7 +421,7 @@ impl Put {
     }
 }
 
-/// The instant at which the clock on the wall shows a time (ns since the Unix epoch).
+/// Returns the instant at which the wall clock shows `time_ns` (ns since the Unix epoch).
 fn instant_of(time_ns: i64) -> Instant {
     #[expect(
         clippy::disallowed_methods,
@@ -424,10 +441,11 @@ fn instant_of(time_ns: i64) -> Instant {
     instant.unwrap_or(now)
 }
 
-/// Rows of a record, or why it cannot be read on.
+/// The rows of a record, or the error that ended reading.
 type Rows = Box<dyn Iterator<Item = Result<Row, SensorError>> + Send>;
 
-/// Cuts all rows, and sends a batch whenever blocks are complete; ends early when nobody receives.
+/// Cuts all rows, and sends a batch whenever blocks are complete. Returns early if the receiver is
+/// gone.
 fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result<(), SensorError> {
     let (mut time_ns, mut rows_cut) = (0, 0);
     let mut failure = None;
@@ -442,7 +460,8 @@ fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result
         let mut blocks = Vec::new();
         cutter.push(row.time_ns, &row.values, &mut blocks);
         if !blocks.is_empty() {
-            // rows are known ahead of their time: what ends with the row before this one is due when that one is
+            // Rows are available before they are due. A block that ends with the previous row is
+            // due at the time of that row.
             let rows = std::mem::take(&mut rows_cut);
             if out
                 .send(Batch {
@@ -458,13 +477,14 @@ fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result
         time_ns = row.time_ns;
         rows_cut += 1;
     }
-    // What came before an error is good, and has an end like any other.
+    // Rows before an error are valid, and their stream ends normally.
     let mut blocks = Vec::new();
     cutter.end(&mut blocks);
+    // Ignore the error: no receiver is left after a stop.
     let _ = out.send(Batch {
         time_ns,
         rows: rows_cut,
         blocks,
-    }); // nobody receives after a stop
+    });
     failure.map_or(Ok(()), Err)
 }

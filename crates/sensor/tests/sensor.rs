@@ -21,10 +21,10 @@ use spandrel_sensor::{
 };
 use tokio::time::timeout;
 
-/// Only ends a hang.
+/// Limits the duration of a test that hangs.
 const DEADLINE: Duration = Duration::from_secs(60);
 const STEP: i64 = 5_000_000;
-/// A block that is admitted may overlap the end of the window.
+/// Number of rows of one block. An admitted block may extend beyond the end of the window.
 const BLOCK: u64 = 256;
 
 async fn pair() -> (Bus, Bus) {

@@ -1,24 +1,39 @@
-//! What a check of a structure file tells, as a page for people and as JSON.
+//! Report of a check of a structure file, as text for people and as JSON.
 //!
-//! The JSON object has these fields; deviations and sensitivities are ratios to nominal unless said otherwise:
+//! The JSON object has the following fields. Deviations and sensitivities are ratios to nominal
+//! unless stated otherwise.
 //!
-//! - `structure`, `description`: as in the file; `sampling_rate_hz`; `degrees_of_freedom`; `channels`; `nodes`
-//! - `modes`: natural modes as designed, lowest first: `frequency_hz`, `period_s`, `damping_ratio` (share of critical), and
-//!   `sensitivity`: relative change of the frequency per relative change of each parameter, in the order of `parameters`
-//! - `time_step`: `highest_frequency_hz`, `rate_times_step` (bound of the highest rate times the time step), `substeps` of
-//!   each step and `series_order`, the terms of the series in each
-//! - `after_s`: length of the data that `std_after` stands for; `memory_s`: length of the data that fading memory amounts
-//!   to. Both are `null`, and the next three empty, if no filter settles on this structure
-//! - `parameters`: `name`, `prior_mean`, `prior_std`, `std_after`, `std_steady` (in the long run, with fading memory),
-//!   `std_reported` (what the filter will report in the long run), `settling_s` (time in which an error falls to a third, `null` for never),
-//!   `dynamic_sensitivity` (by how much a change of 1 % moves the predicted data of one frame, in their deviations), `verdict`, and `shifts`: shift of the estimate were a noise level stated 10 % too high, in the order of `noise_levels`
-//! - `noise_levels`: `name`, `std` as the file states it in `unit`, whether `adapted`, `relative_std_after` (relative
-//!   deviation of the level after the data, were it adapted), `haste` (how many times faster than its half-life it moves)
-//! - `correlations`: of parameters, then noise levels, row by row, were no level known
-//! - `assumptions`: what no check can know, as words: `masses`, `damping`, `connections`, `soil`, `sensor-positions`,
-//!   `temperature`
-//! - `findings`, the most serious first: `severity` (`warning` or `note`), `kind` with the data of that kind, `text`, and
-//!   `advice`, which is `null` where the text says it all
+//! - `structure`, `description`: as in the file
+//! - `sampling_rate_hz`, `degrees_of_freedom`, `channels`, `nodes`: numbers of the structure
+//! - `modes`: natural modes as designed, lowest first, with `frequency_hz`, `period_s`,
+//!   `damping_ratio` (share of critical) and `sensitivity`. The latter is the relative change of
+//!   the frequency per relative change of each parameter, in the order of `parameters`
+//! - `time_step`: `highest_frequency_hz`, `rate_times_step` (bound of the highest rate times the
+//!   time step), `substeps` of each step, and `series_order` (number of terms of the series in each
+//!   substep)
+//! - `after_s`: length of the data for `std_after`
+//! - `memory_s`: equivalent length of the data in fading memory. If no filter settles on this
+//!   structure, `after_s` and `memory_s` are `null`, and the next three fields are empty
+//! - `parameters`: list of objects with these fields:
+//!   - `name`, `prior_mean`, `prior_std`, `std_after`
+//!   - `std_steady`: standard deviation in the long run, with fading memory
+//!   - `std_reported`: standard deviation that the filter reports in the long run
+//!   - `settling_s`: time in which an error falls to a third, `null` for never
+//!   - `dynamic_sensitivity`: shift of the predicted data of one frame for a change of 1 %, in
+//!     standard deviations of the data
+//!   - `verdict`: the most serious finding for the parameter, in words
+//!   - `shifts`: shift of the estimate if a stated noise level is 10 % too high, in the order of
+//!     `noise_levels`
+//! - `noise_levels`: list of objects with these fields:
+//!   - `name`, `std` as the file states it in `unit`, and whether `adapted`
+//!   - `relative_std_after`: relative deviation of the level after the data, if it were adapted
+//!   - `haste`: ratio of its speed of change to that of its half-life
+//! - `correlations`: correlations of the parameters, then of the noise levels, row by row, if no
+//!   level were known
+//! - `assumptions`: assumptions that no check can verify, as words: `masses`, `damping`,
+//!   `connections`, `soil`, `sensor-positions`, `temperature`
+//! - `findings`, the most serious first: `severity` (`warning` or `note`), `kind` with the data of
+//!   that kind, `text`, and `advice`, which is `null` if the text suffices
 
 use crate::commands::counted;
 use serde::Serialize;
@@ -28,15 +43,15 @@ use spandrel_structure::{
 };
 use std::fmt;
 
-/// Modes that the page shows; JSON has all.
+/// Maximum number of modes in the text. JSON contains all modes.
 const MODES_SHOWN: usize = 10;
-/// Modes whose sensitivities fit on a line.
+/// Maximum number of modes whose sensitivities fit on a line.
 const SENSITIVITIES_SHOWN: usize = 6;
 
-/// Below this an exponent is easier to read than zeros.
+/// Values below this limit are more legible with an exponent than with leading zeros.
 const SMALL: f64 = 1e-3;
 
-/// A checked structure.
+/// The report of a checked structure.
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckPage {
     structure: String,
@@ -90,7 +105,7 @@ struct FindingLine {
 }
 
 impl CheckPage {
-    /// Lays out what `report` says of `structure`.
+    /// Creates the page for `structure` from `report`.
     pub fn new(structure: &Structure, report: CheckReport) -> Self {
         let CheckReport {
             structure: name,
@@ -170,12 +185,12 @@ impl CheckPage {
     }
 }
 
-/// Takes the sign off what three decimals show as zero.
+/// Returns 0 for values that three decimals show as zero, so that no minus sign appears.
 fn unsigned_zero(value: f64) -> f64 {
     if value.abs() < 0.0005 { 0.0 } else { value }
 }
 
-/// A standard deviation, ratio to nominal.
+/// Formats a standard deviation, as a ratio to nominal.
 fn deviation(value: f64) -> String {
     if value < SMALL {
         format!("{value:.1e}")
@@ -184,9 +199,9 @@ fn deviation(value: f64) -> String {
     }
 }
 
-/// What the findings mean for one parameter, the worst of them.
+/// Returns the most serious finding for one parameter, in words.
 fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
-    // what no record makes better comes before what takes longer
+    // A problem that no longer record solves takes precedence over one that a longer record solves.
     let rests = findings.iter().find_map(|line| match &line.finding {
         Finding::RestsOnExcitation {
             parameter: of,
@@ -246,46 +261,50 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         .unwrap_or_else(|| "identified".to_owned())
 }
 
-/// What to do about a finding, where its text does not say so.
+/// Returns the remedy for a finding, or `None` if the text of the finding states it.
 fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
     match finding {
-        Finding::NotObservable => Some("give the model damping, or put a sensor where that mode moves".to_owned()),
+        Finding::NotObservable => Some("add damping to the model, or place a sensor where that mode moves".to_owned()),
         Finding::Uninformed { parameter, .. } => Some(format!(
-            "put a sensor next to what {parameter} scales, measure for longer, or take it as known and leave it out"
+            "place a sensor next to the part that {parameter} scales, measure for longer, or \
+             remove the parameter and treat its value as known"
         )),
         Finding::ParametersConfounded { first, second, .. } => {
-            Some(format!("put a sensor between what {first} and {second} scale, or let one parameter scale both"))
+            Some(format!("place a sensor between the parts that {first} and {second} scale, or use one parameter for both"))
         }
         Finding::LevelConfounded { parameter, level, .. } => {
             let is_excitation = |source: &NoiseSource| matches!(source, NoiseSource::Excitation(_));
             let excites = structure.noise_levels().iter().any(|l| l.name() == level && is_excitation(l.source()));
             Some(if excites {
                 format!(
-                    "measure {level} on a channel (measured-on), or keep in mind that {parameter} is as right as that level"
+                    "measure {level} on a channel (measured-on), or note that {parameter} is only \
+                     as accurate as that level"
                 )
             } else {
-                format!("calibrate the noise of {level}, or keep in mind that {parameter} is as right as that level")
+                format!("calibrate the noise of {level}, or note that {parameter} is only as accurate as that level")
             })
         }
         Finding::SlowToSettle { parameter, .. } => {
-            Some(format!("put a sensor that tells more of {parameter}, or ask its alert rule for a longer sustain-s"))
+            Some(format!("add a sensor that is more sensitive to {parameter}, or increase sustain-s of its alert rule"))
         }
         Finding::RestsOnExcitation { parameter, excitations, .. } => Some(format!(
-            "measure {excitations} on a channel (measured-on), or judge {parameter} by nothing smaller than that"
+            "measure {excitations} on a channel (measured-on), or do not interpret smaller changes \
+             of {parameter}"
         )),
         Finding::LevelAssumed { .. } => {
-            Some("let the level be identified (leave out adapt), or state that it is known (level-factor = 1)".to_owned())
+            Some("identify the level (omit adapt), or declare it known (level-factor = 1)".to_owned())
         }
         Finding::DampingAssumed { .. } => Some(
-            "identify it by a [[parameter]] with scales = \"damping\" and of = \"all\", or state that it is known (known = \
-             true in [damping])"
+            "identify it by a [[parameter]] with scales = \"damping\" and of = \"all\", or declare \
+             it known (known = true in [damping])"
                 .to_owned(),
         ),
         Finding::HoldMatters { delay_s, .. } if *delay_s > 0.0 => Some(
-            "leave out input-hold unless something really holds the excitation, as a simulation does; or sample faster"
+            "omit input-hold unless the excitation is constant between samples, as in a \
+             simulation; or sample faster"
                 .to_owned(),
         ),
-        Finding::HoldMatters { .. } => Some("sample faster, or limit the band that is used ([band-limit])".to_owned()),
+        Finding::HoldMatters { .. } => Some("sample faster, or limit the frequency band ([band-limit])".to_owned()),
         Finding::HastyLevel { .. }
         | Finding::ImplausiblePeriod { .. }
         | Finding::UnequalStoreys { .. }
@@ -421,8 +440,9 @@ impl CheckPage {
         }
         writeln!(
             f,
-            "\n  standard deviations after {after_s:.0} s and in the long run: what the data hold; reported: what the filter will\n  \
-             claim in the long run; settles: time in which an error of the estimate falls to a third"
+            "\n  standard deviations after {after_s:.0} s and in the long run: information in the \
+             data; reported: value that the filter will\n  report in the long run; settles: time \
+             in which an error of the estimate falls to a third"
         )?;
         self.write_sensitivities(f, width)
     }
@@ -470,7 +490,7 @@ impl CheckPage {
             let stated = if line.std < SMALL {
                 format!("{:.3e} {unit}", line.std)
             } else {
-                // a level that follows from a spectral intensity has more digits than anybody knows
+                // A level derived from a spectral intensity has more digits than are significant.
                 format!("{} {unit}", (line.std * 1e4).round() / 1e4)
             };
             let stated = stated.trim_end();
@@ -504,29 +524,30 @@ impl CheckPage {
             }
         }
         if self.findings.is_empty() {
-            f.write_str("nothing to warn of")?;
+            f.write_str("no warnings")?;
             f.write_str(if self.parameters.is_empty() {
                 "\n"
             } else {
-                ": these sensors tell all parameters apart\n"
+                ": these sensors distinguish all parameters\n"
             })?;
         }
         writeln!(
             f,
-            "\nall this holds if the model is right; what no check can know:\n"
+            "\nthese results hold only if the model is right; a check cannot verify these \
+             assumptions:\n"
         )?;
         self.assumptions
             .iter()
             .try_for_each(|assumption| writeln!(f, "  {assumption}"))
     }
 
-    /// One JSON object on one line.
+    /// Returns the report as one line with a JSON object.
     pub fn json(&self) -> String {
-        // names and numbers only: this cannot fail
+        // Cannot fail, because the object contains only names and numbers.
         serde_json::to_string(self).map_or_else(|error| error.to_string(), |line| line + "\n")
     }
 
-    /// Width of the column of names.
+    /// Returns the width of the name column.
     fn name_width(&self) -> usize {
         let names = self
             .parameters
@@ -561,7 +582,7 @@ mod tests {
         for part in [
             "demo: five-storey building, ground motion measured",
             "5 degrees of freedom, 6 channels on 6 nodes, 100 Hz",
-            // the file asks for a first frequency of 1 Hz, and for 2 % of damping in modes 1 and 2
+            // The file specifies a first frequency of 1 Hz and a damping of 2 % in modes 1 and 2.
             "     1          1.0000      1.0000         2.00\n",
             "1.000 ± 0.200",
             "0.005 m/s2",
@@ -580,7 +601,7 @@ mod tests {
         assert!(!text.contains("warning"), "{text}");
     }
 
-    /// A shear building: scaling all stiffnesses by 1 % raises each frequency by 0.5 %.
+    /// In a shear building, an increase of all stiffnesses by 1 % raises each frequency by 0.5 %.
     #[test]
     fn sensitivities_of_all_storeys_add_up_to_one_half() {
         for mode in page(DEMO).modes {
@@ -596,7 +617,7 @@ mod tests {
         let text = page(OUTPUT_ONLY).to_string();
         let mut lines = text.lines();
         let finding = lines
-            .find(|line| line.contains("storey-1 rests on the level and the colour of ground"));
+            .find(|line| line.contains("storey-1 depends on the level and the spectrum of ground"));
         assert!(finding.is_some(), "{text}");
         assert!(
             lines
@@ -606,7 +627,7 @@ mod tests {
         );
         assert!(text.contains("  rests on ground"), "{text}");
         assert!(
-            text.contains("all this holds if the model is right"),
+            text.contains("these results hold only if the model is right"),
             "{text}"
         );
     }

@@ -8,10 +8,10 @@ use spandrel_record::{ReadOptions, TimeUnit};
 use spandrel_validate::Seeds;
 use std::path::PathBuf;
 
-/// Watches over bridges and buildings in real time.
+/// Structural health monitoring of bridges and buildings in real time.
 ///
-/// Sensors stream vibration; Spandrel identifies, at the sampling rate, how stiff each part of the structure is and how
-/// sure it is of that, and raises an alert when a part has become softer.
+/// Sensors stream vibration. Spandrel identifies the stiffness of each part of the structure and
+/// its uncertainty at the sampling rate. It raises an alert when a part has lost stiffness.
 ///
 /// Start with `spandrel demo`.
 #[derive(Debug, Parser)]
@@ -20,11 +20,13 @@ pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,
 
-    /// Form of the log on standard error.
+    /// Format of the log on standard error.
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
     pub log: LogFormat,
 
-    /// Say more on standard error; twice for debugging. RUST_LOG overrides it.
+    /// Log more on standard error; repeat for debugging.
+    ///
+    /// RUST_LOG overrides this option.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
 }
@@ -33,13 +35,13 @@ pub struct Arguments {
 pub enum LogFormat {
     /// Lines for people.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Show the whole path: a simulated building is damaged on the way, and an alert says so.
+    /// Run a demo: a simulated building is damaged, and Spandrel raises an alert.
     #[command(
         after_help = "Example: spandrel demo --speed max --duration 120 --seed 7 --headless --json"
     )]
@@ -47,7 +49,7 @@ pub enum Command {
     /// Run all services of one machine in one process.
     #[command(after_help = "Example: spandrel run --config spandrel.toml")]
     Run(RunArguments),
-    /// Align the samples of all nodes to frames, and keep them for those who missed some.
+    /// Align the samples of all nodes to frames, and store them for subscribers that miss some.
     #[command(after_help = "Example: spandrel ingest --config spandrel.toml")]
     Ingest(ServiceArguments),
     /// Identify parameters and noise levels from frames.
@@ -56,78 +58,78 @@ pub enum Command {
                             spandrel identify bridge.toml --node deck-3 --connect quic/10.0.0.5:7447 --certificate NAME.pem"
     )]
     Identify(IdentifyArguments),
-    /// Fuse what sensor nodes have identified for themselves.
+    /// Fuse the local estimates of distributed sensor nodes.
     #[command(after_help = "Example: spandrel fuse bridge.toml --config spandrel.toml")]
     Fuse(ServiceArguments),
     /// Decide on alerts from estimates.
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
-    /// Keep estimates, alerts and events in a database, and answer for the past.
+    /// Store estimates, alerts and events in a database, and answer queries for past data.
     #[command(
         after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem"
     )]
     History(ServiceArguments),
-    /// Tell of alerts by webhook, Alertmanager and e-mail.
+    /// Notify people of alerts by webhook, Alertmanager and e-mail.
     #[command(after_help = "Example: spandrel notify --config spandrel.toml")]
     Notify(ServiceArguments),
-    /// Serve a web page of parameters and alerts, with an HTTP interface and a WebSocket.
+    /// Serve a web page with parameters and alerts, an HTTP interface and a WebSocket.
     #[command(
         after_help = "Examples: spandrel dashboard bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
                             spandrel dashboard --config spandrel.toml --http 127.0.0.1:9000"
     )]
     Dashboard(RunArguments),
-    /// Simulate a structure: to the bus, or to a file.
+    /// Simulate a structure, and publish the samples or write them to a file.
     #[command(
         after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
                             spandrel simulate tower.toml --speed 1 --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
                             spandrel simulate tower.toml --live --node roof --start 1763730000"
     )]
     Simulate(SimulateArguments),
-    /// Send a recording to the bus as its sensor nodes would.
+    /// Publish a recording on the bus as its sensor nodes would.
     #[command(
         after_help = "Example: spandrel replay week-12.csv --structure tower.toml --speed 10"
     )]
     Replay(ReplayArguments),
-    /// Identify a recording without a bus, with the same cores and to the same bits.
+    /// Identify a recording without a bus, with results bit-identical to those of the services.
     #[command(
         after_help = "Examples: spandrel estimate tower.toml --record week-12.csv --output estimates.csv\n          \
                       spandrel estimate tower.toml --record week-12.csv --filter particle --particles 5000"
     )]
     Estimate(EstimateArguments),
-    /// Learn the sound values of the parameters from one or more recordings.
+    /// Learn the baseline values of the parameters from one or more recordings.
     #[command(
         after_help = "Example: spandrel baseline tower.toml --record monday.csv --record friday.csv --output tower.baseline.json"
     )]
     Baseline(BaselineArguments),
-    /// Check a structure file: natural frequencies, damping, and what these sensors can tell.
+    /// Check a structure file: natural frequencies, damping, and what its sensors can identify.
     #[command(after_help = "Example: spandrel check tower.toml")]
     Check(CheckArguments),
-    /// Tell what a recording holds: channels, rates, gaps, statistics, peaks of the spectra.
+    /// Describe a recording: channels, rates, gaps, statistics and spectral peaks.
     #[command(after_help = "Examples: spandrel info bridge.mseed\n          \
                       spandrel info tower.dat --rate 100 --json")]
     Info(InfoArguments),
-    /// Write a recording in another format: .csv or .mcap, in SI units where its own are known.
+    /// Convert a recording to .csv or .mcap, in SI units if its units are known.
     #[command(
         after_help = "Examples: spandrel convert event.zip event.mcap\n          \
                       spandrel convert modal-test.uff modal-test.csv --resample 200"
     )]
     Convert(ConvertArguments),
-    /// Rebuild the published examples of the method, and compare with the published figures.
+    /// Run the published examples of the method and compare the results with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
                       spandrel validate outlier.oscillator --seed 17 --seed 5\n          \
                       spandrel validate ekf.bridge outlier --seeds 101..105 --report validation")]
     Validate(ValidateArguments),
-    /// Measure how many structures this machine can watch in real time, and how late it is.
+    /// Measure how many structures this machine can monitor in real time, and with what latency.
     #[command(after_help = "Examples: spandrel bench --structures 100\n          \
                       spandrel bench --largest --apart --json")]
     Bench(BenchArguments),
-    /// Watch parameters and alerts of a running system in this terminal.
+    /// Show parameters and alerts of a running system in this terminal.
     #[command(after_help = "Example: spandrel watch tower --connect tcp/127.0.0.1:7447")]
     Watch(WatchArguments),
-    /// Route between the parties of a site, by the configuration file of a Zenoh router.
+    /// Run a Zenoh router for a site, from its configuration file.
     #[command(after_help = "Example: spandrel router /etc/spandrel/router.json5")]
     Router(RouterArguments),
-    /// Make the certificates of a site, and the configuration of its router.
+    /// Create the certificates of a site and the configuration of its router.
     #[command(
         subcommand,
         after_help = "Examples: spandrel site create bridge-site\n          \
@@ -137,7 +139,7 @@ pub enum Command {
                       spandrel site router bridge-site bridge.toml --listen quic/10.0.0.5:7447"
     )]
     Site(SiteCommand),
-    /// Make a token for the web page: printed once, and kept as a hash.
+    /// Create a token for the web page, print it once and store its hash.
     #[command(
         after_help = "Example: spandrel token grace --role operator --file /etc/spandrel/tokens.json"
     )]
@@ -145,16 +147,18 @@ pub enum Command {
     /// Write shell completions to standard output.
     #[command(after_help = "Example: spandrel completions bash > /etc/bash_completion.d/spandrel")]
     Completions {
-        /// The shell.
+        /// Name of the shell.
         shell: clap_complete::Shell,
     },
 }
 
-/// How to join the bus.
+/// Options for joining the bus.
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Bus")]
 pub struct BusArguments {
-    /// Configuration file; what it says is overridden by variables SPANDREL_…, and those by flags.
+    /// Configuration file.
+    ///
+    /// Variables SPANDREL_… override the file, and flags override the variables.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// First chunk of all key expressions [default: spandrel].
@@ -166,8 +170,10 @@ pub struct BusArguments {
     /// Endpoint to connect to; may be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// Certificate (PEM) to show and to ask for at endpoints quic/…; its key and the authority.pem of the site lie beside it.
-    /// Without --listen the session is then a client of a router.
+    /// Certificate (PEM) for QUIC endpoints.
+    ///
+    /// Its key and the authority.pem of the site must be in the same folder. Peers must present a
+    /// certificate of that authority. Without --listen, the session is a client of a router.
     #[arg(long, value_name = "FILE.pem")]
     pub certificate: Option<PathBuf>,
     /// Zenoh configuration file (JSON5).
@@ -177,49 +183,53 @@ pub struct BusArguments {
 
 #[derive(Debug, Args)]
 pub struct RouterArguments {
-    /// Configuration file of a Zenoh router, as zenohd takes it; spandrel site router writes one.
+    /// Configuration file of a Zenoh router, in the format of zenohd.
+    ///
+    /// `spandrel site router` writes such a file.
     #[arg(value_name = "ROUTER.json5")]
     pub file: PathBuf,
 }
 
-/// What a token allows.
+/// Rights of a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum TokenRole {
-    /// To read.
+    /// Read access.
     Viewer,
-    /// To read, and to acknowledge alerts.
+    /// Read access, and the right to acknowledge alerts.
     Operator,
 }
 
 #[derive(Debug, Args)]
 pub struct TokenArguments {
-    /// Whose token it is.
+    /// Name of the holder.
     pub name: String,
-    /// What it allows.
+    /// Rights of the token.
     #[arg(long, value_enum)]
     pub role: TokenRole,
-    /// File of the tokens, which dashboard.tokens names; it is made if it is not there.
+    /// Token file, as set in dashboard.tokens; created if missing.
     #[arg(long, value_name = "FILE")]
     pub file: PathBuf,
-    /// Take the place of the token of that name.
+    /// Replace an existing token of that name.
     #[arg(long)]
     pub replace: bool,
 }
 
-/// What is done with the folder of a site.
+/// Commands on the folder of a site.
 #[derive(Debug, Subcommand)]
 pub enum SiteCommand {
-    /// Make an authority, in a folder that only its owner can read.
+    /// Create an authority in a folder that only its owner can read.
     Create {
-        /// Where its files go.
+        /// Folder for the files of the authority.
         folder: PathBuf,
-        /// Name of the site, as it stands in the certificate of the authority.
+        /// Name of the site in the certificate of the authority.
         #[arg(long, default_value = "site")]
         name: String,
-        /// For how many days it is valid.
+        /// Validity period in days.
         #[arg(long, default_value_t = 3650)]
         days: u32,
-        /// Take the place of an authority that is there; all that it has issued is worth nothing then.
+        /// Replace an existing authority.
+        ///
+        /// All certificates that it has issued become invalid.
         #[arg(long)]
         replace: bool,
     },
@@ -227,33 +237,42 @@ pub enum SiteCommand {
     Issue {
         /// Folder of the site.
         folder: PathBuf,
-        /// What the party is for: router, database, server, worker, alert, history, notify, dashboard, operator, viewer,
-        /// gateway, node-worker or sensor.
+        /// Role of the party.
+        ///
+        /// One of router, database, server, worker, alert, history, notify, dashboard, operator,
+        /// viewer, gateway, node-worker and sensor.
         role: Role,
-        /// Its name: STRUCTURE.NODE of a sensor or node-worker, STRUCTURE of a gateway, any of the others.
+        /// Name of the party.
+        ///
+        /// STRUCTURE.NODE for a sensor or node-worker, STRUCTURE for a gateway, and any name for
+        /// other roles.
         name: String,
-        /// Name or address under which others connect to it; may be repeated. A router and a database need one.
+        /// Host name or address at which others connect to the party; may be repeated.
+        ///
+        /// A router or database requires at least one.
         #[arg(long)]
         host: Vec<String>,
-        /// For how many days it is valid, at most as long as the authority.
+        /// Validity period in days, at most until the authority expires.
         #[arg(long, default_value_t = 365)]
         days: u32,
-        /// Take the place of a certificate that is there.
+        /// Replace an existing certificate.
         #[arg(long)]
         replace: bool,
     },
-    /// Issue a certificate to each sensor node that has none.
+    /// Issue a certificate to each sensor node without one.
     Nodes {
         /// Folder of the site.
         folder: PathBuf,
-        /// Structure files that name the nodes.
+        /// Structure files with the nodes.
         #[arg(value_name = "STRUCTURE.toml", required = true)]
         structures: Vec<PathBuf>,
-        /// For how many days they are valid.
+        /// Validity period in days.
         #[arg(long, default_value_t = 365)]
         days: u32,
     },
-    /// Write the configuration of the router: who has a certificate in the folder may do what its role needs.
+    /// Write the configuration of the router.
+    ///
+    /// Each holder of a certificate in the folder receives the rights of its role.
     Router(SiteRouterArguments),
 }
 
@@ -261,47 +280,54 @@ pub enum SiteCommand {
 pub struct SiteRouterArguments {
     /// Folder of the site.
     pub folder: PathBuf,
-    /// Structure files; certificates of other structures and nodes are refused.
+    /// Structure files.
+    ///
+    /// Certificates of other structures or nodes are an error.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structures: Vec<PathBuf>,
     /// Endpoint to listen on, such as quic/10.0.0.5:7447; may be repeated.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub listen: Vec<String>,
-    /// Endpoint of another router of the site to connect to; may be repeated. Of two routers, one connects to the other.
+    /// Endpoint of another router of the site to connect to; may be repeated.
+    ///
+    /// Of two routers, only one needs to connect to the other.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// Name of the router, where several have a certificate.
+    /// Name of the router, required if several routers have a certificate.
     #[arg(long, value_name = "NAME")]
     pub router: Option<String>,
     /// First chunk of all key expressions [default: spandrel].
     #[arg(long)]
     pub root: Option<String>,
-    /// Folder in which the router finds its certificate, its key and authority.pem [default: that of the site].
+    /// Folder on the router's machine with its certificate, key and authority.pem [default: folder
+    /// of the site].
     #[arg(long, value_name = "FOLDER")]
     pub installed_in: Option<PathBuf>,
-    /// Where to write it [default: router.json5 in the folder of the site].
+    /// Output file [default: router.json5 in the folder of the site].
     #[arg(long, value_name = "FILE")]
     pub output: Option<PathBuf>,
-    /// Take the place of a file that is there.
+    /// Overwrite an existing file.
     #[arg(long)]
     pub replace: bool,
 }
 
 #[derive(Debug, Args)]
 pub struct ServiceArguments {
-    /// Structure file; may be repeated [default: those of the configuration].
+    /// Structure file; may be repeated [default: structures of the configuration].
     #[arg(value_name = "STRUCTURE.toml")]
     pub structures: Vec<PathBuf>,
     #[command(flatten)]
     pub bus: BusArguments,
 }
 
-/// Where the web page is served.
+/// Options of the web page.
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Page")]
 pub struct PageArguments {
-    /// Address of the web page, such as 127.0.0.1:8080, or none; port 0 is any free one [default: 127.0.0.1:8080, a free
-    /// port if that is taken].
+    /// Address of the web page, such as 127.0.0.1:8080, or none [default: 127.0.0.1:8080, or a free
+    /// port if that port is in use].
+    ///
+    /// Port 0 means any free port.
     #[arg(long, value_name = "ADDRESS")]
     pub http: Option<String>,
     /// Open the page in a browser.
@@ -317,12 +343,12 @@ pub struct RunArguments {
     pub page: PageArguments,
 }
 
-/// How fast data are sent.
+/// Speed at which data is sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Speed {
-    /// So many times real time.
+    /// Multiple of real time.
     Times(f64),
-    /// As fast as they are worked off.
+    /// As fast as the receivers process the data.
     Max,
 }
 
@@ -345,18 +371,20 @@ impl std::str::FromStr for Speed {
 pub struct IdentifyArguments {
     #[command(flatten)]
     pub service: ServiceArguments,
-    /// Be the worker of this sensor node alone; may be repeated [default: all nodes that identify for themselves].
+    /// Run only the worker of this sensor node; may be repeated [default: all distributed nodes].
     #[arg(long, value_name = "NAME")]
     pub node: Vec<String>,
-    /// Stand by as long as another process identifies a structure, and take over when it is gone. Others take this process for gone
-    /// after 2 s without a sign of life then, unless bus.lease_s says otherwise.
+    /// Stand by while another process identifies a structure, and take over if it fails.
+    ///
+    /// Others consider this process failed after 2 s without a sign of life, unless bus.lease_s is
+    /// set.
     #[arg(long, conflicts_with = "node")]
     pub standby: bool,
 }
 
 #[derive(Debug, Args)]
 pub struct DemoArguments {
-    /// Times real time, or max.
+    /// Multiple of real time, or max.
     #[arg(long, default_value = "10")]
     pub speed: Speed,
     /// Length of the simulated record (s).
@@ -365,20 +393,25 @@ pub struct DemoArguments {
     /// Seed of excitation and noise.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// No view and no page, only alerts and the result: for scripts.
+    /// Show no view and no page, only alerts and the result, for scripts.
     #[arg(long, conflicts_with_all = ["http", "open", "stay"])]
     pub headless: bool,
-    /// Keep the page after the end, until Ctrl-C; on a terminal that is so anyway.
+    /// Keep serving the page after the end, until Ctrl-C.
+    ///
+    /// In a terminal this is the default, except with --json.
     #[arg(long)]
     pub stay: bool,
-    /// End with one JSON object.
+    /// Print the result as one JSON object.
     #[arg(long)]
     pub json: bool,
-    /// Nodes that identify for themselves and a station that fuses them: forty storeys, sixteen nodes, one of them off all the time,
-    /// one silent for a while, and spikes in all.
+    /// Demonstrate distributed identification, with a filter in each node and a station that fuses
+    /// the estimates.
+    ///
+    /// The structure has forty storeys and sixteen nodes. One node has a permanent offset, one is
+    /// silent for a while, and all have spikes.
     #[arg(long, conflicts_with = "structure")]
     pub distributed: bool,
-    /// Another structure file, with a simulation table, than the built-in one.
+    /// Structure file with a simulation table, instead of the built-in structure.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: Option<PathBuf>,
     #[command(flatten)]
@@ -389,22 +422,24 @@ pub struct DemoArguments {
 
 #[derive(Debug, Args)]
 pub struct BenchArguments {
-    /// Structure file with a simulation table, of which there are copies [default: the building of the demo].
+    /// Structure file with a simulation table, used for all copies [default: building of the demo].
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: Option<PathBuf>,
-    /// Number of structures, or the first one that is tried.
+    /// Number of structures, or with --largest the first number to try.
     #[arg(long, default_value_t = 10, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=10_000))]
     pub structures: usize,
-    /// Go on with more structures until the machine is overrun, and tell the largest number that is sustained.
+    /// Add structures until the machine is overloaded, and report the largest sustained number.
     #[arg(long)]
     pub largest: bool,
-    /// Length of each measurement (s); the first 5 s are not counted.
+    /// Length of each measurement (s).
+    ///
+    /// The first 5 s are not counted.
     #[arg(long, default_value_t = 20.0, value_name = "SECONDS", value_parser = seconds)]
     pub duration: f64,
-    /// Services in a process of their own, and sensors in another.
+    /// Run the services in one process and the sensors in another.
     #[arg(long)]
     pub apart: bool,
-    /// One JSON object a line, each a measurement.
+    /// Print one JSON object per line and measurement.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -416,26 +451,31 @@ pub struct SimulateArguments {
     /// Structure file.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
-    /// Write the record to this file instead of sending it to the bus: columns and units as its record table has them.
+    /// Write the record to this file instead of publishing it.
+    ///
+    /// Columns and units follow the record table of the structure file.
     #[arg(long, value_name = "OUT.csv|OUT.mcap")]
     pub record: Option<PathBuf>,
-    /// Length (s); without it a simulation on the bus goes on until it is stopped, and one to a file takes 120 s.
+    /// Length (s) [default: unlimited on the bus, 120 s for a file].
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<f64>,
-    /// Seed of excitation and noise [default: that of the structure file].
+    /// Seed of excitation and noise [default: seed of the structure file].
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Times real time, or max; on the bus only.
+    /// Multiple of real time, or max; on the bus only.
     #[arg(long, default_value = "1", conflicts_with = "record")]
     pub speed: Speed,
-    /// Send samples as hardware does: at the times that they bear, whoever is there, and not to be waited for.
+    /// Send samples as hardware does, at the time of their timestamp, without waiting for
+    /// receivers.
     #[arg(long, conflicts_with_all = ["record", "speed"])]
     pub live: bool,
-    /// When a live simulation has begun (seconds since 1970, UTC), so that nodes in several processes belong together; a
-    /// process that comes later joins where the others are [default: now].
+    /// Start of a live simulation (seconds since 1970, UTC) [default: now].
+    ///
+    /// Nodes in several processes belong together if they have the same start. A process that
+    /// starts later joins at the current time.
     #[arg(long, value_name = "SECONDS", requires = "live", value_parser = seconds, allow_negative_numbers = true)]
     pub start: Option<f64>,
-    /// Be this sensor node alone; may be repeated [default: all nodes].
+    /// Simulate only this sensor node; may be repeated [default: all nodes].
     #[arg(long, value_name = "NAME", conflicts_with = "record")]
     pub node: Vec<String>,
     #[command(flatten)]
@@ -446,35 +486,39 @@ pub struct SimulateArguments {
 pub struct ReplayArguments {
     /// The recording.
     pub record: PathBuf,
-    /// Structure file; its record table says which column is which channel.
+    /// Structure file.
+    ///
+    /// Its record table maps columns to channels.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
-    /// Times real time, or max.
+    /// Multiple of real time, or max.
     #[arg(long, default_value = "1")]
     pub speed: Speed,
-    /// Go on where the frames of ingest end, as after a crash of this command, in place of a run of its own.
+    /// Resume after the last frame of ingest, for example after a crash of this command, instead of
+    /// starting a new run.
     #[arg(long)]
     pub resume: bool,
     #[command(flatten)]
     pub bus: BusArguments,
 }
 
-/// What a recording may not say of itself.
+/// Options for information that a recording may lack.
 #[derive(Debug, Args)]
 pub struct ReadingArguments {
-    /// Sampling rate of channels for which the recording states none (Hz).
+    /// Sampling rate of channels without a sampling rate in the recording (Hz).
     #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// Column of a table with the time [default: the first one whose name begins with `time`, or that has dates].
+    /// Time column of a table [default: first column whose name begins with `time` or that contains
+    /// dates].
     #[arg(long, value_name = "NAME")]
     pub time_column: Option<String>,
-    /// Unit of the time in a table, if it is a number: s, ms, us or ns [default: s].
+    /// Unit of a numeric time in a table: s, ms, us or ns [default: s].
     #[arg(long, value_name = "UNIT", value_parser = time_unit)]
     pub time_unit: Option<TimeUnit>,
 }
 
 impl ReadingArguments {
-    /// Returns the options of reading.
+    /// Returns the options for reading.
     pub fn options(&self) -> ReadOptions {
         ReadOptions {
             time_column: self.time_column.clone(),
@@ -486,7 +530,7 @@ impl ReadingArguments {
 
 #[derive(Debug, Args)]
 pub struct InfoArguments {
-    /// The recording: a file of any known format, a zip archive or a folder of such files.
+    /// Recording: a file of any known format, or a zip archive or folder of such files.
     pub record: PathBuf,
     /// Print one JSON object.
     #[arg(long)]
@@ -497,12 +541,14 @@ pub struct InfoArguments {
 
 #[derive(Debug, Args)]
 pub struct ConvertArguments {
-    /// The recording: a file of any known format, a zip archive or a folder of such files.
+    /// Recording: a file of any known format, or a zip archive or folder of such files.
     pub record: PathBuf,
-    /// Where to write it; the end of its name tells the format.
+    /// Output file.
+    ///
+    /// Its extension determines the format.
     #[arg(value_name = "OUT.csv|OUT.mcap")]
     pub output: PathBuf,
-    /// Bring all channels to this rate (Hz), through a filter against aliasing.
+    /// Resample all channels to this rate (Hz), with an anti-aliasing filter.
     #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
     pub resample: Option<f64>,
     #[command(flatten)]
@@ -517,60 +563,65 @@ pub struct EstimateArguments {
     /// The recording.
     #[arg(long)]
     pub record: PathBuf,
-    /// Where to write mean and standard deviation of each parameter, response and adapted noise level, one row per frame.
+    /// Output file for the mean and standard deviation of each parameter, response and adapted
+    /// noise level, one row per frame.
     #[arg(long, value_name = "ESTIMATES.csv")]
     pub output: Option<PathBuf>,
-    /// Sound values for alert rules that would learn them.
+    /// Baseline file, for alert rules with a learnt reference.
     #[arg(long, value_name = "BASELINE.json")]
     pub baseline: Option<PathBuf>,
-    /// What identifies.
+    /// Filter for the identification.
     #[arg(long, value_enum, default_value_t = FilterChoice::File)]
     pub filter: FilterChoice,
-    /// End with one JSON object.
+    /// Print the summary as one JSON object.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
     pub particle: ParticleArguments,
 }
 
-/// The filters of `spandrel estimate`.
+/// Filters of `spandrel estimate`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FilterChoice {
-    /// What the structure file asks for, as the services run it.
+    /// The filter that the structure file specifies, as the services run it.
     File,
-    /// The adaptive extended Kalman filter, or the bank of model classes, also where the file asks for particles.
+    /// The adaptive extended Kalman filter or the bank of model classes, even if the file specifies
+    /// particles.
     Kalman,
-    /// A particle filter of the model with all parameters: slow, and takes nothing for Gaussian.
+    /// A particle filter for the model with all parameters, slow but without the assumption of
+    /// Gaussian distributions.
     Particle,
 }
 
-/// Where particles are drawn from.
+/// Distribution from which particles are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum DensityChoice {
-    /// Near the coming datum, by a Kalman filter of each particle.
+    /// Close to the next observation, by a Kalman filter for each particle.
     Optimal,
     /// From the model alone.
     Prior,
 }
 
-/// How particles are used; what is not given has the default of [`ParticleArguments::plan`].
+/// Options of the particle filter. [`ParticleArguments::plan`] supplies the defaults.
 #[derive(Debug, Clone, Copy, Args)]
 #[command(next_help_heading = "With --filter particle")]
 pub struct ParticleArguments {
     /// Number of particles [default: 2000].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000_000), allow_negative_numbers = true)]
     pub particles: Option<u32>,
-    /// Where particles are drawn from [default: optimal].
+    /// Distribution from which particles are drawn [default: optimal].
     #[arg(long, value_enum)]
     pub density: Option<DensityChoice>,
-    /// Standard deviation by which each parameter may drift within a second, ratio to nominal per root of a second
-    /// [default: 0.005].
+    /// Standard deviation of the drift of each parameter within a second, as a ratio to nominal per
+    /// square root of a second [default: 0.005].
     #[arg(long, value_name = "RATIO", value_parser = not_negative, allow_negative_numbers = true)]
     pub drift: Option<f64>,
-    /// Share of a particle's own state at a resampling, the rest being drawn from all of them; 1 for none [default: 1].
+    /// Share of a particle's own state in resampling [default: 1].
+    ///
+    /// The rest is drawn from all particles. With 1, nothing is drawn from other particles.
     #[arg(long, value_name = "SHARE", value_parser = share, allow_negative_numbers = true)]
     pub kernel: Option<f64>,
-    /// Seconds for which a Kalman filter runs before the particles are drawn [default: 2].
+    /// Time for which a Kalman filter runs before particles are drawn (s) [default: 2].
     #[arg(long, value_name = "SECONDS", value_parser = not_negative, allow_negative_numbers = true)]
     pub warm_up: Option<f64>,
     /// Seed of all draws [default: 0].
@@ -579,7 +630,8 @@ pub struct ParticleArguments {
 }
 
 impl ParticleArguments {
-    /// Returns the first option that was given, which is of no use without particles.
+    /// Returns the name of the first given option, or `None`. These options are valid only for the
+    /// particle filter.
     pub fn given(&self) -> Option<&'static str> {
         let Self {
             particles,
@@ -602,7 +654,7 @@ impl ParticleArguments {
             .find_map(|(is_given, option)| is_given.then_some(option))
     }
 
-    /// Returns how the particles are used.
+    /// Returns the plan of the particle filter.
     pub fn plan(&self) -> ParticlePlan {
         let threads = std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get);
         let mut plan = ParticlePlan::default();
@@ -627,17 +679,21 @@ pub struct BaselineArguments {
     /// Structure file.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
-    /// A recording of the sound structure; several show how it differs from day to day.
+    /// Recording of the undamaged structure; may be repeated.
+    ///
+    /// Several recordings show the scatter from record to record.
     #[arg(long, required = true)]
     pub record: Vec<PathBuf>,
-    /// Seconds at the start of each recording that are left out while the filter finds its way.
+    /// Time at the start of each recording to leave out while the filter converges (s).
     #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub skip: f64,
-    /// Standard deviation of each parameter between records, ratio to nominal, where it is known: a single recording shows none
-    /// [default: estimated from the recordings].
+    /// Standard deviation of each parameter between records, as a ratio to nominal [default:
+    /// estimated from the recordings].
+    ///
+    /// A single recording contains no information about this scatter.
     #[arg(long, value_name = "RATIO", value_parser = not_negative, allow_negative_numbers = true)]
     pub between_std: Option<f64>,
-    /// Where to write the sound values.
+    /// Output file for the baseline values.
     #[arg(long, value_name = "BASELINE.json")]
     pub output: PathBuf,
 }
@@ -647,10 +703,10 @@ pub struct CheckArguments {
     /// Structure file.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
-    /// Length of data (s) for which the standard deviations are given.
+    /// Length of data for which to report standard deviations (s).
     #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub after: f64,
-    /// One JSON object instead of text.
+    /// Print one JSON object instead of text.
     #[arg(long)]
     pub json: bool,
 }
@@ -660,37 +716,41 @@ pub struct ValidateArguments {
     /// Cases, or the first part of their names such as `ekf` [default: all].
     #[arg(value_name = "CASE")]
     pub cases: Vec<String>,
-    /// List the cases and end.
+    /// List the cases and exit.
     #[arg(long)]
     pub list: bool,
-    /// Shortened records, with the figures that hold for them.
+    /// Use shortened records and the corresponding limits.
     #[arg(long)]
     pub quick: bool,
-    /// Run each case for this seed; may be repeated [default: 1].
+    /// Run each case with this seed; may be repeated [default: 1].
     #[arg(long, value_name = "N", conflicts_with = "seeds")]
     pub seed: Vec<u64>,
-    /// Run each case for the seeds of a range that includes both ends: 4..8 stands for 4, 5, 6, 7, 8. A number N stands for
-    /// 1..N.
+    /// Run each case with a range of seeds, including both ends.
+    ///
+    /// 4..8 means 4, 5, 6, 7, 8. A single number N means 1..N.
     #[arg(long, value_name = "FIRST..LAST")]
     pub seeds: Option<Seeds>,
-    /// Identify the records of real structures below DIR instead of running cases, and print what Spandrel says of them.
+    /// Identify the records of real structures below DIR instead of running cases, and print the
+    /// results.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["cases", "quick", "seed", "seeds", "report", "list"])]
     pub records: Option<PathBuf>,
-    /// Cases at the same time [default: one for each core].
+    /// Number of concurrent cases [default: number of cores].
     #[arg(long, value_name = "N")]
     pub jobs: Option<usize>,
-    /// One JSON object a line, each a figure.
+    /// Print one JSON object per line and figure.
     #[arg(long)]
     pub json: bool,
-    /// Write figures.md and index.html with diagrams there. Outcomes are kept in DIR/outcomes: a stopped run goes on, and a run
-    /// of some cases leaves the others on the page.
+    /// Write figures.md and index.html with diagrams to DIR.
+    ///
+    /// DIR/outcomes stores the outcomes. A stopped run resumes from them, and a run of some cases
+    /// keeps the others on the page.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 pub struct WatchArguments {
-    /// The structure [default: all].
+    /// Name of the structure [default: all].
     pub structure: Option<String>,
     #[command(flatten)]
     pub bus: BusArguments,
@@ -717,7 +777,7 @@ fn time_unit(text: &str) -> Result<TimeUnit, String> {
 fn share(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
-        Ok(_) | Err(_) => Err("must be above 0, up to 1".to_owned()),
+        Ok(_) | Err(_) => Err("must be above 0 and at most 1".to_owned()),
     }
 }
 

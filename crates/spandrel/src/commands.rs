@@ -1,4 +1,4 @@
-//! The subcommands: each in a file of its own.
+//! The subcommands, each in its own file.
 
 mod baseline;
 mod bench;
@@ -26,10 +26,10 @@ use spandrel_identify::Precedence;
 use std::io::Write;
 use std::path::Path;
 
-/// Carries out a subcommand.
+/// Runs a subcommand.
 ///
 /// # Errors
-/// Whatever ends it before its time.
+/// Any error that ends the subcommand.
 pub fn run(command: Command) -> Result<(), AppError> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),
@@ -78,14 +78,15 @@ pub fn run(command: Command) -> Result<(), AppError> {
     }
 }
 
-/// Refuses an output file that is one of the inputs: it would be gone before it is read to its end.
+/// Rejects an output file that is also an input, because writing would destroy it before it is read
+/// completely.
 pub fn refuse_overwriting<'p>(
     output: &Path,
     inputs: impl IntoIterator<Item = &'p Path>,
 ) -> Result<(), AppError> {
     let same = |input: &Path| match (output.canonicalize(), input.canonicalize()) {
         (Ok(output), Ok(input)) => output == input,
-        // what is not there cannot be written over
+        // A file that does not exist cannot be overwritten.
         (Ok(_) | Err(_), Ok(_) | Err(_)) => false,
     };
     match inputs.into_iter().any(same) {
@@ -96,21 +97,21 @@ pub fn refuse_overwriting<'p>(
     }
 }
 
-/// What is said behind the name of an output file that is there already.
+/// Returns the message suffix for an output file that already exists.
 pub fn in_place_of(output: &Path) -> &'static str {
     if output.exists() {
-        ", in place of the file that was there"
+        ", replacing the existing file"
     } else {
         ""
     }
 }
 
-/// Writes a number of things, in the singular where it is one.
+/// Formats a count with the singular or plural noun.
 pub fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// Writes a result to standard output; a reader that has gone away (`| head`) is no error.
+/// Writes a result to standard output. A closed pipe (`| head`) is not an error.
 pub fn print(text: &str) -> Result<(), AppError> {
     match std::io::stdout().lock().write_all(text.as_bytes()) {
         Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => Err(AppError::Io {

@@ -1,4 +1,7 @@
-//! A distributed structure without a bus: its nodes and its station pass their messages on by hand, to the same bits.
+//! Identification of a distributed structure without a bus.
+//!
+//! The nodes and the station exchange their messages in memory. The results are bit-identical to
+//! those of the services.
 
 use crate::error::AppError;
 use crate::summary::Collector;
@@ -11,15 +14,16 @@ use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
 use spandrel_structure::Structure;
 use std::collections::VecDeque;
 
-/// Samples per block, as of a node at full speed.
+/// Number of samples per block, as from a node at full speed.
 const BLOCK_SAMPLES: u64 = 128;
 
-/// Identifies rows of a record as the nodes of a distributed structure and their station would, and decides on alerts.
+/// Identifies the rows of a record as the nodes and the station of a distributed structure would,
+/// and decides on alerts.
 ///
-/// `take` gets the fused estimates in order. Returns what was collected on the way.
+/// `take` receives the fused estimates in order. Returns the collected results.
 ///
 /// # Errors
-/// When the structure cannot be identified by its nodes, the record cannot be read, or `take` fails.
+/// The nodes cannot identify the structure, the record cannot be read, or `take` fails.
 pub fn fuse(
     structure: &Structure,
     rows: impl Iterator<Item = Result<Row, RecordError>>,
@@ -61,15 +65,15 @@ pub fn fuse(
     Ok(network.collector)
 }
 
-/// The nodes and the station without a bus between them.
+/// The nodes and the station, connected without a bus.
 struct Network {
     fusion: Fusion,
     workers: Vec<NodeIdentification>,
     watch: Watch,
     collector: Collector,
-    /// time of the first sample
+    /// Time of the first sample.
     start_ns: Option<i64>,
-    /// messages on their way to the station
+    /// Messages in transit to the station.
     local: VecDeque<(usize, LocalMessage)>,
 }
 
@@ -85,7 +89,7 @@ impl Network {
         }
     }
 
-    /// Passes messages on until nothing is on its way.
+    /// Delivers messages until none are in transit.
     fn settle(
         &mut self,
         take: &mut impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
@@ -119,7 +123,7 @@ impl Network {
                     Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
                     Output::Node(display) => self.collector.take_node(&display),
                     Output::Outliers(_, display) => self.collector.take_outliers(&display),
-                    Output::Parameter(_) => {} // for people who watch a bus
+                    Output::Parameter(_) => {} // only for display on a bus
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! What ends the program, how it is told, and with which exit code.
+//! Errors that end the program, their text, and their exit code.
 
 use spandrel_access::AccessError;
 use spandrel_alert::AlertError;
@@ -18,114 +18,116 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use thiserror::Error;
 
-/// Exit code of bad usage and of bad input files.
+/// Exit code for bad usage and bad input files.
 const BAD_INPUT: u8 = 2;
 
-/// Why the program ends.
+/// An error that ends the program.
 #[derive(Debug, Error)]
 pub enum AppError {
-    /// A structure file is wrong.
+    /// A structure file is not valid.
     #[error(transparent)]
     Structure(#[from] StructureError),
-    /// A recording is wrong.
+    /// A recording is not valid.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// The configuration file is not there.
+    /// The configuration file is missing.
     #[error("{}: no such configuration file", path.display())]
     NoConfiguration {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The configuration is wrong.
+    /// The configuration is not valid.
     #[error(
         "configuration cannot be used (file {}, variables SPANDREL_…)",
         path.as_deref().map_or_else(|| "none".to_owned(), |path| path.display().to_string())
     )]
     Configuration {
-        /// The file, if there is one.
+        /// Path of the configuration file, if there is one.
         path: Option<PathBuf>,
-        /// What is wrong.
+        /// Cause of the error.
         source: Box<config::ConfigError>,
     },
-    /// No structure was named.
+    /// No structure is specified.
     #[error(
         "no structure: name a structure file, or list some under `structures` in the configuration"
     )]
     NoStructure,
-    /// Two structure files have one name.
+    /// Two structure files have the same structure name.
     #[error("{} and {} both name their structure `{name}`, names must differ", first.display(), second.display())]
     SameStructure {
         /// The name.
         name: String,
-        /// One file.
+        /// Path of the first file.
         first: PathBuf,
-        /// The other.
+        /// Path of the second file.
         second: PathBuf,
     },
-    /// The configuration has sound values of a structure that it does not name.
-    #[error("{} is the baseline of `{name}`, which is none of the structures: {known}", path.display())]
+    /// The configuration has a baseline for an unknown structure.
+    #[error("{} is the baseline of unknown structure `{name}`, must be one of: {known}", path.display())]
     BaselineOfNone {
-        /// The name.
+        /// Name of the unknown structure.
         name: String,
-        /// The baseline file.
+        /// Path of the baseline file.
         path: PathBuf,
-        /// The structures.
+        /// Names of the known structures.
         known: String,
     },
-    /// No node of this name identifies for itself.
+    /// No distributed node has this name.
     #[error(
-        "no node `{name}` identifies for itself; those that do (identification = \"distributed\"): {known}"
+        "unknown distributed node `{name}`, must be a node with identification = \"distributed\": \
+         {known}"
     )]
     NoSuchNode {
-        /// The name.
+        /// The unknown name.
         name: String,
-        /// The nodes that do.
+        /// Names of the distributed nodes.
         known: String,
     },
-    /// Nodes that identify for themselves have no standby.
+    /// A standby was requested for a distributed structure, whose nodes have no standby.
     #[error(
-        "structure {structure} is identified by its nodes (identification = \"distributed\"), which have no standby; leave --standby out"
+        "structure {structure} is identified by its nodes (identification = \"distributed\"), \
+         which have no standby; omit --standby"
     )]
     NoStandbyOfNodes {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
     },
-    /// The structure has no node of this name.
+    /// The structure has no node with this name.
     #[error("structure {structure} has no node `{name}`; its nodes: {known}")]
     UnknownNode {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
-        /// The name.
+        /// The unknown name.
         name: String,
-        /// The nodes that it has.
+        /// Names of the structure's nodes.
         known: String,
     },
     /// A certificate is for a structure that was not given.
     #[error("certificate {party} is for a structure that was not given; given: {}", if known.is_empty() { "none" } else { known })]
     CertificateOfNone {
-        /// Whose certificate it is.
+        /// Common name in the certificate.
         party: String,
-        /// The structures given.
+        /// Names of the given structures.
         known: String,
     },
-    /// The certificate does not allow what the subcommand has to do.
-    #[error("certificate {} does not fit: {why}; the router would drop what it does not allow, and tell nobody", certificate.display())]
+    /// The certificate does not grant the rights that the subcommand needs.
+    #[error("certificate {} does not permit this: {why}; the router would silently drop forbidden messages", certificate.display())]
     WrongRole {
-        /// The certificate.
+        /// Path of the certificate.
         certificate: PathBuf,
-        /// Whose it is, and who may.
+        /// Holder of the certificate, missing right, and roles with that right.
         why: String,
     },
-    /// Roles and certificates.
+    /// An error of roles and certificates.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// A station was asked for, and no structure is identified by its nodes.
+    /// A station was requested, but no structure is distributed.
     #[error("nothing to fuse: no structure has identification = \"distributed\"")]
     NothingToFuse,
-    /// The root or a name cannot be a key.
+    /// The root or a name is not valid in a key.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The bus cannot be joined, or is closed.
+    /// The bus cannot be joined or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The ingest service failed.
@@ -146,32 +148,37 @@ pub enum AppError {
     /// The history failed.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// The history was asked for, and none is to be kept.
+    /// The history was requested, but the configuration switches it off.
     #[error(
         "the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…"
     )]
     NoHistory,
-    /// Nothing says where this system keeps what programs have to remember.
+    /// The system defines no folder for persistent state.
     #[error(
-        "no place for what is kept: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; set state.folder to a folder and history.database to a file or a postgres:// address, or both to none"
+        "no folder for persistent state: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; \
+         set state.folder to a folder and history.database to a file or a postgres:// address, or \
+         both to none"
     )]
     NoStateFolder,
-    /// The recording is to be forced to the disk at no time.
+    /// The interval for flushing the recording to disk is not a valid time.
     #[error("state.recording.sync-s is {found}, must be a time in s, such as 1")]
     SyncTime {
-        /// What was found.
+        /// The rejected value.
         found: f64,
     },
-    /// Notices failed.
+    /// Notifications failed.
     #[error(transparent)]
     Notify(#[from] NotifyError),
-    /// Notices were asked for, and there is nobody to tell.
-    #[error("nobody to tell: the configuration has no [[notify.webhook]] and no [[notify.email]]")]
+    /// Notifications were requested, but no recipient is configured.
+    #[error(
+        "no recipients of notices: the configuration must have at least one [[notify.webhook]] or \
+         [[notify.email]]"
+    )]
     NobodyToTell,
-    /// No estimate came in a measurement.
-    #[error("nothing was measured: no estimate has come; is the measurement longer than 5 s?")]
+    /// No estimate arrived during a measurement.
+    #[error("no estimate was received; check that the measurement is longer than 5 s")]
     NothingMeasured,
-    /// A page was asked for, and none is to be served.
+    /// A page was requested, but the configuration switches it off.
     #[error(
         "the page is switched off: --http or dashboard.listen is none, must be an address such as 127.0.0.1:8080"
     )]
@@ -182,58 +189,59 @@ pub enum AppError {
     /// A file, thread or terminal failed.
     #[error("{what}")]
     Io {
-        /// What was tried.
+        /// Message that describes the failure.
         what: String,
-        /// What the system says.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A service ended by a panic.
+    /// A service panicked.
     #[error("{service} ended unexpectedly")]
     Panicked {
-        /// The service.
+        /// Name of the service.
         service: &'static str,
-        /// What the runtime says.
+        /// Error of the runtime.
         source: tokio::task::JoinError,
     },
-    /// The validation could not be run, or its report not written.
+    /// The validation could not run, or its report could not be written.
     #[error(transparent)]
     Validate(#[from] ValidateError),
-    /// The validation ran and not all is as required.
-    #[error("{missed} figures are not as required, {failed} runs failed")]
+    /// The validation ran, but not all results meet the requirements.
+    #[error("{missed} figures miss their requirements, {failed} runs failed")]
     FiguresMissed {
-        /// Figures outside.
+        /// Number of figures outside their limits.
         missed: usize,
-        /// Runs without outcome.
+        /// Number of failed runs.
         failed: usize,
     },
-    /// The output is one of the inputs.
-    #[error("{}: is read by this command and would be written over; name another file", path.display())]
+    /// The output file is also an input.
+    #[error("{}: is an input of this command and would be overwritten; use another output file", path.display())]
     WouldOverwrite {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// An option of particles was given to another filter.
-    #[error("{option} is of use only with --filter particle")]
+    /// An option of the particle filter was given for another filter.
+    #[error("{option} requires --filter particle")]
     ParticlesOnly {
-        /// The option.
+        /// Name of the option.
         option: &'static str,
     },
-    /// No particle was ever drawn.
+    /// The record ended before any particle was drawn.
     #[error(
-        "--warm-up is {warm_up_s} s and the record has {record_s} s: no particle was drawn, it must be shorter than the record"
+        "--warm-up is {warm_up_s} s, must be shorter than the record of {record_s} s; no particle \
+         was drawn"
     )]
     WarmUpTooLong {
-        /// Seconds for which a Kalman filter was to run.
+        /// Time for which a Kalman filter runs first (s).
         warm_up_s: f64,
         /// Length of the record (s).
         record_s: f64,
     },
-    /// A recording has no frame from which a baseline could be learnt.
-    #[error("{}: has no frame after the first {skip_s} s, nothing can be learnt from it", path.display())]
+    /// A recording has no frame to learn a baseline from.
+    #[error("{}: contains no frame to learn from after the first {skip_s} s", path.display())]
     NothingLearnt {
-        /// The recording.
+        /// Path of the recording.
         path: PathBuf,
-        /// Seconds left out at its start.
+        /// Time that is left out at its start (s).
         skip_s: f64,
     },
     /// The data of a recording contradict the model for most of the time.
@@ -243,26 +251,27 @@ pub enum AppError {
         path.display(), 100.0 * share, 100.0 * largest
     )]
     BaselineContradicted {
-        /// The recording.
+        /// Path of the recording.
         path: PathBuf,
-        /// Share of its frames.
+        /// Share of its frames in which they do.
         share: f64,
         /// Largest allowed share.
         largest: f64,
     },
-    /// A structure without parameters has no sound values.
-    #[error("{}: has no [[parameter]], must have one whose sound value can be learnt", path.display())]
+    /// A structure without parameters cannot have a baseline.
+    #[error("{}: has no [[parameter]], must have at least one", path.display())]
     NoParameters {
-        /// The structure file.
+        /// Path of the structure file.
         path: PathBuf,
     },
 }
 
 impl AppError {
-    /// Bad input files and bad usage are 2, everything else is 1.
+    /// Returns the exit code: 2 for bad input files and bad usage, 1 for everything else.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            // a clock that is set later, or a new certificate, mends it: whoever starts this program is to try again
+            // A corrected clock or a new certificate resolves this error, so a service manager must
+            // retry.
             Self::Bus(BusError::Tls(TlsError::NotInTime { .. })) => ExitCode::FAILURE,
             Self::Structure(_)
             | Self::Record(_)
@@ -356,7 +365,7 @@ impl AppError {
         }
     }
 
-    /// Whether a service has ended by a panic, after which another life of it may go better.
+    /// Returns `true` if a service panicked, in which case a restart may succeed.
     pub fn is_of_a_panic(&self) -> bool {
         matches!(
             self,
@@ -364,14 +373,14 @@ impl AppError {
         )
     }
 
-    /// The error and its causes, for a person.
+    /// Returns the error and its causes as text for people.
     pub fn report(&self) -> String {
         let mut text = format!("error: {self}\n");
         let mut cause = self.source();
         while let Some(error) = cause {
             let line = without_source_places(&error.to_string());
             if !text.contains(&line) {
-                // writing to a String does not fail
+                // Writing to a string cannot fail.
                 let _ = writeln!(text, "  because: {line}");
             }
             cause = error.source();
@@ -380,7 +389,7 @@ impl AppError {
     }
 }
 
-/// Takes out where in its own source Zenoh noticed an error: ` at …/lib.rs:1507.`
+/// Removes source locations that Zenoh adds to its errors, such as ` at …/lib.rs:1507.`
 fn without_source_places(text: &str) -> String {
     let mut text = text.to_owned();
     while let Some(end) = text.find(".rs:") {

@@ -1,4 +1,6 @@
-//! Watches over bridges and buildings in real time: one program, one subcommand per service, and the tools around them.
+//! Structural health monitoring of bridges and buildings in real time.
+//!
+//! One program with one subcommand per service, and further tools.
 
 mod check_report;
 mod cli;
@@ -20,8 +22,11 @@ use clap::Parser;
 use std::io::Write;
 use std::process::ExitCode;
 
-/// The allocator of the C library keeps the memory of a burst for good when blocks of many streams come and go; this one gives it
-/// back (`.cargo/config.toml` says how soon), and takes less time for blocks that one thread makes and another drops.
+/// The allocator of the C library never returns the memory of a burst when blocks of many streams
+/// come and go.
+///
+/// This allocator returns it, after the time set in `.cargo/config.toml`. It is also faster for
+/// blocks that one thread allocates and another frees.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
@@ -32,7 +37,7 @@ fn main() -> ExitCode {
     match commands::run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // a reader of the errors that has gone away is told by the exit code alone
+            // If standard error is closed, only the exit code reports the error.
             let _ = std::io::stderr().write_all(error.report().as_bytes());
             error.exit_code()
         }

@@ -1,4 +1,5 @@
-//! The cores of the services one after the other, without a bus: the same numbers, to the bit.
+//! The cores of the services in sequence, without a bus. Their results are bit-identical to those
+//! of the services.
 
 use crate::error::AppError;
 use crate::summary::{Collector, Samples};
@@ -10,19 +11,19 @@ use spandrel_record::RecordError;
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
 use spandrel_structure::Structure;
 
-/// Samples per block: long enough that blocks cost nothing, short enough to stay in the cache.
+/// Number of samples per block. Blocks are long enough to be cheap and short enough for the cache.
 const BLOCK_SAMPLES: u64 = 256;
 
-/// What alignment calls a sample that a frame had to do without.
+/// Name that the alignment uses for a missing sample in a frame.
 const MISSING: &str = "missing-samples";
 
-/// Identifies rows of a record, and decides on alerts.
+/// Identifies the rows of a record and decides on alerts.
 ///
-/// `take` gets the estimates in order, each block with the responses of its frames, none where the structure file asks for
-/// none. Returns what was collected on the way.
+/// `take` receives the estimates in order, each block with the responses of its frames. There are
+/// none if the structure file specifies none. Returns the collected results.
 ///
 /// # Errors
-/// When the structure cannot be identified, the record cannot be read, or `take` fails.
+/// The structure cannot be identified, the record cannot be read, or `take` fails.
 pub fn identify(
     structure: &Structure,
     identification: Identification,
@@ -91,9 +92,9 @@ struct Chain {
     frames: Vec<spandrel_bus::FrameBlock>,
     outputs: Vec<Output>,
     alerts: Vec<spandrel_alert::Alert>,
-    /// time of the first frame
+    /// Time of the first frame.
     start_ns: Option<i64>,
-    /// time of the last frame
+    /// Time of the last frame.
     last_ns: i64,
 }
 
@@ -128,7 +129,8 @@ impl Chain {
                 }
                 Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
                 Output::Classes(display) => self.collector.take_classes(&display),
-                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Fit(_) => {} // for people who watch a bus
+                // only for display on a bus
+                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Fit(_) => {}
             }
         }
         for alert in self.alerts.drain(..) {

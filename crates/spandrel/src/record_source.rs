@@ -1,14 +1,15 @@
-//! The length of a recording before it is read, for a progress bar.
+//! Estimate of a recording's length before it is read, for a progress bar.
 
 use spandrel_record::Format;
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes at the head of a recording by which its rows are counted.
+/// Number of bytes at the start of a recording in which rows are counted.
 const COUNTED_BYTES: u64 = 1 << 16;
 
-/// Guesses how many rows a table has, by its size and the length of its first rows: good enough for a progress bar. `None` for
-/// other formats.
+/// Estimates the number of rows of a table from its size and the length of its first rows.
+///
+/// The result suffices for a progress bar. Returns `None` for other formats.
 pub fn expected_rows(path: &Path) -> Option<u64> {
     let file = std::fs::File::open(path).ok()?;
     let size = file.metadata().ok()?.len();

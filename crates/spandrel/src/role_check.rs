@@ -1,11 +1,13 @@
-//! Whether the certificate of a process lets it do what its subcommand has to: a router drops what a role may not, and tells nobody.
+//! Check that a process's certificate grants the rights that its subcommand needs.
+//!
+//! Without this check, a router would drop forbidden messages silently.
 
 use crate::error::AppError;
 use spandrel_access::{Party, Right, Role, rights};
 use spandrel_bus::{Bus, BusConfig, KeyFamily, Service};
 use tracing::warn;
 
-/// Something that a subcommand has to do, and its words.
+/// A right that a subcommand needs, and its description.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Need {
     words: &'static str,
@@ -22,16 +24,20 @@ impl Need {
         }
     }
 
-    pub const PUT_SAMPLES: Self = Self::new("put samples", Right::Put, KeyFamily::Samples);
-    pub const PUT_FRAMES: Self = Self::new("put frames", Right::Put, KeyFamily::Frames);
-    pub const PUT_ESTIMATES: Self = Self::new("put estimates", Right::Put, KeyFamily::Estimates);
-    pub const PUT_LOCAL: Self =
-        Self::new("put the estimates of a node", Right::Put, KeyFamily::Local);
+    pub const PUT_SAMPLES: Self = Self::new("publish samples", Right::Put, KeyFamily::Samples);
+    pub const PUT_FRAMES: Self = Self::new("publish frames", Right::Put, KeyFamily::Frames);
+    pub const PUT_ESTIMATES: Self =
+        Self::new("publish estimates", Right::Put, KeyFamily::Estimates);
+    pub const PUT_LOCAL: Self = Self::new(
+        "publish the estimates of a node",
+        Right::Put,
+        KeyFamily::Local,
+    );
     pub const PUT_FEEDBACK: Self =
-        Self::new("put feedback to nodes", Right::Put, KeyFamily::Feedback);
-    pub const PUT_ALERTS: Self = Self::new("put alerts", Right::Put, KeyFamily::Alert);
+        Self::new("publish feedback to nodes", Right::Put, KeyFamily::Feedback);
+    pub const PUT_ALERTS: Self = Self::new("publish alerts", Right::Put, KeyFamily::Alert);
     pub const ANSWER_HISTORY: Self =
-        Self::new("answer for the history", Right::Answer, KeyFamily::History);
+        Self::new("answer history queries", Right::Answer, KeyFamily::History);
     pub const NOTIFY: Self = Self::new(
         "announce notify",
         Right::Announce,
@@ -43,25 +49,30 @@ impl Need {
         KeyFamily::Live(Service::Dashboard),
     );
     pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
-    pub const SEE_PARAMETERS: Self =
-        Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
+    pub const SEE_PARAMETERS: Self = Self::new(
+        "subscribe to parameters",
+        Right::Subscribe,
+        KeyFamily::Parameter,
+    );
 }
 
-/// What a subcommand is about to do.
+/// Task of a subcommand.
 #[derive(Debug, Clone)]
 pub struct Work<'w> {
-    /// Its name.
+    /// Name of the subcommand.
     pub subcommand: &'static str,
-    /// What it has to be allowed.
+    /// Rights that the task needs.
     pub needs: &'w [Need],
-    /// The structures that it does it for; none: those that there are.
+    /// Structures of the task. If empty, the task concerns all existing structures.
     pub structures: Vec<&'w str>,
-    /// The nodes that it does it for, of a subcommand that speaks for nodes.
+    /// Nodes of the task, if the subcommand acts for nodes.
     pub nodes: Vec<&'w str>,
 }
 
-/// Refuses a certificate that does not allow the work where a router is reached, which would drop what is not allowed. Between peers
-/// roles do not hold: there it is a warning.
+/// Rejects a certificate that does not allow the task, if a router is reachable.
+///
+/// A router would drop forbidden messages. Peers do not enforce roles, so without a router this
+/// function only logs a warning.
 ///
 /// # Errors
 /// [`AppError::WrongRole`], or the certificate cannot be read.
@@ -79,12 +90,15 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
     if bus.reaches_a_router().await {
         return Err(AppError::WrongRole { certificate, why });
     }
-    warn!(certificate = %certificate.display(), why, "a router of the site would drop what this puts");
+    warn!(certificate = %certificate.display(), why, "a router of the site would drop the messages of this process");
     Ok(())
 }
 
-/// Why acknowledgements of this process would not come through, where a router is reached; `None` if they do. A page or a view may be
-/// without them: it is told when somebody wants to acknowledge, as nothing else would tell.
+/// Returns the reason why a reachable router would drop acknowledgements of this process, or `None`
+/// if it would not.
+///
+/// A page or view can work without this right. It reports the reason when a user tries to
+/// acknowledge an alert, because nothing else would.
 ///
 /// # Errors
 /// The certificate cannot be read.
@@ -103,7 +117,8 @@ pub async fn cannot_acknowledge(bus: &Bus, config: &BusConfig) -> Result<Option<
     })
 }
 
-/// What a party may not do of what is needed `for_what`, and which roles may; `None` if it may all.
+/// Returns the missing right of a party for `for_what` and the roles that have it, or `None` if no
+/// right is missing.
 fn lack(party: &Party, needs: &[Need], for_what: &str) -> Option<String> {
     let lacks = |role: Role| {
         let allowed = rights(role);
@@ -126,20 +141,21 @@ fn lack(party: &Party, needs: &[Need], for_what: &str) -> Option<String> {
     ))
 }
 
-/// Why a party may not do some work, and who may; `None` if it may.
+/// Returns the reason why a party may not perform a task and the roles that may, or `None` if it
+/// may.
 fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
     let subcommand = work.subcommand;
     if let Some(lack) = lack(
         party,
         work.needs,
-        &format!(", as spandrel {subcommand} has to"),
+        &format!(", which spandrel {subcommand} requires"),
     ) {
-        return Some(format!("it is that of {}, and {lack}", party.common_name()));
+        return Some(format!("it belongs to {}, and {lack}", party.common_name()));
     }
     let own = party.structure()?.as_str();
     if let Some(other) = work.structures.iter().find(|structure| **structure != own) {
         return Some(format!(
-            "it is for structure {own} only, and spandrel {subcommand} is to be for {other}"
+            "it is for structure {own} only, but spandrel {subcommand} is for {other}"
         ));
     }
     let node = party.node()?.as_str();
@@ -151,8 +167,8 @@ fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
         .collect();
     (!others.is_empty()).then(|| {
         format!(
-            "it is for node {node} of {own} only, and spandrel {subcommand} is to speak for {} too; choose the node with \
-             --node {node}, or use a certificate of role gateway",
+            "it is for node {node} of {own} only, but spandrel {subcommand} also publishes for {}; \
+             choose the node with --node {node}, or use a certificate of role gateway",
             others.join(", ")
         )
     })
@@ -175,8 +191,8 @@ mod tests {
     #[test]
     fn a_role_that_may_not_is_told_which_ones_may() {
         let samples = [Need::PUT_SAMPLES];
-        let why = "it is that of viewer.ada, and role viewer may not put samples, as spandrel simulate has to; roles that may: \
-                   gateway, sensor";
+        let why = "it belongs to viewer.ada, and role viewer may not publish samples, which \
+                   spandrel simulate requires; roles that may: gateway, sensor";
         assert_eq!(
             told("viewer.ada", &samples, &["ground", "roof"]).as_deref(),
             Some(why)
@@ -217,7 +233,7 @@ mod tests {
         assert_eq!(told("sensor.tower.roof", &samples, &["roof"]), None);
         let why = told("sensor.tower.roof", &samples, &["ground", "roof"]).unwrap();
         assert!(
-            why.contains("is to speak for ground too; choose the node with --node roof"),
+            why.contains("also publishes for ground; choose the node with --node roof"),
             "{why}"
         );
     }

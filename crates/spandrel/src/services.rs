@@ -1,4 +1,4 @@
-//! Starts services, keeps them together, and stops them from the source downwards.
+//! Starts services, monitors them, and stops them in the direction of the data flow.
 
 use crate::error::AppError;
 use crate::settings::Settings;
@@ -23,7 +23,7 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
 use tracing::{info, warn};
 
-/// Time for each stage to work off what waits when it is stopped.
+/// Time limit for each stage to process its queue after a stop.
 const STOP_DEADLINE: Duration = Duration::from_secs(10);
 
 /// A structure with its keys.
@@ -31,16 +31,16 @@ const STOP_DEADLINE: Duration = Duration::from_secs(10);
 pub struct Watched {
     /// The structure.
     pub structure: Structure,
-    /// Its key expressions.
+    /// Key expressions of the structure.
     pub keys: Keys,
-    /// Its sound values, if there is a file of them.
+    /// Baseline of the structure, if there is a baseline file.
     pub baseline: Option<Baseline>,
 }
 
-/// Reads the structures that the arguments or else the configuration name.
+/// Reads the structures that the arguments specify, or else those of the configuration.
 ///
 /// # Errors
-/// When there is none, one is wrong, or two have one name.
+/// There is no structure, a structure is not valid, or two structures have the same name.
 pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Watched>, AppError> {
     let paths = if paths.is_empty() {
         &settings.structures
@@ -92,7 +92,7 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
     Ok(watched)
 }
 
-/// Warns of what a baseline file says in vain, and of what it leaves to be learnt.
+/// Warns of baseline entries without effect, and of parameters that still have to be learnt.
 pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &Path) {
     let (path, names) = (path.display(), || {
         structure
@@ -110,7 +110,8 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     if learning.is_empty() {
         let structure = structure.name();
         warn!(
-            "{path}: not used, no alert rule of {structure} has a reference to be learnt: reference = {{ learn-s = … }}"
+            "{path}: not used; no alert rule of {structure} learns its reference (reference = {{ \
+             learn-s = … }})"
         );
         return;
     }
@@ -121,7 +122,7 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     if !unknown.is_empty() {
         let known: Vec<&str> = names().collect();
         warn!(
-            "{path}: has no parameters of {}: {}; it has {}",
+            "{path}: unknown parameters of {}: {}, must be among {}",
             structure.name(),
             unknown.join(", "),
             known.join(", ")
@@ -130,7 +131,8 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     if baseline.is_old_file() {
         let records = baseline.records();
         warn!(
-            "{path}: of version 1; its scatter between records is taken as estimated from {records}"
+            "{path}: has version 1; assuming that its scatter between records was estimated from \
+             {records} records"
         );
     }
     for name in learning {
@@ -142,10 +144,10 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
     }
 }
 
-/// Reads one structure with its keys and sound values.
+/// Reads one structure with its keys and baseline.
 ///
 /// # Errors
-/// When a file is wrong.
+/// A file is not valid.
 pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppError> {
     let structure = Structure::read(path)?;
     let keys = settings.bus.keys(structure.name())?;
@@ -164,24 +166,25 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
     })
 }
 
-/// What of the identification a process takes upon itself.
+/// Share of the identification that a process performs.
 #[derive(Debug, Clone, Copy)]
 pub struct Share<'s> {
-    /// The nodes whose workers it is; none: all that identify for themselves.
+    /// Nodes whose workers this process runs. If empty, it runs the workers of all distributed
+    /// nodes.
     pub nodes: &'s [String],
-    /// Whether it leads where others identify the same structure.
+    /// Whether this process leads or stands by if others identify the same structure.
     pub precedence: Precedence,
 }
 
 impl Share<'_> {
-    /// All of it.
+    /// The whole identification.
     pub const ALL: Share<'static> = Share {
         nodes: &[],
         precedence: Precedence::Leads,
     };
 }
 
-/// The services of one process, joined to one session.
+/// The services of one process, which share one session.
 #[derive(Debug)]
 pub struct Running {
     ingest: Stage,
@@ -194,15 +197,15 @@ pub struct Running {
     pool: Option<FilterPool>,
 }
 
-/// Ends when a service is to stop.
+/// A future that completes when a service must stop.
 type Stop = BoxedFuture<'static, ()>;
 
-/// Runs a service until it is to stop.
+/// A function that runs a service until it must stop.
 type Run<S, E> = fn(S, Stop) -> BoxedFuture<'static, Result<(), E>>;
 
-/// Ends when the word is to stop.
+/// Completes when a stop is requested.
 async fn stopped(mut stop: watch::Receiver<bool>) {
-    // a sender that is gone stops as well
+    // A dropped sender also means stop.
     let _ = stop.wait_for(|stop| *stop).await;
 }
 
@@ -223,7 +226,7 @@ impl Stage {
         }
     }
 
-    /// Starts a service of this stage, and starts it anew after a panic; `of` names what it is the service of.
+    /// Starts a service of this stage, and restarts it after a panic. `of` names its structures.
     async fn start<S, E, Starting>(
         &mut self,
         of: String,
@@ -241,7 +244,8 @@ impl Stage {
         Ok(())
     }
 
-    /// As [`Stage::start`], of a service that has been started for its first life.
+    /// Runs a service that has already been started, and restarts it after a panic like
+    /// [`Stage::start`].
     fn run<S, E, Starting>(
         &mut self,
         of: String,
@@ -264,7 +268,7 @@ impl Stage {
         self.tasks.spawn(supervise(self.name, of, first, next));
     }
 
-    /// Waits until an instance ends, which none does before it is told to.
+    /// Waits until an instance ends. No instance ends before a stop unless it fails.
     async fn ended(&mut self) -> Result<(), AppError> {
         match self.tasks.join_next().await {
             None => std::future::pending().await,
@@ -305,7 +309,7 @@ impl Stage {
 }
 
 impl Running {
-    /// Makes an empty set of services.
+    /// Creates an empty set of services.
     pub fn new() -> Self {
         Self {
             ingest: Stage::new("ingest"),
@@ -319,15 +323,15 @@ impl Running {
         }
     }
 
-    /// The threads of the filters, where there are any.
+    /// Returns the thread pool of the filters, if there is one.
     pub fn pool(&self) -> Option<FilterPool> {
         self.pool.clone()
     }
 
-    /// Starts ingest for each structure; with `state`, it records.
+    /// Starts ingest for each structure. With `state`, ingest records its frames.
     ///
     /// # Errors
-    /// When one cannot start.
+    /// An instance cannot start.
     pub async fn start_ingest(
         &mut self,
         bus: &Bus,
@@ -362,11 +366,13 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the identification of each structure on one pool of threads: one worker, or one for each node where nodes
-    /// identify for themselves.
+    /// Starts the identification of each structure on one thread pool.
+    ///
+    /// A structure has one worker, or one worker per node if it is distributed.
     ///
     /// # Errors
-    /// When one cannot start, there is no such node, or nodes that identify for themselves should stand by.
+    /// An instance cannot start, a node is unknown, or a distributed structure is to have a
+    /// standby.
     pub async fn start_identify(
         &mut self,
         bus: &Bus,
@@ -464,10 +470,10 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the central station of each structure whose nodes identify for themselves.
+    /// Starts the central station of each distributed structure.
     ///
     /// # Errors
-    /// When one cannot start.
+    /// An instance cannot start.
     pub async fn start_fuse(
         &mut self,
         bus: &Bus,
@@ -511,7 +517,7 @@ impl Running {
     /// Starts the alert service of each structure.
     ///
     /// # Errors
-    /// When one cannot start.
+    /// An instance cannot start.
     pub async fn start_alert(
         &mut self,
         bus: &Bus,
@@ -559,7 +565,7 @@ impl Running {
     /// Starts the history of all structures.
     ///
     /// # Errors
-    /// When it cannot start.
+    /// The history cannot start.
     pub async fn start_history(
         &mut self,
         bus: &Bus,
@@ -580,10 +586,11 @@ impl Running {
             .await
     }
 
-    /// Starts the notices of all structures; with `state`, what is not delivered outlives the process.
+    /// Starts the notifications of all structures. With `state`, undelivered notifications survive
+    /// a restart of the process.
     ///
     /// # Errors
-    /// When they cannot start.
+    /// The service cannot start.
     pub async fn start_notify(
         &mut self,
         bus: &Bus,
@@ -608,10 +615,10 @@ impl Running {
             .await
     }
 
-    /// Starts the dashboard of all structures, and returns where its page is.
+    /// Starts the dashboard of all structures and returns the address of its page.
     ///
     /// # Errors
-    /// When it cannot start.
+    /// The dashboard cannot start.
     pub async fn start_dashboard(
         &mut self,
         bus: &Bus,
@@ -621,7 +628,7 @@ impl Running {
         let (all, bus, id) = (All::of(watched), bus.clone(), Name::new("dashboard")?);
         let service = DashboardService::start(&all.structures(), &bus, page, id.clone()).await?;
         let (of, address) = (all.names(), service.address());
-        // whoever has the page open finds it in its place again
+        // After a restart, open pages find the dashboard at the same address.
         let page = PageSettings {
             listen: Listen::At(address.to_string()),
             ..page.clone()
@@ -635,10 +642,10 @@ impl Running {
         Ok(address)
     }
 
-    /// Waits until a service ends before its time.
+    /// Waits until a service ends prematurely.
     ///
     /// # Errors
-    /// What it failed with.
+    /// The error of that service.
     pub async fn failed(&mut self) -> Result<(), AppError> {
         tokio::select! {
             ended = self.ingest.ended() => ended,
@@ -651,10 +658,10 @@ impl Running {
         }
     }
 
-    /// Stops all, the source first, so that what is on its way is still worked off.
+    /// Stops all services, the source first, so that data in transit is still processed.
     ///
     /// # Errors
-    /// The first failure of a service.
+    /// The first error of a service.
     pub async fn stop(mut self) -> Result<(), AppError> {
         let ingest = self.ingest.stop().await;
         let identify = self.identify.stop().await;
@@ -673,7 +680,7 @@ impl Running {
     }
 }
 
-/// The structures of a service that is one for all of them.
+/// The structures of a service with a single instance for all of them.
 #[derive(Clone)]
 struct All(Arc<[(Structure, Keys)]>);
 
@@ -704,7 +711,7 @@ impl All {
     }
 }
 
-/// Refuses names of nodes that none of the structures has, or that do not identify for themselves.
+/// Rejects node names that do not belong to a distributed structure.
 fn check_nodes(watched: &[Watched], only: &[String]) -> Result<(), AppError> {
     let distributed = || {
         watched
@@ -736,14 +743,15 @@ fn check_nodes(watched: &[Watched], only: &[String]) -> Result<(), AppError> {
     }
 }
 
-/// Ends when the process is asked to: Ctrl-C or SIGTERM, heard from this call on. A second request ends it at once.
+/// Completes when the process receives Ctrl-C or SIGTERM, starting with this call. A second signal
+/// exits at once.
 pub fn interrupted() -> impl Future<Output = ()> {
     let mut signals = StopSignals::new();
     let (mut told, asked) = oneshot::channel();
     tokio::spawn(async move {
         tokio::select! {
             () = signals.next() => {}
-            () = told.closed() => return, // nobody waits for it any more
+            () = told.closed() => return, // the receiver was dropped
         }
         info!("stopping; a second signal stops at once");
         let _ = told.send(());
@@ -752,13 +760,15 @@ pub fn interrupted() -> impl Future<Output = ()> {
     });
     async {
         if asked.await.is_err() {
-            std::future::pending::<()>().await; // the runtime ends
+            std::future::pending::<()>().await; // the runtime is shutting down
         }
     }
 }
 
-/// Ctrl-C and SIGTERM. Until something listens to them they end the process without a word, so that this is made before
-/// anybody is told that it is ready.
+/// Handlers for Ctrl-C and SIGTERM.
+///
+/// Without a handler, these signals end the process silently. The handlers must therefore exist
+/// before the process reports that it is ready.
 struct StopSignals([Option<Signal>; 2]);
 
 impl StopSignals {
@@ -767,7 +777,7 @@ impl StopSignals {
             [SignalKind::interrupt(), SignalKind::terminate()].map(|kind| match signal(kind) {
                 Ok(signal) => Some(signal),
                 Err(error) => {
-                    warn!(%error, signal = kind.as_raw_value(), "a signal to stop cannot be heard");
+                    warn!(%error, signal = kind.as_raw_value(), "cannot handle a stop signal");
                     None
                 }
             }),
@@ -783,7 +793,7 @@ impl StopSignals {
     }
 }
 
-/// Waits for a signal, or for ever where it cannot be heard.
+/// Waits for a signal, or forever if there is no handler for it.
 async fn heard(signal: &mut Option<Signal>) {
     let is_heard = match signal {
         Some(signal) => signal.recv().await.is_some(),
@@ -794,7 +804,7 @@ async fn heard(signal: &mut Option<Signal>) {
     }
 }
 
-/// Returns the wall clock in ns: higher at each start of a source.
+/// Returns the wall clock time in ns, which is higher at each start of a source.
 pub fn epoch_now() -> u64 {
     #[expect(
         clippy::disallowed_methods,
@@ -805,10 +815,10 @@ pub fn epoch_now() -> u64 {
         .map_or(1, |elapsed| elapsed.as_nanos() as u64)
 }
 
-/// Runs a future on a runtime of its own.
+/// Runs a future on a new runtime.
 ///
 /// # Errors
-/// When there is no runtime to be had, or what the future fails with.
+/// The runtime cannot start, or the future fails.
 pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<T, AppError> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()

@@ -14,53 +14,56 @@ use std::ffi::OsString;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-/// Beginning of the names of variables.
+/// Prefix of the environment variables.
 const PREFIX: &str = "SPANDREL";
 
-/// The configuration of a process.
+/// Configuration of a process.
 #[derive(Debug, Clone, Default, Deserialize, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// How to join the bus.
+    /// Settings for joining the bus.
     pub bus: BusConfig,
-    /// Structure files; in a configuration file, relative to it.
+    /// Structure files. Paths in a configuration file are relative to that file.
     pub structures: Vec<PathBuf>,
-    /// Baseline file of each structure by its name; in a configuration file, relative to it.
+    /// Baseline file of each structure by its name. Paths in a configuration file are relative to
+    /// that file.
     pub baselines: BTreeMap<String, PathBuf>,
-    /// Threads of the filters; none: one per processor.
+    /// Number of filter threads. `None` means one per processor.
     pub threads: Option<NonZeroUsize>,
-    /// The web page.
+    /// Settings of the web page.
     pub dashboard: DashboardSettings,
-    /// What is kept for later.
+    /// Settings of the history.
     pub history: HistorySettings,
-    /// Who is told of alerts.
+    /// Recipients of notifications.
     pub notify: NotifySettings,
-    /// What survives the death of a process.
+    /// Settings of persistent state.
     pub state: StateSettings,
 }
 
-/// Where the history is kept, and for how long.
+/// Location of the history and its retention periods.
 #[derive(Debug, Clone, Default, Deserialize, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub struct HistorySettings {
-    /// Its database, or [`NOTHING`]; none: a file where this system keeps what programs have to remember. A relative file in a
-    /// configuration file is relative to it.
+    /// Database of the history, or [`NOTHING`].
+    ///
+    /// `None` means a file in the system's folder for persistent state. A path in a configuration
+    /// file is relative to that file.
     pub database: Option<String>,
-    /// For how long each resolution is kept.
+    /// Retention period of each resolution.
     pub keep: Keep,
     /// Folder of the configuration file.
     #[serde(skip)]
     folder: PathBuf,
 }
 
-/// File of the history, in the folder where programs remember.
+/// File name of the history in the folder for persistent state.
 const HISTORY_FILE: &str = "history.sqlite";
 
 impl HistorySettings {
-    /// The database; `None` for no history.
+    /// Returns the database, or `None` if the history is switched off.
     ///
     /// # Errors
-    /// When it is none that can be used, or there is no folder for it.
+    /// The database is not valid, or there is no folder for it.
     pub fn address(&self) -> Result<Option<Address>, AppError> {
         match self.database.as_deref() {
             Some(NOTHING) => Ok(None),
@@ -76,7 +79,7 @@ impl HistorySettings {
     }
 }
 
-/// Where programs keep what they have to remember: what systemd says, or else the place of the user.
+/// Returns the folder for persistent state: the folder set by systemd, or else the user's folder.
 pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let of_service = || variable("STATE_DIRECTORY").map(PathBuf::from);
     let of_user =
@@ -85,25 +88,28 @@ pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Optio
     of_service().or_else(of_user).or_else(at_home)
 }
 
-/// Where the web page is served.
+/// Settings of the web page.
 #[derive(Debug, Clone, Default, Deserialize, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub struct DashboardSettings {
-    /// Its address, or [`NOTHING`]; none: the usual one.
+    /// Address of the page, or [`NOTHING`]. `None` means the default address.
     pub listen: Option<String>,
-    /// Certificate (PEM) for TLS; in a configuration file, relative to it.
+    /// Certificate (PEM) for TLS. A path in a configuration file is relative to that file.
     pub certificate: Option<PathBuf>,
-    /// Its private key (PEM); none: the file beside it that ends in `.key`.
+    /// Private key of the certificate (PEM). `None` means the file next to the certificate with
+    /// extension `.key`.
     pub key: Option<PathBuf>,
-    /// File of tokens, as `spandrel token` writes it; in a configuration file, relative to it.
+    /// Token file as `spandrel token` writes it. A path in a configuration file is relative to that
+    /// file.
     pub tokens: Option<PathBuf>,
 }
 
-/// What switches the page, the history or the state off.
+/// Word that switches off the page, the history or the state.
 pub(crate) const NOTHING: &str = "none";
 
 impl DashboardSettings {
-    /// Where to listen, flags before configuration; `None` for no page.
+    /// Returns the address of the page, or `None` if the page is switched off. Flags override the
+    /// configuration.
     pub fn listen(&self, arguments: &PageArguments) -> Option<Listen> {
         match arguments.http.as_ref().or(self.listen.as_ref()) {
             None => Some(Listen::Default),
@@ -112,10 +118,12 @@ impl DashboardSettings {
         }
     }
 
-    /// Where and how the page is served; `None` for no page. Whether it can acknowledge shows once the bus is open.
+    /// Returns the settings of the page, or `None` if the page is switched off.
+    ///
+    /// The caller must set `cannot_acknowledge` once the bus is open.
     ///
     /// # Errors
-    /// The file of tokens cannot be read.
+    /// The token file cannot be read or contains no token.
     pub fn page(&self, arguments: &PageArguments) -> Result<Option<PageSettings>, AppError> {
         let Some(listen) = self.listen(arguments) else {
             return Ok(None);
@@ -129,7 +137,7 @@ impl DashboardSettings {
         });
         let tokens = match self.tokens.as_deref() {
             None => Tokens::default(),
-            // who takes the last token out of the file does not mean everybody
+            // An empty file must not open the page to everybody.
             Some(path) => match Tokens::read(path)? {
                 tokens if tokens.is_empty() => {
                     return Err(DashboardError::NoTokens {
@@ -150,15 +158,15 @@ impl DashboardSettings {
 }
 
 impl Settings {
-    /// Lays the layers over each other.
+    /// Reads and combines the layers.
     ///
     /// # Errors
-    /// Names the file or variable and the key.
+    /// The configuration is not valid. The error names the file or variable and the key.
     pub fn load(arguments: &BusArguments) -> Result<Self, AppError> {
         Self::layered(arguments, None)
     }
 
-    /// `variables` stand for the environment in tests.
+    /// Combines the layers. Tests pass `variables` instead of the environment.
     fn layered(
         arguments: &BusArguments,
         variables: Option<config::Map<String, String>>,

@@ -1,4 +1,4 @@
-//! Where services remember: recordings and checkpoints, a folder for each structure.
+//! Folders for recordings and checkpoints, one for each structure.
 
 use crate::error::AppError;
 use crate::settings::{NOTHING, state_folder};
@@ -10,23 +10,25 @@ use spandrel_record::LogSettings;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// What survives the death of a process.
+/// Settings of persistent state.
 #[derive(Debug, Clone, Default, Deserialize, PartialEq)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct StateSettings {
-    /// Folder of recordings and checkpoints, or [`NOTHING`]; none: where this system keeps what programs have to remember. A
-    /// relative folder in a configuration file is relative to it.
+    /// Folder of recordings and checkpoints, or [`NOTHING`].
+    ///
+    /// `None` means the system's folder for persistent state. A path in a configuration file is
+    /// relative to that file.
     pub folder: Option<String>,
-    /// Time between two checkpoints, s.
+    /// Interval between two checkpoints (s).
     pub checkpoint_s: Checkpointing,
-    /// The recording of frames.
+    /// Settings for recording frames.
     pub recording: RecordedFrames,
     /// Folder of the configuration file.
     #[serde(skip)]
     pub(crate) beside: PathBuf,
 }
 
-/// Time between two checkpoints, s.
+/// Interval between two checkpoints (s).
 #[derive(Debug, Clone, Copy, Deserialize, PartialEq)]
 #[serde(try_from = "f64")]
 pub struct Checkpointing(f64);
@@ -50,19 +52,19 @@ impl TryFrom<f64> for Checkpointing {
     }
 }
 
-/// How frames are recorded, and for how long they are kept.
+/// Recording and retention of frames.
 #[derive(Debug, Clone, Deserialize, PartialEq)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct RecordedFrames {
-    /// For how long frames are kept, s of measurement.
+    /// Retention period of frames (s of measurement time).
     pub keep_s: u64,
-    /// How much is kept of a structure, bytes.
+    /// Maximum size of the recording of a structure (bytes).
     pub keep_bytes: u64,
-    /// Size of a segment, bytes.
+    /// Size of a segment (bytes).
     pub segment_bytes: u64,
-    /// Duration of a segment, s of measurement.
+    /// Duration of a segment (s of measurement time).
     pub segment_s: u64,
-    /// How often what has been written is forced to the disk itself, s.
+    /// Interval at which written data is flushed to disk (s).
     pub sync_s: f64,
 }
 
@@ -84,7 +86,7 @@ impl Default for RecordedFrames {
     }
 }
 
-/// The folders of one process.
+/// Folders for the persistent state of one process.
 #[derive(Debug, Clone)]
 pub struct State {
     folder: PathBuf,
@@ -94,10 +96,10 @@ pub struct State {
 }
 
 impl StateSettings {
-    /// Where services remember; `None` where they do not.
+    /// Returns the folders, or `None` if the state is switched off.
     ///
     /// # Errors
-    /// There is no folder for it, or a duration is none.
+    /// There is no folder for the state, or a duration is not valid.
     pub fn state(&self) -> Result<Option<State>, AppError> {
         let folder = match self.folder.as_deref() {
             Some(NOTHING) => return Ok(None),
@@ -129,7 +131,7 @@ impl StateSettings {
 }
 
 impl State {
-    /// Where the frames of a structure are recorded.
+    /// Returns the settings for recording the frames of a structure.
     pub fn recording(&self, keys: &Keys) -> RecordingSettings {
         RecordingSettings {
             folder: self.of(keys).join("recording"),
@@ -138,7 +140,7 @@ impl State {
         }
     }
 
-    /// Where the services of a structure keep their checkpoints.
+    /// Returns the settings for the checkpoints of a structure's services.
     pub fn remembering(&self, keys: &Keys) -> Remembering {
         Remembering {
             folder: self.of(keys).join("checkpoints"),

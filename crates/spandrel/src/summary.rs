@@ -1,4 +1,4 @@
-//! What a run ends with: the last estimates, and the alerts on the way.
+//! Summary at the end of a run: the last estimates and all alerts.
 
 mod classes;
 mod decided;
@@ -26,56 +26,58 @@ use spandrel_bus::{
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
-/// The result of a run, as `--json` prints it.
+/// Result of a run, as `--json` prints it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
-    /// Frames identified.
+    /// Number of identified frames.
     pub frames: u64,
-    /// The last estimate of each parameter in file order, ratio to nominal.
+    /// Last estimate of each parameter in file order, as a ratio to nominal.
     pub parameters: Ordered<ParameterSummary>,
     /// Alerts that were raised, acknowledged or cleared, in order.
     pub alerts: Vec<AlertSummary>,
-    /// The last estimate of each adapted noise level in file order, beside what the file states.
+    /// Last estimate of each adapted noise level in file order, with the stated level.
     pub noise: Ordered<NoiseLevelSummary>,
-    /// The verdict on the fit; none where nobody judges it.
+    /// Verdict on the fit. `None` if no service judges it.
     pub fit: Option<FitSummary>,
     /// Share of the time in which alerts of each watched parameter were decided, in file order.
     pub decided: Ordered<DecidedSummary>,
-    /// Mean of the normalised innovation squared per channel used, once the noise levels are trained and the start-up aid has
-    /// faded; none before, and without innovations. About 1 says that the noise has the size that was found, and nothing of the
-    /// model: the fit does.
+    /// Mean of the normalised innovation squared per used channel.
+    ///
+    /// It covers the frames after the noise training and the start-up aid. `None` if there are no
+    /// such frames or no innovations. A value of about 1 means that the noise has the identified
+    /// size. It says nothing about the model, unlike the fit.
     pub misfit: Option<f64>,
-    /// What people should look into.
+    /// Warnings that require attention.
     pub warnings: Vec<String>,
-    /// Whether alerts of a watched parameter are not decided at the end; a warning says why.
+    /// Whether alerts of a watched parameter are undecided at the end. A warning states the reason.
     #[serde(skip)]
     pub ends_undecided: bool,
-    /// How the model classes stand at the end, and what they went through; none where there is one model.
+    /// Final state and changes of the model classes. `None` if there is a single model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<ClassSummary>,
-    /// What became of the nodes, in file order; none where they do not identify for themselves.
+    /// Summary of each node in file order. Empty without distributed identification.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
-    /// What was wrong with the samples of a record; none where nothing was, and where the services have counted it in their
-    /// status.
+    /// Problems with the samples of a record. `None` if there were none, or if the status of the
+    /// services counts them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<Samples>,
-    /// Of particles, the mean share that counted before they were drawn anew.
+    /// Mean effective share of the particles before resampling. `None` without a particle filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub effective_share: Option<f64>,
 }
 
-/// What was wrong with the samples of a record.
+/// Problems with the samples of a record.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Samples {
-    /// Samples that are not there, of each channel that lacks some; those that were discarded are among them.
+    /// Number of missing samples of each channel with any. Discarded samples count as missing.
     pub missing: BTreeMap<String, u64>,
-    /// Samples that were discarded, by reason as in the status of ingest.
+    /// Number of discarded samples by reason, as in the status of ingest.
     pub discarded: BTreeMap<String, u64>,
 }
 
 impl Samples {
-    /// Takes the frames of a structure with these channels.
+    /// Counts the missing samples in frames with these channels.
     pub fn take_frames(&mut self, channels: &[String], block: &FrameBlock) {
         for (_, values) in block.iter() {
             for (channel, value) in channels.iter().zip(values) {
@@ -87,52 +89,54 @@ impl Samples {
     }
 }
 
-/// Mean and standard deviation.
+/// Mean and standard deviation of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Level {
     pub mean: f64,
     pub std: f64,
 }
 
-/// What is known of a parameter at the end: within this record, and for this structure.
+/// Final estimate of a parameter, within this record and for this structure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ParameterSummary {
     pub mean: f64,
     pub std: f64,
-    /// Interval of 95 % within this record.
+    /// Credible interval of 95 % within this record.
     pub within: CredibleInterval,
-    /// Interval of 95 % for this structure, with the scatter between records of the baseline; none without a baseline of
-    /// several records.
+    /// Credible interval of 95 % for this structure. It includes the scatter between records from
+    /// the baseline.
+    ///
+    /// `None` without a baseline of several records.
     pub for_this_structure: Option<CredibleInterval>,
 }
 
 /// One change of an alert.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AlertSummary {
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: String,
     /// `raised`, `unconfirmed`, `acknowledged` or `cleared`.
     pub state: AlertState,
     /// Measurement time since the first frame (s).
     pub time_s: f64,
-    /// Loss found at that time, a share of the reference.
+    /// Estimate of the loss at that time, as a share of the reference.
     pub loss_at_first: f64,
-    /// How often the loss was revised since.
+    /// Number of later revisions of the loss.
     pub revisions: u32,
-    /// Loss found last, a share of the reference.
+    /// Last estimate of the loss, as a share of the reference.
     pub loss: f64,
-    /// Probability found last that the loss is more than the rule asks about.
+    /// Last probability that the loss exceeds the threshold of the rule.
     pub credibility: f64,
-    /// The alert in words.
+    /// Sentence of the alert.
     pub why: String,
 }
 
-/// Why nothing is decided at the end.
+/// Reason for an undecided alert at the end.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Undecided {
-    /// The data contradict the model, and no alert stands: parameters share this sentence.
+    /// The data contradict the model and there is no active alert. Parameters share one sentence.
     Contradicted,
-    /// Another reason, or an alert that stands: the sentence.
+    /// Another reason, or an active alert, with its sentence.
     Other(String),
 }
 
@@ -145,14 +149,14 @@ impl Undecided {
     }
 }
 
-/// Collects a summary from what the services say.
+/// Collects a summary from the messages of the services.
 #[derive(Debug, Clone)]
 pub struct Collector {
     parameters: Vec<String>,
     noise: Vec<StatedLevel>,
     t0_ns: Option<i64>,
     frames: u64,
-    /// frames that the start-up aid lasts, and those since the last start of the filter
+    /// Number of frames of the start-up aid, and of frames since the last start of the filter.
     annealing: (u64, u64),
     classes: ClassCollector,
     nodes: NodeCollector,
@@ -160,9 +164,9 @@ pub struct Collector {
     alerts: Vec<(i64, AlertSummary)>,
     fit: FitCollector,
     decided: Vec<(usize, DecidedFrames)>,
-    /// Parameters on which nothing is decided at the end.
+    /// Parameters without a decision at the end.
     undecided: BTreeMap<String, Undecided>,
-    /// sum of the normalised innovations squared, and of the channels used
+    /// Sum of the normalised innovations squared, and sum of the used channels.
     misfit: (f64, f64),
     samples: Option<Samples>,
     effective_share: Option<f64>,
@@ -170,7 +174,7 @@ pub struct Collector {
 }
 
 impl Collector {
-    /// Starts empty, for the estimates of a structure.
+    /// Creates an empty collector for the estimates of a structure.
     pub fn new(structure: &Structure) -> Self {
         let annealed = (structure.annealing_end_s() * structure.sampling_rate_hz()).ceil() as u64;
         Self {
@@ -197,7 +201,7 @@ impl Collector {
         }
     }
 
-    /// States the intervals for the structure by the scatter between the records of a baseline.
+    /// Adds a baseline, whose scatter between records determines the intervals for the structure.
     pub fn with_baseline(self, baseline: Option<&Baseline>) -> Self {
         Self {
             baseline: baseline.cloned(),
@@ -205,17 +209,17 @@ impl Collector {
         }
     }
 
-    /// Takes the mean share of particles that counted.
+    /// Records the mean effective share of the particles.
     pub fn take_effective_share(&mut self, share: Option<f64>) {
         self.effective_share = share;
     }
 
-    /// Takes what was wrong with the samples.
+    /// Records the problems with the samples.
     pub fn take_samples(&mut self, samples: Samples) {
         self.samples = Some(samples);
     }
 
-    /// Takes estimates in order.
+    /// Processes estimates in order.
     pub fn take_estimates(&mut self, block: &EstimateBlock) {
         self.t0_ns.get_or_insert(block.t0_ns);
         self.frames += block.estimates.len() as u64;
@@ -227,7 +231,8 @@ impl Collector {
             } else {
                 *since_start + 1
             };
-            // the start-up aid distrusts the sensors, and the training their noise; a frame without a channel has no innovation
+            // The start-up aid distrusts the sensors, and the training distrusts their noise. A
+            // frame without channels has no innovation.
             if estimate.flags.phase == Phase::Working
                 && *since_start > *annealed
                 && estimate
@@ -244,27 +249,27 @@ impl Collector {
         }
     }
 
-    /// Takes how the model classes stand, in order.
+    /// Processes the state of the model classes, in order.
     pub fn take_classes(&mut self, display: &ModelClassDisplay) {
         self.classes.take(display);
     }
 
-    /// Takes how a node that identifies for itself stands after a fusion, in order.
+    /// Processes the state of a distributed node after a fusion, in order.
     pub fn take_node(&mut self, display: &NodeDisplay) {
         self.nodes.take_node(display);
     }
 
-    /// Takes how the screening of a channel of such a node stands, in order.
+    /// Processes the screening of a channel of a distributed node, in order.
     pub fn take_outliers(&mut self, display: &OutlierDisplay) {
         self.nodes.take_outliers(display);
     }
 
-    /// Takes how many frames were decided on.
+    /// Records the share of decided frames.
     pub fn take_decided(&mut self, watch: &Watch) {
         self.decided = watch.decided_shares().into_iter().collect();
     }
 
-    /// Takes a change of an alert from the bus.
+    /// Processes a change of an alert from the bus.
     pub fn take_message(&mut self, message: &AlertMessage) {
         let parameter = message.parameter.to_string();
         let undecided = message
@@ -284,10 +289,10 @@ impl Collector {
         self.take(message.time_ns, message.loss.map(told));
     }
 
-    /// Takes a change of an alert from the core.
+    /// Processes a change of an alert from the core.
     pub fn take_alert(&mut self, alert: &Alert) {
         let Some(parameter) = self.parameters.get(alert.parameter).cloned() else {
-            return; // the core knows no other parameters
+            return; // the core has the same parameters
         };
         let undecided = alert
             .undecided_because
@@ -316,11 +321,10 @@ impl Collector {
         }
     }
 
-    /// What is not decided at the end, a sentence for each reason.
+    /// Returns one sentence for each reason why alerts are undecided at the end.
     fn undecided_warnings(&self) -> Vec<String> {
         let none_of = |names: &[&str], why: &str| {
-            (!names.is_empty())
-                .then(|| format!("no alert of {} is decided: {why}", names.join(", ")))
+            (!names.is_empty()).then(|| format!("no decision on {}: {why}", names.join(", ")))
         };
         let contradicted = self.parameters.iter().map(String::as_str);
         let contradicted: Vec<&str> = contradicted
@@ -351,7 +355,7 @@ impl Collector {
     }
 
     fn take(&mut self, time_ns: i64, told: Option<AlertSummary>) {
-        // what is pending, normal or undecided wakes nobody
+        // Pending, normal and undecided states require no attention.
         let tells = |told: &AlertSummary| {
             let states = [
                 AlertState::Raised,
@@ -390,7 +394,7 @@ impl Collector {
         }
     }
 
-    /// Number of frames taken.
+    /// Returns the number of processed frames.
     pub fn frames(&self) -> u64 {
         self.frames
     }
@@ -479,9 +483,9 @@ impl Collector {
 }
 
 impl Summary {
-    /// Writes the summary as one line of JSON.
+    /// Returns the summary as one line of JSON.
     pub fn json(&self) -> String {
-        // names and finite numbers only: this cannot fail
+        // Cannot fail, because the summary contains only names and finite numbers.
         serde_json::to_string(self).map_or_else(|error| error.to_string(), |line| line + "\n")
     }
 }

@@ -1,4 +1,4 @@
-//! Keeps services alive: lives after a panic, and the word to systemd that all is well.
+//! Supervision of services: restarts after a panic, and notifications to systemd.
 
 use crate::error::AppError;
 use sd_notify::NotifyState;
@@ -11,17 +11,20 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tracing::{debug, error, info, warn};
 
-/// Panics of one service of one structure within [`PANICS_WITHIN`] after which the process ends: whoever supervises it begins anew.
+/// Number of panics of one service of one structure within [`PANICS_WITHIN`] that ends the process.
+/// Its supervisor can then restart it.
 const MOST_PANICS: usize = 5;
 const PANICS_WITHIN: Duration = Duration::from_secs(60);
-/// Pause before the next life.
+/// Pause before a restart.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// Runs the lives of one service of one structure: a panic ends one, and the next goes on from what the service remembers. All
-/// other structures and services are not touched.
+/// Runs one service of one structure and restarts it after a panic.
+///
+/// The restarted service resumes from its checkpoint. Other structures and services are not
+/// affected.
 ///
 /// # Errors
-/// What a life fails with, or too many panics.
+/// The service fails, or it panics too often.
 pub async fn supervise<First, Next, Life>(
     service: &'static str,
     structure: String,
@@ -33,7 +36,8 @@ where
     Next: FnMut() -> Life,
     Life: Future<Output = Result<(), AppError>> + Send + 'static,
 {
-    // a set, because it ends what is in it when it is dropped: a life must not outlast whoever has given it up
+    // The set aborts its task when dropped, so that a run of the service cannot outlast this
+    // future.
     let mut life = JoinSet::new();
     life.spawn(first);
     let mut panics = VecDeque::new();
@@ -45,7 +49,7 @@ where
                 return Err(AppError::Panicked { service, source });
             }
             Some(Err(source)) => AppError::Panicked { service, source },
-            None => return Ok(()), // there is always one
+            None => return Ok(()), // the set always contains one task
         };
         let now = Instant::now();
         panics.push_back(now);
@@ -60,29 +64,30 @@ where
         }
         error!(
             service,
-            structure, "panicked: it is started anew from what it remembers"
+            structure, "panicked; restarting from the last checkpoint"
         );
         tokio::time::sleep(PAUSE).await;
         life.spawn(next());
     }
 }
 
-/// SIGHUP, which asks to read the configuration again.
+/// The signal SIGHUP, which requests a reload of the configuration.
 pub struct Hangups(Option<Signal>);
 
 impl Hangups {
-    /// Listens from now on.
+    /// Installs the signal handler.
     pub fn new() -> Self {
         match signal(SignalKind::hangup()) {
             Ok(signal) => Self(Some(signal)),
             Err(error) => {
-                warn!(%error, "SIGHUP cannot be heard");
+                warn!(%error, "cannot handle SIGHUP");
                 Self(None)
             }
         }
     }
 
-    /// Waits until what is read after a SIGHUP is right; what is wrong is told, and changes nothing.
+    /// Waits for a SIGHUP after which `read` succeeds, and returns the result. A failed attempt is
+    /// logged and changes nothing.
     pub async fn read<T>(&mut self, read: impl Fn() -> Result<T, AppError>) -> T {
         loop {
             let asked = match &mut self.0 {
@@ -94,11 +99,11 @@ impl Hangups {
             }
             match read() {
                 Ok(read) => {
-                    info!("configuration and structure files are read again: services begin anew");
+                    info!("configuration and structure files reloaded; restarting the services");
                     return read;
                 }
                 Err(error) => error!(
-                    "configuration not read again, nothing changes: {}",
+                    "configuration reload failed; nothing changed: {}",
                     error.report()
                 ),
             }
@@ -106,15 +111,17 @@ impl Hangups {
     }
 }
 
-/// Tells systemd, where it asks, what the process is doing.
+/// Reports the state of the process to systemd, if systemd requests it.
 pub fn tell_systemd(state: NotifyState<'_>) {
     if let Err(error) = sd_notify::notify(&[state]) {
-        debug!(%error, "systemd cannot be told");
+        debug!(%error, "cannot notify systemd");
     }
 }
 
-/// Tells systemd's watchdog, where there is one, that the process works: twice in its time, as long as the runtime and the
-/// threads of the filters do. Never ends.
+/// Notifies the watchdog of systemd twice per watchdog period, as long as the runtime and the
+/// filter threads respond.
+///
+/// Never returns.
 pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
     let Some(within) = sd_notify::watchdog_enabled() else {
         return std::future::pending().await;
@@ -130,7 +137,7 @@ pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
         };
         match works {
             true => tell_systemd(NotifyState::Watchdog),
-            false => warn!("the threads of the filters do not answer"),
+            false => warn!("the filter threads do not respond"),
         }
     }
 }
@@ -172,7 +179,7 @@ mod tests {
         assert_eq!(counted.load(Ordering::Relaxed) as usize, MOST_PANICS);
     }
 
-    /// It went on beside the one that came after it, and led.
+    /// Regression test: an aborted service kept running next to its successor, and led.
     #[tokio::test]
     async fn a_life_ends_with_whoever_has_given_it_up() {
         let (alive, ended) = tokio::sync::oneshot::channel::<()>();
@@ -194,7 +201,8 @@ mod tests {
         assert!(ended.expect("the life goes on").is_err());
     }
 
-    /// A filter that panics does so on a thread of its own, and its service says so: it ended the process.
+    /// Regression test: a panic of a filter on its own thread, which its service reports as an
+    /// error, ended the process.
     #[tokio::test]
     async fn a_service_whose_filter_was_lost_lives_again() {
         let lost = || {

@@ -1,13 +1,16 @@
-//! Shows a running system to people: parameters, alerts and services, in a terminal or as plain lines.
+//! A view of a running system for people: parameters, alerts and services, in a terminal or as
+//! plain lines.
 //!
-//! Messages and keys go in; a screen, lines and acknowledgements come out.
+//! Messages and keys are the input. A screen, lines and acknowledgements are the output.
 //!
-//! - [`natural_name`], [`trail`], [`heard`]: what has been heard on the bus, without clock, network or terminal
-//! - [`form`], [`view`]: what the person has chosen and typed; keys in, actions out
+//! - [`natural_name`], [`trail`], [`heard`]: state from the messages on the bus, without clock,
+//!   network or terminal
+//! - [`form`], [`view`]: state of the user's choices and input, which turns keys into actions
 //! - [`wording`], [`estimate_bar`], [`wrap`]: numbers, intervals and sentences as text
 //! - [`structure_panel`], [`nodes`], [`lists`], [`draw`]: the screen
-//! - [`plain`]: the same as lines, where there is no screen
-//! - [`topics`], [`listen`], [`screen`], [`held_stderr`], [`shell`]: joins it to bus and terminal
+//! - [`plain`]: the same content as lines, if there is no screen
+//! - [`topics`], [`listen`], [`screen`], [`held_stderr`], [`shell`]: connection to the bus and the
+//!   terminal
 
 mod form;
 mod heard;

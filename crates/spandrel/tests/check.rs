@@ -1,4 +1,4 @@
-//! `spandrel check`, the built binary: its exit codes, and what stands on which stream.
+//! Tests of the built binary with `spandrel check`: exit codes and output streams.
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
 use std::path::PathBuf;

@@ -1,4 +1,5 @@
-//! The pages: every link leads somewhere, every page is in the book, and the command line is as the program says.
+//! Tests of the documentation: every link has a target, every page is in the book, and the
+//! command-line page matches the program.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,7 +20,7 @@ fn root() -> PathBuf {
         .unwrap()
 }
 
-/// All pages below a folder.
+/// Returns all pages below a folder.
 fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -32,7 +33,7 @@ fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// A page without its blocks of code.
+/// Returns a page without its code blocks.
 fn prose(text: &str) -> String {
     let mut is_code = false;
     let lines = text.lines().filter(|line| {
@@ -43,7 +44,7 @@ fn prose(text: &str) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// What the title of a section is called in a link.
+/// Returns the anchor of a section title.
 fn anchor(title: &str) -> String {
     let text = title.trim().to_lowercase();
     let kept = text
@@ -61,7 +62,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     titles.into_iter().collect()
 }
 
-/// Targets of links and pictures.
+/// Returns the targets of links and images.
 fn links(text: &str) -> Vec<String> {
     let text = prose(text);
     let mut found = Vec::new();
@@ -130,7 +131,7 @@ fn every_page_is_in_the_book() {
             page.display()
         );
     }
-    // mdBook would write them beside the book
+    // mdBook would write these pages outside the book.
     let outside: Vec<_> = listed
         .iter()
         .filter(|page| !page.starts_with(docs.canonicalize().unwrap()))
@@ -138,7 +139,7 @@ fn every_page_is_in_the_book() {
     assert!(outside.is_empty(), "outside of docs: {outside:?}");
 }
 
-/// What the page prints is compiled.
+/// The code on the page must equal the compiled example.
 #[test]
 fn the_subscriber_in_rust_is_that_of_the_example() {
     let topics = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
@@ -175,7 +176,7 @@ fn help(arguments: &[&str]) -> String {
         .to_owned()
 }
 
-/// The subcommands that a help lists.
+/// Returns the subcommands that a help text lists.
 fn commands_of(help: &str) -> Vec<&str> {
     let Some((_, commands)) = help.split_once("\nCommands:\n") else {
         return Vec::new();
@@ -188,7 +189,7 @@ fn commands_of(help: &str) -> Vec<&str> {
         .collect()
 }
 
-/// The page as the program says it; `UPDATE_DOCS=1` writes it.
+/// Compares the page with the output of the program. `UPDATE_DOCS=1` rewrites the page.
 #[test]
 fn the_command_line_is_as_the_program_says() {
     let whole = help(&[]);

@@ -1,4 +1,5 @@
-//! `spandrel estimate`, the built binary: what it says of a recording, and the particle filter beside the Kalman filter.
+//! Tests of the built binary with `spandrel estimate`: its summary of a recording, and the particle
+//! filter compared with the Kalman filter.
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
 use serde_json::Value;
@@ -72,7 +73,7 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     let misfit = sound["misfit"].as_f64().unwrap();
     assert!((0.9..1.1).contains(&misfit), "{misfit}");
 
-    // floor-3 is silent for 50 samples, and floor-5 reports 1e9 m/s² twice
+    // floor-3 is silent for 50 samples, and floor-5 reports 1e9 m/s² twice.
     let text = std::fs::read_to_string(&record).unwrap();
     let header = text.lines().find(|line| line.contains("floor-3")).unwrap();
     let column = |name: &str| {
@@ -177,7 +178,8 @@ fn simulated_record_is_read_with_the_same_file() {
         let record = folder.path().join("mapped.csv");
         simulate(&path, &record, "20");
         let mapped = summary(&path, &record, &[]);
-        // without the columns of the file the record has the names of the channels, and SI units
+        // Without the column mapping of the file, the record has the names of the channels and SI
+        // units.
         let plain: String = text
             .lines()
             .filter(|line| !line.contains("column"))
@@ -206,7 +208,8 @@ fn simulated_record_is_read_with_the_same_file() {
 fn channels_that_are_swapped_are_warned_of() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
-    simulate(&structure, &record, "55"); // long enough to learn the reference, and before the damage
+    // long enough to learn the reference, and before the damage
+    simulate(&structure, &record, "55");
     let sound = summary(&structure, &record, &[]);
     assert_eq!(sound["warnings"], serde_json::json!([]));
     let floors = &sound["noise"]["floors"];
@@ -243,9 +246,8 @@ fn record_that_ends_before_the_reference_is_known_is_warned_of() {
     simulate(&structure, &record, "40");
     let told = summary(&structure, &record, &[]);
     let storeys = "storey-1, storey-2, storey-3, storey-4, storey-5";
-    let warning = format!(
-        "no alert of {storeys} is decided: the reference was still being learnt at the end"
-    );
+    let warning =
+        format!("no decision on {storeys}: the reference was still being learnt at the end");
     assert_eq!(told["warnings"], serde_json::json!([warning]));
 }
 
@@ -320,7 +322,7 @@ fn options_that_would_do_nothing_are_refused() {
     for (options, told) in [
         (
             vec!["--particles", "50"],
-            "--particles is of use only with --filter particle",
+            "--particles requires --filter particle",
         ),
         (
             vec![
@@ -331,7 +333,7 @@ fn options_that_would_do_nothing_are_refused() {
                 "--warm-up",
                 "5",
             ],
-            "--warm-up is 5 s and the record has 2 s",
+            "--warm-up is 5 s, must be shorter than the record of 2 s",
         ),
     ] {
         let output = spandrel(&[&paths[..], &options].concat());
@@ -405,7 +407,8 @@ fn responses_and_noise_levels_are_written_where_there_are_no_parameters() {
         .map(|cell| cell.parse().unwrap())
         .collect();
     assert_eq!((lines.count() + 1, last.len()), (2000, 13));
-    // Yuen, Liang & Kuok (2013), table 2: errors of 4.1e-4, 1.2e-3, 5.5e-4 and 1.4e-3, which the filter states within a fifth
+    // Yuen, Liang & Kuok (2013), table 2: errors of 4.1e-4, 1.2e-3, 5.5e-4 and 1.4e-3. The filter
+    // reproduces them within a fifth.
     for (std, published) in [last[2], last[4], last[6], last[8]]
         .into_iter()
         .zip([4.070e-4, 1.222e-3, 5.521e-4, 1.360e-3])

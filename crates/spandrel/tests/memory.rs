@@ -1,13 +1,13 @@
-//! What the demo needs of memory, on systems that tell it of a process (Linux).
+//! Test of the demo's memory use, on systems that report it for a process (Linux).
 #![cfg(target_os = "linux")]
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// Largest resident size (MB).
+/// Maximum resident size (MB).
 const MOST_MB: f64 = 100.0;
 
-/// The largest resident size of a process so far (MB); `None` once it has ended.
+/// Returns the peak resident size of a process so far (MB), or `None` once it has ended.
 fn peak_mb(process: u32) -> Option<f64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

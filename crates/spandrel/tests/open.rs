@@ -1,4 +1,4 @@
-//! `--open`: the page that is printed is the page that the desktop is asked to show.
+//! Test of `--open`: the desktop receives the address of the page that is printed.
 #![cfg(target_os = "linux")]
 #![expect(clippy::disallowed_methods, reason = "a deadline has a clock")]
 
@@ -6,10 +6,12 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// Only ends a hang: no test is decided by it.
+/// Only ends a hang; no result depends on it.
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// Stands for the desktop: tells what it was asked for, whole or not at all, because nobody waits for it.
+/// A replacement for the desktop's opener.
+///
+/// It writes its arguments to a file and renames the file, so that the test never reads half of it.
 const OPENER: &str = r#"#!/bin/sh
 printf '%s\n' "$#" "$1" > "$OPENED.part" && mv "$OPENED.part" "$OPENED"
 "#;

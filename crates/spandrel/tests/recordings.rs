@@ -1,7 +1,8 @@
-//! `spandrel info` and `convert`, the built binary, and recordings of other formats than CSV in `estimate`.
+//! Tests of the built binary with `spandrel info` and `convert`, and of `estimate` with recordings
+//! other than CSV.
 //!
-//! One test needs Python 3 with the package `mcap` as `python3`, or as the program in `PYTHON`; without it that test says that it was
-//! skipped, and fails where `REQUIRE_ALL_TESTS` is set.
+//! One test requires Python 3 with the package `mcap`, as `python3` or as the program in `PYTHON`.
+//! Without it, the test reports that it was skipped, or fails if `REQUIRE_ALL_TESTS` is set.
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
 use serde_json::Value;
@@ -37,7 +38,7 @@ fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")
 }
 
-/// Ten seconds of the demo in this format.
+/// Returns the path of ten seconds of the demo in this format.
 fn simulated(folder: &Path, name: &str) -> String {
     let record = folder.join(name).display().to_string();
     done(&[
@@ -157,7 +158,7 @@ fn wrong_recordings_and_outputs_are_bad_input() {
         "{told}"
     );
     let told = refused(&["convert", &record, &record]);
-    assert!(told.contains("would be written over"), "{told}");
+    assert!(told.contains("would be overwritten"), "{told}");
     let damaged = folder.path().join("damaged.mseed");
     std::fs::write(&damaged, b"MS\x03\0too short").unwrap();
     let told = refused(&["info", damaged.to_str().unwrap()]);
@@ -168,7 +169,7 @@ fn wrong_recordings_and_outputs_are_bad_input() {
     );
 }
 
-/// What the public reader for Python finds in a file: by its index, and from the start as far as it goes.
+/// Reads one file with the public Python reader by its index, and a truncated file from the start.
 const READER: &str = r"
 import json, sys
 from mcap.reader import make_reader
@@ -216,7 +217,7 @@ fn recordings_in_mcap_are_read_by_a_reader_that_is_not_ours() {
     }
     let folder = tempfile::tempdir().unwrap();
     let whole = simulated(folder.path(), "demo.mcap");
-    // as a writer leaves it that is killed in its second chunk
+    // As left by a writer that is killed during its second chunk.
     let bytes = std::fs::read(&whole).unwrap();
     let cut = folder.path().join("cut.mcap");
     std::fs::write(&cut, &bytes[..bytes.len() / 5 * 4]).unwrap();

@@ -1,4 +1,5 @@
-//! `spandrel watch`, the built binary, where standard output is no terminal: lines for scripts.
+//! Tests of the built binary with `spandrel watch` without a terminal, where it prints lines for
+//! scripts.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -14,10 +15,10 @@ use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-/// Only ends a hang: no test is decided by it.
+/// Only ends a hang; no result depends on it.
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// A system to be watched, and where it listens.
+/// A system to watch, and its endpoint.
 struct Site {
     bus: Bus,
     keys: Keys,
@@ -94,14 +95,15 @@ impl Site {
     }
 }
 
-/// A running view; it is killed when this is dropped.
+/// A running view. It is killed when dropped.
 struct Watch {
     child: Child,
     said: flume::Receiver<String>,
 }
 
 impl Watch {
-    /// Waits for a line; `meanwhile` is done again and again, as a sensor would.
+    /// Waits for a line that contains `part`. Calls `meanwhile` repeatedly, as a sensor would
+    /// publish.
     async fn line(&self, part: &str, mut meanwhile: impl AsyncFnMut()) -> String {
         let mut before = Vec::new();
         let found = tokio::time::timeout(DEADLINE, async {
@@ -134,7 +136,7 @@ impl Watch {
 
 impl Drop for Watch {
     fn drop(&mut self) {
-        let _ = self.child.kill(); // it may have ended
+        let _ = self.child.kill(); // it may have ended already
         let _ = self.child.wait();
     }
 }
@@ -203,10 +205,10 @@ async fn a_structure_is_told_every_second_with_its_values() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_silent_bus_is_told_once() {
     let site = Site::open().await;
-    let line = site.watch(&[]).line("nothing heard yet", async || {}).await;
+    let line = site.watch(&[]).line("no messages yet", async || {}).await;
     assert_eq!(
         line,
-        "nothing heard yet below site: neither a service nor a sensor is there"
+        "no messages yet below site: no service or sensor is running"
     );
 }
 
@@ -221,7 +223,7 @@ fn nobody_there_ends_with_1_and_says_what_to_do() {
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(
-        message.contains(&format!("nobody answers at {endpoint}")),
+        message.contains(&format!("no reply from {endpoint}")),
         "{message}"
     );
 }

@@ -1,6 +1,9 @@
-//! Times the steps of the filters of example structures: by the route of the structure, and by its Jacobian as an operator.
+//! Measures the step time of the filters of example structures.
 //!
-//! `cargo run --release -p spandrel-structure --example step_time [name…]`; a name is that of a file in `docs/examples`.
+//! It compares the route that suits the structure with the Jacobian as an operator.
+//!
+//! `cargo run --release -p spandrel-structure --example step_time [name…]`, where a name is a file
+//! name in `docs/examples`.
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 
@@ -83,7 +86,7 @@ fn median_step(
             break;
         }
     }
-    times.remove(0); // the first frame is not predicted
+    times.remove(0); // the first frame has no prediction
     times.sort();
     Ok(times[times.len() / 2])
 }

@@ -1,47 +1,53 @@
-//! What the owner wants to be told: which loss, how sure, for how long.
+//! Alert rules of a structure file: watched parameters, loss, credibility and duration.
 
 use crate::structure::Structure;
 
-/// Asks for an alert when a parameter has lost a share of its reference with a given credibility.
+/// A rule that raises an alert when a parameter has lost a share of its reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlertRule {
-    /// Parameters (indices in state order) that the rule watches, each on its own.
+    /// Watched parameters (indices in state order), each evaluated separately.
     pub parameters: Vec<usize>,
-    /// The loss, a share of the reference (0..1).
+    /// Loss as a share of the reference (0 to 1).
     pub loss: f64,
-    /// Probability of that loss (0..1) from which the alert is raised.
+    /// Probability of the loss (0 to 1) at which the alert is raised.
     pub credibility: f64,
-    /// How long (s) the probability must stay there.
+    /// Duration (s) for which the probability must stay at that level.
     pub sustain_s: f64,
-    /// Probability of that loss (0..1) below which a raised alert is cleared; below `credibility`.
+    /// Probability of the loss (0 to 1) below which a raised alert is cleared; less than
+    /// `credibility`.
     pub clear_credibility: f64,
-    /// What the loss is counted from.
+    /// The reference value for the loss.
     pub reference: Reference,
 }
 
-/// The value a loss is counted from.
+/// The reference value for a loss.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reference {
-    /// Learnt from the estimates of the first seconds.
+    /// Baseline that is learnt from the estimates of the first seconds.
     Baseline {
-        /// How long to learn (s).
+        /// Learning time (s).
         learn_s: f64,
     },
-    /// Given by the owner (ratios to nominal), an entry per watched parameter; the design is 1 with its deviation.
+    /// Values from the structure file (ratios to nominal), one entry per watched parameter.
+    ///
+    /// A design reference has the mean 1 and a stated standard deviation.
     Given {
         /// Mean of the reference.
         mean: Vec<f64>,
-        /// Its standard deviation, not negative.
+        /// Standard deviation of the reference, not negative.
         std: Vec<f64>,
     },
 }
 
-/// What a display asks of a parameter that no alert rule watches.
+/// Displayed loss threshold of a parameter that no alert rule watches.
 const UNWATCHED_LOSS: f64 = 0.05;
 
 impl Structure {
-    /// Returns what a display asks of a parameter: the loss (share of the reference) and, where it is known beforehand, the
-    /// reference (ratio to nominal) of the first rule that watches it.
+    /// Returns the loss threshold (share) and reference (ratio to nominal) to display for a
+    /// parameter.
+    ///
+    /// Both come from the first rule that watches the parameter. The reference is 1 if that rule
+    /// learns a baseline or if no rule watches the parameter.
     #[must_use]
     pub fn displayed_loss(&self, parameter: usize) -> (f64, f64) {
         let rule = self.alert_rules().iter().find_map(|rule| {
@@ -56,7 +62,7 @@ impl Structure {
             Some((Reference::Given { mean, .. }, position)) => {
                 mean.get(position).copied().unwrap_or(1.0)
             }
-            // a baseline is learnt by the alert service; until then a loss is counted from the design
+            // The alert service learns the baseline; until then the reference is the design.
             Some((Reference::Baseline { .. }, _)) | None => 1.0,
         };
         (loss, reference)

@@ -1,7 +1,8 @@
-//! The matrices of scaled parts, stiffness and damping, in one sparse pattern, made anew from values only.
+//! Stiffness and damping matrices with scaled parts, in one sparse pattern.
 //!
-//! `K(θ) = K_fixed + Σ θ_p K_p` by rows: the pattern holds every entry of every substructure and of the damping, so that a
-//! change of `θ` touches values and never the pattern.
+//! `K(θ) = K_fixed + Σ θ_p K_p` is stored by rows. The pattern holds every entry of every
+//! substructure and of the damping. A change of `θ` therefore changes values, but never the
+//! pattern.
 
 use crate::linear_system::{Damping, LinearSystem};
 use crate::parameter::{Parameter, Scales};
@@ -14,17 +15,17 @@ use std::ops::Range;
 struct Entry {
     row: usize,
     column: usize,
-    /// Where in the values of the pattern.
+    /// Index into the values of the pattern.
     position: usize,
     value: f64,
 }
 
-/// A matrix made of parts: `X(θ) = X_fixed + Σ θ_p X_p`.
+/// A matrix that is a sum of parts: `X(θ) = X_fixed + Σ θ_p X_p`.
 #[derive(Debug, Clone)]
 pub(crate) struct Sum {
-    /// Values of the parts that no parameter scales.
+    /// Sum of the parts that no parameter scales.
     fixed: Vec<f64>,
-    /// All parts that each parameter scales, up to the last one that scales any.
+    /// Entries of all parts that each parameter scales, up to the last parameter that scales any.
     scaled: Vec<Vec<Entry>>,
 }
 
@@ -39,14 +40,15 @@ impl Sum {
         }
     }
 
-    /// Returns the range of rows in which what one parameter scales has entries.
+    /// Returns the range of rows that contain entries scaled by one parameter.
     pub(crate) fn scaled_rows(&self, parameter: usize) -> Range<usize> {
         let rows = || self.of(parameter).map(|entry| entry.row);
         let first = rows().min().unwrap_or(0);
         first..rows().max().map_or(first, |last| last + 1)
     }
 
-    /// Adds `X_p u` of what one parameter scales to `out` (N_d); nothing for other parameters.
+    /// Adds `X_p u` to `out` (N_d), where one parameter scales `X_p`; adds nothing for other
+    /// parameters.
     pub(crate) fn mul_scaled_add_to(&self, parameter: usize, u: &[f64], out: &mut [f64]) {
         for entry in self.of(parameter) {
             out[entry.row] += entry.value * u[entry.column];
@@ -58,14 +60,15 @@ impl Sum {
     }
 }
 
-/// The common pattern of stiffness and damping, and what its values are made of.
+/// The common sparse pattern of stiffness and damping, and the parts of their values.
 #[derive(Debug, Clone)]
 pub(crate) struct Assembly {
     row_starts: Vec<usize>,
     columns: Vec<usize>,
-    /// `K` (N/m): forces by displacements, or by the hysteretic displacements of springs.
+    /// `K` (N/m) maps displacements to forces, or the hysteretic displacements of springs to
+    /// forces.
     stiffness: Sum,
-    /// `C` (N s/m) of dashpots or a given matrix.
+    /// `C` (N s/m) of dashpots, or a matrix from the structure file.
     damping: Option<Sum>,
 }
 
@@ -129,18 +132,18 @@ impl Assembly {
         &self.stiffness
     }
 
-    /// Returns `C` of dashpots or a given matrix, if there is one.
+    /// Returns `C` of dashpots or of a damping matrix; `None` for Rayleigh damping.
     pub(crate) fn damping(&self) -> Option<&Sum> {
         self.damping.as_ref()
     }
 
-    /// Returns where the values of a row are, and their columns.
+    /// Returns the value range and the column indices of a row.
     pub(crate) fn row(&self, row: usize) -> (Range<usize>, &[usize]) {
         let range = self.row_starts[row]..self.row_starts[row + 1];
         (range.clone(), &self.columns[range])
     }
 
-    /// Writes `X u` for a matrix by its values and a vector `u` (N_d).
+    /// Writes `X u` to `out` for a vector `u` (N_d) and a matrix given by its `values`.
     pub(crate) fn mul_to(&self, values: &[f64], u: &[f64], out: &mut [f64]) {
         let mut start = 0;
         for (entry, end) in out.iter_mut().zip(&self.row_starts[1..]) {
@@ -150,7 +153,7 @@ impl Assembly {
         }
     }
 
-    /// Writes `X u` for several columns `u` (N_d) at once, with the same bits as one by one.
+    /// Writes `X u` for several columns `u` (N_d) at once, bit-identical to one column at a time.
     pub(crate) fn mul_columns_to<const C: usize>(
         &self,
         values: &[f64],
@@ -172,7 +175,7 @@ impl Assembly {
         }
     }
 
-    /// Adds `X u` for a matrix by its values and a vector `u` (N_d).
+    /// Adds `X u` to `out` for a vector `u` (N_d) and a matrix given by its `values`.
     pub(crate) fn mul_add_to(&self, values: &[f64], u: &[f64], out: &mut [f64]) {
         let mut start = 0;
         for (entry, end) in out.iter_mut().zip(&self.row_starts[1..]) {
@@ -183,7 +186,9 @@ impl Assembly {
     }
 }
 
-/// Splits parts into those that no parameter scales and those of each parameter, told by `scaled_by`.
+/// Separates the unscaled parts from the parts that each parameter scales.
+///
+/// `scaled_by` returns the parameter that scales a part, or `None`.
 fn sum(
     positions: &BTreeMap<(usize, usize), usize>,
     parts: &[CsrMatrix<f64>],

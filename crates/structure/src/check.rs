@@ -1,4 +1,6 @@
-//! Analyses a structure with its sensors before anything is measured: frequencies, damping, and what can be identified.
+//! Analyses a structure and its sensors before the first measurement.
+//!
+//! The analysis covers frequencies, damping, and which quantities the sensors can identify.
 
 mod assumptions;
 mod design;
@@ -20,20 +22,21 @@ use spandrel_filter::ProcessModel;
 use spandrel_filter::discretise::Series;
 use std::f64::consts::PI;
 
-/// What the analysis of a structure found.
+/// Result of the analysis of a structure.
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckReport {
     /// Name of the structure.
     pub structure: String,
     /// Natural modes as designed, lowest frequency first.
     pub modes: Vec<ModeReport>,
-    /// How the filter will cut a time step.
+    /// Planned subdivision of a time step by the filter.
     pub time_step: TimeStepReport,
-    /// What the sensors tell; `None` if some mode is neither damped nor observed.
+    /// Information from the sensors; `None` if some mode is neither damped nor observed.
     pub identification: Option<IdentificationReport>,
-    /// What to know before this file is used, the most serious first.
+    /// Findings to consider before the file is used, the most serious first.
     pub findings: Vec<Finding>,
-    /// What no check can know; the rest of the report holds if the file is right about it.
+    /// Facts that no check can verify. The rest of the report holds only if the file is right about
+    /// them.
     pub assumptions: Vec<Assumption>,
 }
 
@@ -44,78 +47,90 @@ pub struct ModeReport {
     pub frequency_hz: f64,
     /// Natural period (s).
     pub period_s: f64,
-    /// Share of critical damping.
+    /// Damping ratio.
     pub damping_ratio: f64,
     /// Relative change of the frequency per relative change of each parameter, `∂ln f/∂θ`.
     pub sensitivity: Vec<f64>,
 }
 
-/// How the filter will cut a time step.
+/// Planned subdivision of a time step by the filter.
 #[derive(Debug, Clone, Serialize)]
 pub struct TimeStepReport {
     /// Highest natural frequency of the model (Hz).
     pub highest_frequency_hz: f64,
-    /// Bound of the highest rate of the model times the time step, at the prior.
+    /// Upper bound of the highest rate of the model times the time step, at the prior.
     pub rate_times_step: f64,
-    /// Equal substeps of each step.
+    /// Number of equal substeps in each step.
     pub substeps: usize,
-    /// Terms of the series in each substep.
+    /// Number of terms of the series in each substep.
     pub series_order: usize,
 }
 
-/// What the sensors tell of parameters and noise levels.
+/// Information of the sensors about parameters and noise levels.
 #[derive(Debug, Clone, Serialize)]
 pub struct IdentificationReport {
-    /// Length of the data (s) that `after` stands for.
+    /// Length of the data (s) for the `after` values.
     pub duration_s: f64,
-    /// Length of the data (s) that fading memory amounts to, `Δt/(λ − 1)`.
+    /// Length of the data (s) that corresponds to the fading memory, `Δt/(λ − 1)`.
     pub memory_s: f64,
-    /// Each parameter, in state order.
+    /// Report on each parameter, in state order.
     pub parameters: Vec<ParameterReport>,
-    /// Each noise level: excitations first, then groups of sensors.
+    /// Report on each noise level: excitations first, then groups of sensors.
     pub noise_levels: Vec<NoiseLevelReport>,
-    /// Correlations between all of them, parameters first, were no noise level known and no prior narrow (row by row).
+    /// Correlations between all parameters and noise levels, parameters first, row by row.
+    ///
+    /// They assume that every noise level is unknown and that the priors are wide.
     pub correlations: Vec<Vec<f64>>,
 }
 
-/// How well one parameter will be known (ratios to nominal).
+/// Expected precision of one parameter (ratios to nominal).
 #[derive(Debug, Clone, Serialize)]
 pub struct ParameterReport {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
     /// Standard deviation before any data.
     pub prior_std: f64,
     /// Standard deviation after the duration.
     pub std_after: f64,
-    /// Standard deviation in the long run, with fading memory: what the data hold.
+    /// Standard deviation in the long run, with fading memory: the information in the data.
     pub std_steady: f64,
     /// Standard deviation that the filter will report in the long run.
     pub std_reported: f64,
-    /// Time (s) in which the filter takes an error of this parameter to a third (1/e); the memory, if it uses all it counts;
-    /// infinite if it hardly forgets one.
+    /// Time (s) in which the filter reduces an error of this parameter to a third (1/e).
+    ///
+    /// It equals the memory if the filter uses all the information it counts. It is infinite if the
+    /// filter hardly forgets an error.
     pub settling_s: f64,
-    /// By how much a change of 1 % moves the predicted data of one frame, in their standard deviations (rms over frames,
-    /// all channels together).
+    /// Change of the predicted data of one frame per 1 % change of the parameter.
+    ///
+    /// The unit is the standard deviation of the data. The value is the rms over frames, all
+    /// channels together.
     pub dynamic_sensitivity: f64,
-    /// Shift of the estimate for each noise level, were it stated 10 % too high in standard deviation.
+    /// Shift of the estimate for each noise level, if its standard deviation is stated 10 % too
+    /// high.
     pub shifts: Vec<f64>,
 }
 
-/// How well one noise level can be known.
+/// Expected precision of one noise level.
 #[derive(Debug, Clone, Serialize)]
 pub struct NoiseLevelReport {
-    /// Its name.
+    /// Name of the noise level.
     pub name: String,
-    /// Whether the file asks to adapt it.
+    /// `true` if the structure file requests adaptation of the level.
     pub adapted: bool,
-    /// Relative standard deviation of the level (as a standard deviation) after the duration, were it adapted.
+    /// Relative standard deviation of the level (itself a standard deviation) after the duration,
+    /// if the filter adapts it.
     pub relative_std_after: f64,
-    /// How many times faster than its half-life says the filter would move it, were it adapted: 1 is as meant.
+    /// Ratio of the actual to the intended rate of adaptation, if the filter adapts the level.
+    ///
+    /// The half-life sets the intended rate; 1 means that the level follows its half-life.
     pub haste: f64,
 }
 
 impl Structure {
-    /// Analyses the structure with `duration_s` (s) of simulated data; the same `seed` gives the same report.
+    /// Analyses the structure with `duration_s` (s) of simulated data.
+    ///
+    /// The same `seed` gives the same report.
     #[must_use]
     pub fn check(&self, duration_s: f64, seed: u64) -> CheckReport {
         let modes = self.nominal_modes();
@@ -186,7 +201,9 @@ impl Structure {
             .collect()
     }
 
-    /// Returns the part of stiffness, or of mass, that a parameter scales; zero for damping and the rest of hysteresis.
+    /// Returns the part of the stiffness or mass matrix that a parameter scales.
+    ///
+    /// The result is zero for damping and for the other constants of hysteresis.
     fn stiffness_derivative(&self, scales: &Scales) -> DMatrix<f64> {
         let len = self.system.len();
         match scales {

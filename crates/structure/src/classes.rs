@@ -19,25 +19,27 @@ pub(crate) struct ClassesPlan {
     pub(crate) plan: ClassPlan,
     /// `P_l`; the default depends on the plan.
     pub(crate) floor: Option<f64>,
-    /// `N_t Δt` (s); two fundamental periods where the file says nothing.
+    /// `N_t Δt` (s); `None` stands for two fundamental periods.
     pub(crate) persistence_s: Option<f64>,
     pub(crate) persistence_rule: PersistenceRule,
     pub(crate) reset_std: f64,
 }
 
 impl ClassesPlan {
-    /// Default floor of predefined classes: what was hopeless for a year comes back within seconds, and nested classes
-    /// hardly take turns.
+    /// Default floor of predefined classes.
+    ///
+    /// A class that was hopeless for a year recovers within seconds, and nested classes rarely
+    /// alternate.
     pub(crate) const PREDEFINED_FLOOR: f64 = 1e-12;
-    /// Default deviation of a multiplier after a calibration: Huang & Yuen (2023), (5.55).
+    /// Default standard deviation of a multiplier after a calibration: Huang & Yuen (2023), (5.55).
     pub(crate) const RESET_STD: f64 = 1.0 / 3.0;
     /// Default persistence, in fundamental periods: Huang & Yuen (2023), §5.4.
     const PERSISTENCE_PERIODS: f64 = 2.0;
-    /// Longest persistence (steps): four times as many leads are remembered.
+    /// Maximum persistence (steps). The bank stores four times as many leading classes.
     pub(crate) const MOST_PERSISTENCE_STEPS: usize = 10_000_000;
 }
 
-/// Makes the models of the classes of a structure; its stiffness parameters are the components.
+/// Builds the models of the classes of a structure. Its stiffness parameters are the components.
 #[derive(Debug, Clone)]
 pub struct StructureClasses {
     structure: Structure,
@@ -67,7 +69,7 @@ impl ComponentSystem for StructureClasses {
             .scales
         {
             Scales::Stiffness(parts) => parts.clone(),
-            _ => Vec::new(), // no component
+            _ => Vec::new(), // not a component
         };
         let group = |members: &Vec<usize>| Parameter {
             scales: Scales::Stiffness(members.iter().flat_map(parts).collect()),
@@ -85,7 +87,7 @@ impl ComponentSystem for StructureClasses {
 }
 
 impl LinearSystem {
-    /// Multiplies the stiffness of the substructures that `scales` names.
+    /// Multiplies the stiffness of the substructures in `scales` by `factor`.
     fn scale(&mut self, scales: &Scales, factor: f64) {
         let Scales::Stiffness(parts) = scales else {
             return;
@@ -98,16 +100,16 @@ impl LinearSystem {
 }
 
 impl Structure {
-    /// Tells whether several model classes are to be compared.
+    /// Returns `true` if the structure file declares model classes.
     #[must_use]
     pub fn has_classes(&self) -> bool {
         self.classes.is_some()
     }
 
-    /// Makes the filters of the model classes; `None` where the file declares none.
+    /// Creates the filters of the model classes; `None` if the file declares none.
     ///
     /// # Errors
-    /// When the filters refuse their settings.
+    /// Returns an error if the filters reject their settings.
     pub fn class_bank(&self) -> Result<Option<ClassBank<StructureClasses>>, FilterError> {
         let Some(settings) = self.class_settings() else {
             return Ok(None);
@@ -115,7 +117,7 @@ impl Structure {
         ClassBank::new(self.class_system(), self.filter_settings()?, settings).map(Some)
     }
 
-    /// Returns what makes the models of the classes, for a bank with settings of its own.
+    /// Returns the builder of the class models, for a bank with its own settings.
     #[must_use]
     pub fn class_system(&self) -> StructureClasses {
         let components = (0..self.parameters.len())
@@ -127,7 +129,8 @@ impl Structure {
         }
     }
 
-    /// Returns which classes are compared, and how; `None` where the file declares none.
+    /// Returns the compared classes and the settings of the comparison; `None` if the file declares
+    /// none.
     #[must_use]
     pub fn class_settings(&self) -> Option<ClassSettings> {
         let plan = self.classes.as_ref()?;
@@ -150,7 +153,10 @@ impl Structure {
         })
     }
 
-    /// Returns the name of a model class: that of the file, `baseline`, or that of the component it singles out.
+    /// Returns the name of a model class.
+    ///
+    /// This is the name in the file, `baseline`, or the name of the component that the class
+    /// singles out.
     #[must_use]
     pub fn class_name(&self, class: ClassId) -> &str {
         let declared = |index: usize| self.classes.as_ref().and_then(|plan| plan.names.get(index));
@@ -169,8 +175,10 @@ impl Structure {
         }
     }
 
-    /// Returns the component, counted among the stiffness parameters, whose change tells of a calibration by a class: the
-    /// first that it singles out; `None` for a class that singles out none.
+    /// Returns the component whose change a calibration by this class indicates.
+    ///
+    /// The component is counted among the stiffness parameters. It is the first that the class
+    /// singles out; `None` for a class that singles out none.
     #[must_use]
     pub fn singled_out(&self, class: ClassId) -> Option<usize> {
         let plan = &self.classes.as_ref()?.plan;
@@ -186,7 +194,7 @@ impl Structure {
         }
     }
 
-    /// Returns the fundamental period `T` as designed (s), 0 where there is none.
+    /// Returns the fundamental period `T` as designed (s), or 0 if there is none.
     pub(crate) fn fundamental_period_s(&self) -> f64 {
         let first = self
             .nominal_modes()

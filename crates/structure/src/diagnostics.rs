@@ -1,19 +1,19 @@
-//! Collects the mistakes of one structure file while it is read, so that all are reported at once.
+//! Collects all mistakes in one structure file, so that one message reports them all.
 
 use crate::error::Diagnostic;
 use std::cell::RefCell;
 use std::ops::Range;
 use std::path::Path;
 
-/// Names further away than this are not suggested: a different word helps nobody.
+/// Maximum edit distance of a suggested name; more distant names are different words.
 const CLOSEST_SUGGESTION: usize = 3;
 
-/// Longer lists of names are cut short: nobody reads them.
+/// Maximum number of names in a list of alternatives.
 const MOST_LISTED: usize = 20;
 
-/// Collects mistakes; knows the file, to turn byte positions into lines.
+/// A list of mistakes in a file, with the line starts that convert byte positions to line numbers.
 ///
-/// It is shared by the readers of all tables, hence the inner mutability.
+/// The readers of all tables share it, hence the interior mutability.
 pub(crate) struct Diagnostics<'t> {
     path: &'t Path,
     line_starts: Vec<usize>,
@@ -50,7 +50,7 @@ impl<'t> Diagnostics<'t> {
             .push(Diagnostic::new(self.path, line, key, found, allowed));
     }
 
-    /// Returns the file being read, which other files are relative to.
+    /// Returns the path of the structure file. Other files are relative to it.
     pub(crate) fn path(&self) -> &Path {
         self.path
     }
@@ -59,7 +59,7 @@ impl<'t> Diagnostics<'t> {
         self.found.borrow().is_empty()
     }
 
-    /// Returns all mistakes in the order of the file.
+    /// Returns all mistakes in file order.
     pub(crate) fn into_sorted(self) -> Vec<Diagnostic> {
         let mut found = self.found.into_inner();
         found.sort_by_key(Diagnostic::line);
@@ -67,7 +67,7 @@ impl<'t> Diagnostics<'t> {
     }
 }
 
-/// Returns the nearest of `known` names as a hint, or the list of all of them.
+/// Returns the nearest of the `known` names as a suggestion, or the list of all names.
 pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
     match known
         .clone()
@@ -95,7 +95,9 @@ pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + C
     }
 }
 
-/// Tells whether two names are the same but for their numbers: a storey that is not there is no slip for the first one.
+/// Returns `true` if two names differ only in their digits.
+///
+/// An unknown storey number, for example, is not a misspelling of another storey.
 fn differs_by_number(a: &str, b: &str) -> bool {
     let letters = |name: &str| {
         name.chars()
@@ -105,12 +107,12 @@ fn differs_by_number(a: &str, b: &str) -> bool {
     a.bytes().any(|byte| byte.is_ascii_digit()) && letters(a) == letters(b)
 }
 
-/// Writes a number of things, in the singular where it is one.
+/// Formats a count with its noun, in the singular for 1.
 pub(crate) fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// Returns how many insertions, deletions and replacements turn `a` into `b` (Levenshtein).
+/// Returns the Levenshtein distance: insertions, deletions and replacements that turn `a` into `b`.
 fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -1,4 +1,4 @@
-//! A drawing of a structure for people: points, members with the parameters that scale them, and sensors at their places.
+//! A drawing of a structure: points, members with their parameters, and sensors at their positions.
 
 use crate::node::{Channel, Quantity};
 use crate::parameter::Scales;
@@ -7,77 +7,81 @@ use crate::structure::Structure;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// Cosine and sine of the 30° under which the horizontal axes of a model in space are seen.
+/// Cosine and sine of the 30° projection of the horizontal axes of a model in space.
 const OBLIQUE: (f64, f64) = (0.866_025_403_784_438_6, 0.5);
 
-/// What kind of drawing it is.
+/// Kind of drawing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DrawingForm {
-    /// Floors above each other: point 0 is the ground, point *n* floor *n*; heights count storeys.
+    /// Floors above each other. Point 0 is the ground and point *n* is floor *n*; heights count
+    /// storeys.
     Storeys,
-    /// Straight members between points, in metres; a model in space is seen obliquely from above.
+    /// Straight members between points, in metres. A model in space is drawn obliquely from above.
     Members,
     /// Substructures without geometry, side by side.
     Boxes,
 }
 
-/// A structure as it can be drawn in a plane.
+/// A structure drawn in a plane.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drawing {
-    /// The kind.
+    /// Kind of drawing.
     pub form: DrawingForm,
-    /// Where members meet.
+    /// Points at which members meet.
     pub points: Vec<DrawnPoint>,
-    /// The parts whose stiffness may be identified.
+    /// Parts whose stiffness can be identified.
     pub members: Vec<DrawnMember>,
-    /// The channels, in frame order.
+    /// Channels, in frame order.
     pub sensors: Vec<DrawnSensor>,
 }
 
 /// A point of a drawing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DrawnPoint {
-    /// Its name in the structure file.
+    /// Name in the structure file.
     pub name: String,
-    /// To the right; in metres, storeys or boxes as the form says.
+    /// Horizontal coordinate, positive to the right; in metres, storeys or boxes, depending on the
+    /// form.
     pub x: f64,
-    /// Upwards, in the same unit.
+    /// Vertical coordinate, positive upwards, in the same unit.
     pub y: f64,
-    /// Whether the ground holds it.
+    /// `true` if the point is fixed to the ground.
     pub held: bool,
 }
 
 /// A member of a drawing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DrawnMember {
-    /// Its substructures; several where one member has a stiffness for each way of bending.
+    /// Names of its substructures; several if the member has one stiffness per bending direction.
     pub parts: Vec<String>,
-    /// The points that it joins (from 0); the same one twice for a box.
+    /// Indices of the points that it joins (from 0); the same index twice for a box.
     pub ends: [usize; 2],
-    /// The parameters that scale its stiffness; none where it is taken as known.
+    /// Names of the parameters that scale its stiffness; empty if the stiffness is known.
     pub parameters: Vec<String>,
 }
 
 /// A channel of a drawing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DrawnSensor {
-    /// The sensor node.
+    /// Name of the sensor node.
     pub node: String,
-    /// The channel.
+    /// Name of the channel.
     pub channel: String,
-    /// What is measured.
+    /// Measured quantity.
     pub quantity: Quantity,
-    /// Its SI unit.
+    /// SI unit of the quantity.
     pub unit: &'static str,
-    /// Whether it measures an excitation.
+    /// `true` if the channel measures an excitation.
     pub excitation: bool,
-    /// The point (from 0) at which it sits; none where the structure file does not tell.
+    /// Point (from 0) of the sensor; `None` if the structure file does not specify it.
     pub point: Option<usize>,
 }
 
 impl Structure {
-    /// Returns how the structure can be drawn: storeys for chains of floors, members for what has coordinates, boxes for
+    /// Returns the drawing of the structure.
+    ///
+    /// The form is storeys for chains of floors, members for models with coordinates, and boxes for
     /// matrices.
     #[must_use]
     pub fn drawing(&self) -> Drawing {
@@ -184,7 +188,7 @@ impl Structure {
         }
     }
 
-    /// Returns the point of a channel.
+    /// Returns the point of a channel, if known.
     fn place(&self, channel: &Channel, form: DrawingForm, points: &[DrawnPoint]) -> Option<usize> {
         if channel.quantity() == Quantity::GroundAcceleration {
             return points.iter().position(|point| point.held);
@@ -206,7 +210,7 @@ impl Structure {
     }
 }
 
-/// Returns where a point (m) is seen: to the right and upwards.
+/// Projects a point (m) onto the drawing: to the right and upwards.
 fn seen(at: &Vector3<f64>, up: Up) -> (f64, f64) {
     let (cos, sin) = OBLIQUE;
     match up {
@@ -284,7 +288,7 @@ mod tests {
             all().fold(f64::MIN, f64::max) - all().fold(f64::MAX, f64::min)
         };
         assert!(width(|point| point.x) > 0.0 && width(|point| point.y) > 0.0);
-        // seen straight from above or from the front some points would hide each other
+        // Seen straight from above or from the front, some points would hide others.
         for (index, one) in dome.points.iter().enumerate() {
             let hidden = dome.points[..index]
                 .iter()

@@ -1,28 +1,28 @@
-//! What can be wrong with a structure file, with all that a message for people needs.
+//! Errors of a structure file, with all details for the user.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Says why a structure could not be read.
+/// Reason why a structure could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum StructureError {
     /// The file itself could not be read.
     #[error("{}: cannot be read", path.display())]
     Unreadable {
-        /// The file that was asked for.
+        /// Path of the requested file.
         path: PathBuf,
-        /// The cause, from the operating system.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The file is longer than any structure file.
+    /// The file exceeds the maximum size of a structure file.
     #[error("{}: has more than {most} bytes, must have at most {most}", path.display())]
     TooLarge {
-        /// The file that was asked for.
+        /// Path of the requested file.
         path: PathBuf,
-        /// What is allowed.
+        /// Maximum size (bytes).
         most: u64,
     },
-    /// The file was read and has mistakes; all of them are listed, in the order of the file.
+    /// The file contains mistakes, listed in file order.
     #[error("{}", lines(diagnostics))]
     Invalid {
         /// One entry per mistake, at least one.
@@ -31,7 +31,7 @@ pub enum StructureError {
 }
 
 impl StructureError {
-    /// Returns the mistakes of the file; empty if it could not even be read.
+    /// Returns the mistakes in the file; empty if the file could not be read.
     #[must_use]
     pub fn diagnostics(&self) -> &[Diagnostic] {
         match self {
@@ -41,7 +41,7 @@ impl StructureError {
     }
 }
 
-/// Describes one mistake of a structure file: where it is, what was found, what is allowed.
+/// One mistake in a structure file: its position, the value found and the values allowed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
     path: PathBuf,
@@ -68,31 +68,31 @@ impl Diagnostic {
         }
     }
 
-    /// Returns the structure file.
+    /// Returns the path of the structure file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Returns the line, counted from 1.
+    /// Returns the line number, counted from 1.
     #[must_use]
     pub fn line(&self) -> usize {
         self.line
     }
 
-    /// Returns the key with its table, as in `filter.half-life-s`.
+    /// Returns the key with its table, such as `filter.half-life-s`.
     #[must_use]
     pub fn key(&self) -> &str {
         &self.key
     }
 
-    /// Returns what was found there.
+    /// Returns the value found.
     #[must_use]
     pub fn found(&self) -> &str {
         &self.found
     }
 
-    /// Returns what is allowed there.
+    /// Returns the allowed values.
     #[must_use]
     pub fn allowed(&self) -> &str {
         &self.allowed
@@ -112,7 +112,8 @@ impl fmt::Display for Diagnostic {
     }
 }
 
-/// More mistakes than this are counted, not told: they mostly follow from the first ones.
+/// Maximum number of reported mistakes. Further mistakes mostly follow from the first ones; the
+/// message only gives their number.
 const MOST_TOLD: usize = 30;
 
 fn lines(diagnostics: &[Diagnostic]) -> String {

@@ -1,10 +1,11 @@
-//! Responses of the structure whose estimates the owner asks for: displacements and velocities that no sensor measures.
+//! Responses that the structure file requests as estimates: displacements and velocities that no
+//! sensor measures.
 
-/// A weighted sum of entries of the state, with the name under which its estimate is written.
+/// A weighted sum of state entries, with the name of its estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimatedResponse {
     pub(crate) name: String,
-    /// Entries of the state (from 0) with their coefficients.
+    /// State entries (from 0) with their coefficients.
     pub(crate) terms: Vec<(usize, f64)>,
 }
 

@@ -1,8 +1,9 @@
-//! How much each parameter rests on what the file says of an excitation that nobody measures.
+//! Dependence of each parameter on the stated properties of unmeasured excitations.
 //!
-//! The filter takes such an excitation as white, and its level as stated or as found. A real one is neither: each octave of
-//! its spectrum is off by a factor of its own. To first order an error `δ` of the logarithms of the spectrum moves the
-//! estimates by `F⁻¹ I_δ δ` (`spectral_information`), with `F` the information on parameters and adapted levels.
+//! The filter assumes that such an excitation is white and has the stated or adapted level. A real
+//! excitation differs: each octave of its spectrum is off by a separate factor. To first order, an
+//! error `δ` of the logarithms of the spectrum moves the estimates by `F⁻¹ I_δ δ`
+//! (`spectral_information`). `F` is the information on parameters and adapted levels.
 
 use crate::noise_level::NoiseSource;
 use crate::spectral_information::{Direction, SpectralModel};
@@ -11,32 +12,42 @@ use nalgebra::DMatrix;
 use spandrel_filter::FadingFactor;
 use std::f64::consts::PI;
 
-/// Deviation of the logarithm of the variance in one octave: a factor of two in the motion, up or down. Ground motion on
-/// soil differs from white noise by more, on rock by about that.
+/// Standard deviation of the logarithm of the variance in one octave.
+///
+/// It corresponds to a factor of two in the motion, up or down. Ground motion on rock differs from
+/// white noise by about this factor, and on soil by more.
 const COLOUR: f64 = 2.0 * std::f64::consts::LN_2;
 
-/// The spectrum is told apart in octaves from so far below the first natural frequency.
+/// Ratio of the first natural frequency to the start of the first separate octave.
 const BELOW_FIRST: f64 = 4.0;
 
-/// A parameter that an excitation as coloured as real ones shifts by more than this share of the loss that its alert rule
-/// looks for is no witness of that loss.
+/// Maximum error of a usable parameter, as a share of the loss in its alert rule.
+///
+/// If a realistic excitation colour shifts the parameter by more, the parameter cannot indicate
+/// that loss.
 const SPOILING: f64 = 0.5;
 
 impl Structure {
-    /// Returns the standard deviation (ratio to nominal) of the error of each parameter that comes from the level and the
-    /// colour of unmeasured excitations; in state order.
+    /// Returns the standard deviation of the error of each parameter due to unmeasured excitations.
     ///
-    /// 0 where every excitation is measured, or known by `level-factor = 1`. A level that is not adapted is uncertain by its
-    /// `level-factor`; one that is adapted takes its information from the parameters. The colour is uncertain by a factor of
-    /// two in each octave, on its own. The error does not fall with more data of the same kind: add its square to the variance
-    /// that a filter reports. Linearised at the prior means; empty where the structure has no finite answer.
+    /// The errors (ratios to nominal, in state order) come from the level and the colour of these
+    /// excitations. An error is 0 if every excitation is measured, or known by `level-factor = 1`.
+    /// A level that is not adapted is uncertain by its `level-factor`. An adapted level takes its
+    /// information from the parameters. The colour is uncertain by an independent factor of two in
+    /// each octave.
+    ///
+    /// The error does not decrease with more data of the same kind. Add its square to the variance
+    /// that a filter reports. The result is linearised at the prior means, and empty if it is not
+    /// finite.
     #[must_use]
     pub fn errors_by_unmeasured_excitation(&self) -> Vec<f64> {
         self.excitation_errors().unwrap_or_default()
     }
 
-    /// Returns for each parameter, in state order, whether its estimate rests on the level and the colour of an excitation
-    /// that nobody measures: whether they may shift it by half of the loss that its alert rule looks for.
+    /// Returns for each parameter, in state order, whether unmeasured excitations make it unusable.
+    ///
+    /// A parameter is unusable if the level and colour of these excitations may shift it by half of
+    /// the loss in its alert rule.
     #[must_use]
     pub fn parameters_spoilt_by_unmeasured_excitation(&self) -> Vec<bool> {
         let errors = self.errors_by_unmeasured_excitation();
@@ -44,11 +55,12 @@ impl Structure {
         let mut spoilt: Vec<bool> = pairs
             .map(|(parameter, error)| self.spoils(parameter, *error))
             .collect();
-        spoilt.resize(self.parameters.len(), true); // what has no answer is not to be trusted
+        spoilt.resize(self.parameters.len(), true); // no finite result, so not trustworthy
         spoilt
     }
 
-    /// Tells whether an error (ratio to nominal) is of the size of the loss that the alert rule of a parameter looks for.
+    /// Returns `true` if an error (ratio to nominal) exceeds half of the loss in the parameter's
+    /// alert rule.
     pub(crate) fn spoils(&self, parameter: &crate::Parameter, error: f64) -> bool {
         let index = self
             .parameters
@@ -104,7 +116,7 @@ impl Structure {
         )
     }
 
-    /// Tells whether a noise level (from 0) is that of an excitation that nobody measures.
+    /// Returns `true` if a noise level (from 0) belongs to an unmeasured excitation.
     pub(crate) fn is_unmeasured(&self, level: usize) -> bool {
         match self.noise_levels[level].source() {
             NoiseSource::Excitation(index) => self.excitations[*index].channel().is_none(),
@@ -112,7 +124,7 @@ impl Structure {
         }
     }
 
-    /// Tells whether the file leaves open what an unmeasured excitation is.
+    /// Returns `true` if the file leaves the level and colour of an unmeasured excitation open.
     pub(crate) fn is_unknown(&self, level: usize) -> bool {
         match self.noise_levels[level].source() {
             NoiseSource::Excitation(index) => self.excitations[*index].level_factor() > 1.0,
@@ -120,14 +132,15 @@ impl Structure {
         }
     }
 
-    /// Returns the variance that each noise level is expected to have.
+    /// Returns the expected variance of each noise level.
     pub(crate) fn expected_variances(&self) -> Vec<f64> {
         (0..self.noise_levels.len())
             .map(|level| self.expected_level_std(level).powi(2))
             .collect()
     }
 
-    /// Returns the frames that the memory of the filter amounts to, `1/(λ − 1)`; without limit where nothing is forgotten.
+    /// Returns the memory of the filter (frames), `1/(λ − 1)`; infinite if the filter forgets
+    /// nothing.
     pub(crate) fn memory_frames(&self) -> Option<f64> {
         let fading = self.fading().ok()?;
         Some(if fading == FadingFactor::NONE {
@@ -137,17 +150,19 @@ impl Structure {
         })
     }
 
-    /// Returns the lowest frequency (rad/s) that has an octave of its own.
+    /// Returns the lowest frequency (rad/s) with a separate octave.
     fn lowest_octave(&self) -> f64 {
         2.0 * PI / (BELOW_FIRST * self.fundamental_period_s().max(2.0 * self.step_s()))
     }
 
-    /// Returns the number of octaves, the last of which ends at half the sampling rate.
+    /// Returns the number of octaves. The centre of the last one is above half the sampling rate.
     fn octaves(&self) -> usize {
         2 + (PI / self.step_s() / self.lowest_octave()).log2().floor() as usize
     }
 
-    /// Returns what an octave (from 0) counts at a frequency (rad/s): 1 at its own, falling to 0 at its neighbours'.
+    /// Returns the weight of an octave (from 0) at a frequency (rad/s).
+    ///
+    /// The weight is 1 at the frequency of the octave and falls to 0 at its neighbours.
     pub(crate) fn octave_share(&self, octave: usize, omega: f64) -> f64 {
         let place = (omega / self.lowest_octave())
             .log2()

@@ -1,7 +1,7 @@
-//! Reads a structure file from top to bottom and puts the structure together.
+//! Reads a structure file from top to bottom and assembles the structure.
 //!
-//! Each table is checked as far as what it refers to could be read, so that one mistake hides no other; a structure
-//! comes out only when there is none.
+//! Each table is checked as far as its references could be read, so that one mistake hides no
+//! other. The result is a structure only if the file contains no mistake.
 
 mod alert;
 mod chain;
@@ -34,7 +34,7 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::DeTable;
 
-/// A structure file as read: its text and its tables with the place of every key and value.
+/// Text of a structure file, and its tables with the position of every key and value.
 pub(crate) struct StructureFile<'t> {
     text: &'t str,
     document: Spanned<DeTable<'t>>,
@@ -49,11 +49,11 @@ struct Head {
     distributed: Option<Spanned<bool>>,
 }
 
-/// Default of `display-rate-hz`: as fast as an eye follows.
+/// Default of `display-rate-hz`: as fast as the eye can follow.
 const DISPLAY_RATE_HZ: f64 = 10.0;
 
 impl<'t> StructureFile<'t> {
-    /// Reads the TOML; every syntax error is reported with its line.
+    /// Parses the TOML and reports every syntax error with its line.
     pub(crate) fn parse(text: &'t str, path: &Path) -> Result<Self, StructureError> {
         let (document, errors) = DeTable::parse_recoverable(text);
         if errors.is_empty() {
@@ -88,7 +88,7 @@ impl<'t> StructureFile<'t> {
         })
     }
 
-    /// Checks everything and puts the structure together.
+    /// Checks the whole file and assembles the structure.
     pub(crate) fn resolve(&self, path: &Path) -> Result<Structure, StructureError> {
         let diagnostics = Diagnostics::new(path, self.text);
         let structure = self.read(&diagnostics);
@@ -272,7 +272,7 @@ fn component_channels(read: &excitation::ExcitationRead) -> impl Iterator<Item =
     std::iter::repeat_n(read.excitation.channel(), read.excitation.component_len())
 }
 
-/// Returns the frame channels that are responses, in frame order.
+/// Returns the frame channels of responses, in frame order.
 fn observation_channels(channels: &[ChannelRead]) -> Vec<usize> {
     let responses = channels
         .iter()
@@ -281,7 +281,9 @@ fn observation_channels(channels: &[ChannelRead]) -> Vec<usize> {
     responses.map(|(index, _)| index).collect()
 }
 
-/// Makes a noise level per excitation and per group of sensors; a channel without a group is one of its own.
+/// Creates a noise level per excitation and per group of sensors.
+///
+/// A channel without a group gets its own noise level.
 fn read_noise_levels(
     file: &Section<'_>,
     channels: &[ChannelRead],
@@ -328,7 +330,7 @@ fn read_noise_levels(
     levels
 }
 
-/// Channels of a group share one variance, so they must agree on it.
+/// Checks that the channels of a noise group agree on their common variance.
 fn check_group(file: &Section<'_>, read: &ChannelRead, level: &NoiseLevel) {
     let (same_std, same_choice) = (
         read.channel.noise_std == level.std,
@@ -350,7 +352,7 @@ fn check_group(file: &Section<'_>, read: &ChannelRead, level: &NoiseLevel) {
     }
 }
 
-/// Reports every name that occurs twice.
+/// Reports every duplicate name.
 fn check_unique(section: &Section<'_>, key: &str, names: &[Spanned<String>]) {
     for (index, name) in names.iter().enumerate() {
         if names[..index]
@@ -365,7 +367,9 @@ fn check_unique(section: &Section<'_>, key: &str, names: &[Spanned<String>]) {
     }
 }
 
-/// Reads a time (s) that is counted in samples at `rate_hz`, the structure's, and reports what is not in `samples`.
+/// Reads a time (s) and reports it if its number of samples is not in `samples`.
+///
+/// `rate_hz` is the sampling rate of the structure.
 fn read_time(
     section: &mut Section<'_>,
     key: &'static str,
@@ -402,7 +406,7 @@ fn read_time(
     None
 }
 
-/// Finds a name among `known`; reports it if it is not there.
+/// Returns the index of a name in `known`, or reports an unknown name.
 fn find_name<'k>(
     section: &Section<'_>,
     key: &str,

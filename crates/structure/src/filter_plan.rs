@@ -1,5 +1,7 @@
-//! The filter that the owner asks for, in seconds and ratios; [`Structure::filter_settings`](crate::Structure::filter_settings)
-//! turns it into steps and covariances.
+//! Filter settings of the structure file, in seconds and ratios.
+//!
+//! [`Structure::filter_settings`](crate::Structure::filter_settings) converts them to steps and
+//! covariances.
 
 use crate::settings::ParticleKeys;
 use spandrel_filter::{InputHold, NoiseRule};
@@ -11,44 +13,48 @@ pub(crate) struct FilterPlan {
     /// Half-life of a sample's weight (s), Huang & Yuen (2023), (2.71).
     pub(crate) half_life_s: f64,
     pub(crate) noise_rule: NoiseRule,
-    /// Half-life for the noise levels (s).
+    /// Half-life of the noise levels (s).
     pub(crate) noise_half_life_s: f64,
-    /// Standard deviation of a noise level at the start, relative to it.
+    /// Initial standard deviation of a noise level, relative to the level.
     pub(crate) noise_prior_std: f64,
-    /// No noise level falls below this share of its start (standard deviations).
+    /// Lower limit of a noise level as a share of its initial value (standard deviations).
     pub(crate) noise_floor: f64,
     pub(crate) annealing: Annealing,
-    /// Particles in place of the Kalman filter, if the file asks for them.
+    /// Keys of the particle filter; `None` for the Kalman filter.
     pub(crate) particles: Option<ParticleKeys>,
-    /// How outliers are screened, if they are.
+    /// Keys of outlier screening; `None` without screening.
     pub(crate) outliers: Option<OutlierPlan>,
-    /// A parameter's variance is kept below this times its prior variance.
+    /// Upper limit of a parameter's variance as a multiple of its prior variance.
     pub(crate) variance_bound: f64,
-    /// Of measured excitations.
+    /// Hold of measured excitations between samples.
     pub(crate) input_hold: InputHold,
-    /// Standard deviation of each displacement at the start (m).
+    /// Initial standard deviation of each displacement (m).
     pub(crate) displacement_std_m: f64,
-    /// Standard deviation of each velocity at the start (m/s).
+    /// Initial standard deviation of each velocity (m/s).
     pub(crate) velocity_std_m_per_s: f64,
 }
 
-/// The `[outliers]` table; times are counted in fundamental periods where the file says nothing.
+/// The `[outliers]` table; `None` stands for a number of fundamental periods.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct OutlierPlan {
-    /// Large residuals stay out while the first scale is found.
+    /// `true` if the training ignores large residuals when it determines the first scale.
     pub(crate) gated: bool,
     pub(crate) training_s: Option<f64>,
     pub(crate) window_s: Option<f64>,
     pub(crate) fault_window_s: Option<f64>,
-    /// Share of rejected samples from which on a channel is looked into.
+    /// Share of rejected samples above which a channel is investigated.
     pub(crate) fault_share: f64,
 }
 
 impl OutlierPlan {
-    /// Samples of the training and of the fault window: fewer have no scale, and more take megabytes for each channel.
+    /// Allowed number of samples of the training and of the fault window.
+    ///
+    /// Fewer samples have no scale, and more take megabytes for each channel.
     pub(crate) const RESIDUALS: RangeInclusive<usize> = 3..=1_000_000;
-    /// Samples of the window: with fewer the upper bound (4.27) falls below the lower one, two deviations; of more not even
-    /// the tail fits into memory.
+    /// Allowed number of samples of the window.
+    ///
+    /// With fewer samples, the upper bound (4.27) falls below the lower bound of two standard
+    /// deviations. With more, not even the tail fits into memory.
     pub(crate) const WINDOW: RangeInclusive<usize> = 14..=10_000_000;
 }
 
@@ -64,10 +70,10 @@ impl Default for OutlierPlan {
     }
 }
 
-/// Distrust of the sensors at the start: `Σ_n (1 + a e^{−t/τ})`.
+/// Initially increased sensor noise: `Σ_n (1 + a e^{−t/τ})`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Annealing {
-    /// `a`, 0 for none.
+    /// `a`, 0 for no annealing.
     pub(crate) amount: f64,
     /// `τ` (s).
     pub(crate) time_s: f64,
@@ -79,11 +85,12 @@ impl Default for FilterPlan {
             half_life_s: 10.0,
             noise_rule: NoiseRule::Fisher,
             noise_half_life_s: 10.0,
-            // three standard deviations reach zero: Huang & Yuen (2023), §3.2
+            // Three standard deviations reach zero: Huang & Yuen (2023), §3.2.
             noise_prior_std: 1.0 / 3.0,
-            // a quiet hour must not make the filter believe the first seconds of shaking a hundredfold
+            // A quiet hour must not make the filter trust the first seconds of shaking a
+            // hundredfold.
             noise_floor: 0.1,
-            // start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off
+            // Start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off.
             annealing: Annealing {
                 amount: 100.0,
                 time_s: 2.0,
@@ -91,9 +98,10 @@ impl Default for FilterPlan {
             particles: None,
             outliers: None,
             variance_bound: 1.0,
-            // held, a record is late by half a step, which reads as a change of stiffness and damping
+            // A held record is late by half a step, which looks like a change of stiffness and
+            // damping.
             input_hold: InputHold::First,
-            // at rest: wide priors make the first updates leave the linear range of the filter
+            // At rest: wide priors make the first updates leave the linear range of the filter.
             displacement_std_m: 1e-5,
             velocity_std_m_per_s: 1e-4,
         }

@@ -1,4 +1,4 @@
-//! Turns the wishes of the structure file into the settings of the filter.
+//! Converts the settings of the structure file to the settings of the filter.
 
 use crate::filter_plan::OutlierPlan;
 use crate::noise_level::NoiseSource;
@@ -11,36 +11,42 @@ use spandrel_filter::{
 };
 use std::ops::RangeInclusive;
 
-/// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
+/// Minimum training of the noise levels in fundamental periods: Huang & Yuen (2023), (3.31).
 const TRAINING_PERIODS: f64 = 10.0;
 
-/// The same for the rule half-or-double: Yuen, Liang & Kuok (2013).
+/// Minimum training with the rule half-or-double in fundamental periods: Yuen, Liang & Kuok (2013).
 const HALF_OR_DOUBLE_PERIODS: f64 = 1.0;
 
-/// Training ends without further waiting after this many times its least length: with one level and few channels the
-/// source's own rule may never fire.
+/// Maximum training as a multiple of the minimum training.
+///
+/// With one level and few channels, the source's own rule may never end the training.
 const TRAINING_LIMIT: u64 = 4;
 
-/// Longest length over which scores are summed, in memories of the filter: longer ones follow the estimate itself.
+/// Maximum length over which scores are summed, in memories of the filter.
+///
+/// Longer sums follow the estimate itself.
 const LONGEST_BLOCK: f64 = 0.7;
 
-/// Time constant of the misfit, in memories of the filter: some tens of independent sums at the default half-life.
+/// Time constant of the misfit, in memories of the filter.
+///
+/// It covers several tens of independent sums at the default half-life.
 const MISFIT_MEMORY: f64 = 8.0;
 
-/// Standard deviations that a sum of scores must reach to be a jump.
+/// Standard deviations at which a sum of scores counts as a jump.
 ///
-/// A structure with ten parameters has some 10⁸ independent sums a year at 1 Hz, half of them near quiet. White sums reach
-/// 5 standard deviations sixty times in 10⁸. A jump that was none widens the intervals for some periods and harms nothing.
+/// A structure with ten parameters has about 10⁸ independent sums a year at 1 Hz, half of them
+/// almost quiet. White sums reach 5 standard deviations sixty times in 10⁸. A false jump widens the
+/// intervals for some periods and causes no other harm.
 const JUMP_THRESHOLD: f64 = 5.0;
 
-/// Fundamental periods for which a jump is followed.
+/// Number of fundamental periods for which the filter follows a jump.
 const JUMP_PERIODS: f64 = 4.0;
 
 impl Structure {
     /// Returns the settings of the filter for [`Structure::model`].
     ///
     /// # Errors
-    /// When a half-life is so short that it has no fading factor.
+    /// Returns an error if a half-life is too short to have a fading factor.
     pub fn filter_settings(&self) -> Result<FilterSettings, FilterError> {
         let (plan, free) = (&self.plan, self.system.len());
         let of_parameters = |value: &dyn Fn(&crate::Parameter) -> f64| -> Vec<f64> {
@@ -72,7 +78,7 @@ impl Structure {
             fading: fading(plan.noise_half_life_s)?.value(),
             training_steps: self.training_steps(),
             training_limit_steps: TRAINING_LIMIT * self.training_steps(),
-            // a level is a variance; zero would never move again
+            // A level is a variance. A level of zero would never change.
             floor: self
                 .plan
                 .noise_floor
@@ -103,18 +109,20 @@ impl Structure {
     /// Returns the fading factor of the state.
     ///
     /// # Errors
-    /// When the half-life is so short that it has none.
+    /// Returns an error if the half-life is too short to have a fading factor.
     pub(crate) fn fading(&self) -> Result<FadingFactor, FilterError> {
-        // what is known of a motion needs no forgetting where nothing else is identified: it dies away with the motion
+        // Without parameters, information about the motion needs no forgetting: it decays with the
+        // motion.
         if self.parameters.is_empty() {
             return Ok(FadingFactor::NONE);
         }
         FadingFactor::from_half_life(self.plan.half_life_s * self.sampling_rate_hz)
     }
 
-    /// Returns how misfit is measured: over lengths between half a fundamental period and the memory of the filter.
+    /// Returns the settings of the misfit, which sums scores over three lengths.
     ///
-    /// `None` where nothing is forgotten, because then no parameter is identified.
+    /// The lengths range from half a fundamental period to a share of the memory of the filter. The
+    /// result is `None` if the filter forgets nothing, because then it identifies no parameter.
     fn misfit_settings(&self, fading: FadingFactor) -> Option<MisfitSettings> {
         let period_steps = self.fundamental_period_s() * self.sampling_rate_hz;
         let memory_steps = fading.memory_steps();
@@ -136,13 +144,14 @@ impl Structure {
         })
     }
 
-    /// Turns seconds into samples; what the file leaves open follows from the fundamental period as designed.
+    /// Converts seconds to samples. Missing settings follow from the fundamental period as
+    /// designed.
     fn outlier_settings(&self, plan: &OutlierPlan) -> OutlierSettings {
         let steps = |seconds: f64| (seconds * self.sampling_rate_hz).round() as usize;
         let at_most = |count: usize, range: RangeInclusive<usize>| count.min(*range.end());
         let mut settings =
             OutlierSettings::for_period(self.fundamental_period_s() * self.sampling_rate_hz);
-        // of a structure that hardly moves a hundred periods would not fit into memory
+        // For a structure that hardly moves, a hundred periods would not fit into memory.
         settings.window = at_most(settings.window, OutlierPlan::WINDOW);
         settings.upper = upper_bound(settings.window);
         settings.training_steps = at_most(settings.training_steps, OutlierPlan::RESIDUALS);
@@ -164,7 +173,8 @@ impl Structure {
         settings
     }
 
-    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed; one `T` for half-or-double.
+    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed; one `T` for
+    /// half-or-double.
     fn training_steps(&self) -> u64 {
         let periods = match self.plan.noise_rule {
             NoiseRule::HalfOrDouble => HALF_OR_DOUBLE_PERIODS,
@@ -173,10 +183,11 @@ impl Structure {
         (periods * self.fundamental_period_s() * self.sampling_rate_hz) as u64
     }
 
-    /// Returns the standard deviation of the logarithm of the variance of a noise level (from 0) before any data.
+    /// Returns the prior standard deviation of the logarithm of the variance of a noise level (from
+    /// 0).
     ///
-    /// A variance that is known to a factor `F` of the standard deviation has `2 ln F`. The published rules start an
-    /// unmeasured level like any other, unless the file says otherwise.
+    /// If the standard deviation is known to a factor `F`, the result is `2 ln F`. The published
+    /// rules start an unmeasured level like any other, unless the file specifies a factor.
     pub(crate) fn level_prior_std(&self, level: usize) -> f64 {
         let published = matches!(
             self.plan.noise_rule,
@@ -194,7 +205,7 @@ impl Structure {
         }
     }
 
-    /// Splits the noise levels into what is known and what is adapted.
+    /// Returns the noise levels, separated into known and adapted variances.
     fn noise_model(&self) -> NoiseModel {
         let (inputs, rows) = (
             self.excitation_channels.len(),

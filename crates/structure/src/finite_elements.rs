@@ -1,26 +1,29 @@
-//! Puts elements together to the matrices of a structure: degrees of freedom by node and direction, some of them fixed.
+//! Assembles element matrices into the matrices of a structure.
 //!
-//! Element matrices come in global directions, the degrees of freedom of the first node before those of the second.
+//! Degrees of freedom are numbered by node and direction; some are fixed. Element matrices are in
+//! global directions, with the degrees of freedom of the first node before those of the second.
 
 use crate::linear_system::{Damping, GroundDirection, LinearSystem, Mass, Substructure};
 use crate::sparse_cholesky::SparseCholesky;
 use nalgebra::{DMatrix, DVector};
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
 
-/// Directions in which the ground can move; the others are rotations.
+/// Directions in which the ground can move; other directions are rotations.
 const TRANSLATIONS: [&str; 3] = ["x", "y", "z"];
 
-/// The degrees of freedom of nodes, those that are fixed left out.
+/// Degrees of freedom of nodes, without the fixed ones.
 #[derive(Debug, Clone)]
 pub(crate) struct Freedoms {
     directions: &'static [&'static str],
-    /// Degree of freedom of each node and direction, by node.
+    /// Degree of freedom of each node and direction, by node; `None` if fixed.
     free: Vec<Option<usize>>,
     names: Vec<String>,
 }
 
 impl Freedoms {
-    /// Numbers the directions of each node, by node; `is_fixed` tells which (node, direction) cannot move.
+    /// Numbers the directions of each node, by node.
+    ///
+    /// `is_fixed` returns `true` if a (node, direction) cannot move.
     pub(crate) fn new<'n>(
         nodes: impl Iterator<Item = &'n str>,
         directions: &'static [&'static str],
@@ -44,7 +47,7 @@ impl Freedoms {
         }
     }
 
-    /// Returns the number of degrees of freedom that are not fixed.
+    /// Returns the number of free degrees of freedom.
     pub(crate) fn len(&self) -> usize {
         self.names.len()
     }
@@ -58,7 +61,7 @@ impl Freedoms {
             .collect()
     }
 
-    /// Returns how every degree of freedom moves with the ground, for each direction in which some does.
+    /// Returns the influence of the ground on all degrees of freedom, for each direction with any.
     fn ground_directions(&self) -> Vec<GroundDirection> {
         let per_node = self.directions.len();
         let mut found = Vec::new();
@@ -83,7 +86,7 @@ impl Freedoms {
     }
 }
 
-/// The matrices of a structure while its elements are added.
+/// Matrices of a structure during the assembly of its elements.
 pub(crate) struct FiniteElements {
     freedoms: Freedoms,
     mass: DMatrix<f64>,
@@ -91,7 +94,7 @@ pub(crate) struct FiniteElements {
 }
 
 impl FiniteElements {
-    /// Starts with nothing but the names of the substructures.
+    /// Creates empty matrices for the named substructures.
     pub(crate) fn new(freedoms: Freedoms, parts: impl Iterator<Item = String>) -> Self {
         let len = freedoms.len();
         let parts = parts.map(|name| (name, CooMatrix::new(len, len))).collect();
@@ -119,7 +122,7 @@ impl FiniteElements {
         });
     }
 
-    /// Returns the structure, still without damping; `None` if its mass is not positive definite.
+    /// Returns the structure without damping; `None` if its mass is not positive definite.
     pub(crate) fn finish(self) -> Option<LinearSystem> {
         let is_diagonal =
             self.mass.iter().filter(|entry| **entry != 0.0).count() <= self.mass.nrows();
@@ -149,7 +152,7 @@ impl FiniteElements {
     }
 }
 
-/// Calls `add` with every entry that is not zero and whose degrees of freedom are free.
+/// Calls `add` for every nonzero entry whose degrees of freedom are both free.
 fn for_each_free(
     dofs: &[Option<usize>],
     element: &DMatrix<f64>,

@@ -1,8 +1,11 @@
 //! Members of a plane frame: Euler-Bernoulli beams with axial stiffness.
 //!
-//! Degrees of freedom of an end: `x`, `y` (m) and the rotation `r` (rad), counter-clockwise. In the directions of the
-//! member these are `u` along it and `w` across it. Matrices: Przemieniecki, *Theory of Matrix Structural Analysis*
-//! (1968), (5.116) and (11.27) without shear and rotary inertia. Huang & Yuen (2023), §2.4.5, is a bridge of them.
+//! Degrees of freedom of an end: `x`, `y` (m) and the rotation `r` (rad), counter-clockwise. In
+//! member directions they are `u` along the member and `w` across it.
+//!
+//! Matrices: Przemieniecki, *Theory of Matrix Structural Analysis* (1968), (5.116) and (11.27)
+//! without shear and rotary inertia. Huang & Yuen (2023), §2.4.5, describes a bridge of such
+//! members.
 
 use crate::mesh::{ElementMatrices, MassForm, MemberSection};
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
@@ -32,7 +35,8 @@ pub(crate) fn element(
     }
 }
 
-/// Returns the directions of the member (6 × 6) by the global ones, for a unit vector along it.
+/// Returns the transformation from global to member directions (6 × 6) for a unit vector along the
+/// member.
 fn rotation(along: Vector3<f64>) -> Matrix6<f64> {
     let (cos, sin) = (along.x, along.y);
     let mut local_from_global = Matrix6::zeros();
@@ -83,8 +87,10 @@ fn consistent_mass(section: &MemberSection, l: f64) -> Matrix6<f64> {
     shape * (section.density_kg_per_m3 * section.area_m2 * l / 420.0)
 }
 
-/// Half of the mass to each end; the rotations keep the share of the consistent diagonal (Hinton, Rock & Zienkiewicz
-/// 1976, *Earthquake Eng. Struct. Dyn.* 4, 245), since a mass of zero has no acceleration.
+/// Returns the lumped mass matrix, with half of the mass at each end.
+///
+/// The rotations keep their share of the consistent diagonal (Hinton, Rock & Zienkiewicz 1976,
+/// *Earthquake Eng. Struct. Dyn.* 4, 245), since a zero mass has no acceleration.
 fn lumped_mass(section: &MemberSection, l: f64) -> Matrix6<f64> {
     let mass = section.density_kg_per_m3 * section.area_m2 * l;
     let (half, rotation) = (mass / 2.0, mass * l * l / 78.0);
@@ -119,7 +125,8 @@ mod tests {
 
     const BRIDGE: &str = include_str!("../../../docs/examples/three-pier-bridge.toml");
 
-    /// Huang & Yuen (2023), §2.4.5 and §3.4.2, with the second moment of the deck that both chapters 3 and 6 print.
+    /// Huang & Yuen (2023), §2.4.5 and §3.4.2, with the second moment of the deck from chapters 3
+    /// and 6.
     #[test]
     fn the_published_bridge_has_its_frequencies() {
         let found = frequencies(BRIDGE);
@@ -133,7 +140,9 @@ mod tests {
         assert!((found[58] - 36.3).abs() < 0.05, "{}", found[58]);
     }
 
-    /// A beam of `members` members on two pins, with `f₁ = π/2 √(EI/ρA)/L²` (L = 10 m) if it could not stretch.
+    /// Returns the first frequency of a pinned beam with `members` members.
+    ///
+    /// Without axial extension it is `f₁ = π/2 √(EI/ρA)/L²` (L = 10 m).
     fn beam(members: usize, form: &str) -> f64 {
         let nodes: Vec<String> = (1..=members + 1).map(|node| node.to_string()).collect();
         let channel = "quantity = \"velocity\"\ndof = 1\nunit = \"m/s\"\nnoise-std = 1";
@@ -162,8 +171,8 @@ mod tests {
         frequencies(&text)[0]
     }
 
-    /// Lumped masses converge with the square of the length of the members, consistent ones with the fourth power and from
-    /// above: Archer (1963), *J. Struct. Div.* 89, 161.
+    /// Lumped masses converge with the square of the member length. Consistent masses converge from
+    /// above with the fourth power: Archer (1963), *J. Struct. Div.* 89, 161.
     #[test]
     fn a_beam_on_two_pins_converges_to_the_textbook() {
         let exact = PI / 2.0 * (2.1e11_f64 * 3e-4 / (7850.0 * 0.02)).sqrt() / 100.0;
@@ -180,7 +189,7 @@ mod tests {
         );
     }
 
-    /// A rigid motion costs no energy, and its kinetic energy is that of the whole mass.
+    /// A rigid motion has no strain energy, and its kinetic energy includes the whole mass.
     #[test]
     fn a_rigid_motion_moves_the_whole_mass_without_force() {
         let along = Vector3::new(3.0, -4.0, 0.0);
@@ -196,7 +205,7 @@ mod tests {
                 assert!((&matrices.stiffness * &moved).norm() < 1e-6 * matrices.stiffness.norm());
                 assert!(((&matrices.mass * &moved).dot(&moved) - mass).abs() < 1e-9 * mass);
             }
-            // about the first end: the second moves across by the length
+            // Rotation about the first end: the second end moves across by the length.
             let turned = nalgebra::DVector::from_column_slice(&[0.0, 0.0, 1.0, 4.0, 3.0, 1.0]);
             assert!((&matrices.stiffness * &turned).norm() < 1e-9 * matrices.stiffness.norm());
         }
@@ -208,7 +217,9 @@ mod tests {
         );
     }
 
-    /// A cantilever under a force and a moment at its tip: `w = F L³/3EI + M L²/2EI`, `φ = F L²/2EI + M L/EI`, `u = N L/EA`.
+    /// A cantilever under a force and a moment at its tip.
+    ///
+    /// `w = F L³/3EI + M L²/2EI`, `φ = F L²/2EI + M L/EI`, `u = N L/EA`.
     #[test]
     fn the_tip_of_a_cantilever_bends_as_in_the_textbook() {
         let (l, ei, ea) = (5.0, 2.1e11 * 3e-4, 2.1e11 * 0.02);

@@ -1,4 +1,4 @@
-//! Distributed identification as the owner asks for it, turned into the settings of nodes and station.
+//! Settings of distributed identification, converted to the settings of nodes and station.
 
 use crate::excitation::Action;
 use crate::model::StructureModel;
@@ -14,19 +14,21 @@ use spandrel_filter::fusion::{
 };
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
-/// Means outside these make a node, or the station, start anew: of stiffness, and of everything else. Huang & Yuen (2023), chapter 7, leaves
-/// it open; a node that is lost stays lost without it.
+/// Range of sound means of stiffness parameters; `HEALTHY_OTHERS` is the range of all others.
+///
+/// A node or the station restarts if a mean leaves the range. Huang & Yuen (2023), chapter 7,
+/// leaves the range open. Without a restart, a diverged node never recovers.
 const HEALTHY_STIFFNESS: (f64, f64) = (0.3, 2.5);
 const HEALTHY_OTHERS: (f64, f64) = (-0.9, 10.0);
 
-/// What nodes tell one another of the motion, as the file says.
+/// Motion data that nodes exchange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum MotionPlan {
     None,
-    /// So many modes, or as many as carry the mass.
+    /// This number of modes, or `None` for as many as carry the mass.
     Modes(Option<usize>),
     Responses,
-    /// Samples at so many instants of a fusion period.
+    /// Samples at this number of instants in a fusion period.
     Samples(usize),
 }
 
@@ -49,31 +51,31 @@ impl FusionPlan {
         self.rate_hz
     }
 
-    /// Returns what nodes do with the fused density.
+    /// Returns the rule by which nodes use the fused density.
     #[must_use]
     pub fn feedback(&self) -> FeedbackRule {
         self.feedback
     }
 
-    /// Tells whether covariances travel as variances alone.
+    /// Returns `true` if nodes send covariances as variances only.
     #[must_use]
     pub fn sends_variances(&self) -> bool {
         self.covariance == CovarianceScheme::Identity
     }
 
-    /// Tells whether every node is told what each of the others has sent of the motion, or of its samples.
+    /// Returns `true` if every node receives the motion data or samples of each other node.
     #[must_use]
     pub fn passes_motion_on(&self) -> bool {
         matches!(self.motion, MotionPlan::Responses | MotionPlan::Samples(_))
     }
 
-    /// Returns the test of the nodes, if there is one.
+    /// Returns the test of the nodes, if any.
     #[must_use]
     pub fn detector(&self) -> Option<GlobalDetector> {
         self.detector
     }
 
-    /// Returns the age (fusion periods) from which on a message is dropped.
+    /// Returns the age (fusion periods) above which a message is dropped.
     #[must_use]
     pub fn stale_periods(&self) -> f64 {
         self.stale_periods
@@ -81,17 +83,18 @@ impl FusionPlan {
 }
 
 impl Structure {
-    /// Returns how its nodes are fused; `None` where one filter has the samples of all.
+    /// Returns the settings of fusion; `None` if one filter has the samples of all nodes.
     #[must_use]
     pub fn fusion(&self) -> Option<&FusionPlan> {
         self.fusion.as_ref()
     }
 
-    /// Makes the filter of a sensor node, by its place in the file; `None` where identification is not distributed, or there
-    /// is no such node.
+    /// Creates the filter of a sensor node, given by its position in the file.
+    ///
+    /// Returns `None` if identification is not distributed or the node does not exist.
     ///
     /// # Errors
-    /// When the filter refuses its settings.
+    /// Returns an error if the filter rejects its settings.
     pub fn local_filter(
         &self,
         position: usize,
@@ -99,11 +102,14 @@ impl Structure {
         self.local_filter_with(position, |_settings| {})
     }
 
-    /// As [`Structure::local_filter`], with settings of the filter changed before it is made: of the node's own channels, or of
-    /// those of all nodes where they tell one another samples.
+    /// Creates the filter as [`Structure::local_filter`] does, after `change` modified its
+    /// settings.
+    ///
+    /// The settings cover the node's own channels, or the channels of all nodes if nodes exchange
+    /// samples.
     ///
     /// # Errors
-    /// When the filter refuses its settings.
+    /// Returns an error if the filter rejects its settings.
     pub fn local_filter_with(
         &self,
         position: usize,
@@ -118,7 +124,8 @@ impl Structure {
         };
         let make = || {
             let mut settings = own.filter_settings()?;
-            settings.misfit = None; // the station replaces the parameters: their corrections are no scores
+            // The station replaces the parameters, so their corrections are not scores.
+            settings.misfit = None;
             change(&mut settings);
             let filter = ExtendedKalmanFilter::new(own.model(), settings)?;
             let settings = NodeSettings {
@@ -134,10 +141,10 @@ impl Structure {
         Some(make())
     }
 
-    /// Makes the central station; `None` where identification is not distributed.
+    /// Creates the central station; `None` if identification is not distributed.
     ///
     /// # Errors
-    /// When the station refuses its settings.
+    /// Returns an error if the station rejects its settings.
     pub fn station(&self) -> Option<Result<Station, FilterError>> {
         let plan = self.fusion.as_ref()?;
         let make = || {
@@ -147,7 +154,7 @@ impl Structure {
                 self.parameters.len(),
             );
             let prior_std = settings.prior_std.rows(first, len);
-            // the prior of a filter is for its first sample
+            // The prior of a filter applies to its first sample.
             let covariance =
                 DMatrix::from_diagonal(&prior_std.map(|std| std * std / settings.fading.value()));
             Station::new(StationSettings {
@@ -173,7 +180,7 @@ impl Structure {
         Some(make())
     }
 
-    /// Returns the least and the greatest sound mean of each parameter.
+    /// Returns the minimum and maximum sound mean of each parameter.
     fn healthy_limits(&self) -> (DVector<f64>, DVector<f64>) {
         let limits = |of: fn((f64, f64)) -> f64| {
             let limit = |parameter: &crate::Parameter| match parameter.scales {
@@ -185,8 +192,11 @@ impl Structure {
         (limits(|(low, _)| low), limits(|(_, high)| high))
     }
 
-    /// Returns how many modes nodes send, and the share of the mass, set going by the excitation, that these miss: the worst of
-    /// its directions. `None` where nodes send no modes.
+    /// Returns the number of modes that nodes send, and the share of the excited mass that they
+    /// omit.
+    ///
+    /// The share is that of the worst excitation direction. The result is `None` if nodes send no
+    /// modes.
     #[must_use]
     pub fn sent_modes(&self) -> Option<(usize, f64)> {
         let MotionPlan::Modes(asked) = self.fusion.as_ref()?.motion else {
@@ -196,8 +206,8 @@ impl Structure {
         Some((basis.modes(), missed))
     }
 
-    /// Returns how many numbers a node sends in a fusion period, and how many it is sent; `None` where identification is not
-    /// distributed.
+    /// Returns how many numbers a node sends and receives in a fusion period; `None` if
+    /// identification is not distributed.
     #[must_use]
     pub fn numbers_per_period(&self, position: usize) -> Option<(usize, usize)> {
         let plan = self.fusion.as_ref()?;
@@ -230,8 +240,9 @@ impl Structure {
         })
     }
 
-    /// Returns the exponents of the units (powers of two, in SI units) in which a node tells its samples, by its observations; none where
-    /// nodes tell no samples.
+    /// Returns the unit exponents of a node's exchanged samples, one per observation.
+    ///
+    /// A unit is a power of two of the SI unit. The result is empty if nodes exchange no samples.
     #[must_use]
     pub fn told_units(&self, position: usize) -> Vec<i16> {
         match self.motion_exchange() {
@@ -240,7 +251,9 @@ impl Structure {
         }
     }
 
-    /// Returns displacements and velocities (2 N_d; m, rad, m/s, rad/s) of a motion that is fused in modes; `None` where none is.
+    /// Returns displacements and velocities (2 N_d; m, rad, m/s, rad/s) of a motion fused in modes.
+    ///
+    /// Returns `None` if nodes exchange no modes.
     #[must_use]
     pub fn extract_motion(&self, motion: &CompressedMotion) -> Option<DVector<f64>> {
         match self.motion_exchange().ok()? {
@@ -271,8 +284,11 @@ impl Structure {
         })
     }
 
-    /// Keeps the modes that the excitation sets most mass going in, as many as asked for, or until they carry 95 % of it in every
-    /// direction, Huang & Yuen (2023), chapter 6: the first modes by frequency can miss the one that matters.
+    /// Selects the modes with the largest effective mass: as many as requested, or until they carry
+    /// 95 % of the mass.
+    ///
+    /// The condition holds in every direction, Huang & Yuen (2023), chapter 6. The first modes by
+    /// frequency can omit the most important one. Also returns the omitted share of the mass.
     fn modal_basis(&self, asked: Option<usize>) -> Option<(ModalBasis, f64)> {
         let shapes = self.nominal_modes()?.shapes;
         let mass = self.system.mass.to_dense();
@@ -291,7 +307,7 @@ impl Structure {
                 |shares: &Vec<f64>| 1.0 - kept.iter().map(|mode| shares[*mode]).sum::<f64>();
             shares.iter().map(of_direction).fold(0.0, f64::max)
         };
-        // in whole parts of a million: modes that carry nothing stay in the order of frequency
+        // Rounded to millionths, so that modes without mass stay in the order of frequency.
         let carried = |mode: usize| {
             shares
                 .iter()
@@ -310,7 +326,8 @@ impl Structure {
         Some((basis, missed(&order)))
     }
 
-    /// Returns the displacements, velocities and strains that a node measures, with the rates of the first and the last.
+    /// Returns the displacements, velocities and strains that a node measures, with the rates of
+    /// displacements and strains.
     fn responses(&self, node: &crate::Node) -> Responses {
         let free = self.system.len();
         let mut rows: Vec<DVector<f64>> = Vec::new();

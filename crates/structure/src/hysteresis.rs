@@ -1,15 +1,17 @@
-//! The law of Bouc and Wen: a force that depends on the path by which a spring came to where it is.
+//! The Bouc-Wen law: a spring force that depends on the history of the spring's displacement.
 //!
-//! `ṙ = a w − μ |w| |r|^(η−1) r − κ w |r|^η`: Huang & Yuen (2023), (2.88), with the factor `a` that they leave at 1. `r` (m)
-//! is the hysteretic displacement of a spring and `w` (m/s) the velocity that drives it; its force is `k r`. `|r|` stays
-//! below `(a/(μ + κ))^(1/η)`. Where a spring is hardly moved, `ṙ = a w`: the spring is linear, of stiffness `a k`.
+//! `ṙ = a w − μ |w| |r|^(η−1) r − κ w |r|^η`: Huang & Yuen (2023), (2.88), which omits the factor
+//! `a` (it is 1 there). `r` (m) is the hysteretic displacement of a spring and `w` (m/s) the
+//! velocity that drives it. The spring force is `k r`. `|r|` stays below `(a/(μ + κ))^(1/η)`. For
+//! small motions, `ṙ = a w`, so the spring is linear with the stiffness `a k`.
 
-/// What drives the hysteretic displacement of each spring of a chain.
+/// The velocity that drives the hysteretic displacement of each spring of a chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Drive {
-    /// The velocity of the floor above it, as the source has it; forces are `K r`.
+    /// The velocity of the floor above the spring, as in the source. The forces are `K r`.
     Floor,
-    /// The rate of its own drift, as a device between two floors has it; forces are those of its ends.
+    /// The drift rate of the spring, as for a device between two floors. The forces act at its
+    /// ends.
     Drift,
 }
 
@@ -24,14 +26,14 @@ impl Drive {
         }
     }
 
-    /// Returns which velocities make one entry of `w = D ẋ`, and with what sign.
+    /// Returns the velocities that contribute to one entry of `w = D ẋ`, with their signs.
     pub(crate) fn of_velocities(self, spring: usize) -> [Option<(usize, f64)>; 2] {
         let below = spring.checked_sub(1).filter(|_| self == Self::Drift);
         [Some((spring, 1.0)), below.map(|below| (below, -1.0))]
     }
 }
 
-/// One of the constants of the law.
+/// A constant of the law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Constant {
     A,
@@ -40,7 +42,7 @@ pub(crate) enum Constant {
     Eta,
 }
 
-/// The law of every spring of a chain.
+/// The law, common to all springs of a chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Hysteresis {
     pub(crate) drive: Drive,
@@ -60,10 +62,12 @@ pub(crate) struct Slopes {
     pub(crate) by_displacement: f64,
 }
 
-/// Below this `|r|` (m) powers of it count as zero: their logarithm has no value at 0, and a negative power none either.
+/// Magnitude of `r` (m) below which powers of `r` count as zero.
+///
+/// At 0, neither their logarithm nor a negative power exists.
 const SMALLEST: f64 = 1e-12;
 
-/// Returns `|r|^exponent`, 0 where `r` is.
+/// Returns `|r|^exponent`, or 0 if `r` is almost 0.
 fn power(r: f64, exponent: f64) -> f64 {
     if r.abs() < SMALLEST {
         0.0
@@ -72,13 +76,13 @@ fn power(r: f64, exponent: f64) -> f64 {
     }
 }
 
-/// Returns the sign, 0 of 0: at rest the law is that of a linear spring.
+/// Returns the sign, and 0 for 0, so that at rest the law is linear.
 fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }
 
 impl Hysteresis {
-    /// Returns the constant.
+    /// Returns the value of a constant.
     pub(crate) fn constant(&self, constant: Constant) -> f64 {
         match constant {
             Constant::A => self.a,
@@ -88,7 +92,7 @@ impl Hysteresis {
         }
     }
 
-    /// Multiplies a constant.
+    /// Multiplies a constant by `factor`.
     pub(crate) fn scale(&mut self, constant: Constant, factor: f64) {
         match constant {
             Constant::A => self.a *= factor,
@@ -103,7 +107,7 @@ impl Hysteresis {
         self.a * w - (self.mu * w.abs() * sign(r) + self.kappa * w) * power(r, self.eta)
     }
 
-    /// Returns the derivatives of `ṙ` by `w` and `r`.
+    /// Returns the derivatives of `ṙ` with respect to `w` and `r`.
     pub(crate) fn slopes(&self, w: f64, r: f64) -> Slopes {
         Slopes {
             by_velocity: self.a - (self.mu * sign(w) * sign(r) + self.kappa) * power(r, self.eta),
@@ -113,7 +117,7 @@ impl Hysteresis {
         }
     }
 
-    /// Returns the derivative of `ṙ` by a constant.
+    /// Returns the derivative of `ṙ` with respect to a constant.
     pub(crate) fn slope_by(&self, constant: Constant, w: f64, r: f64) -> f64 {
         match constant {
             Constant::A => w,
@@ -149,7 +153,8 @@ mod tests {
         assert!((r - 0.02).abs() < 1e-9, "{r}");
     }
 
-    /// Unloading follows the initial slope, loading does not: `∂ṙ/∂w` differs between both senses of motion.
+    /// Unloading follows the initial slope, but loading does not: `∂ṙ/∂w` depends on the direction
+    /// of motion.
     #[test]
     fn unloading_is_stiffer_than_loading() {
         let [loading, unloading] = [0.1, -0.1].map(|w| LAW.rate(w, 0.015) / w);

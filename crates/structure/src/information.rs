@@ -1,14 +1,17 @@
-//! How much the sensors of a structure tell of its parameters and noise levels, before any of them is bought.
+//! Information of the sensors of a structure about its parameters and noise levels, before
+//! measurement.
 //!
-//! The innovations `ν` of a Kalman filter are independent and normal with covariance `S`, so that the data of `N` frames
-//! hold the Fisher information `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹ ∂S)` on whatever the filter depends on. The
+//! The innovations `ν` of a Kalman filter are independent and normal with covariance `S`. The data
+//! of `N` frames therefore contain the Fisher information
+//! `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹ ∂S)` about all quantities on which the filter depends. The
 //! derivatives are central differences between filters that run on the same simulated data.
 //!
-//! The extended filter does not use all of it. It differentiates the innovations with its gain held, `ψ = ∂ν|_K`, counts
-//! the information `J_θ = Σ ψᵀ S⁻¹ ψ`, and an error `δ` of parameters and levels pulls its parameters by `ψᵀ S⁻¹ ∂ν δ`
-//! (Ljung 1979, *IEEE Trans. Automatic Control* 24, 36). A noise level sees its own part `U` of `S` only: it counts
-//! `J_ψ = N/2 tr(S⁻¹ U S⁻¹ U)` and is pulled by `N/2 tr(S⁻¹ U S⁻¹ ∂S) δ`. Where the pull is much less than what is
-//! counted, the filter is sure of what it has not learnt.
+//! The extended filter does not use all of this information. It differentiates the innovations with
+//! constant gain, `ψ = ∂ν|_K`, and counts the information `J_θ = Σ ψᵀ S⁻¹ ψ`. An error `δ` of
+//! parameters and levels pulls its parameters by `ψᵀ S⁻¹ ∂ν δ` (Ljung 1979, *IEEE Trans. Automatic
+//! Control* 24, 36). A noise level uses only its own part `U` of `S`. It counts
+//! `J_ψ = N/2 tr(S⁻¹ U S⁻¹ U)` and is pulled by `N/2 tr(S⁻¹ U S⁻¹ ∂S) δ`. If the pull is much
+//! smaller than the counted information, the filter underestimates its uncertainty.
 
 use crate::linear_form::LinearForm;
 use crate::noise_level::NoiseSource;
@@ -16,35 +19,36 @@ use crate::steady_filter::{NoiseCovariances, SteadyFilter};
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 
-/// Half the distance of two filters, in a parameter or in the logarithm of a variance. A thousandth shifts a resonance
-/// by far less than its width.
+/// Half the distance of two filters, in a parameter or in the logarithm of a variance.
+///
+/// A thousandth shifts a resonance by far less than its width.
 const DIFFERENCE: f64 = 1e-3;
 
-/// Per frame, on the parameters (ratios to nominal) and then the logarithms of all noise variances.
+/// Information per frame about the parameters (ratios to nominal) and the logarithms of all noise
+/// variances, in this order.
 #[derive(Debug, Clone)]
 pub(crate) struct Information {
-    /// `I`, what the data hold.
+    /// `I`, the information in the data.
     pub(crate) held: DMatrix<f64>,
-    /// `J`, what the extended filter counts: parameters and levels apart.
+    /// `J`, the information that the extended filter counts, separately for parameters and levels.
     pub(crate) counted: DMatrix<f64>,
-    /// How an error (column) pulls the estimates (rows).
+    /// Pull of an error (column) on the estimates (rows).
     pub(crate) pull: DMatrix<f64>,
 }
 
-/// What the filters are compared in.
+/// A quantity with respect to which the filters are differentiated.
 #[derive(Debug, Clone, Copy)]
 enum Unknown {
     Parameter(usize),
     Level(usize),
 }
 
-/// Two filters with one unknown moved up and down.
+/// Two filters with one unknown increased and decreased.
 type Pair = [SteadyFilter; 2];
 
 impl Information {
-    /// Simulates `frames` frames of the undamaged structure at its prior means and sums up their information.
-    ///
-    /// `None` if the structure has no stationary filter.
+    /// Simulates `frames` frames of the undamaged structure at its prior means and sums their
+    /// information.
     pub(crate) fn expected(structure: &Structure, frames: u64, seed: u64) -> Option<Self> {
         let parameters = (0..structure.parameters.len()).map(Unknown::Parameter);
         let levels = (0..structure.noise_levels.len()).map(Unknown::Level);
@@ -95,7 +99,7 @@ impl Information {
     }
 }
 
-/// The structure with one unknown moved.
+/// The structure with one unknown changed.
 struct Moved {
     form: LinearForm,
     recursion: crate::linear_form::Recursion,
@@ -130,7 +134,7 @@ impl Moved {
                 NoiseSource::Excitation(index) => {
                     noise.excitation += structure.excitation_pattern(*index) * variance
                 }
-                // the simulation spreads what a slower node measures over all frames
+                // The simulation distributes the information of a slower node over all frames.
                 NoiseSource::Sensors(rows) => rows
                     .iter()
                     .for_each(|row| noise.sensors[*row] = variance * every(*row)),
@@ -153,7 +157,7 @@ impl Moved {
         filter.with_frozen_update(&self.form, self.recursion.clone())
     }
 
-    /// Returns `U` of each level: what its variance adds to `S` within one step.
+    /// Returns `U` of each level, the contribution of its variance to `S` within one step.
     fn level_patterns<'m>(
         &'m self,
         structure: &'m Structure,
@@ -198,7 +202,7 @@ fn whitened(mut x: DMatrix<f64>, lower: &DMatrix<f64>) -> DMatrix<f64> {
     x
 }
 
-/// Averages over simulated frames of products of derivatives of `ν`.
+/// Averages of products of derivatives of `ν` over simulated frames.
 struct Means {
     /// `∂νᵀ S⁻¹ ∂ν` (all × all).
     held: DMatrix<f64>,

@@ -1,7 +1,8 @@
-//! Says what is monitored: a structure, its uncertain parameters, its excitation and its sensors.
+//! Describes a monitored structure: its uncertain parameters, its excitation and its sensors.
 //!
-//! A structure file (TOML, and the matrices it names) goes in; out come the model and the settings that `spandrel-filter`
-//! runs on, simulated responses, and an analysis of what the sensors can tell before any of them is bought.
+//! The input is a structure file (TOML) with the matrices that it names. The outputs are the model
+//! and the settings for `spandrel-filter`, simulated responses, and an analysis of the information
+//! that the sensors will provide.
 //!
 //! ```
 //! use spandrel_filter::{ExtendedKalmanFilter, Frame};
@@ -21,22 +22,25 @@
 //!
 //! Types:
 //!
-//! - [`Structure`]: all of it; valid, because it comes from a checked file only
+//! - [`Structure`]: the complete structure, valid because it always comes from a checked file
 //! - [`Node`], [`Channel`], [`Quantity`]: the sensors
-//! - [`Parameter`], [`Excitation`], [`NoiseLevel`]: what is uncertain, what shakes, and how much
-//! - [`EstimatedResponse`]: displacements and velocities that are asked for and that no sensor measures
-//! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: what other rooms carry out
-//! - [`StructureError`], [`Diagnostic`]: the mistakes of a file, all at once, each with its line
+//! - [`Parameter`], [`Excitation`], [`NoiseLevel`]: uncertain properties, excitation, and their
+//!   levels
+//! - [`EstimatedResponse`]: requested displacements and velocities that no sensor measures
+//! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
+//!   for other crates
+//! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
 //!
 //! Logic:
 //!
 //! - [`StructureModel`]: the traits of `spandrel-filter` for a structure, linear or hysteretic
-//! - [`StructureClasses`]: the same for models that group its stiffness parameters, compared while they run
-//! - [`Simulator`]: responses, damage, and faults of sensors
-//! - [`Drawing`]: points, members and sensors for people to look at
-//! - [`CheckReport`]: frequencies, damping, and what can be identified
+//! - [`StructureClasses`]: the same for models that group the stiffness parameters and are compared
+//!   online
+//! - [`Simulator`]: responses, damage, and sensor faults
+//! - [`Drawing`]: points, members and sensors for display
+//! - [`CheckReport`]: frequencies, damping, and the identifiable quantities
 //!
-//! Not for systems that are no structures: implement the traits of `spandrel-filter` instead.
+//! For other systems, implement the traits of `spandrel-filter` directly.
 
 mod alert_rule;
 mod error;

@@ -1,4 +1,5 @@
-//! The matrices of a structure whose parameters are known, and their exact recursion from frame to frame.
+//! The matrices of a structure with known parameters, and their exact recursion from frame to
+//! frame.
 //!
 //! `u̇ = A_u u + B_u f`, `z = H u + D f` with `u = [x, ẋ]`: Huang & Yuen (2023), (2.3) to (2.9).
 
@@ -19,19 +20,21 @@ pub(crate) struct LinearForm {
     pub(crate) direct: DMatrix<f64>,
 }
 
-/// `u_{i+1} = A u_i + B f_i + B₁ (f_{i+1} − f_i)`; exact for an excitation held, or running straight, over a step.
+/// The recursion `u_{i+1} = A u_i + B f_i + B₁ (f_{i+1} − f_i)`.
+///
+/// It is exact for an excitation that is constant or linear over a step.
 #[derive(Debug, Clone)]
 pub(crate) struct Recursion {
     /// `A` (2 N_d × 2 N_d), (2.8).
     pub(crate) transition: DMatrix<f64>,
     /// `B` (2 N_d × N_f), (2.9).
     pub(crate) input: DMatrix<f64>,
-    /// `B₁` (2 N_d × N_f); zero for what is held.
+    /// `B₁` (2 N_d × N_f); zero for constant components.
     pub(crate) slope: DMatrix<f64>,
 }
 
 impl LinearForm {
-    /// Takes the matrices from `model` at given parameters (ratios to nominal).
+    /// Extracts the matrices from `model` at given parameters (ratios to nominal).
     pub(crate) fn new(model: &mut StructureModel, theta: &[f64]) -> Self {
         let (len, inputs) = (model.state_len(), model.excitation_len());
         let physical = len - model.parameter_len();
@@ -56,10 +59,11 @@ impl LinearForm {
         }
     }
 
-    /// Returns the state (2 N_d) that stays as it is under a constant `excitation` (N_f): `A_u u + B_u f = 0`.
+    /// Returns the equilibrium state (2 N_d) under a constant `excitation` (N_f):
+    /// `A_u u + B_u f = 0`.
     pub(crate) fn rest(&self, excitation: &DVector<f64>) -> DVector<f64> {
         let pushed = -(&self.input * excitation);
-        // the stiffness is positive definite, checked when the file was read
+        // The stiffness is positive definite, as checked when the file was read.
         self.system
             .clone()
             .lu()
@@ -67,8 +71,10 @@ impl LinearForm {
             .unwrap_or_else(|| DVector::zeros(self.system.nrows()))
     }
 
-    /// Makes the recursion for a step of `step_s` (s), read off one exponential of an augmented matrix; `holds` says how each
-    /// component of the excitation runs.
+    /// Creates the recursion for a step of `step_s` (s) from one exponential of an augmented
+    /// matrix.
+    ///
+    /// `holds` specifies the course of each excitation component over a step.
     pub(crate) fn recursion(&self, step_s: f64, holds: &[InputHold]) -> Recursion {
         let (n, inputs) = (self.input.nrows(), self.input.ncols());
         let with_slope = if holds.contains(&InputHold::First) {

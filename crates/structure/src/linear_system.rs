@@ -1,8 +1,10 @@
-//! A structure: mass, damping and the stiffness matrices of its substructures, with or without hysteresis.
+//! A structure: mass, damping and the stiffness matrices of its substructures, with or without
+//! hysteresis.
 //!
-//! Notation: Huang & Yuen (2023), §2.2 and §2.4. `M ẍ + C ẋ + K x = T f` (2.1) with `K = Σ θ⁽ⁿ⁾ K⁽ⁿ⁾` over the
-//! substructures and `C = α M + β K`, dashpots or a given matrix. Every kind of model of the structure file becomes one of
-//! these; with hysteresis, its springs carry `k r` in place of `k x`, and the matrices are those of the springs.
+//! Notation: Huang & Yuen (2023), §2.2 and §2.4. `M ẍ + C ẋ + K x = T f` (2.1) with
+//! `K = Σ θ⁽ⁿ⁾ K⁽ⁿ⁾` over the substructures. `C` is `α M + β K`, a sum of dashpots, or a given
+//! matrix. Every model kind of the structure file is converted to this form. With hysteresis, the
+//! spring forces are `k r` instead of `k x`, and the matrices are those of the springs.
 
 use crate::hysteresis::{Drive, Hysteresis};
 use crate::skeleton::Skeleton;
@@ -11,14 +13,15 @@ use nalgebra::{DMatrix, DVector};
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
 use std::ops::{AddAssign, Range};
 
-/// More degrees of freedom than this are refused: eigenvalues and covariances are dense, and a filter of this size is far
-/// from real time already.
+/// Maximum number of degrees of freedom.
+///
+/// Eigenvalues and covariances are dense, and a filter of this size is already far from real time.
 pub(crate) const LARGEST_MODEL: usize = 1000;
 
 /// The mass matrix `M` (kg), positive definite.
 #[derive(Debug, Clone)]
 pub(crate) enum Mass {
-    /// A diagonal matrix, by its diagonal.
+    /// A diagonal matrix, stored as its diagonal.
     Lumped(DVector<f64>),
     /// Any symmetric matrix, with its factor.
     Consistent {
@@ -47,7 +50,7 @@ impl Mass {
     }
 }
 
-/// A part of the structure whose stiffness (or, of dashpots, damping) a parameter can scale.
+/// A part of the structure whose stiffness or, for dashpots, damping a parameter can scale.
 #[derive(Debug, Clone)]
 pub(crate) struct Substructure {
     pub(crate) name: String,
@@ -55,7 +58,7 @@ pub(crate) struct Substructure {
     pub(crate) stiffness: CsrMatrix<f64>,
 }
 
-/// How the structure loses energy.
+/// Damping of the structure.
 #[derive(Debug, Clone)]
 pub(crate) enum Damping {
     /// `C = α M + β K`.
@@ -67,13 +70,13 @@ pub(crate) enum Damping {
 }
 
 impl Damping {
-    /// None yet: the file says it in a table of its own.
+    /// No damping, the value before the `[damping]` table is read.
     pub(crate) const NONE: Self = Self::Rayleigh {
         alpha_per_s: 0.0,
         beta_s: 0.0,
     };
 
-    /// Returns the same damping, `factor` times as strong.
+    /// Returns the damping, multiplied by `factor`.
     pub(crate) fn times(&self, factor: f64) -> Self {
         match self {
             Self::Rayleigh {
@@ -94,7 +97,8 @@ impl Damping {
         }
     }
 
-    /// Returns `C` (N s/m) as designed, of dashpots or a given matrix; `None` for Rayleigh damping.
+    /// Returns `C` (N s/m) as designed, for dashpots or a given matrix; `None` for Rayleigh
+    /// damping.
     pub(crate) fn matrix(&self, len: usize) -> Option<DMatrix<f64>> {
         match self {
             Self::Rayleigh { .. } => None,
@@ -106,11 +110,11 @@ impl Damping {
     }
 }
 
-/// Storeys that are scaled together: a substructure of a chain.
+/// Storeys that are scaled together, as one substructure of a chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct StoreyGroup {
     pub(crate) name: String,
-    /// The storeys (from 0, the lowest).
+    /// Range of storeys (from 0, the lowest).
     pub(crate) storeys: Range<usize>,
 }
 
@@ -118,24 +122,27 @@ pub(crate) struct StoreyGroup {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct GroundDirection {
     pub(crate) name: &'static str,
-    /// `ι` (N_d): displacement of each degree of freedom when the ground moves by 1 in this direction.
+    /// `ι` (N_d), the displacement of each degree of freedom for a ground displacement of 1 in this
+    /// direction.
     pub(crate) influence: Vec<f64>,
 }
 
-/// A linear structure without its excitation and sensors; dimensions agree, checked where it is built.
+/// A structure without its excitation and sensors.
+///
+/// Its constructors check that the dimensions agree.
 #[derive(Debug, Clone)]
 pub(crate) struct LinearSystem {
     pub(crate) mass: Mass,
     pub(crate) substructures: Vec<Substructure>,
     pub(crate) damping: Damping,
     pub(crate) degrees_of_freedom: Vec<String>,
-    /// Directions of ground motion; empty where the model has no geometry.
+    /// Directions of ground motion; empty if the model has no geometry.
     pub(crate) ground_directions: Vec<GroundDirection>,
-    /// The storeys of a chain in groups, from the bottom up; empty for other models.
+    /// Groups of storeys of a chain, from the bottom up; empty for other models.
     pub(crate) storeys: Vec<StoreyGroup>,
-    /// The law of the springs where they are not linear.
+    /// Law of hysteretic springs; `None` for linear springs.
     pub(crate) hysteresis: Option<Hysteresis>,
-    /// Where its parts are; none of chains and matrices.
+    /// Geometry of the parts; `None` for chains and matrices.
     pub(crate) skeleton: Option<Skeleton>,
 }
 
@@ -145,10 +152,12 @@ impl LinearSystem {
         self.degrees_of_freedom.len()
     }
 
-    /// Returns the forces of one substructure on the degrees of freedom (rows) by what it is stretched by (columns, N/m).
+    /// Returns the matrix (N/m) from spring displacements (columns) to the forces of one
+    /// substructure.
     ///
-    /// That is `K⁽ⁿ⁾`, by displacements, unless each hysteretic spring answers to its own drift: `K⁽ⁿ⁾ D⁻¹`, with `D` the
-    /// differences of neighbours, so that every column sums up the columns from it on.
+    /// The forces act on the degrees of freedom (rows). The matrix is `K⁽ⁿ⁾` unless the drift
+    /// drives hysteretic springs. In that case it is `K⁽ⁿ⁾ D⁻¹`. `D` takes the differences of
+    /// neighbours, so each column becomes the sum of the columns from that column on.
     pub(crate) fn forces(&self, part: usize) -> CsrMatrix<f64> {
         let stiffness = &self.substructures[part].stiffness;
         if self.hysteresis.is_none_or(|law| law.drive == Drive::Floor) {
@@ -162,12 +171,14 @@ impl LinearSystem {
         CsrMatrix::from(&CooMatrix::from(&summed))
     }
 
-    /// Returns `a`: what small motions of hysteretic springs multiply their stiffness by; 1 for linear ones.
+    /// Returns `a`, the stiffness factor of hysteretic springs for small motions; 1 for linear
+    /// springs.
     pub(crate) fn initial_slope(&self) -> f64 {
         self.hysteresis.map_or(1.0, |law| law.a)
     }
 
-    /// Returns `K` (N/m) against small motions, with each substructure scaled by its entry of `factors`.
+    /// Returns `K` (N/m) for small motions, with each substructure scaled by its entry of
+    /// `factors`.
     pub(crate) fn stiffness(&self, factors: &[f64]) -> DMatrix<f64> {
         let parts = self.substructures.iter().map(|part| &part.stiffness);
         sum(self.len(), parts.zip(factors.iter().copied())) * self.initial_slope()

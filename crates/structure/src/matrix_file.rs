@@ -1,4 +1,5 @@
-//! Reads matrices of a finite element program (Matrix Market) and checks what a structure needs of them.
+//! Reads matrices of a finite element program (Matrix Market) and checks that a structure can use
+//! them.
 
 use crate::linear_system::LARGEST_MODEL;
 use nalgebra::{DMatrix, SymmetricEigen};
@@ -6,13 +7,16 @@ use nalgebra_sparse::io::load_coo_from_matrix_market_str;
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
 use std::path::Path;
 
-/// Entries mirrored at the diagonal may differ by this, relative to the largest entry: files hold rounded decimals.
+/// Maximum difference of mirrored entries, relative to the largest entry. Files contain rounded
+/// decimals.
 const SYMMETRY_TOLERANCE: f64 = 1e-8;
 
-/// An eigenvalue counts as zero below this share of the largest one: rounding of the file and of the solver.
+/// Share of the largest eigenvalue below which an eigenvalue counts as zero.
+///
+/// The limit allows for rounding of the file and of the solver.
 const ZERO_EIGENVALUE: f64 = 1e-9;
 
-/// A matrix that cannot be used: what was found, what is allowed.
+/// A matrix that cannot be used: the value found and the values allowed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Unusable {
     pub(crate) found: String,
@@ -28,13 +32,13 @@ impl Unusable {
     }
 }
 
-/// Reads a matrix of any shape; duplicate entries add up.
+/// Reads a matrix of any shape; adds duplicate entries.
 pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
     let allowed = "must be a Matrix Market file beside the structure file";
     let shown = path.display();
     let text = std::fs::read_to_string(path)
         .map_err(|error| Unusable::new(format!("{shown} cannot be read ({error})"), allowed))?;
-    // the reader refuses a last line without a line break and lines ending in CR LF
+    // The reader rejects a last line without a line break, and lines that end in CR LF.
     let text = text.replace("\r\n", "\n");
     check_sizes(&text).map_err(|found| Unusable::new(format!("{shown} {found}"), SIZE_RULE))?;
     let entries: CooMatrix<f64> =
@@ -59,10 +63,10 @@ pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
     }
 }
 
-/// What is allowed of the numbers of rows, columns and entries.
+/// Allowed numbers of rows, columns and entries.
 const SIZE_RULE: &str = "must have at most 1000 degrees of freedom (reduce the model first)";
 
-/// Checks the numbers that count something, because the reader takes any for granted.
+/// Checks the declared sizes and the indices, because the reader accepts any.
 fn check_sizes(text: &str) -> Result<(), String> {
     let is_coordinate = text
         .lines()
@@ -95,7 +99,7 @@ fn check_sizes(text: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Reads a symmetric matrix; small differences from symmetry are averaged out.
+/// Reads a symmetric matrix and averages small deviations from symmetry.
 pub(crate) fn read_symmetric(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
     let matrix = read(path)?;
     let shown = path.display();
@@ -147,7 +151,8 @@ pub(crate) fn check_semidefinite(matrix: &DMatrix<f64>) -> Result<(), Unusable> 
     Ok(())
 }
 
-/// Finds the degree of freedom that moves most without resistance; `None` if the matrix is positive definite.
+/// Returns the degree of freedom that moves most without resistance; `None` if the matrix is
+/// positive definite.
 pub(crate) fn free_degree_of_freedom(matrix: &DMatrix<f64>) -> Option<usize> {
     let eigen = SymmetricEigen::new(matrix.clone());
     let (smallest, value) = eigen.eigenvalues.argmin();

@@ -1,21 +1,21 @@
-//! Nodes joined by straight members of uniform section: what a frame and a truss have in common.
+//! Nodes joined by straight members of uniform section, common to frames and trusses.
 
 use crate::finite_elements::{FiniteElements, Freedoms};
 use crate::linear_system::LinearSystem;
 use crate::skeleton::Skeleton;
 use nalgebra::{DMatrix, Vector3};
 
-/// A point where members meet.
+/// A point at which members meet.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct MeshNode {
     pub(crate) name: String,
-    /// Coordinates (m); zero beyond the dimension of the mesh.
+    /// Coordinates (m); unused dimensions of the mesh are zero.
     pub(crate) at: Vector3<f64>,
-    /// Which directions cannot move, in the order of the directions of the mesh.
+    /// `true` for each direction that cannot move, in the order of the directions of the mesh.
     pub(crate) fixed: Vec<bool>,
 }
 
-/// What a member is made of.
+/// Cross-section and material of a member.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MemberSection {
     pub(crate) area_m2: f64,
@@ -27,21 +27,21 @@ pub(crate) struct MemberSection {
     pub(crate) density_kg_per_m3: f64,
 }
 
-/// Members of one section whose stiffness is scaled together: a substructure.
+/// Members of one section whose stiffness is scaled together, as one substructure.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct MemberGroup {
     pub(crate) name: String,
     pub(crate) section: MemberSection,
-    /// The nodes that each member joins (from 0).
+    /// Nodes that each member joins (from 0).
     pub(crate) members: Vec<[usize; 2]>,
 }
 
-/// How the mass of a member reaches its nodes.
+/// Distribution of the mass of a member to its nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum MassForm {
-    /// By the shape functions of its stiffness.
+    /// By the shape functions of its stiffness matrix.
     Consistent,
-    /// Half to each node.
+    /// Half of the mass to each node.
     Lumped,
 }
 
@@ -62,7 +62,7 @@ pub(crate) struct Mesh {
 }
 
 impl Mesh {
-    /// Returns the number of degrees of freedom that are not fixed.
+    /// Returns the number of free degrees of freedom.
     pub(crate) fn free_len(&self) -> usize {
         self.nodes
             .iter()
@@ -71,9 +71,10 @@ impl Mesh {
             .count()
     }
 
-    /// Puts the members together, with `element` for the matrices of one along a vector (m) from end to end.
+    /// Assembles the members. `element` returns the matrices of a member along a vector (m) from
+    /// end to end.
     ///
-    /// `None` if the mass is not positive definite.
+    /// Returns `None` if the mass is not positive definite.
     pub(crate) fn system(
         &self,
         element: impl Fn(&MemberSection, Vector3<f64>, MassForm) -> ElementMatrices,

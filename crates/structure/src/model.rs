@@ -1,14 +1,16 @@
-//! The structure as the filter sees it: both traits of `spandrel-filter`.
+//! The structure as an implementation of both model traits of `spandrel-filter`.
 //!
-//! Notation: Huang & Yuen (2023), §2.4. The state is `y = [x, ẋ, θ]`: displacements and velocities relative to the
-//! ground (m, m/s), and the parameters as ratios to nominal. `R(x, ẋ; θ) = C ẋ + K x`, with `C = α M + β K(θ)`: the part
-//! of the damping that is proportional to stiffness scales with it, `∂R/∂θ = K_θ (x + β ẋ)`. The Jacobian is applied as
-//! `A_y X = [V; −M⁻¹ K (X + β V) − α V + W Θ; 0]` to the parts `X`, `V`, `Θ` of given columns, with `W = −M⁻¹ ∂R/∂θ`
-//! (2.50). Units of accelerations are m/s².
+//! Notation: Huang & Yuen (2023), §2.4. The state is `y = [x, ẋ, θ]`: displacements and velocities
+//! relative to the ground (m, m/s), and the parameters as ratios to nominal. Accelerations have the
+//! unit m/s². `R(x, ẋ; θ) = C ẋ + K x`, with `C = α M + β K(θ)`. The stiffness-proportional part of
+//! the damping therefore scales with the stiffness: `∂R/∂θ = K_θ (x + β ẋ)`. The Jacobian is
+//! applied to the parts `X`, `V`, `Θ` of given columns as
+//! `A_y X = [V; −M⁻¹ K (X + β V) − α V + W Θ; 0]`, with `W = −M⁻¹ ∂R/∂θ` (2.50).
 //!
-//! With hysteretic springs the hysteretic displacements `r` stand in the place of `x`, which no equation contains: `y = [r,
-//! ẋ, θ]`, `R = C ẋ + S r` with the spring forces `S r`, and `ṙ` by the law of Bouc and Wen of the velocities `w = D ẋ` that
-//! drive the springs, (2.87) to (2.94). `K ẋ` of the damping is `S w`. A linear structure has `ṙ = w = ẋ` and `S = K`.
+//! With hysteretic springs, the hysteretic displacements `r` replace `x`, which then occurs in no
+//! equation: `y = [r, ẋ, θ]`, `R = C ẋ + S r` with the spring forces `S r`. The Bouc-Wen law gives
+//! `ṙ` from the velocities `w = D ẋ` that drive the springs, (2.87) to (2.94). The damping uses
+//! `S w` instead of `K ẋ`. For a linear structure, `ṙ = w = ẋ` and `S = K`.
 
 mod point;
 mod proportional;
@@ -31,57 +33,59 @@ use spandrel_filter::discretise::Series;
 use spandrel_filter::{ConstantTransition, ObservationModel, ProcessModel, ProportionalForm};
 use std::ops::Range;
 
-/// A structure with its sensors, to be linearised at one point for the process and one for the observation.
+/// A structure with its sensors, linearised at one point for the process and at one for the
+/// observation.
 #[derive(Debug, Clone)]
 pub struct StructureModel {
     fixed: Fixed,
     responses: Vec<Response>,
     process: Point,
-    /// At the point of the process, where the damping is proportional.
+    /// `M⁻¹ K` at the point of the process; `None` unless the damping is proportional.
     stiffness_by_mass: Option<StiffnessByMass>,
     observation: Point,
     feedthrough: DMatrix<f64>,
     has_feedthrough: bool,
 }
 
-/// What does not depend on the state.
+/// Properties that do not depend on the state.
 #[derive(Debug, Clone)]
 pub(crate) struct Fixed {
     assembly: Assembly,
     /// Factor of a mass matrix that is not diagonal.
     mass_factor: Option<SparseCholesky>,
-    /// `1/m` (1/kg) as designed; ones beside a factor.
+    /// `1/m` (1/kg) as designed; ones if `mass_factor` is used.
     reciprocal_masses: Vec<f64>,
     parameters: Vec<Parameter>,
-    /// Degrees of freedom whose acceleration each parameter can change, as a range: the rest of a column of `W` is zero.
+    /// Range of degrees of freedom whose acceleration each parameter can change. The rest of a
+    /// column of `W` is zero.
     reach: Vec<Range<usize>>,
-    /// `α` (1/s) and `β` (s) as designed; zero beside a damping matrix.
+    /// `α` (1/s) and `β` (s) as designed; zero if `C` is given by dashpots or a matrix.
     alpha_per_s: f64,
     beta_s: f64,
-    /// `M⁻¹ T` (N_d × N_f) of the forces alone, as designed (1/kg).
+    /// `M⁻¹ T` (N_d × N_f) of the forces only, as designed (1/kg).
     forces: DMatrix<f64>,
-    /// `−ι` (N_d × N_f) of the ground motions alone.
+    /// `−ι` (N_d × N_f) of the ground motions only.
     grounds: DMatrix<f64>,
-    /// The law of the springs where they are not linear, as designed.
+    /// Law of hysteretic springs as designed; `None` for linear springs.
     hysteresis: Option<Hysteresis>,
     bounds: RateBounds,
 }
 
-/// Largest eigenvalues as designed, from which those of scaled matrices are bounded.
+/// Largest eigenvalues as designed, used to bound the eigenvalues of scaled matrices.
 #[derive(Debug, Clone)]
 struct RateBounds {
-    /// Of `M⁻¹ K` of the springs (1/s²).
+    /// Largest eigenvalue of `M⁻¹ K` of the springs (1/s²).
     stiffness: f64,
-    /// Of `M⁻¹ C` for dashpots or a given `C` (1/s).
+    /// Largest eigenvalue of `M⁻¹ C` for dashpots or a given `C` (1/s).
     damping: f64,
-    /// Some substructure is scaled by no parameter.
+    /// `true` if no parameter scales some substructure.
     has_fixed_stiffness: bool,
-    /// Some dashpot, or the given `C`, is scaled by no parameter.
+    /// `true` if no parameter scales some dashpot or the given `C`.
     has_fixed_damping: bool,
 }
 
 impl Structure {
-    /// Makes the model of the structure, linearised at the prior.
+    /// Creates the model of the structure, linearised at the prior.
     #[must_use]
     pub fn model(&self) -> StructureModel {
         StructureModel::new(self)
@@ -163,12 +167,13 @@ impl Fixed {
             Scales::Dashpots(_) if mass_factor.is_none() => assembly
                 .damping()
                 .map_or(0..0, |damping| damping.scaled_rows(index)),
-            Scales::Hysteresis(_) => 0..0, // moves the rate of r only
+            Scales::Hysteresis(_) => 0..0, // changes only the rate of r
             Scales::Mass(dofs) => {
                 let first = dofs.iter().min().map_or(0, |first| *first);
                 first..dofs.iter().max().map_or(first, |last| last + 1)
             }
-            // through a mass matrix that is not diagonal everything accelerates everything
+            // With a mass matrix that is not diagonal, every force accelerates every degree of
+            // freedom.
             Scales::Stiffness(_)
             | Scales::Dashpots(_)
             | Scales::Damping
@@ -193,7 +198,7 @@ impl Fixed {
 
 impl RateBounds {
     fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
-        // ω² of a pencil whose mass is positive definite, checked when the file was read
+        // ω² of a pencil with a positive definite mass matrix, as checked when the file was read.
         let largest = |matrix| {
             Modes::new(system.mass.to_dense(), matrix).map_or(0.0, |modes| modes.highest().powi(2))
         };
@@ -245,7 +250,7 @@ impl ProcessModel for StructureModel {
         let (out_x, rest) = out.split_at_mut(free);
         let (out_v, out_theta) = rest.split_at_mut(free);
         out_x.copy_from_slice(&self.process.rate);
-        out_v.copy_from_slice(&self.process.acceleration); // ẍ = −M⁻¹ R + M⁻¹ T f               (2.45)
+        out_v.copy_from_slice(&self.process.acceleration); // ẍ = −M⁻¹ R + M⁻¹ T f (2.45)
         out_theta.fill(0.0);
     }
 
@@ -265,13 +270,16 @@ impl ProcessModel for StructureModel {
         }
     }
 
-    /// Every eigenvalue `s` of a linear structure solves `s² + c s + k = 0`, with `c` and `k` Rayleigh quotients of `M⁻¹ C`
-    /// and `M⁻¹ K`.
+    /// Bounds the eigenvalues `s` of the process.
     ///
-    /// With Rayleigh damping `c = α + β k`: `|s|` is `√k` unless the mode is overdamped, and no more than `α` or than that
-    /// of the highest mode. With a given damping matrix `|s| ≤ max(√k, c)`, each at its largest. For hysteretic springs,
-    /// `|s| ≤ max(|∂ṙ/∂r|, c) + √(|∂ṙ/∂w| k)`: the norm of a matrix of blocks, in which velocities are weighted by the root
-    /// of the mass and drifts by that of the stiffness.
+    /// In a linear structure, `s² + c s + k = 0`, where `c` and `k` are Rayleigh quotients of
+    /// `M⁻¹ C` and `M⁻¹ K`. With Rayleigh damping, `c = α + β k`. Then `|s|` is `√k` unless the
+    /// mode is overdamped, and at most `α` or the `|s|` of the highest mode. With a given damping
+    /// matrix, `|s| ≤ max(√k, c)`, both at their maximum.
+    ///
+    /// For hysteretic springs, `|s| ≤ max(|∂ṙ/∂r|, c) + √(|∂ṙ/∂w| k)`. This is the norm of a block
+    /// matrix in which the root of the mass weights velocities and the root of the stiffness
+    /// weights drifts.
     fn rate_bound(&self) -> f64 {
         let (k, given) = self.largest_quotients();
         let (alpha, beta) = (self.process.alpha_per_s.abs(), self.process.beta_s.abs());
@@ -312,7 +320,9 @@ impl ProcessModel for StructureModel {
         )
     }
 
-    /// A linear structure without parameters never changes: its filter is the Kalman filter.
+    /// Returns the exact transition of a linear structure without parameters, if it is faster.
+    ///
+    /// The filter of such a structure is the Kalman filter.
     fn constant_transition(&self, step_s: f64) -> Option<ConstantTransition> {
         if self.parameter_len() > 0 || self.is_hysteretic() || !self.is_densely_faster(step_s) {
             return None;
@@ -322,26 +332,34 @@ impl ProcessModel for StructureModel {
     }
 }
 
-/// A product with a dense matrix runs through memory, one with a sparse matrix looks each entry up: so many times slower.
+/// Time ratio of a sparse to a dense multiplication.
+///
+/// A product with a dense matrix reads memory in sequence; a sparse matrix looks up each entry.
 const LOOKING_UP: usize = 4;
 
 impl StructureModel {
-    /// Tells whether a step with the exact transition (n × n), for which what the noises add is known beforehand, is faster
-    /// than one with the series in the sparse Jacobian.
+    /// Returns `true` if a step with the exact transition (n × n) is faster than the series.
+    ///
+    /// The contribution of the noise to the exact transition is known beforehand. The series uses
+    /// the sparse Jacobian.
     fn is_densely_faster(&self, step_s: f64) -> bool {
         let (n, inputs) = (self.state_len(), self.excitation_len());
         let Series { substeps, order } = Series::choose(self.rate_bound(), step_s);
         let series =
             LOOKING_UP * substeps * order * (2 * self.fixed.assembly.entry_count() + 4 * n);
-        n * n <= series + n * inputs * inputs // of each column; the last for B Σ_f Bᵀ
+        n * n <= series + n * inputs * inputs // per column; the last term for B Σ_f Bᵀ
     }
 
-    /// Tells whether the springs are hysteretic, so that the state holds their hysteretic displacements.
+    /// Returns `true` if the springs are hysteretic; the state then contains hysteretic
+    /// displacements.
     pub(crate) fn is_hysteretic(&self) -> bool {
         self.fixed.hysteresis.is_some()
     }
 
-    /// Returns bounds of the Rayleigh quotients of `M⁻¹ K` of the springs (1/s²) and of `M⁻¹ C` but for `α` and `β` (1/s).
+    /// Returns bounds of the Rayleigh quotients of `M⁻¹ K` of the springs (1/s²) and of `M⁻¹ C`
+    /// (1/s).
+    ///
+    /// The second bound excludes `α` and `β`.
     fn largest_quotients(&self) -> (f64, f64) {
         let RateBounds {
             stiffness,
@@ -401,7 +419,7 @@ impl ObservationModel for StructureModel {
         let (len, free) = (self.state_len(), self.fixed.assembly.len());
         let rows = self.responses.len();
         if rows == 0 {
-            return; // a node that measures nothing but the excitation
+            return; // a node that measures only the excitation
         }
         for (column, out) in columns
             .as_slice()

@@ -1,6 +1,7 @@
 //! Natural frequencies, mode shapes and modal damping of a linear structure.
 //!
-//! `K φ = ω² M φ` with `φᵀ M φ = 1`, solved as the symmetric problem `L⁻¹ K L⁻ᵀ q = ω² q`, `M = L Lᵀ`, `φ = L⁻ᵀ q`.
+//! `K φ = ω² M φ` with `φᵀ M φ = 1` is solved as the symmetric problem `L⁻¹ K L⁻ᵀ q = ω² q`, with
+//! `M = L Lᵀ` and `φ = L⁻ᵀ q`.
 
 use crate::linear_system::{Damping, LinearSystem};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -10,19 +11,21 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 pub(crate) struct Modes {
     /// `ω` (rad/s), ascending.
     pub(crate) angular_frequencies: Vec<f64>,
-    /// `Φ` (N_d × N_d), a column per mode, `Φᵀ M Φ = I`.
+    /// `Φ` (N_d × N_d), one column per mode, with `Φᵀ M Φ = I`.
     pub(crate) shapes: DMatrix<f64>,
 }
 
 impl Modes {
-    /// Solves for all modes; `stiffness` is symmetric. `None`: `mass` is not positive definite, or numbers overflow.
+    /// Solves for all modes; `stiffness` is symmetric.
+    ///
+    /// Returns `None` if `mass` is not positive definite or numbers overflow.
     pub(crate) fn new(mass: DMatrix<f64>, mut stiffness: DMatrix<f64>) -> Option<Self> {
         let l = mass.cholesky()?.unpack();
         l.solve_lower_triangular_mut(&mut stiffness);
         stiffness.transpose_mut();
         l.solve_lower_triangular_mut(&mut stiffness);
         if stiffness.iter().any(|entry| !entry.is_finite()) {
-            return None; // the iteration would not end
+            return None; // the iteration would not terminate
         }
         let transposed = stiffness.transpose();
         let eigen = SymmetricEigen::new((stiffness + transposed) * 0.5);
@@ -58,7 +61,8 @@ impl Modes {
 
     /// Returns the damping ratio `φᵀ C φ / 2ω` of each mode.
     ///
-    /// Exact for Rayleigh damping. For a damping matrix that couples the modes it is the usual first approximation.
+    /// The ratio is exact for Rayleigh damping. For a damping matrix that couples the modes, it is
+    /// the usual first approximation.
     pub(crate) fn damping_ratios(&self, system: &LinearSystem) -> Vec<f64> {
         let matrix = system.damping.matrix(system.len());
         let ratio = |(mode, omega): (usize, &f64)| {
@@ -70,7 +74,8 @@ impl Modes {
                     },
                     _,
                 ) => {
-                    alpha_per_s + beta_s * omega * omega / system.initial_slope() // β K is that of the springs
+                    // β K uses the stiffness of the springs.
+                    alpha_per_s + beta_s * omega * omega / system.initial_slope()
                 }
                 (_, Some(matrix)) => self.quadratic(mode, matrix),
                 (_, None) => 0.0,

@@ -2,30 +2,32 @@
 
 use std::fmt;
 
-/// What a channel measures. Accelerations say in which frame of reference.
+/// Measured quantity of a channel. The name of an acceleration includes its frame of reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
-    /// Acceleration of a degree of freedom in space (m/s²): what an accelerometer measures.
+    /// Acceleration of a degree of freedom in an inertial frame (m/s²), as an accelerometer
+    /// measures it.
     AbsoluteAcceleration,
     /// Acceleration of a degree of freedom relative to the ground (m/s²).
     RelativeAcceleration,
-    /// `−M⁻¹(C ẋ + K x)` of a degree of freedom (m/s²): without the direct effect of a force on that mass.
+    /// `−M⁻¹(C ẋ + K x)` of a degree of freedom (m/s²), without the direct effect of a force on
+    /// that mass.
     RestoringAcceleration,
-    /// Acceleration of the ground (m/s²): a measured excitation.
+    /// Acceleration of the ground (m/s²), a measured excitation.
     GroundAcceleration,
-    /// A measured force (N): a measured excitation.
+    /// Measured force (N), a measured excitation.
     Force,
     /// Velocity of a degree of freedom relative to the ground (m/s).
     Velocity,
     /// Displacement of a degree of freedom relative to the ground (m).
     Displacement,
-    /// A weighted sum of displacements relative to the ground, such as a strain or a drift ratio (1).
+    /// Weighted sum of displacements relative to the ground, such as a strain or a drift ratio (1).
     Strain,
 }
 
 impl Quantity {
-    /// All quantities with the word that stands for them in a structure file.
+    /// All quantities with their names in a structure file.
     pub(crate) const WORDS: [(&'static str, Self); 8] = [
         ("absolute-acceleration", Self::AbsoluteAcceleration),
         ("relative-acceleration", Self::RelativeAcceleration),
@@ -37,7 +39,7 @@ impl Quantity {
         ("strain", Self::Strain),
     ];
 
-    /// Returns the SI unit, as structure files write it.
+    /// Returns the SI unit in the notation of structure files.
     #[must_use]
     pub fn unit(self) -> &'static str {
         match self {
@@ -52,12 +54,14 @@ impl Quantity {
         }
     }
 
-    /// Whether nodes that exchange responses tell it: what the state holds, and not what excites or accelerates it.
+    /// Returns `true` if nodes exchange this quantity as a response.
+    ///
+    /// Responses depend on the state only. Excitations and accelerations are excluded.
     pub(crate) fn is_told_as_response(self) -> bool {
         matches!(self, Self::Displacement | Self::Velocity | Self::Strain)
     }
 
-    /// Returns the units that the columns of a record may have, each with its size in the SI unit.
+    /// Returns the allowed units of record columns, each with its size in the SI unit.
     #[must_use]
     pub fn record_units(self) -> &'static [(&'static str, f64)] {
         match self {
@@ -65,7 +69,7 @@ impl Quantity {
             | Self::RelativeAcceleration
             | Self::RestoringAcceleration
             | Self::GroundAcceleration => {
-                // standard gravity, exact by definition; 1 Gal = 1 cm/s²
+                // Standard gravity, exact by definition; 1 Gal = 1 cm/s².
                 &[
                     ("m/s2", 1.0),
                     ("g", 9.806_65),
@@ -82,10 +86,11 @@ impl Quantity {
         }
     }
 
-    /// Returns the absolute value (SI) beyond which a sample is absurd unless the file says otherwise.
+    /// Returns the default absolute value (SI) above which a sample is implausible.
     ///
-    /// Far above any sound response: 20 g, the fastest ground motions tenfold, a displacement of metres, the strain at
-    /// which steel has long yielded; a force of 1 GN is beyond any jack or shaker.
+    /// It is far above any plausible response: 20 g, ten times the fastest ground motions, a
+    /// displacement of metres, and a strain far beyond the yield of steel. A force of 1 GN exceeds
+    /// any jack or shaker.
     pub(crate) fn default_range(self) -> f64 {
         match self {
             Self::AbsoluteAcceleration
@@ -99,7 +104,7 @@ impl Quantity {
         }
     }
 
-    /// Tells whether a channel of this quantity measures an excitation, not the response.
+    /// Returns `true` if a channel of this quantity measures an excitation instead of a response.
     #[must_use]
     pub fn is_excitation(self) -> bool {
         matches!(self, Self::GroundAcceleration | Self::Force)
@@ -121,7 +126,8 @@ impl fmt::Display for Quantity {
 pub struct Channel {
     pub(crate) name: String,
     pub(crate) quantity: Quantity,
-    /// Degrees of freedom (from 0) with their coefficients; one with coefficient 1 unless it is a strain.
+    /// Degrees of freedom (from 0) with their coefficients; a single one with coefficient 1, except
+    /// for a strain.
     pub(crate) sensed: Vec<(usize, f64)>,
     pub(crate) noise_std: f64,
     pub(crate) range: f64,
@@ -134,7 +140,7 @@ impl Channel {
         &self.name
     }
 
-    /// Returns what is measured.
+    /// Returns the measured quantity.
     #[must_use]
     pub fn quantity(&self) -> Quantity {
         self.quantity
@@ -146,14 +152,14 @@ impl Channel {
         self.noise_std
     }
 
-    /// Returns the absolute value (SI unit of the quantity) beyond which a sample is absurd.
+    /// Returns the absolute value (SI unit of the quantity) above which a sample is implausible.
     #[must_use]
     pub fn range(&self) -> f64 {
         self.range
     }
 }
 
-/// A sensor node: channels that are sampled together and arrive together.
+/// A sensor node. Its channels are sampled together, and their samples arrive together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Node {
     pub(crate) name: String,
@@ -168,7 +174,9 @@ impl Node {
         &self.name
     }
 
-    /// Returns the rate of the node (Hz) where it is slower than the structure's, which it divides.
+    /// Returns the sampling rate of the node (Hz) if it is lower than the rate of the structure.
+    ///
+    /// The rate of the structure is an integer multiple of it.
     #[must_use]
     pub fn sampling_rate_hz(&self) -> Option<f64> {
         self.sampling_rate_hz

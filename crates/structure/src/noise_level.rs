@@ -1,11 +1,11 @@
-//! The noise levels: variances of the excitation and of the sensors, shared within a group, known or adapted.
+//! Noise levels: variances of excitations and sensor groups, known or adapted.
 
-/// What a noise level is the variance of.
+/// Source of the noise with this level.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NoiseSource {
-    /// The unknown part of an excitation (index from 0), all components of a field together.
+    /// Unknown part of an excitation (index from 0); all components of a field together.
     Excitation(usize),
-    /// The measurement noise of these observation rows (indices from 0).
+    /// Measurement noise of these observation rows (indices from 0).
     Sensors(Vec<usize>),
 }
 
@@ -25,19 +25,21 @@ impl NoiseLevel {
         &self.name
     }
 
-    /// Returns the standard deviation (unit of the source) that the file states: known, or where adaptation starts.
+    /// Returns the standard deviation (unit of the source) stated in the file.
+    ///
+    /// It is the known value or the initial value of the adaptation.
     #[must_use]
     pub fn std(&self) -> f64 {
         self.std
     }
 
-    /// Tells whether the filter adapts it to the data.
+    /// Returns `true` if the filter adapts the level to the data.
     #[must_use]
     pub fn is_adapted(&self) -> bool {
         self.adapted
     }
 
-    /// Returns what it is the variance of.
+    /// Returns the source of the noise.
     #[must_use]
     pub fn source(&self) -> &NoiseSource {
         &self.source

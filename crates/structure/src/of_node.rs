@@ -1,15 +1,15 @@
-//! The structure as one sensor node sees it: the same model, and its own channels alone.
+//! Views of the structure for one sensor node: the same model with the channels known to that node.
 
 use crate::node::Node;
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::structure::Structure;
 
 impl Structure {
-    /// Returns the structure with the channels of one node only, sampled at that node's rate; `None` if there is no such
-    /// node.
+    /// Returns the structure with the channels and sampling rate of one node; `None` if it does not
+    /// exist.
     ///
-    /// An excitation that another node measures is unknown to this one. White noise of a slower node is the same process:
-    /// its variance times the time step stays.
+    /// The node does not know an excitation that another node measures. White noise at a lower
+    /// sampling rate is the same process: the product of variance and time step is constant.
     #[must_use]
     pub fn of_node(&self, name: &str) -> Option<Self> {
         let position = self.nodes.iter().position(|node| node.name() == name)?;
@@ -55,7 +55,7 @@ impl Structure {
             .faults
             .iter_mut()
             .for_each(|fault| fault.node = 0);
-        simulation.levels.clear(); // they are numbered as in the whole structure, which is what is simulated
+        simulation.levels.clear(); // their indices refer to the whole structure, which is simulated
         Some(Self {
             sampling_rate_hz,
             excitation_channels: excitations
@@ -81,8 +81,10 @@ impl Structure {
         })
     }
 
-    /// Returns the structure with the observation channels of all nodes, sampled at the rate of the node at `position`, whose
-    /// measured excitation alone is known: what a node sees that is told samples of the others. `None` if there is no such node.
+    /// Returns the structure with the observation channels of all nodes, at the rate of one node.
+    ///
+    /// This is the structure of the node at `position` if nodes exchange samples. It knows only the
+    /// excitation that this node measures. The result is `None` if the node does not exist.
     pub(crate) fn with_samples_of_others(&self, position: usize) -> Option<Self> {
         let of_node = self.of_node(self.nodes.get(position)?.name())?;
         let first = self.channels_of(position).start;
@@ -106,7 +108,7 @@ impl Structure {
         })
     }
 
-    /// Returns how many of its channels are observations, for each node.
+    /// Returns the number of observation channels of each node.
     pub(crate) fn observations_by_node(&self) -> Vec<usize> {
         let of = |position| {
             let own = self.channels_of(position);
@@ -118,7 +120,7 @@ impl Structure {
         (0..self.nodes.len()).map(of).collect()
     }
 
-    /// Returns the exponents of the units in which nodes tell their samples, by observation.
+    /// Returns the unit exponents of exchanged samples, one per observation.
     pub(crate) fn sample_units(&self) -> Vec<i16> {
         let channels: Vec<&crate::Channel> =
             self.nodes.iter().flat_map(|node| node.channels()).collect();
@@ -128,7 +130,7 @@ impl Structure {
         self.observation_channels.iter().map(exponent).collect()
     }
 
-    /// Returns the numbers of the channels of a node, in the whole structure.
+    /// Returns the range of a node's channels in the whole structure.
     fn channels_of(&self, position: usize) -> std::ops::Range<usize> {
         let first: usize = self.nodes[..position]
             .iter()
@@ -162,7 +164,8 @@ mod tests {
             .map(|level| level.name())
             .collect();
         assert_eq!(names, ["ground", "floors"]);
-        // the ground motion itself, no longer the noise of the sensor at the ground
+        // The standard deviation of the ground motion itself, not of the sensor noise on the
+        // ground.
         assert_eq!(floor.noise_levels()[0].std(), 0.1);
         let model = floor.model();
         assert_eq!(

@@ -1,19 +1,19 @@
-//! The uncertain parameters of a structure: what each scales, and what is believed of it beforehand.
+//! Uncertain parameters of a structure: the property that each scales, and its prior.
 
 use crate::hysteresis::Constant;
 
-/// What a parameter multiplies.
+/// Property that a parameter multiplies.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Scales {
-    /// The stiffness of these substructures (indices from 0).
+    /// Stiffness of these substructures (indices from 0).
     Stiffness(Vec<usize>),
-    /// The mass of these degrees of freedom (indices from 0); lumped mass only.
+    /// Mass of these degrees of freedom (indices from 0); only for a lumped mass.
     Mass(Vec<usize>),
-    /// The dashpots of these indices (from 0); a given damping matrix counts as one.
+    /// These dashpots (indices from 0); a given damping matrix counts as one dashpot.
     Dashpots(Vec<usize>),
-    /// A constant of the law of hysteretic springs, of all of them.
+    /// A constant of the law of all hysteretic springs.
     Hysteresis(Constant),
-    /// `α` and `β` of Rayleigh damping at once.
+    /// `α` and `β` of Rayleigh damping together.
     Damping,
     /// `α` of Rayleigh damping.
     DampingAlpha,
@@ -50,13 +50,13 @@ impl Parameter {
         self.std
     }
 
-    /// Returns the least and the largest value that the filter may report (ratios to nominal).
+    /// Returns the minimum and maximum value that the filter may report (ratios to nominal).
     #[must_use]
     pub fn bounds(&self) -> (f64, f64) {
         self.bounds
     }
 
-    /// Tells whether the parameter scales damping.
+    /// Returns `true` if the parameter scales damping.
     #[must_use]
     pub fn is_damping(&self) -> bool {
         matches!(
@@ -65,7 +65,7 @@ impl Parameter {
         )
     }
 
-    /// Tells whether the parameter scales a stiffness, so that `1 − θ` is a loss of stiffness.
+    /// Returns `true` if the parameter scales a stiffness, so that `1 − θ` is a loss of stiffness.
     #[must_use]
     pub fn is_stiffness(&self) -> bool {
         matches!(self.scales, Scales::Stiffness(_))

@@ -1,6 +1,6 @@
-//! How the columns of a recording become channels.
+//! Conversion of the columns of a recording to channels.
 
-/// Maps the columns of a recording to the channels of the structure.
+/// Mapping from the columns of a recording to the channels of the structure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordMap {
     pub(crate) time_column: String,
@@ -11,32 +11,39 @@ pub struct RecordMap {
 }
 
 impl RecordMap {
-    /// Units that the numbers of the time column may have; the first one is the default.
+    /// Units of a numeric time column; the first is the default.
     pub(crate) const TIME_UNITS: [(&'static str, &'static str); 4] =
         [("s", "s"), ("ms", "ms"), ("us", "us"), ("ns", "ns")];
 
-    /// Default name of the column with the time.
+    /// Default name of the time column.
     pub(crate) const TIME_COLUMN: &str = "time";
 
-    /// Returns the name of the column with the time; empty if records have no times, and rows are counted at the structure's rate.
+    /// Returns the name of the time column.
+    ///
+    /// It is empty if records have no times. Rows are then counted at the sampling rate of the
+    /// structure.
     #[must_use]
     pub fn time_column(&self) -> &str {
         &self.time_column
     }
 
-    /// Returns the unit of times that are numbers: `s`, `ms`, `us` or `ns`.
+    /// Returns the unit of numeric times: `s`, `ms`, `us` or `ns`.
     #[must_use]
     pub fn time_unit(&self) -> &'static str {
         self.time_unit
     }
 
-    /// Tells whether records of another rate are resampled to that of the structure; if not, they are refused.
+    /// Returns `true` if records at another rate are resampled to the rate of the structure.
+    ///
+    /// Otherwise they are rejected.
     #[must_use]
     pub fn resamples(&self) -> bool {
         self.resamples
     }
 
-    /// Returns the length (s) at the start of a record whose mean is removed from each channel; 0 for none.
+    /// Returns the initial length (s) of a record whose mean is removed from each channel.
+    ///
+    /// A length of 0 removes no mean.
     #[must_use]
     pub fn remove_offset_s(&self) -> f64 {
         self.remove_offset_s
@@ -49,7 +56,7 @@ impl RecordMap {
     }
 }
 
-/// Says which column holds a channel, and how it becomes SI: `value = factor · column + offset`.
+/// Column of a channel and its conversion to SI: `value = factor · column + offset`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMap {
     pub(crate) column: String,
@@ -65,19 +72,22 @@ impl ColumnMap {
         &self.column
     }
 
-    /// Returns the size of the column's unit, times the scale of the file (SI unit of the quantity per unit).
+    /// Returns the size of the column's unit times the scale of the file (SI unit of the quantity
+    /// per unit).
     #[must_use]
     pub fn factor(&self) -> f64 {
         self.factor
     }
 
-    /// Tells whether the structure file states the unit of the column; if not, it is the one that the recording states, or SI.
+    /// Returns `true` if the structure file states the unit of the column.
+    ///
+    /// Otherwise the recording may state it; the default is SI.
     #[must_use]
     pub fn states_unit(&self) -> bool {
         self.states_unit
     }
 
-    /// Returns what is added afterwards (SI unit of the quantity).
+    /// Returns the offset added after the multiplication (SI unit of the quantity).
     #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset

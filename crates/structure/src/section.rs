@@ -1,7 +1,7 @@
-//! Reads one table of the structure file key by key; every mistake is noted and reading goes on.
+//! Reads one table of the structure file key by key and continues after every mistake.
 //!
-//! A derived deserialiser stops at the first wrong type. Walking the table keeps the span of each key and value, so
-//! that all mistakes of a file are found in one go, each with its line.
+//! A derived deserialiser stops at the first wrong type. This reader keeps the span of each key and
+//! value, so that one pass finds all mistakes in a file, each with its line.
 
 use crate::diagnostics::{Diagnostics, counted, one_of};
 use std::fmt;
@@ -9,7 +9,7 @@ use std::ops::{Bound, Range};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The numbers that a key allows.
+/// Range of numbers that a key allows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Allowed {
     low: Bound<f64>,
@@ -33,37 +33,37 @@ impl Allowed {
         low: Bound::Included(1.0),
         high: Bound::Unbounded,
     };
-    /// Factors by which a level may be off.
+    /// Range of the factor by which a level may be off.
     pub(crate) const FACTOR: Self = Self {
         low: Bound::Included(1.0),
         high: Bound::Included(1000.0),
     };
-    /// Above 0 and below 1.
+    /// Range above 0 and below 1.
     pub(crate) const INSIDE_UNIT: Self = Self {
         low: Bound::Excluded(0.0),
         high: Bound::Excluded(1.0),
     };
-    /// Rates of frames (Hz): what the bus carries, and no faster than structures can move.
+    /// Range of frame rates (Hz). The bus can carry the maximum, and structures move no faster.
     pub(crate) const RATE: Self = Self {
         low: Bound::Included(1e-3),
         high: Bound::Included(20_000.0),
     };
-    /// Standard deviations whose squares, sums and ratios are all numbers.
+    /// Range of standard deviations whose squares, sums and ratios are finite and not zero.
     pub(crate) const DEVIATION: Self = Self {
         low: Bound::Included(1e-30),
         high: Bound::Included(1e30),
     };
-    /// Standard deviations of ratios.
+    /// Range of standard deviations of ratios.
     pub(crate) const RATIO_DEVIATION: Self = Self {
         low: Bound::Included(1e-9),
         high: Bound::Included(1e6),
     };
-    /// How far the rate of a clock may be off (parts per million): a hundred times what crystals are.
+    /// Range of the rate error of a clock (parts per million): a hundred times that of crystals.
     pub(crate) const DRIFT: Self = Self {
         low: Bound::Included(-10_000.0),
         high: Bound::Included(10_000.0),
     };
-    /// From 0, below 1.
+    /// Range from 0 to below 1.
     pub(crate) const SHARE: Self = Self {
         low: Bound::Included(0.0),
         high: Bound::Excluded(1.0),
@@ -74,7 +74,7 @@ impl Allowed {
     }
 }
 
-/// Writes a bound with an exponent where zeros would have to be counted.
+/// Formats a bound, with an exponent if it is very large or small.
 pub(crate) fn short(bound: f64) -> String {
     let plain = bound == 0.0 || (1e-3..1e6).contains(&bound.abs());
     if plain {
@@ -105,14 +105,14 @@ impl fmt::Display for Allowed {
     }
 }
 
-/// A degree of freedom or a node as a file names it: by number from 1, or by name.
+/// A degree of freedom or a node, given by number from 1 or by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum NumberOrName {
     Number(i64),
     Name(String),
 }
 
-/// One table being read.
+/// A table while it is read.
 pub(crate) struct Section<'t> {
     table: &'t DeTable<'t>,
     name: String,
@@ -137,12 +137,12 @@ impl<'t> Section<'t> {
         }
     }
 
-    /// Returns where the table begins.
+    /// Returns the position of the table.
     pub(crate) fn span(&self) -> Range<usize> {
         self.span.clone()
     }
 
-    /// Returns `table.key`, as messages show it.
+    /// Returns `table.key` for messages.
     pub(crate) fn key(&self, key: &str) -> String {
         if self.name.is_empty() {
             key.to_owned()
@@ -159,14 +159,14 @@ impl<'t> Section<'t> {
         self.table.contains_key(key)
     }
 
-    /// Returns where the value of a key stands; where the table begins, if it has none.
+    /// Returns the position of the value of a key, or of the table if the key is missing.
     pub(crate) fn span_of(&self, key: &str) -> Range<usize> {
         self.table
             .get(key)
             .map_or_else(|| self.span(), Spanned::span)
     }
 
-    /// Reports that `key` is missing, unless it is there (a value that was wrong has been reported already).
+    /// Reports a missing `key`. A present but wrong value has already been reported.
     pub(crate) fn require<T>(
         &self,
         key: &str,
@@ -184,12 +184,12 @@ impl<'t> Section<'t> {
         value
     }
 
-    /// Takes keys as known that are not read, because what decides on them is wrong and has been reported.
+    /// Marks keys as known without reading them, because a reported mistake prevents their check.
     pub(crate) fn leave_unread(&mut self, keys: &[&'static str]) {
         self.known.extend(keys);
     }
 
-    /// Reports the keys that nobody has asked for.
+    /// Reports unknown keys.
     pub(crate) fn finish(self) {
         for (key, _) in self.table {
             if !self.known.contains(&key.get_ref().as_ref()) {
@@ -204,7 +204,7 @@ impl<'t> Section<'t> {
         }
     }
 
-    /// Reports a value that is not what its key allows.
+    /// Reports a value that its key does not allow.
     pub(crate) fn refuse(
         &self,
         key: &str,
@@ -224,13 +224,13 @@ impl<'t> Section<'t> {
         self.table.get(key)
     }
 
-    /// Reads a number; an integer counts as one.
+    /// Reads a number; an integer is also a number.
     pub(crate) fn number(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<f64>> {
         let value = self.value(key)?;
         self.check_number(key, value, allowed)
     }
 
-    /// Reads a number that must be there.
+    /// Reads a required number.
     pub(crate) fn required_number(
         &mut self,
         key: &'static str,
@@ -240,7 +240,7 @@ impl<'t> Section<'t> {
         self.require(key, allowed, value)
     }
 
-    /// Reads a number, or takes the default of the key.
+    /// Reads a number, with a default.
     pub(crate) fn number_or(&mut self, key: &'static str, allowed: Allowed, default: f64) -> f64 {
         self.number(key, allowed)
             .map_or(default, Spanned::into_inner)
@@ -256,7 +256,7 @@ impl<'t> Section<'t> {
         self.check_numbers(key, value, allowed)
     }
 
-    /// Reads a list of numbers under a name chosen by the user, an entry of [`Section::entries`].
+    /// Reads a list of numbers under a user-defined name, an entry of [`Section::entries`].
     pub(crate) fn entry_numbers(
         &self,
         key: &str,
@@ -288,7 +288,7 @@ impl<'t> Section<'t> {
         numbers.map(|numbers| Spanned::new(value.span(), numbers))
     }
 
-    /// Reads a number, which then holds for each of `len` entries, or a list of as many.
+    /// Reads a list of `len` numbers, or one number that applies to each of `len` entries.
     pub(crate) fn number_for_each(
         &mut self,
         key: &'static str,
@@ -320,7 +320,7 @@ impl<'t> Section<'t> {
             .map(|number| vec![number.into_inner(); len])
     }
 
-    /// Reads a number under a name chosen by the user, an entry of [`Section::entries`].
+    /// Reads a number under a user-defined name, an entry of [`Section::entries`].
     pub(crate) fn entry_number(
         &self,
         key: &str,
@@ -354,7 +354,7 @@ impl<'t> Section<'t> {
         }
     }
 
-    /// Reads a whole number from `low` up to `high`.
+    /// Reads an integer from `low` to `high`.
     pub(crate) fn whole(
         &mut self,
         key: &'static str,
@@ -386,7 +386,7 @@ impl<'t> Section<'t> {
         flag
     }
 
-    /// Reads `true` or `false`, or takes the default of the key.
+    /// Reads `true` or `false`, with a default.
     pub(crate) fn flag_or(&mut self, key: &'static str, default: bool) -> bool {
         self.flag(key).unwrap_or(default)
     }
@@ -401,13 +401,13 @@ impl<'t> Section<'t> {
         text.map(|text| Spanned::new(value.span(), text.to_owned()))
     }
 
-    /// Reads a name, one chunk of a key expression.
+    /// Reads a name that can be one chunk of a key expression.
     pub(crate) fn name(&mut self, key: &'static str) -> Option<Spanned<String>> {
         let value = self.value(key)?;
         self.check_name(key, value)
     }
 
-    /// Reads a name that must be there.
+    /// Reads a required name.
     pub(crate) fn required_name(&mut self, key: &'static str) -> Option<Spanned<String>> {
         let value = self.name(key);
         self.require(key, NAME_RULE, value)
@@ -423,7 +423,7 @@ impl<'t> Section<'t> {
         }
     }
 
-    /// Reads a list of names; the wrong ones are reported and left out.
+    /// Reads a list of names; reports and omits wrong names.
     pub(crate) fn names(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<String>>>> {
         let value = self.value(key)?;
         let Some(entries) = value.get_ref().as_array() else {
@@ -437,7 +437,7 @@ impl<'t> Section<'t> {
         Some(Spanned::new(value.span(), names))
     }
 
-    /// Reads a list of lists of names; the wrong ones are reported and left out.
+    /// Reads a list of lists of names; reports and omits wrong names.
     pub(crate) fn name_lists(
         &mut self,
         key: &'static str,
@@ -464,7 +464,7 @@ impl<'t> Section<'t> {
         lists.iter().map(read).collect()
     }
 
-    /// Reads one of a closed set of words.
+    /// Reads a word from a closed set.
     pub(crate) fn choice<T: Copy>(
         &mut self,
         key: &'static str,
@@ -481,7 +481,7 @@ impl<'t> Section<'t> {
         chosen.map(|(_, choice)| Spanned::new(value.span(), *choice))
     }
 
-    /// Reads one of a closed set of words that must be there.
+    /// Reads a required word from a closed set.
     pub(crate) fn required_choice<T: Copy>(
         &mut self,
         key: &'static str,
@@ -491,13 +491,13 @@ impl<'t> Section<'t> {
         self.require(key, choice_rule(choices), chosen)
     }
 
-    /// Reads a number from 1 or a name.
+    /// Reads a number from 1, or a name.
     pub(crate) fn number_or_name(&mut self, key: &'static str) -> Option<Spanned<NumberOrName>> {
         let value = self.value(key)?;
         self.check_number_or_name(key, value, "degree of freedom")
     }
 
-    /// Reads a list of numbers from 1 or names; `None` as soon as one is neither.
+    /// Reads a list of numbers from 1 or names; `None` if an entry is neither.
     pub(crate) fn numbers_or_names(
         &mut self,
         key: &'static str,
@@ -506,7 +506,7 @@ impl<'t> Section<'t> {
         self.check_numbers_or_names(key, value, "degree of freedom")
     }
 
-    /// Reads a list of nodes by number or name; `None` as soon as one is neither.
+    /// Reads a list of nodes by number or name; `None` if an entry is neither.
     pub(crate) fn nodes(
         &mut self,
         key: &'static str,
@@ -515,7 +515,7 @@ impl<'t> Section<'t> {
         self.check_numbers_or_names(key, value, "node")
     }
 
-    /// Reads a list of lists of nodes; `None` as soon as one is none.
+    /// Reads a list of lists of nodes; `None` if an entry is not a list of nodes.
     pub(crate) fn paths(
         &mut self,
         key: &'static str,
@@ -575,26 +575,26 @@ impl<'t> Section<'t> {
         read.map(|read| Spanned::new(value.span(), read))
     }
 
-    /// Tells whether the value of `key` is a text (some keys allow a word or a table).
+    /// Returns `true` if the value of `key` is a text. Some keys allow a word or a table.
     pub(crate) fn is_text(&self, key: &str) -> bool {
         self.table
             .get(key)
             .is_some_and(|value| value.get_ref().is_str())
     }
 
-    /// Opens a table inside this one.
+    /// Opens a subtable.
     pub(crate) fn table(&mut self, key: &'static str) -> Option<Section<'t>> {
         let value = self.value(key)?;
         self.open(key, value)
     }
 
-    /// Opens a table that must be there.
+    /// Opens a required subtable.
     pub(crate) fn required_table(&mut self, key: &'static str) -> Option<Section<'t>> {
         let table = self.table(key);
         self.require(key, "must be given as a table", table)
     }
 
-    /// Opens every table of a list of tables; a missing list is an empty one.
+    /// Opens every table of a list of tables; a missing list counts as empty.
     pub(crate) fn tables(&mut self, key: &'static str) -> Vec<Section<'t>> {
         let Some(value) = self.value(key) else {
             return Vec::new();
@@ -615,7 +615,7 @@ impl<'t> Section<'t> {
         }
     }
 
-    /// Opens a table whose keys are names chosen by the user, in the order of the file.
+    /// Opens a table with user-defined keys; returns its entries in file order.
     pub(crate) fn entries(
         &mut self,
         key: &'static str,
@@ -631,7 +631,7 @@ impl<'t> Section<'t> {
             .collect()
     }
 
-    /// Opens `value`, which belongs to `key` of this table, as a table of its own.
+    /// Opens `value`, which belongs to `key` of this table, as a table.
     pub(crate) fn open(&self, key: &str, value: &'t Spanned<DeValue<'t>>) -> Option<Section<'t>> {
         match value.get_ref().as_table() {
             Some(table) => Some(Section::new(
@@ -648,13 +648,13 @@ impl<'t> Section<'t> {
     }
 }
 
-/// What a name may look like: it becomes one chunk of a key expression.
+/// Allowed names. A name becomes one chunk of a key expression.
 const NAME_RULE: &str = "must be a name of 1 to 64 lower-case letters, digits and hyphens";
 
-/// Longest name (bytes): key expressions travel with every message.
+/// Maximum length of a name (bytes); every message contains the key expression.
 const LONGEST_NAME: usize = 64;
 
-/// Tells whether `name` can be one chunk of a key expression: `[a-z0-9-]{1,64}`.
+/// Returns `true` if `name` can be one chunk of a key expression: `[a-z0-9-]{1,64}`.
 pub(crate) fn is_name(name: &str) -> bool {
     (1..=LONGEST_NAME).contains(&name.len())
         && name
@@ -678,7 +678,7 @@ fn whole_number(value: &DeValue<'_>) -> Option<i64> {
     i64::from_str_radix(integer.as_str(), integer.radix()).ok()
 }
 
-/// Says what a value is, the way a message needs it.
+/// Describes a value for a message.
 pub(crate) fn describe(value: &DeValue<'_>) -> String {
     match value {
         DeValue::String(text) => format!("is \"{text}\""),

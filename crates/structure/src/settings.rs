@@ -1,22 +1,23 @@
-//! Settings that other rooms carry out: the particles, the band limit and the alignment of samples.
+//! Settings for other crates: the particles, the band limit and the alignment of samples.
 
 use spandrel_filter::ImportanceDensity;
 
-/// How particles identify in place of the Kalman filter, `[filter] kind = "particle"`.
+/// Settings of the particle filter, `[filter] kind = "particle"`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ParticleKeys {
     /// Number of particles, at least 2.
     pub particles: usize,
-    /// Where particles are drawn from.
+    /// Density from which the particles are drawn.
     pub density: ImportanceDensity,
-    /// Standard deviation by which each parameter may drift within a second (ratio to nominal per √s).
+    /// Standard deviation of the drift of each parameter (ratio to nominal per √s).
     pub drift_per_root_s: f64,
-    /// How long a Kalman filter runs before the particles are drawn (s).
+    /// Duration for which a Kalman filter runs before the particles are drawn (s).
     pub warm_up_s: f64,
 }
 
 impl Default for ParticleKeys {
-    /// 2000 particles from the optimal density after two seconds, and a drift of 1 % in four seconds.
+    /// Returns 2000 particles from the optimal density after two seconds, and a drift of 1 % in
+    /// four seconds.
     fn default() -> Self {
         Self {
             particles: 2000,
@@ -41,16 +42,17 @@ impl BandLimit {
     pub(crate) const ORDER: usize = 4;
 }
 
-/// How samples become frames.
+/// Alignment of samples to frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IngestSettings {
-    /// How long a frame waits for late samples (s) when the data are live.
+    /// Time for which a live frame waits for late samples (s).
     pub lateness_s: f64,
-    /// How far the time of a sample may be from its frame (s), at most half a step.
+    /// Maximum difference between the timestamps of a sample and its frame (s), at most half a
+    /// step.
     pub tolerance_s: f64,
 }
 
 impl IngestSettings {
-    /// Default lateness: several blocks over a slow link.
+    /// Default lateness (s): several blocks over a slow link.
     pub(crate) const LATENESS_S: f64 = 2.0;
 }

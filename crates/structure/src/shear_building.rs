@@ -1,13 +1,15 @@
-//! The shear building: floors of given mass, each joined to the one below by a storey of given stiffness.
+//! A shear building: floors of given mass, each joined to the floor below by a storey of given
+//! stiffness.
 //!
-//! Degree of freedom `n` is the horizontal displacement of floor `n` relative to the ground; storey `n` joins floor
-//! `n − 1` (the ground for `n = 1`) to floor `n`. Huang & Yuen (2023), §2.3.3: `K` is tridiagonal.
+//! Degree of freedom `n` is the horizontal displacement of floor `n` relative to the ground. Storey
+//! `n` joins floor `n − 1` (the ground for `n = 1`) to floor `n`. Huang & Yuen (2023), §2.3.3: `K`
+//! is tridiagonal.
 
 use crate::linear_system::{Mass, StoreyGroup, Substructure};
 use nalgebra::DVector;
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
 
-/// Masses (kg) and storey stiffnesses (N/m) from the bottom up, as many of each, all positive.
+/// Masses (kg) and storey stiffnesses (N/m) from the bottom up, equal in number, all positive.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ShearBuilding {
     pub(crate) masses_kg: Vec<f64>,
@@ -15,9 +17,10 @@ pub(crate) struct ShearBuilding {
 }
 
 impl ShearBuilding {
-    /// Makes `storeys` equal storeys whose first natural frequency is `first_frequency_hz`.
+    /// Creates `storeys` equal storeys with the first natural frequency `first_frequency_hz`.
     ///
-    /// A uniform chain fixed below and free above has `ω₁ = 2 √(k/m) sin(π / (4N + 2))`.
+    /// A uniform chain, fixed at the bottom and free at the top, has
+    /// `ω₁ = 2 √(k/m) sin(π / (4N + 2))`.
     pub(crate) fn uniform(storeys: usize, mass_kg: f64, first_frequency_hz: f64) -> Self {
         let first = 2.0 * std::f64::consts::PI * first_frequency_hz;
         let of_unit_chain = 2.0 * (std::f64::consts::PI / (4 * storeys + 2) as f64).sin();
@@ -32,7 +35,7 @@ impl ShearBuilding {
         Mass::Lumped(DVector::from_column_slice(&self.masses_kg))
     }
 
-    /// Returns a substructure per group of storeys.
+    /// Returns one substructure per group of storeys.
     pub(crate) fn substructures(&self, groups: &[StoreyGroup]) -> Vec<Substructure> {
         chain(groups, &self.stiffnesses_n_per_m)
     }
@@ -45,7 +48,7 @@ impl ShearBuilding {
     }
 }
 
-/// Returns the matrix of each group of storeys with the given constants: stiffnesses (N/m), or dashpots (N s/m).
+/// Returns the matrix of each group of storeys for given stiffnesses (N/m) or dashpots (N s/m).
 pub(crate) fn chain(groups: &[StoreyGroup], constants: &[f64]) -> Vec<Substructure> {
     let len = constants.len();
     let group = |group: &StoreyGroup| {
@@ -66,7 +69,9 @@ pub(crate) fn chain(groups: &[StoreyGroup], constants: &[f64]) -> Vec<Substructu
     groups.iter().map(group).collect()
 }
 
-/// Puts each storey that is in none of `groups` into one of its own, `storey-1` for the lowest, and sorts them upwards.
+/// Puts each remaining storey into a separate group and sorts the groups upwards.
+///
+/// The names of these groups start with `storey-1` for the lowest storey.
 pub(crate) fn with_single_storeys(
     mut groups: Vec<StoreyGroup>,
     storeys: usize,

@@ -1,6 +1,6 @@
-//! What a simulated structure goes through: damage, modulated excitation, and the faults of its sensors.
+//! Events in a simulation: damage, modulated excitation, and sensor faults.
 
-/// A simulated course of events.
+/// Events in a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationPlan {
     pub(crate) seed: u64,
@@ -8,38 +8,40 @@ pub struct SimulationPlan {
     pub(crate) damage: Vec<Damage>,
     pub(crate) dropped_share: f64,
     pub(crate) spikes: Spikes,
-    /// One per node, s.
+    /// Clock offset of each node (s).
     pub(crate) clock_offsets_s: Vec<f64>,
-    /// One per node, parts per million.
+    /// Clock drift of each node (parts per million).
     pub(crate) clock_drifts_ppm: Vec<f64>,
-    /// Noise levels (from 0) that are not what the file states: their actual standard deviations.
+    /// Noise levels (from 0) that differ from the stated levels, with their actual standard
+    /// deviations.
     pub(crate) levels: Vec<(usize, f64)>,
     pub(crate) faults: Vec<Fault>,
 }
 
-/// What is wrong with a node for a time.
+/// A temporary fault of a node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Fault {
     pub(crate) node: usize,
     pub(crate) kind: FaultKind,
-    /// From when until when (s).
+    /// Start and end of the fault (s).
     pub(crate) from_s: f64,
     pub(crate) until_s: f64,
-    /// Of a bias, in standard deviations of the channel's noise.
+    /// Height of a bias, in standard deviations of the channel's noise.
     pub(crate) height: f64,
 }
 
-/// What a fault does to the samples of a node.
+/// Effect of a fault on the samples of a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FaultKind {
     /// All channels are off by a constant.
     Bias,
-    /// There are none.
+    /// The node delivers no samples.
     Silence,
 }
 
 impl Fault {
-    /// Returns what a sample of the node becomes at a time.
+    /// Returns a sample of the node with the effect of the fault at a time; NaN if the node is
+    /// silent.
     pub(crate) fn apply(&self, sample: f64, noise_std: f64, time_s: f64) -> f64 {
         if !(self.from_s..self.until_s).contains(&time_s) {
             return sample;
@@ -51,14 +53,15 @@ impl Fault {
     }
 }
 
-/// Swells the excitation once: amplitude `W(t) = 1 + s exp(1 − s)`, `s = (t − t_a)/t_b` from `t_a` on, 1 before.
+/// A single swell of the excitation amplitude.
 ///
-/// Largest, 2, at `t_a + t_b`. Huang & Yuen (2023), §3.4.
+/// `W(t) = 1 + s exp(1 − s)` with `s = (t − t_a)/t_b` from `t_a` on, and 1 before. The maximum is 2
+/// at `t_a + t_b`. Huang & Yuen (2023), §3.4.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Modulation {
-    /// `t_a` (s)
+    /// `t_a` (s).
     pub(crate) start_s: f64,
-    /// `t_b` (s)
+    /// `t_b` (s).
     pub(crate) rise_s: f64,
 }
 
@@ -69,10 +72,10 @@ impl Modulation {
     }
 }
 
-/// A ramp of damage is simulated in this many equal steps, each with its own exact recursion.
+/// Number of equal steps of a simulated ramp of damage, each with its own exact recursion.
 const RAMP_STEPS: f64 = 256.0;
 
-/// A loss of one parameter (share of nominal), at once or as a ramp.
+/// A loss of one parameter (share of nominal), sudden or as a ramp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Damage {
     pub(crate) parameter: usize,
@@ -82,7 +85,7 @@ pub(crate) struct Damage {
 }
 
 impl Damage {
-    /// Returns the share of nominal that is lost at `time_s`.
+    /// Returns the lost share of nominal at `time_s`.
     pub(crate) fn lost(&self, time_s: f64) -> f64 {
         let progress = if self.over_s > 0.0 {
             (time_s - self.at_s) / self.over_s
@@ -98,34 +101,34 @@ impl Damage {
     }
 }
 
-/// Single samples that are off by far.
+/// Single samples with large errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Spikes {
-    /// Share of the samples.
+    /// Share of samples with a spike.
     pub(crate) share: f64,
     /// Height in standard deviations of the channel's noise.
     pub(crate) height: f64,
-    /// What a spike does to the sample.
+    /// Effect of a spike on the sample.
     pub(crate) kind: SpikeKind,
 }
 
-/// What a spike does to a sample.
+/// Effect of a spike on a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SpikeKind {
-    /// It adds its height, with either sign.
+    /// The spike adds its height, with either sign.
     Added,
-    /// It takes the place of the sample, anywhere up to its height on either side of zero.
+    /// The spike replaces the sample by a value of at most its height, with either sign.
     Replaced,
 }
 
 impl SimulationPlan {
-    /// Height of a spike in standard deviations of the noise, unless the file says otherwise: beyond any doubt.
+    /// Default height of a spike in standard deviations of the noise: clearly an outlier.
     pub(crate) const SPIKE_HEIGHT: f64 = 50.0;
 
-    /// Height of a bias in standard deviations of the noise, unless the file says otherwise: hidden in a single sample.
+    /// Default height of a bias in standard deviations of the noise: hidden in a single sample.
     pub(crate) const BIAS_HEIGHT: f64 = 4.0;
 
-    /// Makes a plan in which nothing happens to a structure with `nodes` sensor nodes.
+    /// Creates a plan without events for a structure with `nodes` sensor nodes.
     pub(crate) fn uneventful(nodes: usize) -> Self {
         Self {
             seed: 0,
@@ -144,19 +147,19 @@ impl SimulationPlan {
         }
     }
 
-    /// Returns the seed of the file.
+    /// Returns the seed from the file.
     #[must_use]
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// Returns how far the clock of each node runs ahead (s), in the order of the nodes.
+    /// Returns the time (s) by which the clock of each node is ahead, in node order.
     #[must_use]
     pub fn clock_offsets_s(&self) -> &[f64] {
         &self.clock_offsets_s
     }
 
-    /// Returns how much faster the clock of each node runs (parts per million), in the order of the nodes.
+    /// Returns the rate excess of the clock of each node (parts per million), in node order.
     #[must_use]
     pub fn clock_drifts_ppm(&self) -> &[f64] {
         &self.clock_drifts_ppm

@@ -1,8 +1,9 @@
-//! Simulates the response of a structure with its damage, its excitation and the faults of its sensors.
+//! Simulates the response of a structure with damage, excitation and sensor faults.
 //!
-//! For a linear structure the recursion is exact for an excitation held (or running straight) over a step; it is made anew
-//! when a parameter changes. Hysteretic springs are followed in substeps. The parameters between two frames are those of the
-//! older one. Everything follows from the seed.
+//! For a linear structure, the recursion is exact for an excitation that is constant or linear over
+//! a step. A change of a parameter creates a new recursion. Hysteretic springs are integrated in
+//! substeps. Between two frames, the parameters of the older frame apply. The seed determines
+//! every random value.
 
 mod motion;
 
@@ -17,16 +18,16 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
 
-/// One simulated instant.
+/// One simulated frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedFrame {
-    /// Number of the frame, from 0; its time is this times [`Structure::step_s`].
+    /// Index of the frame, from 0. Its time is the index times [`Structure::step_s`].
     pub index: u64,
-    /// One value per channel in frame order (SI); NaN where the sample is missing.
+    /// One value per channel in frame order (SI); NaN for a missing sample.
     pub values: Vec<f64>,
 }
 
-/// What a channel shows.
+/// Quantity that a channel shows.
 #[derive(Debug, Clone, Copy)]
 enum Source {
     /// An observation row.
@@ -35,21 +36,21 @@ enum Source {
     Excitation(usize),
 }
 
-/// How the samples of one channel come about.
+/// Generation of the samples of one channel.
 #[derive(Debug, Clone, Copy)]
 struct SimulatedChannel {
     source: Source,
     noise_std: f64,
-    /// Frames from one sample of the node to its next.
+    /// Number of frames per sample of the node.
     every: u64,
-    /// Place of its node in the file.
+    /// Index of its node in the file.
     node: usize,
 }
 
-/// How the samples of one excitation come about.
+/// Generation of the samples of one excitation.
 #[derive(Debug, Clone)]
 enum Shaking {
-    /// A component of this standard deviation.
+    /// One component with this standard deviation.
     Single { std: f64 },
     /// Components that are drawn together: `m + σ L w` with white `w`.
     Field {
@@ -60,9 +61,9 @@ enum Shaking {
     },
 }
 
-/// Simulates a structure from rest, frame by frame, without end.
+/// An endless simulation of a structure, frame by frame.
 ///
-/// Under mean forces it begins in the equilibrium with them.
+/// The structure starts at rest, or in equilibrium with the mean forces.
 #[derive(Debug, Clone)]
 pub struct Simulator {
     motion: Motion,
@@ -72,7 +73,7 @@ pub struct Simulator {
     shaking: Vec<Shaking>,
     channels: Vec<SimulatedChannel>,
     theta: Vec<f64>,
-    /// `f` and the next `f` (N_f), `z` (N_0)
+    /// `f` and the next `f` (N_f), `z` (N_0).
     excitation: DVector<f64>,
     next_excitation: DVector<f64>,
     response: DVector<f64>,
@@ -83,7 +84,7 @@ pub struct Simulator {
 }
 
 impl Structure {
-    /// Makes a simulation of the structure that depends on nothing but the file and `seed`.
+    /// Creates a simulation of the structure that depends only on the file and `seed`.
     #[must_use]
     pub fn simulator(&self, seed: u64) -> Simulator {
         Simulator::new(
@@ -95,7 +96,7 @@ impl Structure {
         )
     }
 
-    /// Makes a simulation of the same motion whose samples are all there and free of noise.
+    /// Creates a simulation of the same motion without missing samples and without noise.
     #[must_use]
     pub fn clean_simulator(&self, seed: u64) -> Simulator {
         let mut plan = self.simulation.clone();
@@ -114,9 +115,12 @@ impl Structure {
         simulator
     }
 
-    /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it; mean forces
-    /// are left out, and hysteretic springs are linear in it, as for small motions. A slower node measures at each frame, with as much
-    /// more variance ([`Structure::frames_per_sample`]): so long as motion is slower than its samples, these tell the same.
+    /// Creates a simulation of the structure at its prior means, with white noise only.
+    ///
+    /// It has no mean forces and treats hysteretic springs as linear, as for small motions. A
+    /// slower node measures at each frame, with a proportionally larger variance
+    /// ([`Structure::frames_per_sample`]). Both contain the same information if the motion is
+    /// slower than the samples of the node.
     pub(crate) fn undamaged_simulator(&self, seed: u64) -> Simulator {
         let plan = SimulationPlan::uneventful(self.nodes.len());
         let means = self.parameters.iter().map(crate::Parameter::mean).collect();
@@ -170,7 +174,7 @@ impl Simulator {
             amplitude,
             start,
         );
-        // streams of their own, so that a dropped sample changes neither the motion nor the noise
+        // Separate streams, so that a dropped sample changes neither the motion nor the noise.
         let random = |stream| {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
             random.set_stream(stream);
@@ -196,15 +200,16 @@ impl Simulator {
         simulator
     }
 
-    /// Returns the true state (displacements and velocities relative to the ground, m and m/s) at the coming frame.
+    /// Returns the true state (displacements and velocities relative to the ground, m and m/s) at
+    /// the next frame.
     ///
-    /// Hysteretic springs have their hysteretic displacements in the place of the displacements.
+    /// For hysteretic springs, hysteretic displacements replace the displacements.
     #[must_use]
     pub fn state(&self) -> &[f64] {
         self.motion.state()
     }
 
-    /// Draws the excitation of frame `index` into the place of the next one.
+    /// Draws the excitation of frame `index` into `next_excitation`.
     fn draw_excitation(&mut self, index: u64) {
         let time_s = index as f64 * self.step_s;
         let amplitude = self
@@ -237,7 +242,7 @@ impl Simulator {
         }
     }
 
-    /// Changes the parameters if the damage has.
+    /// Updates the parameters if the damage has changed.
     fn follow_damage(&mut self) {
         let theta = true_parameters(&self.plan, &self.undamaged, self.index as f64 * self.step_s);
         if theta != self.theta {
@@ -246,7 +251,7 @@ impl Simulator {
         }
     }
 
-    /// Adds noise and faults to what the channels show of this instant.
+    /// Returns the values of all channels at this frame, with noise and faults.
     fn sample(&mut self) -> Vec<f64> {
         let (response, excitation) = (&self.response, &self.excitation);
         let mut values = Vec::with_capacity(self.channels.len());
@@ -285,7 +290,7 @@ impl Simulator {
         values
     }
 
-    /// Makes the next frame.
+    /// Simulates the next frame.
     pub(crate) fn advance_frame(&mut self) -> SimulatedFrame {
         self.follow_damage();
         std::mem::swap(&mut self.excitation, &mut self.next_excitation);
@@ -302,16 +307,16 @@ impl Simulator {
 impl Iterator for Simulator {
     type Item = SimulatedFrame;
 
-    /// Returns the next frame; there is always one.
+    /// Returns the next frame; never `None`.
     fn next(&mut self) -> Option<SimulatedFrame> {
         Some(self.advance_frame())
     }
 }
 
-/// Makes what draws the samples of each excitation.
+/// Creates the sample generator of each excitation.
 fn shaking(structure: &Structure, amplitude: Amplitude) -> Vec<Shaking> {
     let shaking = |(index, excitation): (usize, &crate::Excitation)| {
-        // the level of a measured one is that of its channel's noise
+        // The level of a measured excitation is the noise of its channel.
         let is_own = |source: &NoiseSource| {
             excitation.measured.is_none() && *source == NoiseSource::Excitation(index)
         };
@@ -340,7 +345,7 @@ fn shaking(structure: &Structure, amplitude: Amplitude) -> Vec<Shaking> {
         .collect()
 }
 
-/// Returns the actual standard deviation of the noise level that `is_meant`.
+/// Returns the actual standard deviation of the noise level for which `is_meant` returns `true`.
 fn actual_std(structure: &Structure, is_meant: impl Fn(&NoiseSource) -> bool) -> Option<f64> {
     let level = structure
         .noise_levels
@@ -370,7 +375,7 @@ fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
                 NoiseSource::Excitation(index) => measured == Some(*index),
             };
             let noise_std = actual_std(structure, is_own).unwrap_or(channel.noise_std());
-            // a channel is one or the other, checked when the file was read
+            // A channel is either a response or an excitation, as checked when the file was read.
             if let Some(source) = row.map(Source::Response).or(input.map(Source::Excitation)) {
                 let every = frames_per_sample[frame_channel];
                 channels.push(SimulatedChannel {

@@ -1,4 +1,4 @@
-//! Where the parts of a model with geometry are: points, and the straight lines between them.
+//! Geometry of a model: points, and the straight lines between them.
 
 use crate::mesh::Mesh;
 use crate::tower::{Segment, WAYS};
@@ -8,35 +8,35 @@ use std::ops::Range;
 /// Points and lines of a model, in the coordinates of its file.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Skeleton {
-    /// Names as in the degrees of freedom `node-NAME-DIRECTION`, and places (m).
+    /// Names as in the degrees of freedom `node-NAME-DIRECTION`, and coordinates (m).
     pub(crate) points: Vec<(String, Vector3<f64>)>,
-    /// Which points cannot move in some direction.
+    /// `true` for each point that cannot move in some direction.
     pub(crate) is_held: Vec<bool>,
     pub(crate) lines: Vec<Line>,
-    /// Which way is up.
+    /// Upward direction.
     pub(crate) up: Up,
 }
 
 /// A straight part of the model.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Line {
-    /// The points that it joins (from 0).
+    /// Indices of the points that it joins (from 0).
     pub(crate) ends: [usize; 2],
-    /// The substructures (from 0) that its stiffness belongs to.
+    /// Substructures (from 0) of its stiffness.
     pub(crate) parts: Range<usize>,
 }
 
-/// The upward direction of a model.
+/// Upward direction of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Up {
-    /// `y`, of what lies in a plane.
+    /// `y`, for a plane model.
     Y,
-    /// `z`, of what stands in space.
+    /// `z`, for a model in space.
     Z,
 }
 
 impl Skeleton {
-    /// Returns that of a frame or truss, whose groups are its substructures.
+    /// Returns the skeleton of a frame or truss, whose groups are its substructures.
     pub(crate) fn of_mesh(mesh: &Mesh) -> Self {
         let lines = mesh.groups.iter().enumerate().flat_map(|(part, group)| {
             group.members.iter().map(move |ends| Line {
@@ -64,7 +64,8 @@ impl Skeleton {
         }
     }
 
-    /// Returns that of a tower, each of whose segments has one substructure for each way of bending.
+    /// Returns the skeleton of a tower, in which each segment has one substructure per way of
+    /// bending.
     pub(crate) fn of_tower(segments: &[Segment]) -> Self {
         let mut points = vec![("0".to_owned(), Vector3::zeros())];
         let mut lines = Vec::new();

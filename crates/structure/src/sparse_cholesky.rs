@@ -1,22 +1,24 @@
-//! The factor of a sparse symmetric matrix, applied in place.
+//! Cholesky factor of a sparse symmetric matrix, applied in place.
 //!
-//! `P A Pᵀ = L D Lᵀ` with a unit lower triangle `L`. Rows are eliminated in the order of least degree (Tinney & Walker
-//! 1967, *Proc. IEEE* 55, 1801), which keeps the factor of a structure about as sparse as its matrix: the mass of a frame
-//! joins neighbours only. The factor keeps the numbers of the matrix, so that a right-hand side is solved where it is.
+//! `P A Pᵀ = L D Lᵀ` with a unit lower triangular `L`. Rows are eliminated in the order of minimum
+//! degree (Tinney & Walker 1967, *Proc. IEEE* 55, 1801). The factor of a structure is then about as
+//! sparse as its matrix, because the mass of a frame joins only neighbours. The factor keeps the
+//! row numbers of the matrix, so that it solves a right-hand side in place.
 
 use nalgebra::DMatrix;
 use std::collections::BTreeSet;
 
-/// `L` and `D` of a symmetric positive definite matrix (n × n), a column for each eliminated row.
+/// `L` and `D` of a symmetric positive definite matrix (n × n), with a column for each eliminated
+/// row.
 #[derive(Debug, Clone)]
 pub(crate) struct SparseCholesky {
     /// Row that each step eliminates.
     order: Vec<usize>,
     /// `1/D` of each step.
     reciprocal_pivots: Vec<f64>,
-    /// Where the entries of each step begin, and one end more.
+    /// Start index of the entries of each step, and the end index of the last step.
     starts: Vec<usize>,
-    /// Rows of the entries of `L` below the diagonal, as the matrix numbers them.
+    /// Rows of the entries of `L` below the diagonal, in the numbering of the matrix.
     rows: Vec<usize>,
     values: Vec<f64>,
 }
@@ -48,7 +50,7 @@ impl SparseCholesky {
         {
             left.remove(&pivot_row);
             let pivot = rest[(pivot_row, pivot_row)];
-            // written so that NaN fails too
+            // The negation also rejects NaN.
             if !(pivot > 0.0 && pivot.is_finite()) {
                 return None;
             }
@@ -77,7 +79,7 @@ impl SparseCholesky {
         self.solve_columns_mut(&mut [b]);
     }
 
-    /// Replaces each of several columns `b` (n) by `A⁻¹ b`, with the same bits as one by one.
+    /// Replaces each of several columns `b` (n) by `A⁻¹ b`, bit-identical to one column at a time.
     pub(crate) fn solve_columns_mut<const C: usize>(&self, columns: &mut [&mut [f64]; C]) {
         for (step, row) in self.order.iter().enumerate() {
             let solved: [f64; C] = std::array::from_fn(|c| columns[c][*row]);
@@ -101,7 +103,7 @@ impl SparseCholesky {
         }
     }
 
-    #[inline] // a call for every column takes longer than the few entries of one
+    #[inline] // a call per column takes longer than its few entries
     fn column(&self, step: usize) -> impl Iterator<Item = (&usize, &f64)> {
         let entries = self.starts[step]..self.starts[step + 1];
         self.rows[entries.clone()].iter().zip(&self.values[entries])
@@ -113,7 +115,9 @@ mod tests {
     use super::*;
     use nalgebra::DVector;
 
-    /// A tree of masses, numbered so that eliminating from the first row on would fill the whole factor: row 0 joins all.
+    /// Returns the matrix of a star of masses, in which row 0 joins all other rows.
+    ///
+    /// Elimination in row order would fill the whole factor.
     fn star() -> DMatrix<f64> {
         let mut matrix = DMatrix::from_diagonal_element(6, 6, 4.0);
         for leaf in 1..6 {

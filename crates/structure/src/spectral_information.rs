@@ -1,45 +1,49 @@
-//! What a record tells of a linear structure, frequency by frequency, and where its estimates go when the truth is another one.
+//! Information of a record about a linear structure by frequency, and the estimates under a wrong
+//! model.
 //!
-//! At each frequency the sensors show `z = G f + n`. Of `f` the filter knows what a channel measures, with the spectrum
-//! `Σ_k`, and takes the rest as white, with the covariance `Σ_u`. What it cannot predict has the spectrum
-//! `Φ = G Σ_u Gᴴ + R`. One frame holds the information
+//! At each frequency the sensors show `z = G f + n`. For `f`, the filter knows the measured part
+//! with the spectrum `Σ_k`. It assumes that the rest is white with the covariance `Σ_u`. The
+//! unpredictable part of `z` has the spectrum `Φ = G Σ_u Gᴴ + R`. One frame contains the
+//! information
 //!
 //! `I_ij = Σ_ω Re tr(Σ_k ∂_iGᴴ Φ⁻¹ ∂_jG) + ½ Re tr(Φ⁻¹ ∂_iΦ Φ⁻¹ ∂_jΦ)`
 //!
-//! (Whittle 1953, *Arkiv för Matematik* 2, 423). When the truth is `G_t` and `Φ_t`, with `ΔG = G_t − G`, the expected slope of
-//! the log-likelihood is
+//! (Whittle 1953, *Arkiv för Matematik* 2, 423). If the truth is `G_t` and `Φ_t`, with
+//! `ΔG = G_t − G`, the expected slope of the log-likelihood is
 //!
-//! `s_i = Σ_ω Re tr(Σ_k ∂_iGᴴ Φ⁻¹ ΔG) + ½ Re tr(Φ⁻¹ ∂_iΦ Φ⁻¹ (Φ_t + ΔG Σ_k ΔGᴴ − Φ))`,
+//! `s_i = Σ_ω Re tr(Σ_k ∂_iGᴴ Φ⁻¹ ΔG) + ½ Re tr(Φ⁻¹ ∂_iΦ Φ⁻¹ (Φ_t + ΔG Σ_k ΔGᴴ − Φ))`.
 //!
-//! and the estimates settle where it vanishes (White 1982, *Econometrica* 50, 1). No data are simulated.
+//! The estimates converge to the point where this slope vanishes (White 1982, *Econometrica*
+//! 50, 1). No data are simulated.
 
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::spectrum::{Complexes, Frequency, Linearised, Response, frequencies};
 use crate::structure::Structure;
 use nalgebra::{Complex, DMatrix, DVector};
 
-/// What a model of the structure can be moved in.
+/// A quantity with respect to which a model of the structure is differentiated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Direction {
     /// A parameter (from 0), a ratio to nominal.
     Parameter(usize),
     /// The logarithm of the variance of a noise level (from 0).
     Level(usize),
-    /// The logarithm of the spectrum of an excitation (its level, from 0) about one octave.
+    /// The logarithm of the spectrum of an excitation (its level, from 0) around one octave.
     Colour { level: usize, octave: usize },
 }
 
-/// A structure with all its parameters and noise levels.
+/// A structure with values for all its parameters and noise levels.
 #[derive(Debug, Clone)]
 pub(crate) struct SpectralModel<'s> {
     structure: &'s Structure,
     linearised: Linearised,
-    /// What each noise level adds to `Σ_u` (N_f × N_f) or to the variances of the sensors (N_0).
+    /// Contribution of each noise level to `Σ_u` (N_f × N_f) or to the variances of the sensors
+    /// (N_0).
     parts: Vec<Part>,
     /// `Σ_u` (N_f × N_f) and the diagonal of `R` (N_0).
     unknown: Complexes,
     noise: DVector<f64>,
-    /// The root of `Σ_k` of each component: what its channel shows, 0 where none measures it.
+    /// Root of `Σ_k` of each component: the measured part, 0 if no channel measures it.
     known: Vec<f64>,
 }
 
@@ -49,17 +53,17 @@ enum Part {
     Sensors(DVector<f64>),
 }
 
-/// Information and expected slope of the log-likelihood, per frame, in the order of the directions.
+/// Information and expected slope of the log-likelihood per frame, in the order of the directions.
 #[derive(Debug, Clone)]
 pub(crate) struct Sums {
     pub(crate) information: DMatrix<f64>,
     pub(crate) slope: DVector<f64>,
-    /// Minus twice the expected log-likelihood, but for a constant.
+    /// Minus twice the expected log-likelihood, up to a constant.
     pub(crate) misfit: f64,
 }
 
 impl<'s> SpectralModel<'s> {
-    /// Makes the model at `theta` (ratios to nominal), with a variance for each noise level.
+    /// Creates the model at `theta` (ratios to nominal), with a variance for each noise level.
     pub(crate) fn new(structure: &'s Structure, theta: &[f64], variances: &[f64]) -> Self {
         let parts: Vec<Part> = structure
             .noise_levels
@@ -93,10 +97,11 @@ impl<'s> SpectralModel<'s> {
         }
     }
 
-    /// Sums over all frequencies what the model learns about `directions` while `truth` makes the data; without one, the
-    /// model is right.
+    /// Sums the information of the model about `directions` over all frequencies, for data from
+    /// `truth`.
     ///
-    /// `None` where some frequency has no finite answer.
+    /// If `truth` is `None`, the model is right. The result is `None` if some frequency has no
+    /// finite response.
     pub(crate) fn sums(&self, truth: Option<&Self>, directions: &[Direction]) -> Option<Sums> {
         let resolved: Vec<&Linearised> = std::iter::once(self)
             .chain(truth)
@@ -117,8 +122,10 @@ impl<'s> SpectralModel<'s> {
         })
     }
 
-    /// Returns a real column for each direction, and one for the truth, whose products are those of the sums; and the
-    /// misfit `ln |Φ| + tr(Φ⁻¹ Φ_t)` with what the known excitation leaves unexplained.
+    /// Returns a real column for each direction and one for the truth, and the misfit.
+    ///
+    /// The products of the columns are the terms of the sums. The misfit is `ln |Φ| + tr(Φ⁻¹ Φ_t)`,
+    /// in which `Φ_t` includes the part that the known excitation leaves unexplained.
     fn columns(
         &self,
         truth: Option<&Self>,
@@ -155,7 +162,7 @@ impl<'s> SpectralModel<'s> {
         Some((DMatrix::from_columns(&columns), misfit))
     }
 
-    /// Returns `∂Φ` and `∂G Σ_k^½` along a direction.
+    /// Returns `∂Φ` and `∂G Σ_k^½` in a direction.
     fn derivatives(
         &self,
         own: &Response,
@@ -181,7 +188,7 @@ impl<'s> SpectralModel<'s> {
         }
     }
 
-    /// Returns `Φ` (N_0 × N_0).
+    /// Returns `Φ` (N_0 × N_0), the spectrum of the unpredictable part.
     fn unpredicted(&self, transfer: &Complexes) -> Complexes {
         let mut phi = transfer * &self.unknown * transfer.adjoint();
         self.noise
@@ -191,8 +198,10 @@ impl<'s> SpectralModel<'s> {
         phi
     }
 
-    /// Returns the standard deviation of each observation row, without the noise of its sensor, and the frequency (rad/s)
-    /// below which the `share` of all motion lies that is seen over that noise.
+    /// Returns the standard deviation of each observation row without sensor noise, and a frequency
+    /// limit.
+    ///
+    /// The `share` of all motion, weighted by sensor noise, is below this limit (rad/s).
     pub(crate) fn motion(&self, share: f64) -> Option<(DVector<f64>, f64)> {
         let mut excitation = self.unknown.clone();
         self.known
@@ -221,7 +230,7 @@ impl<'s> SpectralModel<'s> {
 }
 
 impl Part {
-    /// Returns what it adds to `Φ` (N_0 × N_0).
+    /// Returns its contribution to `Φ` (N_0 × N_0).
     fn seen_through(&self, transfer: &Complexes) -> Complexes {
         match self {
             Self::Excitation(covariance) => transfer * covariance * transfer.adjoint(),
@@ -243,7 +252,8 @@ fn part(structure: &Structure, level: &NoiseLevel, variance: f64) -> Part {
             let every = structure.frames_per_sample();
             let mut variances = DVector::zeros(structure.observation_channels.len());
             for row in rows {
-                // a slower node tells as much as one with as many times the variance at each frame
+                // A slower node contains as much information as a node with a proportionally larger
+                // variance at each frame.
                 variances[*row] = variance * every[structure.observation_channels[*row]] as f64;
             }
             Part::Sensors(variances)
@@ -251,7 +261,7 @@ fn part(structure: &Structure, level: &NoiseLevel, variance: f64) -> Part {
     }
 }
 
-/// Returns `X` with each column scaled.
+/// Returns `X` with each column scaled by its factor.
 fn scaled_columns(x: &Complexes, factors: &[f64]) -> Complexes {
     let mut scaled = x.clone();
     for (mut column, factor) in scaled.column_iter_mut().zip(factors) {
@@ -266,7 +276,7 @@ fn whitened(x: Complexes, lower: &Complexes) -> Option<Complexes> {
     Some(lower.solve_lower_triangular(&left.adjoint())?.adjoint())
 }
 
-/// Puts a matrix that counts by half and one that counts in full into one real column.
+/// Stacks a matrix with weight ½ and a matrix with weight 1 into one real column.
 fn stacked(half: &Complexes, full: &Complexes) -> DVector<f64> {
     let root = 0.5_f64.sqrt();
     let parts = half
@@ -292,7 +302,8 @@ mod tests {
         Structure::parse(text, Path::new("example.toml")).unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// Both count the same information, one in time by filters that run on simulated data, one by frequency without data.
+    /// Both methods count the same information: one in time with filters on simulated data, the
+    /// other by frequency without data.
     #[test]
     fn frequencies_hold_what_innovations_hold() {
         for text in [DEMO, OUTPUT_ONLY] {
@@ -313,8 +324,9 @@ mod tests {
             } = model.sums(Some(&model), &directions).unwrap();
             for index in 0..directions.len() {
                 let (found, expected) = (information[(index, index)], simulated[(index, index)]);
-                // 60 s of a mode of 1 Hz with 2 % of damping have some ten independent amplitudes: a deviation of 20 % of the
-                // measured excitation's share, and a held one is weaker by 2 % at 10 Hz
+                // 60 s of a 1 Hz mode with 2 % damping contain about ten independent amplitudes.
+                // The measured excitation's share therefore deviates by 20 %. A held excitation is
+                // also 2 % weaker at 10 Hz.
                 assert!(
                     (found / expected - 1.0).abs() < 0.5,
                     "{:?}: {found} for {expected}",

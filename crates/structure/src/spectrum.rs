@@ -1,9 +1,11 @@
-//! How the sensors of a structure answer its excitation, frequency by frequency, and what that owes to each parameter.
+//! Frequency response of the sensors to the excitation, and its derivative with respect to each
+//! parameter.
 //!
-//! `(s I − A_u) U = B_u` and `G = H U + D` at `s = iω`, with the matrices of [`LinearForm`]; a derivative by a parameter is
-//! `∂G = ∂H U + H (s I − A_u)⁻¹ (∂A_u U + ∂B_u) + ∂D`. With `u = [x, v]` and `A_u = [0, A_xv; A_vx, A_vv]` one factor of
-//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) solves for both parts. Time runs on: how an excitation is held over a step,
-//! and modes beyond half the sampling rate, are left out.
+//! `(s I − A_u) U = B_u` and `G = H U + D` at `s = iω`, with the matrices of [`LinearForm`]. A
+//! derivative with respect to a parameter is `∂G = ∂H U + H (s I − A_u)⁻¹ (∂A_u U + ∂B_u) + ∂D`.
+//! With `u = [x, v]` and `A_u = [0, A_xv; A_vx, A_vv]`, one factor of
+//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) solves for both parts. Time is continuous: the hold
+//! of an excitation over a step, and modes above half the sampling rate, are neglected.
 
 use crate::linear_form::LinearForm;
 use crate::structure::Structure;
@@ -13,31 +15,32 @@ use std::f64::consts::PI;
 /// A complex matrix.
 pub(crate) type Complexes = DMatrix<Complex<f64>>;
 
-/// Half the distance of two parameters for a difference; the matrices are linear in all of them but the masses.
+/// Half the difference of a parameter in a difference quotient. The matrices are linear in all
+/// parameters except masses.
 const DIFFERENCE: f64 = 1e-4;
 
-/// Frequencies spread evenly up to half the sampling rate.
+/// Number of equally spaced frequencies up to half the sampling rate.
 const EVEN: usize = 128;
 
-/// Distances from a resonance, in halves of its width: dense where it turns, wide on its flanks.
+/// Distances from a resonance in half-widths: dense at the peak, wide on the flanks.
 const DISTANCES: [f64; 9] = [0.0, 0.3, 0.7, 1.2, 2.0, 3.5, 6.5, 13.0, 26.0];
 
-/// Least half-width of a resonance, as a share of its frequency.
+/// Minimum half-width of a resonance, as a share of its frequency.
 const NARROWEST: f64 = 1e-4;
 
-/// The lowest modes have their resonances resolved; what moves faster tells little.
+/// Maximum number of resolved resonances, lowest first; faster motion contains little information.
 const RESOLVED: usize = 40;
 
-/// One point of an integral over all frequencies.
+/// One point of an integral over frequency.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Frequency {
     /// `ω` (rad/s).
     pub(crate) omega: f64,
-    /// `Δω Δt / π`: the weights add up to 1.
+    /// `Δω Δt / π`; the weights add up to 1.
     pub(crate) weight: f64,
 }
 
-/// A structure with known parameters, and how its matrices change with each of them.
+/// A structure with known parameters, and the derivatives of its matrices with respect to each.
 #[derive(Debug, Clone)]
 pub(crate) struct Linearised {
     at: LinearForm,
@@ -46,16 +49,16 @@ pub(crate) struct Linearised {
     restoring: DMatrix<f64>,
     spring: DMatrix<f64>,
     damping: Complexes,
-    /// `∂A_u`, `∂B_u`, `∂H` and `∂D` by each parameter.
+    /// `∂A_u`, `∂B_u`, `∂H` and `∂D` with respect to each parameter.
     slopes: Vec<LinearForm>,
 }
 
-/// What the sensors show of an excitation `e^{iωt}`.
+/// Response of the sensors to an excitation `e^{iωt}`.
 #[derive(Debug, Clone)]
 pub(crate) struct Response {
     /// `G` (N_0 × N_f).
     pub(crate) transfer: Complexes,
-    /// `∂G` by each parameter.
+    /// `∂G` with respect to each parameter.
     pub(crate) slopes: Vec<Complexes>,
 }
 
@@ -89,7 +92,8 @@ impl Linearised {
         }
     }
 
-    /// Returns `G` and its derivatives at `omega` (rad/s); `None` at the resonance of a mode that nothing damps.
+    /// Returns `G` and its derivatives at `omega` (rad/s); `None` at the resonance of an undamped
+    /// mode.
     pub(crate) fn response(&self, omega: f64) -> Option<Response> {
         let solver = Solver::new(self, omega)?;
         let motion = solver.solve(&complex(&self.at.input))?;
@@ -105,7 +109,7 @@ impl Linearised {
     }
 }
 
-/// Returns the difference of two forms over their distance in a parameter.
+/// Returns the difference of two forms, divided by their distance in a parameter.
 fn difference(up: LinearForm, down: &LinearForm) -> LinearForm {
     let by = |up: DMatrix<f64>, down: &DMatrix<f64>| (up - down) / (2.0 * DIFFERENCE);
     LinearForm {
@@ -120,7 +124,7 @@ fn complex(matrix: &DMatrix<f64>) -> Complexes {
     matrix.map(|entry| Complex::new(entry, 0.0))
 }
 
-/// Returns the product of a real and a complex matrix, by two real products.
+/// Returns the product of a real and a complex matrix, computed as two real products.
 fn product(real: &DMatrix<f64>, x: &Complexes) -> Complexes {
     let [re, im] = [
         real * x.map(|entry| entry.re),
@@ -133,7 +137,7 @@ fn product(real: &DMatrix<f64>, x: &Complexes) -> Complexes {
 struct Solver<'l> {
     s: Complex<f64>,
     of: &'l Linearised,
-    /// Of `Z`.
+    /// Factor of `Z`.
     factor: LU<Complex<f64>, Dyn, Dyn>,
 }
 
@@ -169,7 +173,7 @@ impl<'l> Solver<'l> {
     }
 }
 
-/// Chooses the frequencies up to half the sampling rate at which the resonances of all `forms` are resolved.
+/// Returns frequencies up to half the sampling rate that resolve the resonances of all `forms`.
 pub(crate) fn frequencies(forms: &[&Linearised], step_s: f64) -> Vec<Frequency> {
     let highest = PI / step_s;
     let mut omegas: Vec<f64> = (0..EVEN)
@@ -199,7 +203,7 @@ pub(crate) fn frequencies(forms: &[&Linearised], step_s: f64) -> Vec<Frequency> 
     }
     omegas.sort_by(f64::total_cmp);
     omegas.dedup();
-    // each stands for the band up to the middle between it and its neighbours
+    // Each frequency represents the band between the midpoints to its neighbours.
     let middle = |index: usize| match (
         index.checked_sub(1).and_then(|before| omegas.get(before)),
         omegas.get(index),

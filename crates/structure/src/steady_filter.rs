@@ -1,9 +1,9 @@
-//! The stationary Kalman filter of a structure whose parameters and noise levels are known.
+//! Stationary Kalman filter of a structure with known parameters and noise levels.
 //!
-//! Predictor form, `û_{i+1} = A û_i + B f̄_i + K ν_i`, `ν_i = z_i − H û_i − D f̄_i`, with `f̄` the known part of the
-//! excitation. Unlike (2.17) to (2.35) of Huang & Yuen (2023) it allows a direct term `D`, for which the noises of the
-//! state and of the datum are correlated. The covariance of the prediction solves
-//! `P = A P Aᵀ + B Σ_f Bᵀ − K S Kᵀ`, found by doubling.
+//! Predictor form, `û_{i+1} = A û_i + B f̄_i + K ν_i`, `ν_i = z_i − H û_i − D f̄_i`, where `f̄` is
+//! the known part of the excitation. Unlike (2.17) to (2.35) of Huang & Yuen (2023), it allows a
+//! direct term `D`. The noises of the state and of the datum are then correlated. The covariance of
+//! the prediction solves `P = A P Aᵀ + B Σ_f Bᵀ − K S Kᵀ` and is computed by doubling.
 
 use crate::linear_form::{LinearForm, Recursion};
 use nalgebra::{DMatrix, DVector};
@@ -22,21 +22,22 @@ pub(crate) struct SteadyFilter {
     recursion: Recursion,
     observation: DMatrix<f64>,
     direct: DMatrix<f64>,
-    /// `K` (2 N_d × N_0)
+    /// `K` (2 N_d × N_0).
     gain: DMatrix<f64>,
-    /// `P Hᵀ S⁻¹` (2 N_d × N_0) and `Σ_f Dᵀ S⁻¹` (N_f × N_0): the updates of the state and of the excitation
+    /// `P Hᵀ S⁻¹` (2 N_d × N_0) and `Σ_f Dᵀ S⁻¹` (N_f × N_0), the updates of state and excitation.
     update: [DMatrix<f64>; 2],
-    /// `S` (N_0 × N_0)
+    /// `S` (N_0 × N_0).
     pub(crate) innovation_covariance: DMatrix<f64>,
-    /// `û` (2 N_d) before the coming datum
+    /// `û` (2 N_d) before the next datum.
     state: DVector<f64>,
     next: DVector<f64>,
-    /// `ν` (N_0) of the last datum
+    /// `ν` (N_0) of the last datum.
     pub(crate) innovation: DVector<f64>,
 }
 
 impl SteadyFilter {
-    /// Makes the filter; `None` if there is no stationary one (a mode neither damped nor observed).
+    /// Creates the filter; `None` if no stationary filter exists (a mode neither damped nor
+    /// observed).
     pub(crate) fn new(
         form: &LinearForm,
         recursion: Recursion,
@@ -61,7 +62,9 @@ impl SteadyFilter {
         Some(Self::with_update(form, recursion, update, s))
     }
 
-    /// Makes the filter of another structure with the updates of this one: what an extended filter differentiates.
+    /// Creates the filter of another structure with the updates of this filter.
+    ///
+    /// An extended filter differentiates such a filter.
     pub(crate) fn with_frozen_update(&self, form: &LinearForm, recursion: Recursion) -> Self {
         Self::with_update(
             form,
@@ -91,7 +94,8 @@ impl SteadyFilter {
         }
     }
 
-    /// Takes the datum `z` (N_0) with the known excitation `f̄` (N_f) of this instant and of the next.
+    /// Processes the datum `z` (N_0) with the known excitation `f̄` (N_f) of this and the next
+    /// frame.
     pub(crate) fn step(
         &mut self,
         z: &DVector<f64>,

@@ -1,4 +1,4 @@
-//! The structure: everything that a valid structure file says.
+//! The structure: all contents of a valid structure file.
 
 use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
@@ -24,12 +24,14 @@ use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
-/// Share of the noise of the sensors that the start-up aid may add once it counts as faded.
+/// Share of the sensor noise below which the start-up aid counts as faded.
 const ANNEALING_FADED: f64 = 0.01;
 
-/// A monitored structure: model, parameters, excitation, sensors, and what is asked of the filter and the alerts.
+/// A monitored structure: model, parameters, excitation, sensors, and settings of filter and
+/// alerts.
 ///
-/// It comes from a structure file only, and is valid: names are unique and known, matrices definite, numbers in range.
+/// It always comes from a structure file and is valid: names are unique and known, matrices are
+/// definite, and numbers are in range.
 #[derive(Debug, Clone)]
 pub struct Structure {
     pub(crate) text: String,
@@ -38,7 +40,7 @@ pub struct Structure {
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
     pub(crate) system: LinearSystem,
-    /// The file says that the damping is known.
+    /// `true` if the file states that the damping is known.
     pub(crate) damping_is_known: bool,
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) excitations: Vec<Excitation>,
@@ -57,21 +59,22 @@ pub struct Structure {
     pub(crate) simulation: SimulationPlan,
 }
 
-/// Largest structure file (bytes): a thousand storeys with a node each take less than one of the 16 MiB.
+/// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than
+/// 1 MiB.
 const MAX_BYTES: u64 = 16 << 20;
 
 impl Structure {
-    /// Reads a structure file, and the matrices that it names.
+    /// Reads a structure file and the matrices that it names.
     ///
     /// # Errors
-    /// When the file cannot be read, or with all its mistakes.
+    /// Returns an error if the file cannot be read, or an error with all its mistakes.
     pub fn read(path: &Path) -> Result<Self, StructureError> {
         let unreadable = |source| StructureError::Unreadable {
             path: path.to_owned(),
             source,
         };
         let mut text = String::new();
-        // what is no file, such as a device, states no length and need not end
+        // A device has no length and may never end.
         File::open(path)
             .map_err(unreadable)?
             .take(MAX_BYTES + 1)
@@ -86,21 +89,23 @@ impl Structure {
         Self::parse(&text, path)
     }
 
-    /// Reads the text of a structure file; `path` names it in messages, and matrices are looked up beside it.
+    /// Parses the text of a structure file.
+    ///
+    /// Messages contain `path`. Matrix files are relative to it.
     ///
     /// # Errors
-    /// With all mistakes of the file.
+    /// Returns an error with all mistakes in the file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, StructureError> {
         StructureFile::parse(text, path)?.resolve(path)
     }
 
-    /// Returns the name, one chunk of a key expression.
+    /// Returns the name, which is one chunk of a key expression.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Returns what the owner wrote about it.
+    /// Returns the description from the file.
     #[must_use]
     pub fn description(&self) -> &str {
         &self.description
@@ -112,17 +117,20 @@ impl Structure {
         &self.system.degrees_of_freedom
     }
 
-    /// Returns the file as read.
+    /// Returns the text of the file.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Returns what an identification rests on, as text that changes with it: the file without its comments, alert rules,
-    /// simulation, record table and description, and the matrices that it names.
+    /// Returns a text that changes whenever the basis of the identification changes.
+    ///
+    /// It is the file without its comments, alert rules, simulation, record table and description,
+    /// followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
-        let mut table: toml::Table = self.text.parse().unwrap_or_default(); // it has been read before
+        // The text has been parsed successfully before.
+        let mut table: toml::Table = self.text.parse().unwrap_or_default();
         for of_others in ["alert", "simulation", "record"] {
             table.remove(of_others);
         }
@@ -144,7 +152,7 @@ impl Structure {
         format!("{table}{matrices}")
     }
 
-    /// Returns the rate of the frames (Hz).
+    /// Returns the sampling rate of the frames (Hz).
     #[must_use]
     pub fn sampling_rate_hz(&self) -> f64 {
         self.sampling_rate_hz
@@ -156,7 +164,7 @@ impl Structure {
         1.0 / self.sampling_rate_hz
     }
 
-    /// Returns the rate (Hz) of what people look at.
+    /// Returns the rate of displayed data (Hz).
     #[must_use]
     pub fn display_rate_hz(&self) -> f64 {
         self.display_rate_hz
@@ -173,7 +181,7 @@ impl Structure {
         self.nodes.iter().flat_map(|node| node.channels())
     }
 
-    /// Returns for each channel of a frame how many frames come for one of its samples: 1 unless its node is slower.
+    /// Returns the number of frames per sample of each frame channel: 1 unless its node is slower.
     pub(crate) fn frames_per_sample(&self) -> Vec<u64> {
         let every = |node: &Node| {
             node.sampling_rate_hz()
@@ -195,26 +203,30 @@ impl Structure {
         &self.parameters
     }
 
-    /// Returns the excitations; a field of forces has several components.
+    /// Returns the excitations; a force field has several components.
     #[must_use]
     pub fn excitations(&self) -> &[Excitation] {
         &self.excitations
     }
 
-    /// Returns the frame channel of each excitation component (N_f), `None` where it is not measured.
+    /// Returns the frame channel of each excitation component (N_f); `None` for unmeasured
+    /// components.
     #[must_use]
     pub fn excitation_channels(&self) -> &[Option<usize>] {
         &self.excitation_channels
     }
 
-    /// Returns how each excitation component (N_f) runs between frames: what nobody measures is white noise, and held.
+    /// Returns the hold of each excitation component (N_f) between frames.
+    ///
+    /// Unmeasured components are white noise and constant over a step.
     pub(crate) fn input_holds(&self) -> Vec<InputHold> {
         let hold =
             |channel: &Option<usize>| channel.map_or(InputHold::Zero, |_| self.plan.input_hold);
         self.excitation_channels.iter().map(hold).collect()
     }
 
-    /// Returns the known mean of each excitation component (N_f, m/s² or N): 0 but for fields of forces.
+    /// Returns the known mean of each excitation component (N_f, m/s² or N), which is 0 except for
+    /// force fields.
     #[must_use]
     pub fn mean_excitation(&self) -> DVector<f64> {
         let means = self
@@ -227,8 +239,9 @@ impl Structure {
         DVector::from_iterator(self.excitation_channels.len(), means)
     }
 
-    /// Returns the state `[x, ẋ]` (2 N_d) in which the structure rests under the mean excitation, with parameters `theta`
-    /// (ratios to nominal).
+    /// Returns the equilibrium state `[x, ẋ]` (2 N_d) under the mean excitation.
+    ///
+    /// `theta` contains the parameters (ratios to nominal).
     pub(crate) fn static_state(&self, theta: &[f64]) -> DVector<f64> {
         let mean = self.mean_excitation();
         if mean.iter().all(|component| *component == 0.0) {
@@ -237,8 +250,9 @@ impl Structure {
         LinearForm::new(&mut self.model(), theta).rest(&mean)
     }
 
-    /// Returns the standard deviation that a noise level (from 0) is expected to have: the actual one of a simulation, or
-    /// the one that the file states.
+    /// Returns the expected standard deviation of a noise level (from 0).
+    ///
+    /// This is the actual standard deviation in the simulation, or else the stated one.
     pub(crate) fn expected_level_std(&self, level: usize) -> f64 {
         let actual = self
             .simulation
@@ -248,7 +262,7 @@ impl Structure {
         actual.map_or(self.noise_levels[level].std, |(_, std)| *std)
     }
 
-    /// Returns the components (from 0) of one excitation.
+    /// Returns the range of components (from 0) of one excitation.
     pub(crate) fn components(&self, excitation: usize) -> Range<usize> {
         let first = self.excitations[..excitation]
             .iter()
@@ -257,7 +271,9 @@ impl Structure {
         first..first + self.excitations[excitation].component_len()
     }
 
-    /// Returns what the variance of an excitation multiplies in `Σ_f` (N_f × N_f): 1, or the covariance of a field.
+    /// Returns the factor of the variance of an excitation in `Σ_f` (N_f × N_f).
+    ///
+    /// The factor is 1, or the covariance of a force field.
     pub(crate) fn excitation_pattern(&self, excitation: usize) -> DMatrix<f64> {
         let inputs = self.excitation_channels.len();
         let mut pattern = DMatrix::zeros(inputs, inputs);
@@ -279,13 +295,13 @@ impl Structure {
         &self.observation_channels
     }
 
-    /// Returns the variances of excitation and sensors: first one per excitation, then the groups of sensors.
+    /// Returns the noise levels: one per excitation, then one per group of sensors.
     #[must_use]
     pub fn noise_levels(&self) -> &[NoiseLevel] {
         &self.noise_levels
     }
 
-    /// Returns the unit in which the standard deviation of a noise level is stated.
+    /// Returns the unit of the stated standard deviation of a noise level.
     #[must_use]
     pub fn noise_unit(&self, level: &NoiseLevel) -> &'static str {
         match level.source() {
@@ -299,14 +315,15 @@ impl Structure {
         }
     }
 
-    /// Returns how long (s) sensor noise counts for more than it is at the start of the filter, to within 1 %.
+    /// Returns the time (s) for which the filter increases sensor noise after its start, to within
+    /// 1 %.
     #[must_use]
     pub fn annealing_end_s(&self) -> f64 {
         let Annealing { amount, time_s } = self.plan.annealing;
         time_s * (amount / ANNEALING_FADED).ln().max(0.0)
     }
 
-    /// Returns the responses whose estimates are asked for.
+    /// Returns the responses to estimate.
     #[must_use]
     pub fn estimated_responses(&self) -> &[EstimatedResponse] {
         &self.responses
@@ -318,37 +335,37 @@ impl Structure {
         &self.alert_rules
     }
 
-    /// Returns the low-pass filter of all channels, if there is one.
+    /// Returns the low-pass filter of all channels, if any.
     #[must_use]
     pub fn band_limit(&self) -> Option<BandLimit> {
         self.band_limit
     }
 
-    /// Returns how particles identify; `None` if the Kalman filter does.
+    /// Returns the settings of the particle filter; `None` for the Kalman filter.
     #[must_use]
     pub fn particles(&self) -> Option<ParticleKeys> {
         self.plan.particles
     }
 
-    /// Tells whether outliers are screened.
+    /// Returns `true` if outliers are screened.
     #[must_use]
     pub fn screens_outliers(&self) -> bool {
         self.plan.outliers.is_some()
     }
 
-    /// Returns how samples become frames.
+    /// Returns the settings for the alignment of samples to frames.
     #[must_use]
     pub fn ingest(&self) -> IngestSettings {
         self.ingest
     }
 
-    /// Returns how the columns of a recording become channels.
+    /// Returns the mapping from the columns of a recording to channels.
     #[must_use]
     pub fn record(&self) -> &RecordMap {
         &self.record
     }
 
-    /// Returns what a simulation goes through.
+    /// Returns the events of the simulation.
     #[must_use]
     pub fn simulation(&self) -> &SimulationPlan {
         &self.simulation
@@ -360,7 +377,8 @@ impl Structure {
             .filter(|channel| !channel.quantity().is_excitation())
     }
 
-    /// Returns the natural frequencies as designed (Hz), lowest first; none where they cannot be computed.
+    /// Returns the natural frequencies as designed (Hz), lowest first; empty if they cannot be
+    /// computed.
     #[must_use]
     pub fn natural_frequencies_hz(&self) -> Vec<f64> {
         let modes = self

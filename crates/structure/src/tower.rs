@@ -1,13 +1,17 @@
-//! The tower: a slender cantilever in space, bending in two planes and twisting, its axial deformation neglected.
+//! The tower: a slender cantilever in space that bends in two planes and twists.
 //!
-//! Degrees of freedom of each node: the translations `x`, `y` (m) and the rotations `rx`, `ry`, `rz` (rad) about axes of a
-//! right-handed system whose `z` points up. Bending that moves the tower along `x` turns it by `ry = ∂x/∂z`, along `y` by
-//! `rx = −∂y/∂z`. Huang & Yuen (2023), §2.4.7, reduce a tower of 610 m to 37 such beams, after Chen, Lu & others (2011).
+//! Axial deformation is neglected. Degrees of freedom of each node: the translations `x`, `y` (m)
+//! and the rotations `rx`, `ry`, `rz` (rad) about the axes of a right-handed system with `z`
+//! upwards. Bending along `x` rotates the tower by `ry = ∂x/∂z`, and bending along `y` by
+//! `rx = −∂y/∂z`. Huang & Yuen (2023), §2.4.7, reduce a tower of 610 m to 37 such beams, after
+//! Chen, Lu & others (2011).
 //!
-//! They scale entries of the stiffness: translations by one factor, what touches rotations by another. Neither part is
-//! positive semidefinite: a rigid rotation costs energy as soon as both factors differ, and differences of a thousandth give
-//! negative eigenvalues. The substructures here are those of bending along `x`, along `y` and of torsion of each segment,
-//! whose energies are physical for any positive factors; a parameter that scales all of them is the common factor.
+//! That source scales entries of the stiffness matrix, with one factor for translations and another
+//! for all entries of rotations. Neither part is positive semidefinite: if the factors differ, a
+//! rigid rotation has strain energy. A difference of a thousandth already gives negative
+//! eigenvalues. The substructures here are bending along `x`, bending along `y`, and torsion of
+//! each segment. Their energies are physical for any positive factors. A parameter that scales all
+//! of them is the common factor.
 
 use crate::finite_elements::{FiniteElements, Freedoms};
 use crate::frame;
@@ -19,10 +23,11 @@ use nalgebra::{DMatrix, Vector3};
 /// Degrees of freedom of each node.
 const DIRECTIONS: &[&str] = &["x", "y", "rx", "ry", "rz"];
 
-/// Bending along `x`, along `y`, and torsion, in the order of the substructures of a segment.
+/// Ways of deformation, in the order of the substructures of a segment.
 pub(crate) const WAYS: [&str; 3] = ["bending-x", "bending-y", "torsion"];
 
-/// A part of the tower whose stiffnesses run straight from its foot to its top, cut into equal beams.
+/// A part of the tower whose stiffnesses change linearly from its foot to its top, divided into
+/// equal beams.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Segment {
     pub(crate) name: String,
@@ -31,13 +36,15 @@ pub(crate) struct Segment {
     pub(crate) mass_kg_per_m: f64,
     /// `EI` of bending along `x` and along `y`, and `GJ`, at the foot of the segment (N m²).
     pub(crate) stiffnesses_n_m2: [f64; 3],
-    /// What is left of each of them at the top of the segment.
+    /// Share of the foot stiffnesses at the top of the segment.
     pub(crate) top_share: f64,
     /// Square of the radius of gyration about the axis (m²).
     pub(crate) gyration_m2: f64,
 }
 
-/// Returns the tower of `segments` from the foot up, fixed below; `None` if its mass is not positive definite.
+/// Returns the tower of `segments` from the foot up, fixed at the foot.
+///
+/// Returns `None` if its mass is not positive definite.
 pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSystem> {
     let beams: usize = segments.iter().map(|segment| segment.elements).sum();
     let names: Vec<String> = (0..=beams).map(|node| node.to_string()).collect();
@@ -85,8 +92,10 @@ pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSyste
     })
 }
 
-/// Returns stiffness and mass of bending in one plane (4 × 4): deflection and rotation of the lower end, then of
-/// the upper one; `turn` is the sense of the rotation.
+/// Returns the stiffness and mass of bending in one plane (4 × 4).
+///
+/// The order is deflection and rotation of the lower end, then of the upper end. `turn` is the sign
+/// of the rotation.
 fn beam_matrices(
     bending_n_m2: f64,
     mass_kg_per_m: f64,
@@ -94,7 +103,7 @@ fn beam_matrices(
     turn: f64,
     form: MassForm,
 ) -> (DMatrix<f64>, DMatrix<f64>) {
-    // the beam of a frame, of unit modulus and area
+    // The beam of a frame with unit modulus and area.
     let section = MemberSection {
         area_m2: 1.0,
         second_moment_m4: bending_n_m2,
@@ -112,7 +121,7 @@ fn beam_matrices(
     (across(&beam.stiffness), across(&beam.mass))
 }
 
-/// Returns an element matrix (10 × 10) that has the entries of `part` at `dofs` and zeros elsewhere.
+/// Returns an element matrix (10 × 10) with the entries of `part` at `dofs` and zeros elsewhere.
 fn placed(part: &DMatrix<f64>, dofs: &[usize]) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(2 * DIRECTIONS.len(), 2 * DIRECTIONS.len());
     for (i, row) in dofs.iter().enumerate() {
@@ -131,8 +140,8 @@ mod tests {
 
     const TOWER: &str = include_str!("../../../docs/examples/tower.toml");
 
-    /// The substitute for the matrices of Huang & Yuen (2023), §2.4.7, which are not printed: 0.111, 0.159, 0.356, 0.371,
-    /// 0.549, 0.691 Hz.
+    /// Substitute for the unpublished matrices of Huang & Yuen (2023), §2.4.7: 0.111, 0.159, 0.356,
+    /// 0.371, 0.549, 0.691 Hz.
     #[test]
     fn the_substitute_tower_has_its_frequencies() {
         let tower = crate::Structure::parse(TOWER, std::path::Path::new("tower.toml")).unwrap();
@@ -186,7 +195,7 @@ mod tests {
         }
     }
 
-    /// What stands above the middle of the lowest beam: of two beams, three quarters of the mass.
+    /// The mass above the middle of the lowest beam; with two beams, three quarters of the mass.
     #[test]
     fn lumped_masses_are_shared_by_the_ends_of_each_beam() {
         let system = system(&[uniform(2)], MassForm::Lumped).unwrap();
@@ -203,7 +212,7 @@ mod tests {
         }
     }
 
-    /// Each substructure moves what its name says and nothing else.
+    /// Each substructure resists only the deformation in its name.
     #[test]
     fn ways_of_bending_are_apart() {
         let system = system(&[uniform(2)], MassForm::Consistent).unwrap();
@@ -229,7 +238,7 @@ mod tests {
         }
     }
 
-    /// `x` and `ry` rise together, `y` and `rx` do not: the deflection under a force at the top, by sign.
+    /// Under a force at the top, `x` and `ry` have the same sign, `y` and `rx` opposite signs.
     #[test]
     fn rotations_are_right_handed() {
         let system = system(&[uniform(1)], MassForm::Consistent).unwrap();

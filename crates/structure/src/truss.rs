@@ -1,6 +1,7 @@
-//! Bars of a plane or a space truss: pin-jointed, so that they carry axial force only.
+//! Bars of a plane or space truss. Pin joints transmit only axial forces.
 //!
-//! Degrees of freedom of an end: its translations (m). Huang & Yuen (2023), §4.4, is a plane truss of them, §5.6.3 a dome.
+//! Degrees of freedom of an end: its translations (m). Huang & Yuen (2023) use a plane truss in
+//! §4.4 and a dome in §5.6.3.
 
 use crate::mesh::{ElementMatrices, MassForm, MemberSection};
 use nalgebra::{DMatrix, Vector3};
@@ -10,7 +11,8 @@ pub(crate) const PLANE: &[&str] = &["x", "y"];
 /// Degrees of freedom of each node of a space truss.
 pub(crate) const SPACE: &[&str] = &["x", "y", "z"];
 
-/// Returns stiffness and mass of a bar of `section` along a vector (m), for the first `dimension` directions.
+/// Returns the stiffness and mass of a bar of `section` along a vector (m), for the first
+/// `dimension` directions.
 pub(crate) fn element(
     section: &MemberSection,
     along: Vector3<f64>,
@@ -72,7 +74,7 @@ mod tests {
     const BRIDGE: &str = include_str!("../../../docs/examples/fourteen-bay-truss.toml");
     const DOME: &str = include_str!("../../../docs/examples/dome.toml");
 
-    /// Huang & Yuen (2023), §4.4: printed 0.43, 1.45, 2.10, 2.89, 4.44 Hz.
+    /// Huang & Yuen (2023), §4.4: printed frequencies 0.43, 1.45, 2.10, 2.89, 4.44 Hz.
     #[test]
     fn the_published_truss_has_its_frequencies() {
         let found = frequencies(BRIDGE);
@@ -81,7 +83,8 @@ mod tests {
         assert!((found[52] - 39.657).abs() < 1e-3, "{}", found[52]);
     }
 
-    /// Consistent mass is what the publication did not use: 0.427, 1.467, 2.104, 2.980, 4.664 Hz.
+    /// The publication did not use consistent mass, which gives 0.427, 1.467, 2.104, 2.980,
+    /// 4.664 Hz.
     #[test]
     fn consistent_masses_raise_the_frequencies_of_the_truss() {
         let found = frequencies(&BRIDGE.replace(
@@ -91,7 +94,7 @@ mod tests {
         assert_frequencies(&found, [0.427, 1.467, 2.104, 2.980, 4.664], 1e-3);
     }
 
-    /// The substitute for the lost drawing of Huang & Yuen (2023), §5.6.3: highest 66.9 Hz.
+    /// Substitute for the lost drawing of Huang & Yuen (2023), §5.6.3: highest frequency 66.9 Hz.
     #[test]
     fn the_substitute_dome_has_its_frequencies() {
         let found = frequencies(DOME);

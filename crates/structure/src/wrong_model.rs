@@ -1,30 +1,35 @@
-//! Where the estimates settle when the structure is not the one of the file.
+//! Long-run estimates if the true structure differs from the structure file.
 //!
-//! The filter goes where the expected slope of its log-likelihood vanishes (`spectral_information`). Newton's method with the
-//! information in the place of the curvature finds that point. Adapted noise levels go along: they take up what the model
-//! cannot explain. The prior counts as it does in a filter with fading memory.
+//! The filter converges to the point where the expected slope of its log-likelihood vanishes
+//! (`spectral_information`). Newton's method finds this point, with the information instead of the
+//! curvature. Adapted noise levels also change: they absorb the part that the model cannot explain.
+//! The prior counts as in a filter with fading memory.
 
 use crate::noise_level::NoiseSource;
 use crate::spectral_information::{Direction, SpectralModel, Sums};
 use crate::structure::Structure;
 
-/// Steps of the search; a larger model gets one, which is its linear answer.
+/// Number of search steps. A model with more than `LARGE` degrees of freedom gets one step, which
+/// is the linear solution.
 const STEPS: usize = 15;
 const LARGE: usize = 40;
 
-/// Longest step in a parameter (ratio to nominal) and in the logarithm of a variance: one that is longer leaves the range in
-/// which information is a curvature.
+/// Maximum step of a parameter (ratio to nominal); the next constant limits the logarithm of a
+/// variance.
+///
+/// Within these limits, the information approximates the curvature.
 const LONGEST_PARAMETER_STEP: f64 = 0.25;
 const LONGEST_LEVEL_STEP: f64 = 1.5;
 
-/// A step is not shortened below this share: it is too short then to explain the data better by more than rounding.
+/// Minimum share of a shortened step. A shorter step improves the fit by no more than rounding.
 const SHORTEST_SHARE: f64 = 0.02;
 
-/// A step shorter than this (ratio to nominal) changes no sentence.
+/// Step (ratio to nominal) below which the search ends, because it does not change the findings.
 const SETTLED: f64 = 1e-3;
 
 impl Structure {
-    /// Returns the shift of each parameter (ratio to nominal) if all damping is `factor` times that of the file.
+    /// Returns the shift of each parameter (ratio to nominal) if all true damping is `factor` times
+    /// the stated damping.
     pub(crate) fn shifts_by_damping(&self, factor: f64) -> Option<Vec<f64>> {
         let mut other = self.clone();
         other.system.damping = self.system.damping.times(factor);
@@ -32,8 +37,9 @@ impl Structure {
         self.shifts(&truth)
     }
 
-    /// Returns the shift of each parameter (ratio to nominal) if a noise level (from 0) has `factor` times the standard
-    /// deviation of the file.
+    /// Returns the shift of each parameter (ratio to nominal) if a noise level (from 0) is wrong.
+    ///
+    /// The true standard deviation is `factor` times the stated one.
     pub(crate) fn shifts_by_level(&self, level: usize, factor: f64) -> Option<Vec<f64>> {
         let mut variances = self.expected_variances();
         variances[level] *= factor * factor;
@@ -71,7 +77,7 @@ impl Structure {
                 slope[index] += precision * (means[index] - theta[index]);
             }
             let step = information.cholesky()?.solve(&slope);
-            // the whole step is shortened, so that it keeps its direction
+            // One factor shortens the whole step, so that the step keeps its direction.
             let longest = step.rows(0, means.len()).amax();
             let largest = step.rows(means.len(), adapted.len()).amax();
             let mut share = (LONGEST_PARAMETER_STEP / longest)
@@ -109,7 +115,7 @@ impl Structure {
         )
     }
 
-    /// Tells whether some damping is neither identified nor stated to be known.
+    /// Returns `true` if some damping is neither identified nor stated to be known.
     pub(crate) fn damping_is_assumed(&self) -> bool {
         use crate::linear_system::Damping;
         use crate::parameter::Scales;
@@ -137,8 +143,8 @@ impl Structure {
         !identified && !self.damping_is_known && !self.parameters.is_empty()
     }
 
-    /// Returns the excitations (levels, from 0) that nobody measures, whose level the file states without saying that it is
-    /// known.
+    /// Returns the unmeasured excitations (levels, from 0) whose level is fixed and not stated to
+    /// be known.
     pub(crate) fn assumed_levels(&self) -> Vec<usize> {
         let assumed = |level: &usize| match self.noise_levels[*level].source() {
             NoiseSource::Excitation(_) => {

@@ -1,4 +1,4 @@
-//! A model answers the filter without allocating, whatever its kind.
+//! Checks that a model of any kind serves the filter without allocating.
 
 #![allow(
     clippy::unwrap_used,
@@ -60,7 +60,8 @@ fn a_model_allocates_nothing_after_construction() {
     }
 }
 
-/// In one series (a narrow band, a full matrix), with a step that is halved (`matrices`), and by the operator.
+/// Covers a single series (a narrow band, a full matrix), a halved step (`matrices`), and the
+/// operator.
 #[test]
 fn a_step_of_the_filter_of_a_structure_allocates_nothing() {
     for name in [

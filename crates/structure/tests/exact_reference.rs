@@ -1,8 +1,10 @@
-//! Whole runs of the filter against the plainest form of its equations: dense matrices, one exponential a step, gains formed.
+//! Compares whole runs of the filter with the plainest form of its equations.
 //!
-//! Notation: Huang & Yuen (2023), §2.4, for the state and the unknown excitation of the frame's own instant together, `[y, w]`:
-//! before a frame `w` is white and independent of `y`; a frame is a datum of both, `[H, D]`; and the next state is
-//! `A y + B w`, for the means as for the covariance. Where `D = 0` the frame says nothing of `w`.
+//! The reference uses dense matrices, one exponential per step, and explicit gains. Notation:
+//! Huang & Yuen (2023), §2.4, with the joint vector `[y, w]` of the state and the unknown
+//! excitation of the same frame. Before a frame, `w` is white and independent of `y`. A frame is a
+//! datum of both, `[H, D]`. The next state is `A y + B w`, for means and covariances. If `D = 0`,
+//! the frame contains no information about `w`.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -19,11 +21,11 @@ use spandrel_filter::{
 use spandrel_structure::{Structure, StructureModel};
 use structures::{building_with_masses, example, portal, small_truss, smallest_tower};
 
-/// The reference.
+/// The reference filter.
 struct Exact {
     model: StructureModel,
     settings: FilterSettings,
-    /// `y` (n) and `w` (N_f), and their joint covariance.
+    /// `y` (n), `w` (N_f), and their joint covariance.
     state: DVector<f64>,
     excitation: DVector<f64>,
     covariance: DMatrix<f64>,
@@ -76,7 +78,7 @@ impl Exact {
             self.state[j] = self.state[j].clamp(self.settings.lower[j], self.settings.upper[j]);
             let (variance, bound) = (self.covariance[(j, j)], self.settings.variance_bound[j]);
             if variance > bound {
-                // the covariance with the excitation is that of the update, before any bound
+                // The covariance with the excitation remains that of the update, without the bound.
                 let n = self.state.len();
                 let shrink = (bound / variance).sqrt();
                 self.covariance.view_mut((0, j), (n, 1)).scale_mut(shrink);
@@ -114,7 +116,7 @@ impl Exact {
         let correction = &gain * innovation;
         self.state += correction.rows(0, n);
         self.excitation += correction.rows(n, inputs);
-        // Joseph's form: of all forms the one that rounding harms least
+        // Joseph's form is the least sensitive to rounding.
         let left = DMatrix::identity(n + inputs, n + inputs) - &gain * both;
         let noise = &gain * sensors * gain.transpose();
         let corrected = &left * &self.covariance * left.transpose() + noise;
@@ -136,7 +138,8 @@ impl Exact {
         self.model.excitation_matrix(&mut input);
         let mut rate = DVector::zeros(n);
         self.model.derivative(rate.as_mut_slice());
-        // [A_y, g, B_y, B_y ḟ, 0] with the ramp as a chain of two: all integrals beside the transition
+        // [A_y, g, B_y, B_y ḟ, 0] with the ramp as a chain of two: the exponential gives the
+        // transition and all integrals.
         let size = n + inputs + 3;
         let mut augmented = DMatrix::zeros(size, size);
         augmented.view_mut((0, 0), (n, n)).copy_from(&jacobian);
@@ -152,7 +155,8 @@ impl Exact {
                 .copy_from(&(input * slope));
             augmented[(size - 2, size - 1)] = 1.0;
         }
-        // an exponential is exact by the norm of its matrix: displacements are measured by what the fastest mode makes of them
+        // The error of an exponential is relative to the norm of its matrix. Displacements are
+        // therefore scaled by the rate of the fastest mode.
         let free = (n - self.model.parameter_len()) / 2;
         let rate = self.model.rate_bound();
         let scale = DVector::from_fn(size, |row, _| if row < free { rate } else { 1.0 });
@@ -178,7 +182,7 @@ impl Exact {
     }
 }
 
-/// The settings of the structure, with all noises known.
+/// Returns the settings of the structure, with all noise levels known.
 fn settings(structure: &Structure) -> FilterSettings {
     let mut settings = structure.filter_settings().unwrap();
     settings.misfit = None; // the reference is the published filter
@@ -193,14 +197,16 @@ fn settings(structure: &Structure) -> FilterSettings {
     settings
 }
 
-/// The displacements, velocities and parameters of a state, whose rounding is that of the largest among them: where a stiff
-/// rotation follows large displacements, what is left of them cancels.
+/// Returns the index ranges of displacements, velocities and parameters in a state.
+///
+/// The rounding error of each range follows its largest entry, because differences of large
+/// displacements cancel in stiff rotations.
 fn kinds(n: usize, parameters: usize) -> [std::ops::Range<usize>; 3] {
     let free = (n - parameters) / 2;
     [0..free, free..2 * free, 2 * free..n]
 }
 
-/// Replaces every entry by the largest magnitude of its kind.
+/// Returns a vector in which the largest magnitude of its kind replaces every entry.
 fn level(entries: &DVector<f64>, parameters: usize) -> DVector<f64> {
     let mut levels = entries.clone();
     for kind in kinds(entries.len(), parameters) {
@@ -212,7 +218,10 @@ fn level(entries: &DVector<f64>, parameters: usize) -> DVector<f64> {
     levels
 }
 
-/// Means by the largest that their kind has been so far, covariances by the largest deviations of theirs.
+/// Asserts that means and covariances agree with the reference.
+///
+/// Means are relative to the largest value of their kind so far, covariances to the largest
+/// standard deviations of their kinds.
 #[track_caller]
 fn assert_exact(structure: Structure) {
     const FRAMES: usize = 10_000;
@@ -300,7 +309,7 @@ fn trusses_are_exact() {
     assert_exact(small_truss("consistent"));
 }
 
-/// Its highest modes turn by many radians a step.
+/// The highest modes rotate by many radians per step.
 #[test]
 fn a_tower_is_exact() {
     assert_exact(smallest_tower());

@@ -1,4 +1,5 @@
-//! Every example can be checked, simulated and estimated, and those without parameters find their noise levels.
+//! Checks, simulates and estimates every example. Examples without parameters must find their noise
+//! levels.
 #![expect(clippy::panic, reason = "helpers of tests are no tests to clippy")]
 
 use spandrel_filter::{ExtendedKalmanFilter, Frame, Step};
@@ -13,7 +14,7 @@ fn example(name: &str) -> Structure {
     Structure::read(&path).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// All but the tower, whose steps take some thirty milliseconds.
+/// All examples except the tower, whose steps take about thirty milliseconds.
 const EXAMPLES: [&str; 16] = [
     "three-pier-bridge",
     "fourteen-bay-truss",
@@ -33,7 +34,7 @@ const EXAMPLES: [&str; 16] = [
     "sixty-storeys",
 ];
 
-/// A filter of a structure on its way through simulated frames.
+/// A filter that processes simulated frames of a structure.
 struct Run {
     filter: ExtendedKalmanFilter<StructureModel>,
     structure: Structure,
@@ -154,21 +155,22 @@ fn every_example_can_be_estimated() {
     }
 }
 
-/// Estimates of the two levels of a building over a simulated record, each over its actual value.
+/// Estimates of the two levels of a building over a simulated record, each divided by its actual
+/// value.
 struct Levels {
     training_steps: usize,
-    /// Replaced Hessians and clips of the operating stage.
+    /// Number of replaced Hessians and clips in the operating stage.
     replaced: u64,
     clipped: u64,
     mean: [f64; 2],
     scatter: [f64; 2],
-    /// Mean of the stated deviation over the estimate.
+    /// Mean of the reported standard deviation divided by the estimate.
     stated: [f64; 2],
-    /// Share of the frames in which ± 3 deviations hold the actual value.
+    /// Share of the frames in which ± 3 standard deviations contain the actual value.
     coverage: [f64; 2],
 }
 
-/// Follows a record of `seconds`; what counts begins at `from_s`.
+/// Runs the filter over a record of `seconds` and evaluates it from `from_s` on.
 fn levels(name: &str, seed: u64, actual: [f64; 2], from_s: f64, seconds: f64) -> Levels {
     let structure = example(name);
     let (step_s, simulator) = (structure.step_s(), structure.simulator(seed));
@@ -222,13 +224,16 @@ fn levels(name: &str, seed: u64, actual: [f64; 2], from_s: f64, seconds: f64) ->
 }
 
 const SEEDS: [u64; 3] = [1, 2, 3];
-/// Variances that the files simulate: m²/s⁴ of the ground and of its sensors; the factor of the wind and m²/s⁴ of its sensors.
+/// Simulated variances of ground motion and its sensors (m²/s⁴). `WIND` contains the factor of the
+/// wind and the variance of its sensors (m²/s⁴).
 const GROUND: [f64; 2] = [0.27459 * 0.27459, 0.01149 * 0.01149];
 const WIND: [f64; 2] = [1.0, 0.00068 * 0.00068];
 
-/// Means over a shortened record may be off by three standard deviations: an estimate of scatter `s` that remembers 7.2 s has
-/// an average over 100 s with the deviation `s √(2·7.2/100)`. The scatters are those of Yuen, Liang & Kuok (2013), cases 1
-/// and 3, as recomputed: 0.048 and 0.017 under ground motion, 0.08 and 0.07 under wind.
+/// Returns the tolerance for a mean over a shortened record: three standard deviations.
+///
+/// An estimate with standard deviation `s` and a memory of 7.2 s has an average over 100 s with the
+/// standard deviation `s √(2·7.2/100)`. The values of `s` are recomputed from Yuen, Liang & Kuok
+/// (2013), cases 1 and 3: 0.048 and 0.017 under ground motion, 0.08 and 0.07 under wind.
 fn tolerance(scatter: f64) -> f64 {
     3.0 * scatter * (2.0 * 7.2_f64 / 100.0).sqrt()
 }
@@ -314,16 +319,17 @@ fn levels_over_the_published_length_are_found_within_the_published_tolerances() 
 
 /// Errors of the sixty storeys after 20 s.
 struct Followed {
-    /// Worst of all floors, over the root mean square of its motion in the record.
+    /// Maximum over the floors, relative to the root mean square of the floor's motion in the
+    /// record.
     relative_displacement: f64,
-    /// Smallest and largest root mean square of the velocity error (m/s).
+    /// Minimum and maximum root mean square of the velocity error (m/s).
     velocity: (f64, f64),
-    /// Share of states and frames inside ± 3 deviations.
+    /// Share of states and frames within ± 3 standard deviations.
     inside: f64,
     misfit: f64,
 }
 
-/// The sixty storeys with a sensor noise of 5 % of what each channel shows in this very record, as on the page.
+/// Returns the sixty storeys with a sensor noise of 5 % of each channel's motion in this record.
 fn sixty_storeys_with_the_noise_of(seed: u64, seconds: f64) -> Structure {
     let structure = example("sixty-storeys");
     let (mut squares, mut count) = (vec![0.0; structure.channel_count()], 0.0);
@@ -401,12 +407,15 @@ fn follow_sixty_storeys(structure: Structure, seed: u64, seconds: f64) -> Follow
     followed
 }
 
-/// Huang & Yuen (2023), §2.3.2, as recomputed, whatever the record: errors of the velocity of 2.1 to 2.8·10⁻⁴ m/s everywhere,
-/// 99.5 % of the states inside their intervals, a mean innovation χ²/7 of 1.00 ± 0.02.
+/// Asserts the values of Huang & Yuen (2023), §2.3.2, as recomputed, for any record.
+///
+/// The velocity errors are 2.1 to 2.8·10⁻⁴ m/s everywhere, 99.5 % of the states are within their
+/// intervals, and the mean innovation χ²/7 is 1.00 ± 0.02.
 #[track_caller]
 fn assert_follows(followed: &Followed) {
     let (low, high) = followed.velocity;
-    assert!(low >= 2.05e-4 && high < 2.85e-4, "{low:e} to {high:e} m/s"); // as far as the digits go
+    // The limits are those of the printed digits.
+    assert!(low >= 2.05e-4 && high < 2.85e-4, "{low:e} to {high:e} m/s");
     assert!(followed.inside >= 0.995, "{}", followed.inside);
     assert!((followed.misfit - 1.0).abs() <= 0.02, "{}", followed.misfit);
 }
@@ -418,9 +427,11 @@ fn motion_of_the_sixty_storeys_is_followed_from_seven_sensors() {
     }
 }
 
-/// Relative errors of the displacement, of at most 0.5 %, are over the motion of 200 s from rest: the first mode, with a period
-/// of 6 s and 1 % of damping, hardly moves at first. Those of the velocity, at most 10 %, hang on the strength of the record at
-/// the lowest floor and are judged by the case `kalman.building-60`; docs/validation.md tells by which record they are missed.
+/// Relative displacement errors, at most 0.5 %, refer to the motion of 200 s from rest.
+///
+/// The first mode, with a period of 6 s and 1 % damping, hardly moves at first. Relative velocity
+/// errors, at most 10 %, depend on the strength of the record at the lowest floor. The case
+/// `kalman.building-60` evaluates them; docs/validation.md names the record that exceeds them.
 #[test]
 #[ignore = "takes minutes: the published length"]
 fn motion_of_the_sixty_storeys_is_followed_over_the_published_length() {

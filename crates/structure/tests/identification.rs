@@ -1,4 +1,4 @@
-//! The filter identifies what the simulator has done to the structure.
+//! Checks that the filter identifies the parameters of the simulated structure.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -21,7 +21,7 @@ fn run(structure: &Structure, seconds: f64, seed: u64) -> ExtendedKalmanFilter<S
     run_from(structure, 0.0, seconds, seed)
 }
 
-/// Does so with parameters that start too high and too low in turn, by `error`.
+/// Runs the filter with initial parameters that are alternately too high and too low by `error`.
 fn run_from(
     structure: &Structure,
     error: f64,
@@ -31,7 +31,7 @@ fn run_from(
     run_on(structure, structure, error, seconds, seed)
 }
 
-/// Does so with a simulation of another structure.
+/// Runs the filter on a simulation of another structure.
 fn run_on(
     structure: &Structure,
     simulated: &Structure,
@@ -67,7 +67,9 @@ fn run_on(
     filter
 }
 
-/// The first parameters of `filter` within five of its standard deviations of `truth`, and these below `largest_std`.
+/// Asserts that the first parameters are within five standard deviations of `truth`.
+///
+/// Their standard deviations must be below `largest_std`.
 #[track_caller]
 fn assert_identified(
     filter: &ExtendedKalmanFilter<StructureModel>,
@@ -94,7 +96,7 @@ fn the_demo_is_identified_before_and_after_its_damage() {
     assert_identified(&run(&demo, 150.0, 1), &[1.0, 0.85, 1.0, 1.0, 1.0], 0.01);
 }
 
-/// The simulation has three times the damping that the file of the filter states, and a third of it.
+/// The simulated damping is three times, or a third of, the damping in the filter's file.
 #[test]
 fn damping_that_the_file_does_not_know_is_identified_and_stays_positive() {
     let demo = example("demo.toml");
@@ -127,7 +129,10 @@ fn the_mast_of_matrices_is_identified() {
     assert_identified(&run(&example("matrices.toml"), 60.0, 2), &[1.0; 2], 0.02);
 }
 
-/// The first parameters of a structure, its stiffnesses, are found from 10 % off: the error was halved and is covered.
+/// Asserts that the filter finds the first parameters, the stiffnesses, from an initial error of
+/// 10 %.
+///
+/// The error must be halved and within the reported uncertainty.
 #[track_caller]
 fn assert_converges(name: &str, stiffnesses: usize, seconds: f64, largest_error: f64) {
     let filter = run_from(&example(name), 0.1, seconds, 1);
@@ -165,14 +170,14 @@ fn the_hysteretic_chain_of_ten_converges_from_wrong_stiffnesses() {
     assert_converges("bouc-wen-ten.toml", 6, 20.0, 0.02);
 }
 
-/// All of its parameters, the constants of the hysteresis included, from 20 % off.
+/// All parameters, including the constants of the hysteresis, start 20 % off.
 #[test]
 fn the_hysteretic_chain_of_five_is_identified() {
     let filter = run_from(&example("bouc-wen-five.toml"), 0.2, 40.0, 1);
     assert_identified(&filter, &[1.0; 10], 0.2);
 }
 
-/// The same with devices that answer to the drift between two floors.
+/// The same with springs that the drift between two floors drives.
 #[test]
 fn springs_that_are_driven_by_their_drift_are_identified() {
     let text = example("bouc-wen-five.toml")
@@ -191,8 +196,8 @@ fn the_hysteretic_oscillator_is_identified() {
 
 #[test]
 fn stiffnesses_and_dashpots_of_a_building_are_identified() {
-    // The memory of the example follows a sudden loss, and is too short for dashpots: a longer one here. The second storey begins
-    // to soften after 8 s.
+    // The memory of the example follows a sudden loss and is too short for dashpots, so this test
+    // uses a longer memory. The second storey begins to soften after 8 s.
     let text = example("dashpot-building.toml")
         .text()
         .replace("half-life-s = 1\n", "half-life-s = 10\n");
@@ -206,7 +211,8 @@ fn the_high_rise_converges_from_wrong_stiffnesses() {
     assert_converges("high-rise.toml", 7, 4.0, 0.05);
 }
 
-/// The tower with 12 beams in place of 37: a step of the whole one takes longer than a test should.
+/// The tower has 12 beams instead of 37, because a step of the full tower takes too long for a
+/// test.
 #[test]
 fn the_tower_converges_from_wrong_stiffnesses() {
     let mut text = example("tower.toml")
@@ -230,14 +236,16 @@ fn the_tower_converges_from_wrong_stiffnesses() {
     assert_identified(&run_from(&tower, 0.2, 1.0, 1), &[1.0; 2], 0.01);
 }
 
-/// Steps a filter of the demo over a frame without samples, with the variance of its last parameter set to `variance` in a
-/// checkpoint; returns that variance after the step.
+/// Steps a filter of the demo over a frame without samples and returns the last parameter's
+/// variance.
+///
+/// A checkpoint sets this variance to `variance` before the step.
 fn step_with_variance(variance: f64) -> Result<f64, FilterError> {
     let demo = example("demo.toml");
     let mut filter = run(&demo, 1.0, 1);
     let last = filter.mean().len() - 1;
     let mut checkpoint = serde_json::to_value(filter.state()).unwrap();
-    // columns of the covariance one after the other; the parameter shall have no covariances
+    // The covariance is stored by columns; the parameter gets zero covariances.
     let entries = checkpoint["covariance"][0].as_array_mut().unwrap();
     for index in 0..=last {
         entries[last * (last + 1) + index] = 0.0.into();
@@ -266,7 +274,8 @@ fn negative_variance_ends_the_step_with_its_place() {
     );
 }
 
-/// Below 1e-12 of the largest variance, which is far above 1e-6 here, a negative one is rounding.
+/// A negative variance is rounding if its magnitude is below 1e-12 times the largest variance,
+/// which far exceeds 1e-6 here.
 #[test]
 fn variance_below_zero_by_rounding_is_zero() {
     assert_eq!(step_with_variance(-1e-20), Ok(0.0));

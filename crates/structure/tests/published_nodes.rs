@@ -1,6 +1,7 @@
-//! The structures whose nodes identify for themselves have the constants that are printed of them, and their messages as many numbers.
+//! Checks printed constants and message sizes of structures with distributed identification.
 //!
-//! Source: Huang & Yuen (2023), chapters 6 and 7; models without printed numbers as they were recomputed from the description.
+//! Source: Huang & Yuen (2023), chapters 6 and 7. Models without printed numbers are recomputed
+//! from the description.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -22,7 +23,7 @@ fn parse(text: &str) -> Structure {
     Structure::parse(text, Path::new("example.toml")).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// The example with another `[fusion]`.
+/// Reads the example with another `[fusion]` table.
 fn with_fusion(name: &str, fusion: &str) -> Structure {
     let text = text(name);
     let (start, end) = (
@@ -103,8 +104,8 @@ fn frequencies_and_damping_are_as_recomputed() {
 
 #[test]
 fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
-    // mixed weights are those of the whole covariance of the parameters beside variances of the modes, vector weights those of
-    // variances alone: 4 N_m + N_θ (N_θ + 3) / 2 and 4 N_m + 2 N_θ
+    // Mixed weights use the full covariance of the parameters and the variances of the modes;
+    // vector weights use only variances. The sizes are 4 N_m + N_θ (N_θ + 3) / 2 and 4 N_m + 2 N_θ.
     for (name, nodes, modes, mixed, vector, seconds, total) in [
         ("forty-storey-building", 16, 5, 85, 40, 300, 408_000),
         ("two-pier-bridge", 15, 6, 68, 40, 300, 306_000),
@@ -130,7 +131,8 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
             "{name}"
         );
     }
-    // chapter 7: 128 bytes of variances and 352 of a whole covariance, up and down; 0.8 and 3.2 % of the raw samples
+    // Chapter 7: 128 bytes with variances and 352 with a full covariance, up and down; 0.8 and
+    // 3.2 % of the raw samples.
     for (name, seconds, rate_hz, share) in [
         ("sixteen-bay-truss", 200.0, 1000.0, 0.008),
         ("forty-storey-spikes", 500.0, 250.0, 0.032),
@@ -165,7 +167,8 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
 
 #[test]
 fn modes_are_kept_by_the_mass_that_they_carry() {
-    // building: 0.82, 0.09, 0.03, 0.02, 0.01; bridge: 0.018, 0.214, 0.677 of the modes 2, 4, 7 and nothing of the others up to the eighth
+    // Building: 0.82, 0.09, 0.03, 0.02, 0.01. Bridge: 0.018, 0.214, 0.677 in modes 2, 4, 7, and
+    // zero in the other modes up to the eighth.
     let missed = |name: &str, modes: usize| {
         let structure = with_fusion(name, &format!("motion = \"modes\"\nmodes = {modes}"));
         structure.sent_modes().unwrap().1

@@ -1,4 +1,5 @@
-//! The step by the blocks of a structure with proportional damping against the step by its Jacobian as an operator.
+//! Compares the step by blocks with the step by the Jacobian as an operator, for proportional
+//! damping.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -14,7 +15,7 @@ use spandrel_filter::{ExtendedKalmanFilter, FilterState, Frame, ProcessModel};
 use spandrel_structure::{SimulatedFrame, Structure, StructureModel};
 use structures::{building_with_masses, example, parse, small_tower, text_of};
 
-/// Two filters of the same frames: by blocks and by the operator.
+/// Two filters on the same frames: by blocks and by the operator.
 struct Routes {
     structure: Structure,
     blocks: ExtendedKalmanFilter<StructureModel>,
@@ -22,7 +23,8 @@ struct Routes {
 }
 
 impl Routes {
-    /// Starts both with every parameter up to 30 % off in some direction that `seed` says.
+    /// Starts both filters with every parameter up to 30 % off, in directions that depend on
+    /// `seed`.
     fn new(structure: Structure, seed: u64) -> Self {
         let mut settings = structure.filter_settings().unwrap();
         let physical = settings.prior_mean.len() - structure.parameters().len();
@@ -79,7 +81,8 @@ impl Routes {
             .unwrap();
     }
 
-    /// Returns the largest differences of mean and covariance, by the standard deviations of the filter by the operator.
+    /// Returns the largest differences of mean and covariance, in standard deviations of the
+    /// operator filter.
     fn differences(&self) -> (f64, f64) {
         let std: DVector<f64> = self.operator.covariance().diagonal().map(f64::sqrt);
         let mean = (self.blocks.mean() - self.operator.mean())
@@ -123,8 +126,10 @@ fn structures() -> Vec<(&'static str, Structure)> {
     ]
 }
 
-/// From the state that a filter has reached after some frames, for random parameters: one step without samples, which is the
-/// prediction alone, and one with. Where the operator needs substeps, its own rounding has grown with each.
+/// Compares single steps from the state of a filter after some frames, for random parameters.
+///
+/// One step has no samples and so tests the prediction alone; the other has samples. The rounding
+/// error of the operator grows with each substep.
 #[test]
 fn one_step_is_the_same_by_blocks_and_by_the_operator() {
     for (what, structure) in structures() {
@@ -155,7 +160,7 @@ fn one_step_is_the_same_by_blocks_and_by_the_operator() {
     }
 }
 
-/// Rounding does not build up: a filter forgets it as it forgets old data.
+/// Rounding errors do not accumulate, because the filter forgets them like old data.
 #[track_caller]
 fn assert_same_run(structure: Structure, frames: usize) {
     let mut routes = Routes::new(structure, 1);

@@ -1,4 +1,4 @@
-//! The cases, one a published example.
+//! The validation cases, one per published example.
 
 use crate::error::ValidateError;
 use crate::fit;
@@ -30,16 +30,16 @@ mod outlier_truss;
 mod particle;
 mod pieces;
 
-/// One published example.
+/// A published example.
 #[derive(Debug)]
 pub struct Case {
-    /// Its name, `group.example`.
+    /// Name of the form `group.example`.
     pub name: &'static str,
-    /// What it is.
+    /// One-line description.
     pub title: &'static str,
-    /// Where it was published.
+    /// Publication and section.
     pub source: &'static str,
-    /// How long it takes beside others (about seconds for one seed at full length).
+    /// Relative computing time: roughly the seconds for one seed at full length.
     pub weight: f64,
     pub(crate) run: fn(&Run<'_>) -> Result<Outcome, ValidateError>,
 }
@@ -263,7 +263,10 @@ static CASES: [Case; 29] = [
     },
 ];
 
-/// Returns all cases: the published ones in the order of their sources, then those of robustness and of the example files.
+/// Returns all cases.
+///
+/// The published ones come first, in the order of their sources. The cases of robustness and of the
+/// example files follow.
 #[must_use]
 pub fn cases() -> &'static [&'static Case] {
     static ALL: LazyLock<Vec<&'static Case>> = LazyLock::new(|| {
@@ -276,10 +279,13 @@ pub fn cases() -> &'static [&'static Case] {
     &ALL
 }
 
-/// Returns the cases of some names; a name also stands for all that begin with it and a full stop, and none for all.
+/// Returns the cases with the given names.
+///
+/// A name also selects every case whose name begins with it and a full stop. An empty list selects
+/// all cases.
 ///
 /// # Errors
-/// When a name stands for no case.
+/// Returns an error if a name selects no case.
 pub fn select(names: &[String]) -> Result<Vec<&'static Case>, ValidateError> {
     let stands_for = |name: &str, case: &Case| {
         case.name == name

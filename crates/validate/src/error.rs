@@ -1,25 +1,25 @@
-//! What can go wrong while a case runs.
+//! Errors of a case and of its report.
 
 use std::path::PathBuf;
 
-/// Why a case has no outcome, or a report could not be made.
+/// Reason why a case has no outcome or a report could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ValidateError {
-    /// A filter of a case stopped.
+    /// A filter of a case stopped with an error.
     #[error("the filter stopped at {time_s:.3} s: {source}")]
     Filter {
-        /// When (s of the record).
+        /// Time in the record (s).
         time_s: f64,
-        /// Why.
+        /// Error of the filter.
         source: spandrel_filter::FilterError,
     },
-    /// A structure file of a case is wrong.
+    /// The structure file of a case is invalid.
     #[error("the structure of the case is wrong: {0}")]
     Structure(#[from] spandrel_structure::StructureError),
     /// An example contradicts itself.
     #[error("the {what} of the example does not hold together")]
     Example {
-        /// What of it.
+        /// Inconsistent part of the example.
         what: &'static str,
     },
     /// A run of the robustness benchmark stopped.
@@ -31,47 +31,47 @@ pub enum ValidateError {
     /// A real record has no result.
     #[error(transparent)]
     Records(#[from] crate::robustness::records::RecordsError),
-    /// The case was told to stop.
+    /// The run was asked to stop.
     #[error("stopped")]
     Stopped,
-    /// A case has no such name.
+    /// No case has this name.
     #[error("there is no case {found}; cases are {known}")]
     UnknownCase {
-        /// What was asked for.
+        /// Requested name.
         found: String,
-        /// All names.
+        /// All known names.
         known: String,
     },
     /// A file of the report cannot be read or written.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// I/O error.
         source: std::io::Error,
     },
     /// A diagram cannot be drawn.
     #[error("diagram {title}: {reason}")]
     Drawing {
-        /// Which.
+        /// Title of the diagram.
         title: String,
-        /// Why.
+        /// Reason.
         reason: String,
     },
 }
 
 impl ValidateError {
-    /// Makes the error of a filter that stopped at a time (s).
+    /// Returns a function that converts the error of a filter which stopped at a time (s).
     pub(crate) fn at(time_s: f64) -> impl FnOnce(spandrel_filter::FilterError) -> Self {
         move |source| Self::Filter { time_s, source }
     }
 
-    /// Makes the error of an example file that could not be run.
+    /// Converts the error of an example file that could not be run.
     pub(crate) fn fit(source: impl std::fmt::Display) -> Self {
         Self::Fit(source.to_string())
     }
 
-    /// Makes the error of a filter that could not be built.
+    /// Converts the error of a filter that could not be built.
     pub(crate) fn setting(source: spandrel_filter::FilterError) -> Self {
         Self::Filter {
             time_s: 0.0,

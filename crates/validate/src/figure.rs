@@ -1,35 +1,35 @@
-//! One number of an example: published, required, measured.
+//! A figure of an example: its published, required and measured value.
 
 use serde::{Deserialize, Serialize};
 
-/// What a measured number must be.
+/// Requirement on a measured number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Required {
     /// Within a distance of a value.
     Within {
-        /// The value.
+        /// Target value.
         of: f64,
-        /// The largest distance.
+        /// Largest allowed distance from it.
         by: f64,
     },
     /// In a closed range.
     Between {
-        /// Its lower end.
+        /// Lower end.
         low: f64,
-        /// Its upper end.
+        /// Upper end.
         high: f64,
     },
-    /// At least this.
+    /// At least this value.
     AtLeast(f64),
-    /// At most this.
+    /// At most this value.
     AtMost(f64),
-    /// Nothing: the number is a limit or a substitute, shown and not judged.
+    /// No requirement: the number is a limit or a substitute, which is shown and not judged.
     Reported,
 }
 
 impl Required {
-    /// Within a share of a value, such as 0.05 for ± 5 %.
+    /// Returns the requirement to be within a share of a value, such as 0.05 for ± 5 %.
     #[must_use]
     pub fn relative(of: f64, share: f64) -> Self {
         Self::Within {
@@ -38,11 +38,12 @@ impl Required {
         }
     }
 
-    /// Says whether a measured number is what it must be; a number that is none never is.
+    /// Returns `true` if a measured number meets the requirement. NaN never does.
     #[must_use]
     pub fn holds(&self, measured: f64) -> bool {
         match *self {
-            // the end itself holds, also where the difference is rounded up: 1.03 is within 1 ± 0.03
+            // The end of the range meets the requirement even if the difference is rounded up: 1.03
+            // is within 1 ± 0.03.
             Self::Within { of, by } => (measured - of).abs() <= by + 2.0 * f64::EPSILON * of.abs(),
             Self::Between { low, high } => (low..=high).contains(&measured),
             Self::AtLeast(least) => measured >= least,
@@ -55,7 +56,7 @@ impl Required {
 impl std::fmt::Display for Required {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match *self {
-            // a value that is required to a part in 10⁵ has to be seen to that part
+            // A requirement of one part in 10⁵ needs digits to that part.
             Self::Within { of, by } => {
                 write!(formatter, "{} ± {}", measured_number(of, self), number(by))
             }
@@ -67,18 +68,21 @@ impl std::fmt::Display for Required {
     }
 }
 
-/// Significant digits of a number when nothing asks for more.
+/// Default number of significant digits.
 const DIGITS: usize = 4;
-/// Significant digits that a number has at most.
+/// Maximum number of significant digits.
 const MOST_DIGITS: usize = 15;
 
-/// Writes a number with four significant digits, in powers of ten where it is very small or large.
+/// Formats a number with four significant digits, in scientific notation if it is very small or
+/// large.
 pub(crate) fn number(value: f64) -> String {
     with_digits(value, DIGITS)
 }
 
-/// Writes a measured number with as many digits as decide whether it is what is required: its last one is a tenth of the
-/// allowed distance or less, and what is printed holds if and only if the number does.
+/// Formats a measured number with enough digits to decide whether it meets the requirement.
+///
+/// The last digit is worth a tenth of the allowed distance or less. The printed number meets the
+/// requirement if and only if the number does.
 pub(crate) fn measured_number(value: f64, required: &Required) -> String {
     let decides = |text: &String| {
         let printed = text.parse::<f64>().unwrap_or(f64::NAN);
@@ -116,38 +120,39 @@ fn with_digits(value: f64, digits: usize) -> String {
     }
 }
 
-/// Over how many seeds a requirement holds.
+/// Number of seeds that must meet a requirement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Judgement {
-    /// Each seed has to hold it.
+    /// Every seed must meet it.
     Each,
-    /// The mean over the seeds has to hold it.
+    /// The mean over the seeds must meet it.
     Mean,
-    /// Two of three seeds have to hold it.
+    /// Two of three seeds must meet it.
     TwoThirds,
 }
 
-/// One measured number of one seed.
+/// A measured number of one seed, with its requirement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// What it is, with its unit, such as `velocity error at floor 1 (m/s)`; unique in its case.
+    /// Name with unit, such as `velocity error at floor 1 (m/s)`, unique within its case.
     pub name: String,
-    /// What the source printed, where it printed a number.
+    /// Published number, or `None` if the source printed none.
     pub published: Option<f64>,
-    /// What is required.
+    /// Requirement on the measured number.
     pub required: Required,
-    /// Over how many seeds.
+    /// Number of seeds that must meet the requirement.
     pub judgement: Judgement,
-    /// What came out; no number where it could not be had.
+    /// Measured number, or `None` if it could not be determined.
     pub measured: Option<f64>,
-    /// Why a miss is expected; `None` where a miss is a surprise. The requirement stays that of the specification.
+    /// Reason why a miss is expected, or `None` if a miss is a surprise. The requirement remains
+    /// that of the specification.
     #[serde(default)]
     pub known_miss: Option<String>,
 }
 
 impl Figure {
-    /// Makes a figure that each seed has to hold; a measured NaN becomes a figure that could not be had.
+    /// Creates a figure that every seed must meet. A measured NaN becomes `None`.
     #[must_use]
     pub fn new(name: impl Into<String>, measured: f64, required: Required) -> Self {
         let measured = measured.is_finite().then_some(measured);
@@ -161,7 +166,7 @@ impl Figure {
         }
     }
 
-    /// Adds what the source printed.
+    /// Adds the published number.
     #[must_use]
     pub fn published(mut self, value: f64) -> Self {
         self.published = Some(value);
@@ -170,15 +175,16 @@ impl Figure {
 
     /// States why this figure is known to miss its requirement.
     ///
-    /// A known miss is shown as missed, with the requirement, the measured number and this reason. It does not fail the
-    /// run. A figure that meets its requirement after all is shown as holding.
+    /// A known miss is shown as missed, with the requirement, the measured number and this reason.
+    /// It does not fail the run. If the figure meets its requirement nevertheless, it is shown as
+    /// holding.
     #[must_use]
     pub fn known_miss(mut self, reason: &str) -> Self {
         self.known_miss = Some(reason.to_owned());
         self
     }
 
-    /// Asks for the requirement in another way than of each seed.
+    /// Sets the number of seeds that must meet the requirement, which is every seed by default.
     #[must_use]
     pub fn judged(mut self, judgement: Judgement) -> Self {
         self.judgement = judgement;

@@ -1,14 +1,16 @@
-//! What the verdict on the fit says of each example file, and whether that is right.
+//! The fit verdict on each example file, compared with the correct verdict.
 //!
-//! Each example is a [`Case`](crate::Case): its own simulation goes through alignment and identification, as on the bus.
-//! What is right follows from the file alone, and was written down before the first run:
+//! Each example is a [`Case`](crate::Case). Its own simulation passes through alignment and
+//! identification, as on the bus. The correct verdict follows from the file alone and was fixed
+//! before the first run:
 //!
-//! - A simulation draws from the model of its own file. Where nothing happens that the filter does not know, the data
-//!   support the model.
-//! - A filter knows no sudden change of a parameter. It follows within two half-lives, in which an error of the estimate
-//!   falls to a sixteenth; the verdict of this time is reported and not judged.
-//! - Where no parameter is identified, where particles identify, and where sensor nodes identify for themselves, nobody
-//!   judges the fit, and there is no verdict.
+//! - A simulation draws from the model of its own file. If nothing happens that the filter does not
+//!   know, the data support the model.
+//! - A filter does not know about a sudden change of a parameter. It follows within two half-lives,
+//!   in which an error of the estimate falls to a sixteenth. The verdict during this time is
+//!   reported and not judged.
+//! - If no parameter is identified, if particles identify, or if sensor nodes identify their own
+//!   parameters, nothing judges the fit, and there is no verdict.
 
 mod course;
 mod example;
@@ -25,7 +27,7 @@ use shares::Shares;
 use spandrel_bus::{FitReason, FitVerdict};
 use spandrel_structure::Structure;
 
-/// Share of the judged time with the right verdict.
+/// Required share of the judged time with the correct verdict.
 const MOST_OF_THE_TIME: f64 = 0.95;
 
 const VERDICTS: [FitVerdict; 3] = [

@@ -1,4 +1,4 @@
-//! Outcomes that are kept, so that a stopped run goes on, and so that a report of some cases still shows the others.
+//! Stored outcomes, which let a stopped run resume and a partial report show the other cases.
 
 use crate::cases::Case;
 use crate::error::ValidateError;
@@ -7,19 +7,19 @@ use crate::run::Length;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// One run that is done.
+/// A finished run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Done {
-    /// Tells the program that made it from others.
+    /// Mark of the program that made the outcome.
     mark: String,
-    /// Its version.
+    /// Version of that program.
     pub(crate) version: String,
-    /// How long it took (s), beside whatever else ran then.
+    /// Elapsed time of the run (s), including the effect of concurrent runs.
     pub(crate) seconds: f64,
     pub(crate) outcome: Outcome,
 }
 
-/// Where outcomes are kept, and under which mark of the program that makes them.
+/// Directory of the stored outcomes, and mark of the program that writes them.
 #[derive(Debug)]
 pub(crate) struct Kept {
     directory: PathBuf,
@@ -27,7 +27,7 @@ pub(crate) struct Kept {
 }
 
 impl Done {
-    /// Makes one of this program.
+    /// Creates a finished run of this program.
     pub(crate) fn new(mark: &str, seconds: f64, outcome: Outcome) -> Self {
         Self {
             mark: mark.to_owned(),
@@ -50,7 +50,8 @@ impl Kept {
         &self.mark
     }
 
-    /// Makes the directory, which keeps itself out of version control: outcomes hold every curve.
+    /// Creates the directory with a file that excludes it from version control, because outcomes
+    /// contain every curve.
     pub(crate) fn prepare(&self) -> Result<(), ValidateError> {
         let path = &self.directory;
         let ignore = path.join(".gitignore");
@@ -77,17 +78,17 @@ impl Kept {
 
     fn any(&self, case: &Case, seed: u64, length: Length) -> Option<Done> {
         let text = std::fs::read_to_string(self.path(case, seed, length)).ok()?;
-        // a file that was cut off is as good as none: the case is run again
+        // A truncated file counts as missing, and the case runs again.
         serde_json::from_str(&text).ok()
     }
 
-    /// Returns the outcome of a run that this program made.
+    /// Returns the outcome of a run if this program made it.
     pub(crate) fn read(&self, case: &Case, seed: u64, length: Length) -> Option<Done> {
         self.any(case, seed, length)
             .filter(|done| done.mark == self.mark)
     }
 
-    /// Returns all outcomes of a case with their seeds in order, whichever program made them.
+    /// Returns all outcomes of a case by any program, in the order of their seeds.
     pub(crate) fn read_all(&self, case: &Case, length: Length) -> Vec<(u64, Done)> {
         let prefix = Self::prefix(case, length);
         let entries = std::fs::read_dir(&self.directory)
@@ -110,7 +111,7 @@ impl Kept {
             .collect()
     }
 
-    /// Says whether this program made an outcome.
+    /// Returns `true` if this program made the outcome.
     pub(crate) fn is_own(&self, done: &Done) -> bool {
         done.mark == self.mark
     }

@@ -1,9 +1,10 @@
-//! Rebuilds the published examples from their description, and compares what comes out with the published figures.
+//! Rebuilds published examples from their description and compares the results with the published
+//! figures.
 //!
-//! A [`Case`] is one example of a source: it simulates the record that the source describes from a seed, identifies it with
-//! the filters of `spandrel-filter`, and measures [`Figure`]s, each with what was published and what is required. A
-//! [`Plan`] runs cases for several seeds on several threads, keeps what is done so that a stopped run goes on where it
-//! was, and ends as a [`Report`].
+//! A [`Case`] is one example of a source. It simulates the described record from a seed and
+//! identifies it with the filters of `spandrel-filter`. It then measures [`Figure`]s, each with its
+//! published and required values. A [`Plan`] runs cases for several seeds on several threads,
+//! stores finished runs so that a stopped run can resume, and returns a [`Report`].
 //!
 //! ```
 //! use spandrel_validate::{Length, Plan, Quiet, cases};

@@ -1,4 +1,5 @@
-//! A structure identified by its sensor nodes and a station, without a bus between them; or by one filter with all their samples.
+//! Identification of a structure by its sensor nodes and a station without a bus, or by one filter
+//! with all samples.
 
 use crate::error::ValidateError;
 use crate::run::Run;
@@ -8,27 +9,27 @@ use spandrel_filter::fusion::{CompressedMotion, NodeReport, Taken};
 use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame};
 use spandrel_structure::{Structure, StructureModel};
 
-/// What is followed of a distributed identification.
+/// Results of a distributed identification.
 pub(crate) struct Fused {
-    /// by parameter, at each fusion
+    /// Fused estimates of each parameter at each fusion.
     pub(crate) courses: Vec<Course>,
-    /// by node: its own estimates at each fusion, before the answer
+    /// Each node's own estimates at each fusion, before the reply.
     pub(crate) local: Vec<Vec<Course>>,
-    /// by fusion and node
+    /// Reports by fusion and node.
     pub(crate) reports: Vec<Vec<NodeReport>>,
-    /// by fusion: the motion in modes, where it is sent so
+    /// Modal motion at each fusion, if the nodes send it.
     pub(crate) motion: Vec<Option<CompressedMotion>>,
-    /// by node: times it started anew
+    /// Number of restarts of each node.
     pub(crate) restarts: Vec<u64>,
 }
 
-/// What is identified: a structure at the rate of its nodes, and their samples.
+/// A structure at the rate of its nodes, and their samples.
 pub(crate) struct Network<'n> {
     pub(crate) structure: &'n Structure,
     pub(crate) frames: usize,
-    /// standard deviation of the noise of each channel
+    /// Standard deviation of the noise of each channel.
     pub(crate) noise_std: &'n [f64],
-    /// the sample of a frame and channel; channels are numbered through all nodes
+    /// Sample of a frame and channel. Channels are numbered through all nodes.
     pub(crate) data: &'n dyn Fn(usize, usize) -> f64,
 }
 
@@ -37,16 +38,16 @@ impl Network<'_> {
         frame as f64 * self.structure.step_s()
     }
 
-    /// Frames in a fusion period.
+    /// Returns the number of frames in a fusion period.
     fn period(&self) -> usize {
         let rate_hz = self.structure.fusion().map_or(1.0, |plan| plan.rate_hz());
         (1.0 / (self.structure.step_s() * rate_hz)).round() as usize
     }
 
-    /// Sets the noise of the sensors as it is, for the filter of the node whose first channel is numbered so.
+    /// Sets the true sensor noise for the filter of the node whose first channel is `first`.
     fn set_noise(&self, first: usize, settings: &mut FilterSettings) {
         settings.noise.sensors.fill(0.0);
-        // a filter that is told samples of others knows the channels of all
+        // A filter that receives the samples of other nodes has the channels of all nodes.
         let first = if settings.noise.sensors.nrows() == self.noise_std.len() {
             0
         } else {
@@ -58,8 +59,11 @@ impl Network<'_> {
         settings.variance_bound.fill(f64::INFINITY);
     }
 
-    /// Runs nodes and station from this share of the case to that; `look` sees the filter of each node, with the number of its
-    /// first channel, after each frame.
+    /// Runs the nodes and the station, while the progress of the case rises between the two given
+    /// shares.
+    ///
+    /// After each frame, `look` receives the filter of each node and the index of its first
+    /// channel.
     pub(crate) fn fuse(
         &self,
         shares: (f64, f64),
@@ -125,7 +129,7 @@ impl Network<'_> {
                         truth[j],
                     );
                 }
-                // a node that is of no use in this fusion is reported as not heard
+                // A report that cannot be used in this fusion appears as not received.
                 let _ = station.receive(position, report, index);
             }
             let result = station.fuse(index);
@@ -153,8 +157,8 @@ impl Network<'_> {
         Ok(fused)
     }
 
-    /// Runs one filter that has the samples of all nodes and screens none of them; its estimates at the instants of the
-    /// fusions, by parameter.
+    /// Runs one filter with the unscreened samples of all nodes. Returns its estimates at the
+    /// fusion times, by parameter.
     pub(crate) fn in_one_filter(
         &self,
         shares: (f64, f64),
@@ -164,7 +168,7 @@ impl Network<'_> {
         let mut settings = structure
             .filter_settings()
             .map_err(ValidateError::setting)?;
-        settings.misfit = None; // the method as it was published
+        settings.misfit = None; // the published method
         self.set_noise(0, &mut settings);
         settings.outliers = None;
         let mut filter = ExtendedKalmanFilter::new(structure.model(), settings)
@@ -203,7 +207,7 @@ impl Network<'_> {
     }
 }
 
-/// Accuracy of one course outside of the start and of the time after each damage.
+/// Returns the accuracy of one parameter without the start and the time after each damage.
 pub(crate) fn settled(course: &Course, from_s: f64, damages: &[f64], after_s: f64) -> Accuracy {
     let mut accuracy = Accuracy::default();
     let counts = |time_s: f64| {

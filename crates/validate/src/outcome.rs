@@ -1,15 +1,15 @@
-//! What one run of a case leaves: figures, tables, and curves to be drawn.
+//! The outcome of one run of a case: figures, tables, and curves for diagrams.
 
 use crate::figure::Figure;
 use serde::{Deserialize, Serialize};
 
-/// How a series is drawn.
+/// Drawing style of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SeriesKind {
-    /// What is true, a solid line.
+    /// True values, a solid line.
     Truth,
-    /// An estimate, a coloured line.
+    /// Estimate, a coloured line.
     Estimate,
     /// One end of a credible interval, a dashed line.
     Bound,
@@ -17,19 +17,19 @@ pub enum SeriesKind {
     Points,
 }
 
-/// One curve.
+/// A curve.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Series {
-    /// Its name in the legend; empty for none.
+    /// Name in the legend, or empty for none.
     pub label: String,
-    /// How it is drawn.
+    /// Drawing style.
     pub kind: SeriesKind,
     /// Abscissa and ordinate of each point.
     pub points: Vec<(f32, f32)>,
 }
 
 impl Series {
-    /// Makes a series.
+    /// Creates a series.
     #[must_use]
     pub fn new(label: impl Into<String>, kind: SeriesKind, points: Vec<(f32, f32)>) -> Self {
         Self {
@@ -40,23 +40,23 @@ impl Series {
     }
 }
 
-/// One diagram.
+/// A diagram.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Plot {
-    /// What it shows.
+    /// Title.
     pub title: String,
     /// Quantity and unit of the abscissa.
     pub abscissa: String,
     /// Quantity and unit of the ordinate.
     pub ordinate: String,
-    /// Range of the ordinate where a start far off would hide the rest.
+    /// Range of the ordinate, if a start value far off would hide the rest.
     pub range: Option<(f32, f32)>,
-    /// The curves.
+    /// Curves.
     pub series: Vec<Series>,
 }
 
 impl Plot {
-    /// Makes a diagram over time.
+    /// Creates a diagram over time.
     #[must_use]
     pub fn over_time(
         title: impl Into<String>,
@@ -72,7 +72,7 @@ impl Plot {
         }
     }
 
-    /// Makes a diagram of estimates over what is true, which lie on the line of 45° where they agree.
+    /// Creates a diagram of estimates against true values, with the 45° line on which both agree.
     #[must_use]
     pub fn against_truth(title: impl Into<String>, unit: &str, points: Vec<(f32, f32)>) -> Self {
         let all = || {
@@ -103,7 +103,7 @@ impl Plot {
         }
     }
 
-    /// Cuts the ordinate to a range.
+    /// Limits the ordinate to a range.
     #[must_use]
     pub fn within(mut self, low: f32, high: f32) -> Self {
         self.range = Some((low, high));
@@ -111,24 +111,24 @@ impl Plot {
     }
 }
 
-/// A table of the source, published beside measured.
+/// A table of the source, with published and measured values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Table {
-    /// What it holds.
+    /// Title.
     pub title: String,
-    /// Heads of the columns.
+    /// Column headings.
     pub columns: Vec<String>,
-    /// One row after the other.
+    /// Cells, row by row.
     pub rows: Vec<Vec<String>>,
 }
 
-/// What one run of a case leaves.
+/// Outcome of one run of a case.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Outcome {
-    /// The measured numbers.
+    /// Measured figures.
     pub figures: Vec<Figure>,
-    /// The tables of the source.
+    /// Tables of the source.
     pub tables: Vec<Table>,
-    /// The diagrams.
+    /// Diagrams.
     pub plots: Vec<Plot>,
 }

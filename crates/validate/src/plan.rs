@@ -1,4 +1,4 @@
-//! Runs cases for several seeds on several threads, and keeps what is done.
+//! Runs cases for several seeds on several threads, and stores their outcomes.
 
 use crate::cases::{Case, cases};
 use crate::error::ValidateError;
@@ -11,11 +11,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// Hears how far the runs have come; called from several threads.
+/// Receiver of progress, called from several threads.
 pub trait Watch: Sync {
-    /// A run has done this share of its work (0 to 1).
+    /// Reports that a run has completed this share of its work (0 to 1).
     fn advanced(&self, case: &Case, seed: u64, share: f64);
-    /// A run is over: its outcome, or why there is none; `kept` when it had been done before.
+    /// Reports the end of a run with its outcome or error. `kept` is `true` if the outcome comes
+    /// from the store.
     fn finished(
         &self,
         case: &Case,
@@ -25,7 +26,7 @@ pub trait Watch: Sync {
     );
 }
 
-/// Hears nothing.
+/// A [`Watch`] that ignores all progress.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Quiet;
 
@@ -48,7 +49,7 @@ pub struct Plan {
 type Result1 = Result<Done, ValidateError>;
 
 impl Plan {
-    /// Plans each case once for each seed, on one thread.
+    /// Creates a plan that runs each case once per seed, on one thread.
     #[must_use]
     pub fn new(cases: Vec<&'static Case>, seeds: Vec<u64>, length: Length) -> Self {
         Self {
@@ -61,32 +62,34 @@ impl Plan {
         }
     }
 
-    /// Runs so many cases at the same time.
+    /// Sets the number of cases that run concurrently.
     #[must_use]
     pub fn threads(mut self, threads: usize) -> Self {
         self.threads = threads.max(1);
         self
     }
 
-    /// Keeps each outcome in a directory, and takes those that are there and bear the same mark: a stopped run goes on.
+    /// Stores each outcome in a directory, and reuses stored outcomes with the same mark, so that a
+    /// stopped run resumes.
     ///
-    /// The mark has to change with the program. Outcomes of cases that are not planned come into the report whatever their
-    /// mark, so that a page of all cases stays one when some of them are run again.
+    /// The mark must change with the program. The report includes stored outcomes of unplanned
+    /// cases whatever their mark, so that the page stays complete when only some cases run again.
     #[must_use]
     pub fn keep(mut self, directory: &Path, mark: impl Into<String>) -> Self {
         self.kept = Some(Kept::new(directory, mark.into()));
         self
     }
 
-    /// Asks all runs to stop soon; callable from another thread.
+    /// Asks all runs to stop soon. May be called from another thread.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Relaxed);
     }
 
-    /// Runs everything; the order of the report is that of the cases, whatever the threads did.
+    /// Runs all cases. The report lists them in their original order, whatever the threads did.
     ///
     /// # Errors
-    /// When an outcome cannot be kept. A case that fails does not end the others: the report tells.
+    /// Returns an error if an outcome cannot be stored. A case that fails does not stop the others
+    /// and appears in the report.
     pub fn run(&self, watch: &dyn Watch) -> Result<Report, ValidateError> {
         if let Some(kept) = &self.kept {
             kept.prepare()?;
@@ -95,7 +98,7 @@ impl Plan {
         for seed in 0..self.seeds.len() {
             jobs.extend((0..self.cases.len()).map(|case| (case, seed)));
         }
-        // the longest first, so that no thread is left with a long one at the end
+        // The longest runs start first, so that no thread is left with a long run at the end.
         jobs.sort_by(|a, b| self.cases[b.0].weight.total_cmp(&self.cases[a.0].weight));
         let next = AtomicUsize::new(0);
         let results: Mutex<Vec<Vec<Option<Result1>>>> = Mutex::new(
@@ -143,7 +146,7 @@ impl Plan {
         })
     }
 
-    /// What is kept of the cases that are not planned.
+    /// Returns the reports of stored outcomes whose cases are not planned.
     fn others(&self) -> Vec<CaseReport> {
         let Some(kept) = &self.kept else {
             return Vec::new();
@@ -170,7 +173,7 @@ impl Plan {
             .collect()
     }
 
-    /// Runs one case for one seed, or takes what is kept.
+    /// Runs one case for one seed, or returns the stored outcome.
     fn one(
         &self,
         case: &'static Case,
@@ -239,7 +242,7 @@ mod tests {
         Err(ValidateError::Stopped)
     }
 
-    /// Its runs are counted, so one test alone has it.
+    /// The runs of this case are counted, so only one test may use it.
     static COUNTED: Case = Case {
         name: "test.counted",
         title: "seeds",

@@ -1,4 +1,4 @@
-//! What all runs of a plan have shown.
+//! Results of all runs of a plan.
 
 mod drawing;
 mod html;
@@ -20,19 +20,19 @@ use std::path::Path;
 pub struct FigureReport {
     /// Name of the case.
     pub case: &'static str,
-    /// What it is.
+    /// Name of the figure.
     pub figure: String,
-    /// What the source printed.
+    /// Published number.
     pub published: Option<f64>,
-    /// What is required.
+    /// Requirement on the measured number.
     pub required: Required,
-    /// Over how many of the seeds.
+    /// Number of seeds that must meet the requirement.
     pub judgement: Judgement,
-    /// The seeds.
+    /// Seeds.
     pub seeds: Vec<u64>,
-    /// What came out, one for each seed in their order; none where it could not be had.
+    /// Measured number of each seed in their order, or `None` if it could not be determined.
     pub measured: Vec<Option<f64>>,
-    /// Why a miss is expected; `None` where a miss is a surprise.
+    /// Reason why a miss is expected, or `None` if a miss is a surprise.
     #[serde(rename = "known-miss")]
     pub known_miss: Option<String>,
     /// Whether the requirement holds.
@@ -48,10 +48,10 @@ impl FigureReport {
     }
 }
 
-/// Which program made the outcomes of a case.
+/// Program that made the outcomes of a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Program {
-    /// The one that writes the report.
+    /// The program that writes the report.
     This,
     /// Another version or another build, at least for one of the seeds.
     Another,
@@ -60,38 +60,39 @@ pub enum Program {
 /// One case over all seeds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CaseReport {
-    /// Its name.
+    /// Name.
     pub name: &'static str,
-    /// What it is.
+    /// One-line description.
     pub title: &'static str,
-    /// Where it was published.
+    /// Publication and section.
     pub source: &'static str,
-    /// Its seeds.
+    /// Seeds.
     pub seeds: Vec<u64>,
-    /// How long each seed took (s), beside whatever else ran then; none without outcome.
+    /// Elapsed time of each seed (s), including the effect of concurrent runs, or `None` without an
+    /// outcome.
     pub seconds: Vec<Option<f64>>,
-    /// Version of the program that made the outcomes; several where the seeds differ.
+    /// Versions of the program that made the outcomes. Seeds may have different ones.
     pub versions: Vec<String>,
-    /// Which program made them.
+    /// Program that made the outcomes.
     pub program: Program,
-    /// Its figures.
+    /// Figures.
     pub figures: Vec<FigureReport>,
     /// Tables of the first seed.
     pub tables: Vec<Table>,
     /// Diagrams of the first seed.
     pub plots: Vec<Plot>,
-    /// Seeds without outcome, and why.
+    /// Seeds without an outcome, each with the reason.
     pub failures: Vec<(u64, String)>,
 }
 
-/// All cases.
+/// Results of all cases.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// How much was simulated.
+    /// Simulated length.
     pub length: Length,
-    /// The cases that were asked for, in order.
+    /// Requested cases in order.
     pub cases: Vec<CaseReport>,
-    /// Cases that were not asked for, of which outcomes are kept: on the page, and nowhere else.
+    /// Other cases with stored outcomes, which appear only on the page.
     pub others: Vec<CaseReport>,
 }
 
@@ -168,7 +169,8 @@ impl CaseReport {
     }
 }
 
-/// Says whether a figure holds over its seeds; a seed without the number does not hold it.
+/// Returns `true` if a figure holds over its seeds. A seed without a number does not meet the
+/// requirement.
 fn holds(figure: &FigureReport) -> bool {
     let FigureReport {
         required,
@@ -194,34 +196,37 @@ fn holds(figure: &FigureReport) -> bool {
 }
 
 impl Report {
-    /// Returns `true` if every case that was asked for passed; see [`CaseReport::passed`].
+    /// Returns `true` if every requested case passed. See [`CaseReport::passed`].
     #[must_use]
     pub fn passed(&self) -> bool {
         self.cases.iter().all(CaseReport::passed)
     }
 
-    /// Returns all figures of the cases that were asked for.
+    /// Returns all figures of the requested cases.
     pub fn figures(&self) -> impl Iterator<Item = &FigureReport> {
         self.cases.iter().flat_map(|case| &case.figures)
     }
 
-    /// Returns one line for each figure of a case, to be read by people.
+    /// Returns one line for each figure of a case, as text for a terminal.
     #[must_use]
     pub fn text(&self) -> String {
         page::text(self)
     }
 
-    /// Returns the cases of the page, in the order of their sources: those that were asked for, and those that are kept.
+    /// Returns the cases of the page in the order of their sources: the requested ones and those
+    /// with stored outcomes.
     fn on_page(&self) -> Vec<&CaseReport> {
         let mut all: Vec<&CaseReport> = self.cases.iter().chain(&self.others).collect();
         all.sort_by_key(|report| cases().iter().position(|case| case.name == report.name));
         all
     }
 
-    /// Writes `index.html` and `figures.md`, and their diagrams into `diagrams`; diagrams of a case that it no longer has go.
+    /// Writes `index.html` and `figures.md`, and their diagrams into `diagrams`.
+    ///
+    /// Deletes diagrams that a case no longer has.
     ///
     /// # Errors
-    /// When a file cannot be written or a diagram cannot be drawn.
+    /// Returns an error if a file cannot be written or a diagram cannot be drawn.
     pub fn write(&self, directory: &Path) -> Result<(), ValidateError> {
         page::write(self, directory)
     }

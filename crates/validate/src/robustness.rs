@@ -1,8 +1,9 @@
-//! How Spandrel behaves when its model is wrong: simulated buildings that differ from their structure file, and records of
-//! real structures.
+//! Behaviour of Spandrel with a wrong model: simulated buildings that differ from their structure
+//! file, and records of real structures.
 //!
-//! Each condition is a [`Case`](crate::Case): the run of one seed goes through the cores of `identify` and `alert`. What is
-//! true is simulated by code that shares nothing with the models that identify it.
+//! Each condition is a [`Case`](crate::Case). The run of one seed passes through the cores of
+//! `identify` and `alert`. The code that simulates the true building shares nothing with the models
+//! that identify it.
 
 mod building;
 mod condition;
@@ -20,7 +21,7 @@ use crate::run::{Length, Run};
 use condition::{Condition, Expected, right};
 use trial::Trial;
 
-/// Share of the intervals that must hold the truth when the model is wrong.
+/// Required share of intervals that contain the truth if the model is wrong.
 const COVERAGE: f64 = 0.9;
 
 /// Runs one condition for one seed.
@@ -38,7 +39,8 @@ fn measure(run: &Run<'_>, condition: &Condition) -> Result<Outcome, ValidateErro
     })
 }
 
-/// Returns what is required of one run. Shares are judged over the seeds of a full run, so that a short one reports them.
+/// Returns the figures of one run. Shares are judged over the seeds of a full run, and a short run
+/// only reports them.
 fn figures(expected: Expected, trial: &Trial, length: Length) -> Vec<Figure> {
     let over_seeds = |name: &str, measured: f64, required: Required| {
         let required = if length == Length::Full {

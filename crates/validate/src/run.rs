@@ -1,29 +1,29 @@
-//! How a case is run: its seed, its length, and how far it has come.
+//! A run of a case: its seed, its length and its progress.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// How much of the published records is simulated.
+/// Simulated length of the published records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Length {
-    /// All of them.
+    /// Complete records.
     Full,
-    /// Shortened ones, with figures that hold for them.
+    /// Shortened records, with requirements that apply to them.
     Quick,
 }
 
 /// One run of a case.
 pub struct Run<'a> {
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How much is simulated.
+    /// Simulated length.
     pub length: Length,
     pub(crate) advanced: &'a (dyn Fn(f64) + Sync),
     pub(crate) stopped: &'a AtomicBool,
 }
 
 impl Run<'_> {
-    /// Returns `full` or `quick`.
+    /// Returns `full` or `quick`, depending on the length of the run.
     pub fn pick<T>(&self, full: T, quick: T) -> T {
         match self.length {
             Length::Full => full,
@@ -31,7 +31,7 @@ impl Run<'_> {
         }
     }
 
-    /// Tells that this share of the case (0 to 1) is done, and says whether it should go on.
+    /// Reports this share of the case (0 to 1) as done. Returns `true` if the run should continue.
     pub fn advance(&self, share: f64) -> bool {
         (self.advanced)(share.clamp(0.0, 1.0));
         !self.stopped.load(Ordering::Relaxed)

@@ -1,4 +1,4 @@
-//! A structure of an example, its simulated record, and its filter.
+//! The structure of an example with its simulated record and its filter.
 
 use crate::error::ValidateError;
 use crate::network::Network;
@@ -11,41 +11,41 @@ use spandrel_filter::{
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 use std::path::Path;
 
-/// Frames between two looks at whether the run should go on.
+/// Number of frames between two checks whether the run should continue.
 const LOOK_EVERY: usize = 1000;
 
-/// A record with all that is true behind it.
+/// A record with the true values behind it.
 pub(crate) struct Scene {
     pub(crate) structure: Structure,
     pub(crate) step_s: f64,
     pub(crate) frames: usize,
-    /// of the observation channels, the share of their clean rms
+    /// Standard deviation of the noise of each observation channel, a share of its clean rms.
     pub(crate) noise_std: Vec<f64>,
-    /// frames × observation channels
+    /// Clean samples (frames × observation channels).
     clean: Vec<f64>,
     data: Vec<f64>,
-    /// frames × watched states
+    /// Watched states (frames × watched states).
     states: Vec<f64>,
     watched: Vec<usize>,
-    /// frames × excitation components, 0 where one is not measured
+    /// Excitation (frames × excitation components), 0 for unmeasured components.
     excitation: Vec<f64>,
-    /// of the excitation components, 0 where one is not measured
+    /// Standard deviation of the noise of each excitation component, 0 for unmeasured components.
     excitation_noise_std: Vec<f64>,
 }
 
-/// How a scene is made from a structure file.
+/// Parameters for making a scene from a structure file.
 pub(crate) struct Plan<'p> {
-    /// The text of the file.
+    /// Text of the file.
     pub(crate) text: &'p str,
     /// Length (s).
     pub(crate) seconds: f64,
     /// Noise of each channel as a share of its clean rms.
     pub(crate) noise_share: f64,
-    /// States whose truth is kept, by number: displacements first, then velocities.
+    /// Indices of the states whose truth is stored: displacements first, then velocities.
     pub(crate) watched: &'p dyn Fn(&Structure) -> Vec<usize>,
 }
 
-/// Numbers of the states that are displacements (or velocities) of named degrees of freedom.
+/// Returns the state indices of the displacements (or velocities) of the named degrees of freedom.
 pub(crate) fn states_of(structure: &Structure, names: &[&str], velocities: bool) -> Vec<usize> {
     let all = structure.degrees_of_freedom();
     let shift = if velocities { all.len() } else { 0 };
@@ -57,12 +57,13 @@ pub(crate) fn states_of(structure: &Structure, names: &[&str], velocities: bool)
 }
 
 impl Scene {
-    /// Simulates the structure without noise, then adds noise in proportion to what each channel shows.
+    /// Simulates the structure without noise, then adds noise in proportion to the rms of each
+    /// channel.
     pub(crate) fn simulate(plan: &Plan<'_>, run: &Run<'_>) -> Result<Self, ValidateError> {
         Self::simulate_seeded(plan, run.seed, run)
     }
 
-    /// As [`Scene::simulate`], with another seed than the run's.
+    /// Simulates as [`Scene::simulate`] does, with another seed than the run's.
     pub(crate) fn simulate_seeded(
         plan: &Plan<'_>,
         seed: u64,
@@ -127,13 +128,13 @@ impl Scene {
         })
     }
 
-    /// The settings of the file, with the noise of the sensors as it is.
+    /// Returns the settings of the file with the true sensor noise.
     pub(crate) fn settings(&self) -> Result<FilterSettings, ValidateError> {
         let mut settings = self
             .structure
             .filter_settings()
             .map_err(ValidateError::setting)?;
-        settings.misfit = None; // the method as it was published
+        settings.misfit = None; // the published method
         settings.noise.sensors.fill(0.0);
         for (channel, std) in self.noise_std.iter().enumerate() {
             settings.noise.sensors[(channel, channel)] = std * std;
@@ -149,7 +150,7 @@ impl Scene {
         Ok(settings)
     }
 
-    /// The nodes of the structure, with samples of their channels by frame and channel.
+    /// Returns the nodes of the structure, with `data` as the samples by frame and channel.
     pub(crate) fn network<'s>(&'s self, data: &'s dyn Fn(usize, usize) -> f64) -> Network<'s> {
         Network {
             structure: &self.structure,
@@ -159,13 +160,16 @@ impl Scene {
         }
     }
 
-    /// What is measured of the excitation at a frame, 0 where nothing is.
+    /// Returns the measured excitation at a frame, 0 for unmeasured components.
     pub(crate) fn excitation(&self, frame: usize) -> &[f64] {
         let inputs = self.excitation_noise_std.len();
         &self.excitation[frame * inputs..(frame + 1) * inputs]
     }
 
-    /// Runs the model classes over the data, from this share of the case to that; `look` sees the bank after each frame.
+    /// Runs the model classes over the data, while the progress of the case rises between the two
+    /// given shares.
+    ///
+    /// `look` receives the bank after each frame.
     pub(crate) fn compare(
         &self,
         settings: FilterSettings,
@@ -191,7 +195,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Time of a frame (s).
+    /// Returns the time of a frame (s).
     pub(crate) fn time_s(&self, frame: usize) -> f64 {
         frame as f64 * self.step_s
     }
@@ -206,7 +210,7 @@ impl Scene {
         &self.data[frame * channels..(frame + 1) * channels]
     }
 
-    /// True values of the watched states at a frame.
+    /// Returns the true values of the watched states at a frame.
     pub(crate) fn states(&self, frame: usize) -> &[f64] {
         &self.states[frame * self.watched.len()..(frame + 1) * self.watched.len()]
     }
@@ -215,7 +219,10 @@ impl Scene {
         &self.watched
     }
 
-    /// Runs a filter over `data`, from this share of the case to that; `look` sees the filter after each frame.
+    /// Runs a filter over `data`, while the progress of the case rises between the two given
+    /// shares.
+    ///
+    /// `look` receives the filter after each frame.
     pub(crate) fn filter<'d>(
         &self,
         settings: FilterSettings,
@@ -227,7 +234,7 @@ impl Scene {
         self.filter_for(self.frames, settings, data, shares, run, look)
     }
 
-    /// As [`Scene::filter`], over the first so many frames.
+    /// Runs a filter as [`Scene::filter`] does, over a limited number of first frames.
     pub(crate) fn filter_for<'d>(
         &self,
         frames: usize,
@@ -256,10 +263,10 @@ impl Scene {
     }
 }
 
-/// What is followed of one parameter.
+/// Estimates of one parameter over time.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Course {
-    /// time, mean, deviation, truth: at every so many frames
+    /// Time, mean, deviation and truth, sampled at regular intervals.
     pub(crate) points: Vec<[f64; 4]>,
 }
 
@@ -269,17 +276,17 @@ impl Course {
             .push([time_s, mean, variance.max(0.0).sqrt(), truth]);
     }
 
-    /// Mean of the estimate over a window (s).
+    /// Returns the mean of the estimate over a window (s).
     pub(crate) fn mean(&self, from_s: f64, to_s: f64) -> f64 {
         self.over(from_s, to_s, |point| point[1])
     }
 
-    /// Mean of the stated deviation over a window (s).
+    /// Returns the mean of the stated deviation over a window (s).
     pub(crate) fn std(&self, from_s: f64, to_s: f64) -> f64 {
         self.over(from_s, to_s, |point| point[2])
     }
 
-    /// Mean absolute error over a window (s).
+    /// Returns the mean absolute error over a window (s).
     pub(crate) fn error(&self, from_s: f64, to_s: f64) -> f64 {
         self.over(from_s, to_s, |point| (point[1] - point[3]).abs())
     }
@@ -293,7 +300,7 @@ impl Course {
         mean.value()
     }
 
-    /// Accuracy from a time (s) on.
+    /// Returns the accuracy from a time (s) on.
     pub(crate) fn accuracy(&self, from_s: f64) -> Accuracy {
         let mut accuracy = Accuracy::default();
         for [_, mean, std, truth] in self.points.iter().filter(|point| point[0] >= from_s) {
@@ -302,7 +309,8 @@ impl Course {
         accuracy
     }
 
-    /// Time (s) after `jump_s` at which the estimate first has gone this share of the way between two values.
+    /// Returns the time (s) from `jump_s` until the estimate has first covered this share of the
+    /// way between two values.
     pub(crate) fn delay(&self, jump_s: f64, from: f64, to: f64, share: f64) -> f64 {
         let gone =
             |point: &&[f64; 4]| point[0] >= jump_s && (point[1] - from) / (to - from) >= share;
@@ -312,7 +320,7 @@ impl Course {
             .map_or(f64::NAN, |point| point[0] - jump_s)
     }
 
-    /// Truth, estimate and the interval of three deviations.
+    /// Plots the truth, the estimate and its interval of three deviations.
     pub(crate) fn plot(&self, title: &str, unit: &str, range: (f32, f32)) -> Plot {
         let every = (self.points.len() / 1200).max(1);
         let curve = |of: &dyn Fn(&[f64; 4]) -> f64| {

@@ -1,11 +1,11 @@
-//! Which seeds a validation runs with.
+//! Seeds of a validation.
 
 use std::str::FromStr;
 
-/// Largest number of seeds of one validation.
+/// Maximum number of seeds of one validation.
 const MOST: u64 = 1000;
 
-/// An inclusive range of seeds, written `4..8`; a single number `N` stands for `1..N`.
+/// An inclusive range of seeds, written `4..8`. A single number `N` means `1..N`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Seeds {
     first: u64,
@@ -19,18 +19,18 @@ impl Seeds {
     }
 }
 
-/// Why a text is no range of seeds.
+/// Error when a text is not a valid range of seeds.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SeedsError {
-    /// The text is neither a number nor two numbers with two full stops between them.
+    /// The text is neither a number nor two numbers separated by two full stops.
     #[error(
         "`{found}` is no range of seeds, must be a number such as 5 (seeds 1 to 5) or a range such as 4..8"
     )]
     Form {
-        /// The text.
+        /// Invalid text.
         found: String,
     },
-    /// The range has no seed.
+    /// The range does not contain any seed.
     #[error("the range {first}..{last} is empty, its second number must be at least its first")]
     Empty {
         /// First seed.
@@ -38,7 +38,7 @@ pub enum SeedsError {
         /// Last seed.
         last: u64,
     },
-    /// The range has too many seeds.
+    /// The range contains too many seeds.
     #[error("{count} seeds are too many, at most {MOST}")]
     TooMany {
         /// Number of seeds.

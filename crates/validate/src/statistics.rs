@@ -1,15 +1,15 @@
-//! What the cases measure again and again.
+//! Statistics shared by the cases.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Independent standard normal numbers.
+/// Generator of independent standard normal numbers.
 #[derive(Debug, Clone)]
 pub(crate) struct Normal(ChaCha8Rng);
 
 impl Normal {
-    /// Starts one of the streams of a seed: truth, noise and faults of a record do not share theirs.
+    /// Starts a random stream of a seed. Truth, noise and faults of a record use different streams.
     pub(crate) fn stream(seed: u64, stream: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(stream);
@@ -21,7 +21,7 @@ impl Normal {
     }
 }
 
-/// Root mean square of a sequence.
+/// Returns the root mean square of a sequence.
 pub(crate) fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
         (sum + value * value, count + 1.0)
@@ -29,7 +29,7 @@ pub(crate) fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / count).sqrt()
 }
 
-/// How an estimate with a deviation compares with what is true.
+/// Comparison of estimates and their deviations with the truth.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Accuracy {
     count: f64,
@@ -46,7 +46,7 @@ pub(crate) struct Accuracy {
 }
 
 impl Accuracy {
-    /// Takes one instant; `std` is the stated deviation, and ± 3 of it the interval.
+    /// Adds one comparison. `std` is the stated deviation, and the interval is ± 3 of it.
     pub(crate) fn take(&mut self, estimate: f64, std: f64, truth: f64) {
         let error = (estimate - truth).abs();
         self.count += 1.0;
@@ -62,37 +62,39 @@ impl Accuracy {
         self.product += estimate * truth;
     }
 
-    /// Root mean square of the error.
+    /// Returns the root mean square error.
     pub(crate) fn rms_error(&self) -> f64 {
         (self.squared_error / self.count).sqrt()
     }
 
-    /// Root mean square of the error, beside that of the truth.
+    /// Returns the root mean square error relative to the root mean square of the truth.
     pub(crate) fn relative_error(&self) -> f64 {
         (self.squared_error / self.squared_truth).sqrt()
     }
 
-    /// Mean of the absolute error.
+    /// Returns the mean absolute error.
     pub(crate) fn mean_absolute_error(&self) -> f64 {
         self.absolute_error / self.count
     }
 
-    /// Root mean square of error over stated deviation: 1 when the intervals are right.
+    /// Returns the root mean square ratio of error to stated deviation, which is 1 if the intervals
+    /// are correct.
     pub(crate) fn normalised_error(&self) -> f64 {
         (self.squared_ratio / self.count).sqrt()
     }
 
-    /// Share of the instants inside ± 3 stated deviations.
+    /// Returns the share of the comparisons inside ± 3 stated deviations.
     pub(crate) fn coverage(&self) -> f64 {
         self.inside / self.count
     }
 
-    /// Distance of the mean estimate from the mean truth, in mean deviations: above 3 the interval misses the truth.
+    /// Returns the distance of the mean estimate from the mean truth, in mean deviations. Above 3,
+    /// the interval misses the truth.
     pub(crate) fn bias(&self) -> f64 {
         (self.estimate - self.truth).abs() / self.std
     }
 
-    /// Correlation of estimate and truth.
+    /// Returns the correlation of estimate and truth.
     pub(crate) fn correlation(&self) -> f64 {
         let centred = |sum: f64, a: f64, b: f64| sum - a * b / self.count;
         let estimate = centred(self.squared_estimate, self.estimate, self.estimate);
@@ -100,13 +102,13 @@ impl Accuracy {
         centred(self.product, self.estimate, self.truth) / (estimate * truth).sqrt()
     }
 
-    /// Mean of the stated deviation.
+    /// Returns the mean stated deviation.
     pub(crate) fn mean_std(&self) -> f64 {
         self.std / self.count
     }
 }
 
-/// Mean of what is taken.
+/// Mean of the added values.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Mean {
     sum: f64,
@@ -124,7 +126,8 @@ impl Mean {
     }
 }
 
-/// Least of some shares, at most 1; not a number where one of them is none, which no requirement is met by.
+/// Returns the smallest of some shares, at most 1. Returns NaN, which meets no requirement, if a
+/// share is NaN.
 pub(crate) fn least(shares: impl Iterator<Item = f64>) -> f64 {
     shares.fold(1.0, |least: f64, share| {
         if least.is_nan() || share.is_nan() {
@@ -135,12 +138,12 @@ pub(crate) fn least(shares: impl Iterator<Item = f64>) -> f64 {
     })
 }
 
-/// Independent numbers, uniform between 0 and 1.
+/// Generator of independent numbers, uniform between 0 and 1.
 #[derive(Debug, Clone)]
 pub(crate) struct Uniform(ChaCha8Rng);
 
 impl Uniform {
-    /// Starts one of the streams of a seed.
+    /// Starts a random stream of a seed.
     pub(crate) fn stream(seed: u64, stream: u64) -> Self {
         Self(Normal::stream(seed, stream).0)
     }

@@ -1,4 +1,4 @@
-//! Systems of the examples that no structure file describes.
+//! Example systems that no structure file describes.
 
 pub(crate) mod bouc_wen;
 pub(crate) mod chain;

@@ -1,9 +1,10 @@
-//! How well a level or parameter that changes is followed.
+//! Accuracy with which a changing level or parameter is tracked.
 
 use crate::scene::Course;
 use crate::statistics::Mean;
 
-/// Mean of estimate over truth in a window, and the share of it in which ± 3 sd cover the truth.
+/// Returns the mean ratio of estimate to truth in a window, the share of the window in which ± 3 sd
+/// contain the truth, and the mean relative deviation.
 pub(crate) fn agreement(level: &Course, from_s: f64, to_s: f64) -> (f64, f64, f64) {
     let (mut ratio, mut inside, mut relative_std) =
         (Mean::default(), Mean::default(), Mean::default());
@@ -19,10 +20,10 @@ pub(crate) fn agreement(level: &Course, from_s: f64, to_s: f64) -> (f64, f64, f6
     (ratio.value(), inside.value(), relative_std.value())
 }
 
-/// Value and time of the largest running mean over 2 s after a time.
+/// Returns the value and time of the largest running mean over 2 s after a time.
 pub(crate) fn peak(level: &Course, after_s: f64) -> (f64, f64) {
     let end = level.points.last().map_or(0.0, |point| point[0]) - 1.0;
-    // tenths of a second, so that times add up without rounding
+    // Integer tenths of a second add up without rounding.
     let tenths = (10.0 * after_s).round() as i64..(10.0 * end).ceil() as i64;
     let means = tenths
         .step_by(2)
@@ -33,7 +34,7 @@ pub(crate) fn peak(level: &Course, after_s: f64) -> (f64, f64) {
     })
 }
 
-/// Delay of the truth (s) with which the estimate correlates best.
+/// Returns the delay of the truth (s) with which the estimate correlates best.
 pub(crate) fn lag(level: &Course, from_s: f64) -> f64 {
     let points: Vec<&[f64; 4]> = level.points.iter().collect();
     let step_s = points[1][0] - points[0][0];

@@ -1,4 +1,4 @@
-//! What an authority writes, and what it refuses.
+//! Tests of the files that an authority writes and of the requests that it rejects.
 
 use super::*;
 use spandrel_bus::TlsError;

@@ -1,4 +1,4 @@
-//! The file of a baseline: JSON, version 2. Files of version 1 are still read.
+//! The file of a baseline: JSON, version 2. Version 1 is also readable.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::AlertError;
 /// Type and version in the file.
 const FORMAT: &str = "spandrel.baseline.v2";
 
-/// The version before: its scatter between records counted as known, and as zero for one record.
+/// Version 1. Its scatter between records counted as known, and as zero for one record.
 const FORMAT_1: &str = "spandrel.baseline.v1";
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ struct Parameter1 {
     between_std: f64,
 }
 
-/// The part that all versions have.
+/// The field that all versions have.
 #[derive(Debug, Deserialize)]
 struct Versioned {
     format: String,
@@ -52,11 +52,12 @@ struct Versioned {
 impl Baseline {
     /// Reads a baseline file of version 2 or 1.
     ///
-    /// The scatter of a file of version 1 is taken as estimated from its records. With one record it
+    /// The scatter in a file of version 1 counts as estimated from its records. With one record it
     /// is unknown.
     ///
     /// # Errors
-    /// The file cannot be read, is no baseline of these versions, or holds a value that cannot be a reference.
+    /// Fails if the file is unreadable, is not a baseline of these versions, or contains an invalid
+    /// reference.
     pub fn read(path: &Path) -> Result<Self, AlertError> {
         let text = std::fs::read_to_string(path).map_err(|source| AlertError::File {
             path: path.to_owned(),
@@ -115,10 +116,10 @@ impl Baseline {
         }
     }
 
-    /// Writes the baseline file, in version 2.
+    /// Writes the baseline file in version 2.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Fails if the file is not writable.
     pub fn write(&self, path: &Path) -> Result<(), AlertError> {
         let file = File {
             format: FORMAT.to_owned(),

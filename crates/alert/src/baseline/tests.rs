@@ -64,7 +64,8 @@ fn stated_scatter_makes_one_record_a_reference() {
 
 #[test]
 fn stated_scatter_that_the_records_contradict_is_refused() {
-    // b = 0.0707 with one degree of freedom: χ²/1 = 50 where 0.01 is stated, 2 where 0.05 is.
+    // b = 0.0707 with one degree of freedom: χ²/1 = 50 for a stated scatter of 0.01, and 2 for
+    // 0.05.
     let records = [record(0.9, 1e-6), record(1.0, 1e-6)];
     let error = stated(&records, 0.01).unwrap_err();
     assert!(
@@ -75,8 +76,8 @@ fn stated_scatter_that_the_records_contradict_is_refused() {
         "{error:?}"
     );
     assert!(stated(&records, 0.05).is_ok());
-    // χ² of 10.828 with one, 16.266 with three degrees of freedom is exceeded with probability 0.001 (Abramowitz & Stegun
-    // 1964, table 26.8)
+    // The probability of exceeding χ² = 10.828 with one degree of freedom, or 16.266 with three, is
+    // 0.001 (Abramowitz & Stegun 1964, table 26.8).
     assert!(
         (largest_mean_square(1.0) - 10.828).abs() < 1e-3,
         "{}",
@@ -100,15 +101,17 @@ fn scatter_too_large_for_so_few_records_is_no_reference() {
         "{baseline:?}"
     );
     assert!(baseline.reference("storey-1").is_none());
-    // a smaller one is known well enough from ten
+    // Ten records determine a smaller scatter well enough.
     let ten: Vec<RecordSummary> = (0..10)
         .map(|i| record(0.7 + 0.3 * f64::from(i % 2), 0.01))
         .collect();
     assert!(estimated(&ten).unwrap().reference("storey-1").is_some());
 }
 
-/// A bound of 0.99 may be exceeded by 1 % of sound records: with normal scatter by as many, and by fewer where the records
-/// themselves are uncertain, because that uncertainty is counted twice. 20 000 draws give 1 % ± 0.07 %.
+/// Sound records exceed a bound of 0.99 in 1 % of cases if the scatter is normal.
+///
+/// The share is lower if the records themselves are uncertain, because that uncertainty counts
+/// twice. 20 000 draws give 1 % ± 0.07 %.
 #[test]
 fn bound_of_99_percent_is_exceeded_by_about_one_percent_of_sound_records() {
     const DRAWS: u32 = 20_000;
@@ -129,7 +132,7 @@ fn bound_of_99_percent_is_exceeded_by_about_one_percent_of_sound_records() {
                     .collect();
                 let parameter = join_spans("storey-1", &spans, BetweenRecords::Estimated).unwrap();
                 let further = estimate(show(), within_std);
-                // too few records for a reference never raise anything
+                // Too few records for a reference never raise an alert.
                 let reference = parameter.reference(n).ok();
                 let probability =
                     reference.map_or(0.0, |known| probability_of_loss(&further, &known, 0.0));
@@ -144,8 +147,10 @@ fn bound_of_99_percent_is_exceeded_by_about_one_percent_of_sound_records() {
     }
 }
 
-/// The bound on the scatter costs little where the scatter is that of real structures: with two records and a true scatter of 10 %,
-/// a bound of 0.99 is exceeded by 2.2 % of sound records. 20 000 draws give that to 0.1 %.
+/// The limit on the scatter has little effect for the scatter of real structures.
+///
+/// With two records and a true scatter of 10 %, 2.2 % of sound records exceed a bound of 0.99. 20
+/// 000 draws determine that share to 0.1 %.
 #[test]
 fn bound_of_99_percent_is_nearly_kept_by_structures_that_scatter_much() {
     const DRAWS: u32 = 20_000;
@@ -202,8 +207,9 @@ fn interval_of_a_loss_ends_where_its_probability_is_0_975_and_0_025() {
 
 #[test]
 fn two_records_cannot_raise_what_ten_can() {
-    // Two records 0.03 apart, the scatter bounded at 0.25: a bound of 0.99 lies 0.24935 below (a sum over σ by hand; without the
-    // bound 31.8·0.026). Ten with the same b: 2.82·0.0222.
+    // Two records differ by 0.03, with the scatter limited to 0.25: a bound of 0.99 lies 0.24935
+    // below (a sum over σ by hand). Without the limit it would be 31.8·0.026. For ten records with
+    // the same b, it is 2.82·0.0222.
     let two = estimated(&[record(0.985, 0.001), record(1.015, 0.001)])
         .unwrap()
         .reference("storey-1")
@@ -224,7 +230,8 @@ fn two_records_cannot_raise_what_ten_can() {
 
 #[test]
 fn interval_for_the_structure_holds_the_scatter_between_records() {
-    // b = 0.001 with two degrees of freedom: 0.975 point of Student 4.303 (Abramowitz & Stegun 1964, table 26.10)
+    // b = 0.001 with two degrees of freedom: 0.975 point of Student 4.303 (Abramowitz & Stegun
+    // 1964, table 26.10)
     let baseline =
         estimated(&[record(0.999, 1e-5), record(1.0, 1e-5), record(1.001, 1e-5)]).unwrap();
     let interval = baseline

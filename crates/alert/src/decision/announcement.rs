@@ -1,11 +1,11 @@
-//! What a decision says of itself: alerts, and revisions of those that stand.
+//! The alerts of a decision, and revisions of raised alerts.
 
 use super::{Decision, Stage};
 use crate::credibility::{loss_estimate, probability_of_loss};
 use crate::{Alert, LossEstimate, ParameterEstimate, wording::describe};
 use spandrel_bus::{AlertState, EstimateFlags};
 
-/// A raised alert is revised at most once in so long, ns of measurement time.
+/// Minimum time between revisions of a raised alert, ns of measurement time.
 const REVISED_EVERY_NS: i64 = 1_000_000_000;
 
 impl Decision {
@@ -16,13 +16,13 @@ impl Decision {
         }
     }
 
-    /// Says the loss of a raised alert again, where it is no longer the one last said.
+    /// Announces a raised alert again if its loss has changed, or if a sudden change has ended.
     pub(super) fn revise(&mut self, alerts: &mut Vec<Alert>) {
         let (Some(last), Some((estimate, flags))) = (&self.last_alert, &self.last) else {
             return;
         };
         let Stage::Watching { reference, .. } = &self.stage else {
-            return; // nothing is raised before the reference is known
+            return; // no alert is raised before the reference is known
         };
         let is_raised = matches!(last.state, AlertState::Raised | AlertState::Acknowledged);
         let is_due = estimate.time_ns.saturating_sub(last.estimate.time_ns) >= REVISED_EVERY_NS;
@@ -38,7 +38,7 @@ impl Decision {
         }
     }
 
-    /// The alert that says `state` at the last estimate.
+    /// Returns the alert for `state` at the last estimate.
     pub(super) fn alert(&self, state: AlertState) -> Option<Alert> {
         let (estimate, flags) = self.told_estimate(state)?;
         let reference = match &self.stage {
@@ -75,7 +75,10 @@ impl Decision {
         Some(alert)
     }
 
-    /// The estimate that an alert in `state` is about: the last one, and of an alert that is not confirmed the last one that was.
+    /// Returns the estimate for an alert in `state`.
+    ///
+    /// This is the last estimate. For an unconfirmed alert without a decision, it is the last
+    /// announced estimate, with the present time.
     fn told_estimate(&self, state: AlertState) -> Option<(ParameterEstimate, EstimateFlags)> {
         let (estimate, flags) = self.last?;
         let is_unsupported =
@@ -92,7 +95,7 @@ impl Decision {
     }
 }
 
-/// Returns `true` if one of two losses lies outside the interval of the other.
+/// Returns `true` if one of the two losses lies outside the interval of the other.
 fn disagree(told: &LossEstimate, now: &LossEstimate) -> bool {
     let holds = |interval: &LossEstimate, loss: f64| (interval.low..=interval.high).contains(&loss);
     !holds(now, told.loss) || !holds(told, now.loss)

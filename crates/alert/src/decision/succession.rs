@@ -1,7 +1,8 @@
-//! What becomes of a decision when the structure file says something else.
+//! The effect of a changed structure file on a decision.
 //!
-//! A decision goes on as if nothing had been if its rule is the same; comments, formatting, the place of a rule and whatever
-//! does not concern alerts are not looked at. An alert that stands and that the rules of now do not raise ends, in words.
+//! A decision continues unchanged if its rule is the same. Comments, formatting, the position of a
+//! rule and settings that do not affect alerts are ignored. An active alert that the new rules do
+//! not raise ends with an explanation.
 
 use super::{Decision, Stage, Watching};
 use crate::support::Support;
@@ -9,17 +10,18 @@ use crate::wording::{End, describe_end};
 use crate::{Alert, ReferenceRule, probability_of_loss};
 use spandrel_bus::AlertState;
 
-/// Whether the estimates to come are of the same model as those before.
+/// Whether a new structure file describes the same model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Model {
-    /// They are.
+    /// The model is the same.
     Same,
-    /// The structure file says something else of model, sensors or filter: the identification begins at its prior.
+    /// Model, sensors or filter have changed: the identification starts from its prior.
     Changed,
 }
 
 impl Decision {
-    /// Goes on where `former`, a decision on the parameter of the same name, stood; appends what has changed by that.
+    /// Continues from `former`, a decision on the parameter of the same name. Appends alerts for
+    /// changes.
     pub(crate) fn succeed(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
         let learns = matches!(self.rule.reference(), ReferenceRule::Learnt { .. });
         let keeps_reference =
@@ -40,7 +42,8 @@ impl Decision {
         }
     }
 
-    /// The end of this decision, which no rule of the structure file continues; `None` where nothing of it stood.
+    /// Ends a decision that no rule of the structure file continues. Returns `None` if it had no
+    /// active alert.
     pub(crate) fn ended(mut self, end: &End) -> Option<Alert> {
         let state = match self.state() {
             AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed => {
@@ -60,13 +63,13 @@ impl Decision {
         })
     }
 
-    /// Takes up by its own rule what stood by another.
+    /// Applies the rule of this decision to the state under another rule.
     fn judge_anew(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
         if former.state() == AlertState::Undecided {
             self.last_alert = former.last_alert.clone().map(|last| self.renumbered(last));
         }
         let Stage::Watching { watch: stood, .. } = &former.stage else {
-            return; // nothing can have stood while a reference was learnt
+            return; // no alert can exist while a reference is learnt
         };
         match stood.clone() {
             Watching::Normal => self.take_up(Watching::Normal),
@@ -87,7 +90,8 @@ impl Decision {
                         low_since_ns: None,
                         is_confirmed,
                     });
-                    self.last_alert = self.alert(self.state()); // the same state, with the numbers of this rule
+                    // The state is the same, but the message contains the values of the new rule.
+                    self.last_alert = self.alert(self.state());
                 }
                 Some(end) => {
                     self.take_up(if acknowledged.is_some() {
@@ -116,7 +120,7 @@ impl Decision {
         }
     }
 
-    /// Why an alert that `former` had raised is over by the rule of this decision; `None` while it stands.
+    /// Returns the reason why the new rule ends an alert of `former`. `None` if the alert remains.
     fn end(&self, former: &Self, model: Model) -> Option<End> {
         let (Stage::Watching { reference, .. }, Some((estimate, _))) = (&self.stage, &self.last)
         else {

@@ -18,12 +18,12 @@ fn subject() -> Subject {
     }
 }
 
-/// More than 5 % with 95 % for 10 s.
+/// Returns a rule for more than 5 % with 95 % credibility for 10 s.
 fn rule() -> Rule {
     Rule::new(0.05, 0.95, 0.5, 10.0).unwrap()
 }
 
-/// A decision, and the alerts that it has given.
+/// A decision with the alerts that it has produced.
 struct Drive {
     decision: Decision,
     alerts: Vec<Alert>,
@@ -37,12 +37,12 @@ impl Drive {
         }
     }
 
-    /// One estimate each second from `seconds.start` on.
+    /// Processes one estimate per second.
     fn estimates(&mut self, seconds: std::ops::Range<i64>, mean: f64, std: f64) -> &mut Self {
         self.flagged(seconds, mean, std, EstimateFlags::working())
     }
 
-    /// The same, of frames with these flags.
+    /// Processes one estimate per second with these flags.
     fn flagged(
         &mut self,
         seconds: std::ops::Range<i64>,
@@ -76,7 +76,7 @@ impl Drive {
             .handle(Input::Acknowledge(by), &mut self.alerts)
     }
 
-    /// States with their times in s; revisions are left out.
+    /// Returns the states with their times in s, without revisions.
     fn states(&self) -> Vec<(AlertState, i64)> {
         let changes = self.alerts.iter().filter(|alert| alert.revision == 0);
         changes
@@ -84,7 +84,7 @@ impl Drive {
             .collect()
     }
 
-    /// Revisions of a state with their times in s.
+    /// Returns the revisions of a state with their times in s.
     fn revisions(&self, state: AlertState) -> Vec<(u32, i64)> {
         let revisions = self
             .alerts
@@ -100,7 +100,7 @@ const SOUND: f64 = 1.0;
 const SOFT: f64 = 0.86;
 const SURE: f64 = 0.01;
 
-/// Flags of a frame at which the data contradict the model.
+/// Returns the flags of a frame whose data contradict the model.
 fn contradicted() -> EstimateFlags {
     let fit_reasons = [FitReason::ExcessNoise].into_iter().collect();
     EstimateFlags {
@@ -164,7 +164,8 @@ fn raised_alert_does_not_flap_around_the_credibility() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..11, SOFT, SURE);
     for second in 11..100 {
-        // P = 0.93 and 0.97 in turn (z = 1.5 and 1.9), each for longer than the sustain time; the clear credibility is 0.5.
+        // P alternates between 0.93 and 0.97 (z = 1.5 and 1.9), each for longer than the sustain
+        // time. The clear credibility is 0.5.
         let mean = if second % 40 < 20 { 0.935 } else { 0.931 };
         drive.estimates(second..second + 1, mean, SURE);
     }
@@ -308,14 +309,15 @@ fn prior_of_a_restarted_filter_clears_no_alert() {
         drive.states(),
         [(Pending, 0), (Raised, 10), (Unconfirmed, 12)]
     );
-    drive.estimates(60..80, SOUND, SURE); // measured again, and decided on a second later: now it is news
+    // After a restart, the estimate is measured again, and a decision follows a second later.
+    drive.estimates(60..80, SOUND, SURE);
     assert_eq!(drive.states()[3..], [(Unconfirmed, 61), (Cleared, 71)]);
 }
 
 #[test]
 fn learnt_reference_carries_its_uncertainty() {
-    // Learnt 0.9 ± 0.04. m = 0.80: Φ((0.855 − 0.80)/√(0.01² + 0.038²)) = Φ(1.40) = 0.919 < 0.95, although against 0.9
-    // known exactly it would be Φ(5.5).
+    // Learnt 0.9 ± 0.04. m = 0.80: Φ((0.855 − 0.80)/√(0.01² + 0.038²)) = Φ(1.40) = 0.919 < 0.95.
+    // Against an exact 0.9 it would be Φ(5.5).
     let learning = rule().with_learnt_reference(60.0).unwrap();
     let mut drive = Drive::new(learning);
     drive
@@ -346,7 +348,8 @@ fn reference_that_is_too_uncertain_is_learnt_on() {
     drive.estimates(0..20, 0.9, 0.5);
     assert_eq!(drive.states(), [(Learns, 0)]);
     drive.estimates(20..30, 0.9, 0.01);
-    // against 0.9 ± 0.05 no estimate shows a loss of 10 %, but 0.9 excludes it: Φ((0.9 − 0.81)/√(0.01² + 0.045²)) = 0.975
+    // Against 0.9 ± 0.05 no estimate shows a loss of 10 %, but 0.9 excludes it: Φ((0.9 −
+    // 0.81)/√(0.01² + 0.045²)) = 0.975.
     assert_eq!(drive.states()[1..], [(Normal, 20)]);
     drive.estimates(30..40, 0.85, 0.01); // Φ(0.04/0.046) = 0.81
     assert_eq!(drive.states()[2..], [(Undecided, 31)]);

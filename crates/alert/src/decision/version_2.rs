@@ -1,7 +1,8 @@
-//! Decisions as Spandrel 0.1.0 laid them out: a part of version 2 of the checkpoint of alert.
+//! Decisions in the layout of Spandrel 0.1.0, a part of version 2 of the checkpoint of alert.
 //!
-//! postcard writes fields in order and without names. So each type here has the fields of 0.1.0 in the order of 0.1.0. Types
-//! that have not changed since are used as they are; whoever changes one of them adds its former layout here.
+//! postcard writes fields in order and without names. Each type here therefore has the fields of
+//! 0.1.0 in the order of 0.1.0. Types without later changes are used directly. Anyone who changes
+//! one of them must add its former layout here.
 
 use serde::Deserialize;
 use spandrel_bus::{AlertState, EstimateFlags, FitReasons};
@@ -39,13 +40,13 @@ impl From<Decision> for crate::Decision {
                 .map(|estimate| (estimate, EstimateFlags::working())),
             last_alert: former.last_alert.map(Into::into),
         };
-        // The filter that made the estimates so far does not go on: the present one starts from its prior.
+        // The filter of those estimates does not continue: the present one starts from its prior.
         decision.handle(Input::NewSource, &mut Vec::new());
         decision
     }
 }
 
-/// [`crate::Subject`] of version 2, which did not know the bounds of the parameter.
+/// [`crate::Subject`] of version 2, which did not contain the bounds of the parameter.
 #[derive(Debug, Deserialize)]
 struct Subject {
     parameter: usize,
@@ -114,7 +115,8 @@ enum ReferenceRule {
     Learnt { span_ns: i64 },
 }
 
-/// [`crate::Reference`] of version 2: mean and standard deviation. 0.1.0 took the whole deviation as known.
+/// [`crate::Reference`] of version 2: mean and standard deviation. 0.1.0 treated the whole
+/// deviation as known.
 #[derive(Debug, Deserialize)]
 #[serde(try_from = "(f64, f64)")]
 struct Reference(crate::Reference);
@@ -164,7 +166,8 @@ impl From<Stage> for super::Stage {
     }
 }
 
-/// [`super::Watching`] of version 2. Every raised alert was confirmed, because 0.1.0 was never undecided.
+/// [`super::Watching`] of version 2. Every raised alert counts as confirmed, because 0.1.0 had no
+/// undecided state.
 #[derive(Debug, Deserialize)]
 enum Watching {
     Normal,
@@ -203,7 +206,7 @@ impl From<Watching> for super::Watching {
     }
 }
 
-/// [`crate::Alert`] of version 2. Nobody judged the fit, and no alert was revised.
+/// [`crate::Alert`] of version 2, which had no verdict on the fit and no revisions.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Alert {
     rule: usize,

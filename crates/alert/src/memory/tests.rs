@@ -7,7 +7,7 @@ use crate::Acknowledged;
 const TOWER: &str = include_str!("../../tests/tower.toml");
 const RULE: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
 
-/// The tower of which both storeys are identified, with these alert rules.
+/// Returns the tower file with both storeys identified and these alert rules.
 fn tower(rules: &str) -> String {
     let without_rule = TOWER.split("[[alert]]").next().unwrap();
     format!(
@@ -23,7 +23,7 @@ fn new(text: &str) -> AlertState {
     AlertState::new(&structure(text), None).unwrap()
 }
 
-/// A second of estimates with these means and standard deviation 0.01.
+/// Processes a second of estimates with these means and a standard deviation of 0.01.
 pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     let estimate = Estimate {
         mean: means.to_vec(),
@@ -59,7 +59,8 @@ pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     alerts
 }
 
-/// Storey 2 has lost 14 %, and Ada has seen it if `acknowledged`.
+/// Returns a state in which storey 2 has lost 14 %. Ada has acknowledged the alert if
+/// `acknowledged`.
 fn raised(text: &str, acknowledged: bool) -> AlertState {
     let mut state = new(text);
     second_of(&mut state, [1.0, 0.86]);
@@ -80,7 +81,7 @@ fn stands(state: &AlertState) -> Option<(spandrel_bus::AlertState, f64)> {
         .map(|alert| (alert.state, alert.rule_loss))
 }
 
-/// State, name of the parameter and words of what follows from the change.
+/// Returns state, parameter name and words of each alert caused by the change.
 fn told(state: &AlertState) -> Vec<(spandrel_bus::AlertState, &str, &str)> {
     let name = |alert: &Alert| state.basis.parameters[alert.parameter].as_str();
     state
@@ -119,12 +120,13 @@ fn a_rule_beside_it_or_before_it_costs_no_acknowledgement() {
 fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
     let changed = tower(&RULE.replace("0.05", "0.2"));
     let state = new(&changed).succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % with probability 0.950 for 0.5 s to more \
-               than 20 % with probability 0.950 for 0.5 s, and the last estimate gives that loss probability below 0.001";
+    let why = "alert of storey-2 has ended: its rule changed from more than 5 % with probability \
+               0.950 for 0.5 s to more than 20 % with probability 0.950 for 0.5 s; the probability \
+               of that loss by the last estimate is below 0.001";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
     assert_eq!(stands(&state), Some((Cleared, 0.2)));
     assert_eq!(state.log.back().map(|alert| alert.state), Some(Cleared));
-    // who had seen it need not see its end
+    // An acknowledged alert becomes normal without a further acknowledgement.
     let state = new(&changed).succeed(raised(&tower(RULE), true));
     assert_eq!(
         told(&state).iter().map(|told| told.0).collect::<Vec<_>>(),
@@ -141,9 +143,10 @@ fn an_alert_that_ends_by_another_reference_says_what_the_loss_counts_from() {
         ))
     };
     let state = new(&counted_from(0.87, 0.02)).succeed(raised(&counted_from(1.045, 0.046), false));
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.045 ± 0.046 with probability 0.950 \
-               for 0.5 s to more than 5 % below 0.870 ± 0.020 with probability 0.950 for 0.5 s, and the last estimate gives that \
-               loss probability 0.059";
+    let why = "alert of storey-2 has ended: its rule changed from more than 5 % below 1.045 ± \
+               0.046 with probability 0.950 for 0.5 s to more than 5 % below 0.870 ± 0.020 with \
+               probability 0.950 for 0.5 s; the probability of that loss by the last estimate is \
+               0.059";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
 }
 
@@ -158,7 +161,7 @@ fn an_alert_that_the_changed_rule_raises_too_stands_with_its_acknowledgement() {
 fn an_alert_that_no_rule_watches_ends_with_a_reason() {
     let rule = RULE.replace("\"all\"", "[\"storey-1\"]");
     let state = new(&tower(&rule)).succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: no rule of the structure file watches it any more";
+    let why = "alert of storey-2 has ended: the structure file no longer contains a rule for it";
     assert_eq!(
         (told(&state), stands(&state)),
         (vec![(Cleared, "storey-2", why)], None)
@@ -168,10 +171,10 @@ fn an_alert_that_no_rule_watches_ends_with_a_reason() {
 #[test]
 fn an_alert_of_a_parameter_that_is_gone_ends_under_its_name() {
     let state = new(TOWER).succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: the structure file has no such parameter any more";
+    let why = "alert of storey-2 has ended: the structure file no longer contains the parameter";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
     assert!(state.is_consistent() && state.watch.parameter_count() == 1);
-    // and its name is forgotten with the last that is told of it
+    // The name disappears with the last alert that mentions it.
     let mut later = state;
     (later.unsent, later.log) = (Vec::new(), VecDeque::new());
     assert_eq!(new(TOWER).succeed(later).basis.parameters, ["storey-1"]);
@@ -229,7 +232,7 @@ fn a_reference_that_was_learnt_ends_with_its_model() {
     let raised = second_of(&mut former, [1.0, 0.8]);
     assert_eq!(raised.last().map(|alert| alert.state), Some(Raised));
     assert_eq!(told(&new(&learning).succeed(former.clone())), []);
-    // another loss counts from what was learnt
+    // A rule with another loss keeps the learnt reference.
     let other_loss = learning.replace("loss = 0.05", "loss = 0.1");
     assert_eq!(
         stands(&new(&other_loss).succeed(former.clone())),
@@ -243,6 +246,6 @@ fn a_reference_that_was_learnt_ends_with_its_model() {
     assert!(
         told(&state)[0]
             .2
-            .contains("is learnt anew, because its rule or the model has changed")
+            .contains("is being learnt again because the rule or the model changed")
     );
 }

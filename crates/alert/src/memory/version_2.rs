@@ -1,7 +1,7 @@
-//! The state as Spandrel 0.1.0 laid it out: version 2 of the checkpoint of alert.
+//! The state in the layout of Spandrel 0.1.0, which is version 2 of the checkpoint of alert.
 //!
-//! A converted state keeps the alerts that stand, the acknowledgements and the log. Fields that 0.1.0 did not have get the
-//! values of a service that has never been undecided.
+//! A converted state keeps active alerts, acknowledgements and the log. Fields that 0.1.0 did not
+//! have receive the values of a service that has never been undecided.
 
 use std::collections::VecDeque;
 
@@ -64,12 +64,13 @@ mod tests {
     use std::path::{Path, PathBuf};
     use std::time::Duration;
 
-    /// What 0.1.0 left on disk, and what it published last.
+    /// Returns the folder with the checkpoint that 0.1.0 left on disk, and its last published
+    /// messages.
     fn kept() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/kept/0.1.0")
     }
 
-    /// The structure file of 0.1.0, whose rule has this line too.
+    /// Returns the structure file of 0.1.0, with this line added to its rule.
     fn structure(line: &str) -> Structure {
         let text = std::fs::read_to_string(kept().join("structure.toml")).unwrap();
         let text = text.replace("loss = 0.05\n", &format!("loss = 0.05\n{line}\n"));
@@ -103,7 +104,7 @@ mod tests {
         alerts.into_iter().map(|alert| alert.state).collect()
     }
 
-    /// The alert of storey 2 that 0.1.0 published last, field by field.
+    /// Asserts that an alert equals the last alert of storey 2 published by 0.1.0, field by field.
     fn assert_is_known(alert: &crate::Alert) {
         let message = alert.to_message(
             &Name::new("house").unwrap(),
@@ -137,7 +138,7 @@ mod tests {
             .succeed(former.clone());
         assert_is_known(state.watch.standing(1).unwrap());
         assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
-        // a reference that is nearly the same raises it too
+        // An almost equal reference raises it too.
         let structure = self::structure("reference.design-std = 1e-9");
         let state = AlertState::new(&structure, None)
             .unwrap()
@@ -166,7 +167,7 @@ mod tests {
         assert_eq!(states(told.clone()), [Cleared, Learning]);
         let why = &told[0].why;
         assert!(
-            why.contains("alert of storey-2 has ended: what the loss counts from is learnt anew"),
+            why.contains("alert of storey-2 has ended: its reference is being learnt again"),
             "{why}"
         );
         let seen = state
@@ -182,8 +183,9 @@ mod tests {
         );
     }
 
-    // 0.1.0 left four rules. The first one learns its reference, and the second one has a pending alert of storey 1. The others
-    // have cleared an alert of storey 2, the last one against a reference that it had learnt.
+    // 0.1.0 left four rules. The first one learns its reference, and the second one has a pending
+    // alert of storey 1. The others have cleared an alert of storey 2, the last one against a
+    // learnt reference.
     #[test]
     fn decisions_of_0_1_0_go_on_in_their_stages() {
         let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kept/0.1.0");
@@ -229,7 +231,8 @@ mod tests {
 
         let mut state = present.succeed(former.clone());
         assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
-        // another filter makes the estimates: the sustain time of a pending alert starts again
+        // Another filter now computes the estimates, so the sustain time of a pending alert starts
+        // again.
         let alerts = second_of(&mut state, [0.86, 1.0]);
         assert_eq!(
             alerts
@@ -238,7 +241,7 @@ mod tests {
                 .collect::<Vec<_>>(),
             [(1, Some(3_000_000_000))]
         );
-        // the reference is learnt until 60 s: of 6001 frames, 100 had a loss of 14 %
+        // The reference is learnt until 60 s. Of 6001 frames, 100 had a loss of 14 %.
         let alerts: Vec<_> = (4..=60)
             .flat_map(|_| second_of(&mut state, [0.86, 1.0]))
             .collect();

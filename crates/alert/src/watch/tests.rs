@@ -4,7 +4,7 @@ use spandrel_bus::{EstimateFlags, FitVerdict, Header, Message, Name, Phase, Stre
 use super::*;
 use crate::{BetweenRecords, RecordSummary};
 
-/// Two parameters, the second with two rules: 5 % and 20 %.
+/// Returns a watch for two parameters. The second one has two rules: 5 % and 20 %.
 fn watch() -> Watch {
     let decision = |number, loss, parameter, name: &str| {
         let rule = Rule::new(loss, 0.95, 0.5, 0.05).unwrap();
@@ -96,7 +96,7 @@ fn most_severe_rule_stands_for_its_parameter() {
             .map(|alert| (alert.state, alert.rule_loss)),
         Some((AlertState::Raised, 0.2))
     );
-    // Half of the loss is mended: the rule of 20 % is cleared, that of 5 % stands.
+    // Half of the loss is repaired: the rule for 20 % is cleared, the rule for 5 % remains raised.
     alerts_of(
         &mut watch,
         &block(1, 20, vec![estimate([1.0, 0.86], 0.01, Phase::Working); 20]),
@@ -148,7 +148,7 @@ fn training_frames_decide_nothing() {
         &block(1, 0, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 50]),
     );
     assert_eq!(found, []);
-    // a training that stays open is told after a second
+    // A training period that lasts causes an alert after a second.
     let found = alerts_of(
         &mut watch,
         &block(
@@ -293,7 +293,7 @@ fn tower(reference: &str) -> Structure {
     Structure::parse(&text, "tower.toml".as_ref()).unwrap()
 }
 
-/// The reference with which the first alert on a large loss comes.
+/// Returns the reference of the first alert on a large loss.
 fn reference_used(structure: &Structure, baseline: Option<&Baseline>) -> Option<(f64, f64)> {
     let mut watch = Watch::new(structure, baseline).unwrap();
     let soft = Estimate {
@@ -360,7 +360,7 @@ fn baseline_of_another_structure_is_refused() {
     let error = Watch::new(&tower(""), Some(&tower_baseline("bridge"))).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "baseline is that of structure `bridge`, must be that of `tower`"
+        "baseline is for structure `bridge`, must be for `tower`"
     );
 }
 
@@ -371,7 +371,7 @@ proptest! {
         hold in 1_usize..8,
         cuts in prop::collection::vec(1_usize..20, 1..80),
     ) {
-        // Each mean is held for a while, so that pending and raised are reached.
+        // Each mean lasts for a while, so that pending and raised states occur.
         let estimates: Vec<Estimate> = means
             .iter()
             .flat_map(|(a, b, restarted)| {

@@ -6,7 +6,7 @@ use crate::message::{Estimate, EstimateBlock, EstimateFlags, FrameBlock, Header}
 use crate::ring::{Keep, Ring};
 use crate::testing::{frames, push};
 
-/// A source with its ring, a reader, and what the reader has got.
+/// A source with its ring, a reader, and the deliveries of the reader.
 struct Rig {
     ring: Ring<FrameBlock>,
     follower: Follower<FrameBlock>,
@@ -84,7 +84,8 @@ impl Rig {
         panic!("the reader never stops fetching");
     }
 
-    /// The numbers delivered; `None` for a number lost. Checks order and completeness on the way.
+    /// Returns the delivered numbers, or `None` for each lost number. Checks order and
+    /// completeness.
     fn items(&self) -> Vec<Option<u64>> {
         let mut items = Vec::new();
         let mut next = None;
@@ -248,7 +249,8 @@ fn a_source_that_is_gone_leaves_an_explicit_gap_after_a_few_tries() {
     assert_eq!(rig.fetch, None);
 }
 
-// Eight tries took 5.5 s, and what was held back behind the gap came too late for its frames.
+// Regression test: eight attempts took 5.5 s, and the items buffered after the gap were too late
+// for their frames.
 #[test]
 fn a_source_that_nobody_answers_for_leaves_a_gap_after_three_tries() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
@@ -322,7 +324,7 @@ fn an_answer_of_the_old_epoch_does_not_disturb_the_new_one() {
 
 #[test]
 fn a_block_that_its_source_denies_is_not_believed() {
-    // everything a source puts is in its buffer first
+    // A source stores everything in its buffer before publishing it.
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     rig.live(frames(1, 5, 1)); // never in the ring
     let at = CaughtUp {
@@ -463,9 +465,10 @@ fn an_answer_to_what_was_asked_before_a_block_came_says_nothing_of_it() {
 
 #[test]
 fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
-    const BLOCKS_PER_FAILURE: u64 = 28; // 40 per second, while missing items are given up within 5.5 s
+    // The source publishes 40 blocks per second. Missing items are abandoned within 5.5 s.
+    const BLOCKS_PER_FAILURE: u64 = 28;
     let mut rig = Rig::new(Start::Beginning, 100, 10);
-    push(&mut rig.ring, &frames(1, 0, 1000)).unwrap(); // before the reader came
+    push(&mut rig.ring, &frames(1, 0, 1000)).unwrap(); // before the start of the reader
     for round in 0..20 {
         for block in 0..BLOCKS_PER_FAILURE {
             let block_is_lost = round == 12 && block == 3;
@@ -488,7 +491,7 @@ fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
     );
 }
 
-/// As [`Rig::new`], of a source that keeps what it puts.
+/// Creates a rig as [`Rig::new`] does, for a source that stores its items.
 fn patient(limit: u64) -> Rig {
     let mut rig = Rig::new(Start::Beginning, 100, limit);
     rig.follower = Follower::new(Start::Beginning, limit, Patience::UntilAnswered);
@@ -508,7 +511,8 @@ fn caught_up(epoch: u64, sequence: u64) -> Answer<FrameBlock> {
     })
 }
 
-// After eight questions it gave up what ingest, back after ten seconds, still had on its disk.
+// Regression test: after eight attempts, the reader abandoned items that ingest, back after ten
+// seconds, still had on disk.
 #[test]
 fn of_a_source_that_keeps_its_items_nothing_is_given_up_while_it_is_away() {
     let mut rig = patient(10);
@@ -534,7 +538,7 @@ fn of_such_a_source_only_what_it_denies_is_given_up() {
     rig.live(frames(1, 5, 1));
     for tries in 0..MAX_FAILURES {
         assert_eq!(rig.items(), [Some(0)], "after {tries} tries");
-        rig.fail(); // does not count
+        rig.fail(); // not counted
         assert!(rig.fetch.take().is_some());
         rig.follower.answered(caught_up(1, 6), &mut rig.actions);
         rig.work();
@@ -547,7 +551,7 @@ fn of_such_a_source_only_what_it_denies_is_given_up() {
 fn what_is_left_of_an_epoch_comes_before_the_next_one() {
     let mut rig = patient(10);
     rig.live(frames(1, 0, 2));
-    rig.live(frames(2, 0, 1)); // two frames between them have found no room
+    rig.live(frames(2, 0, 1)); // two frames before it were lost
     rig.live(frames(2, 1, 1));
     assert_eq!(
         (
@@ -605,7 +609,7 @@ fn a_later_epoch_is_taken_up_where_nobody_can_be_asked() {
     );
 }
 
-/// Estimates of a frame without parameters, put by `source` in a term of leadership.
+/// Estimates without parameters, published by `source` in the term of a leader.
 fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBlock {
     let estimate = Estimate {
         mean: Vec::new(),
@@ -636,7 +640,7 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
     }
 }
 
-/// Number of the first item and term of each block delivered, and the number after the last.
+/// Returns the number of the first item, the end and the term of each delivered block.
 fn delivered(actions: &mut VecDeque<Action<EstimateBlock>>) -> Vec<(u64, u64, u64)> {
     let delivery = |action: Action<EstimateBlock>| match action {
         Action::Deliver(Delivery::Block(block)) => {
@@ -656,7 +660,8 @@ fn who_leads_in_a_higher_term_goes_on_with_the_stream_and_the_one_before_is_refu
     );
     follower.live(estimates(7, "a", 0, 3), &mut actions);
     follower.live(estimates(8, "b", 2, 4), &mut actions);
-    follower.live(estimates(7, "a", 3, 9), &mut actions); // it was frozen, and has not heard of the other one
+    // The former leader was frozen and does not know the new leader.
+    follower.live(estimates(7, "a", 3, 9), &mut actions);
     follower.live(estimates(8, "b", 6, 1), &mut actions);
     assert_eq!(delivered(&mut actions), [(0, 3, 7), (3, 6, 8), (6, 7, 8)]);
     assert_eq!(
@@ -693,7 +698,7 @@ fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
         VecDeque::new(),
     );
     follower.live(estimates(7, "a", 0, 3), &mut actions);
-    follower.live(estimates(8, "b", 6, 3), &mut actions); // 3 to 5 were lost with the one before
+    follower.live(estimates(8, "b", 6, 3), &mut actions); // 3 to 5 were lost with the former leader
     assert_eq!(delivered(&mut actions), [(0, 3, 7)]);
     follower.answered(Answer::Block(estimates(7, "a", 3, 3)), &mut actions);
     assert_eq!(delivered(&mut actions), []);

@@ -1,4 +1,4 @@
-//! Someone has seen an alert.
+//! Acknowledgement of an alert.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,24 +6,26 @@ use super::text::{mend_label, mend_text};
 use super::{Format, Malformed, Message, check_label, check_text};
 use crate::name::Name;
 
-/// Who acknowledges the alert of which parameter; the key says the same.
+/// Acknowledgement of the alert of one parameter. The key contains the same parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Acknowledgement {
     /// The structure.
     pub structure: Name,
     /// The parameter.
     pub parameter: Name,
-    /// When, ns since the Unix epoch, UTC, on the clock of the one who acknowledges.
+    /// Time of the acknowledgement, ns since the Unix epoch, UTC, on the clock of the person's
+    /// device.
     pub time_ns: i64,
-    /// Who; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without control characters.
+    /// Name of the person; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without control
+    /// characters.
     pub who: String,
-    /// A note; may be empty, and may have several lines.
+    /// A note; may be empty or have several lines.
     #[serde(default)]
     pub note: String,
 }
 
 impl Acknowledgement {
-    /// The same as it may be sent, of one that was kept when more was allowed.
+    /// Makes a stored acknowledgement valid if it was stored under less strict limits.
     #[must_use]
     pub fn legible(mut self) -> Self {
         mend_label(&mut self.who);

@@ -10,25 +10,26 @@ use super::{
 };
 use crate::name::Name;
 
-/// Where the alert of a parameter stands.
+/// State of the alert of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AlertState {
     /// The baseline is being learnt; no decision yet.
     Learning,
-    /// No loss with the credibility asked for.
+    /// No loss with the required credibility.
     Normal,
-    /// Loss with the credibility asked for, but not yet for the sustain time.
+    /// Loss with the required credibility, but not yet for the sustain time.
     Pending,
-    /// Loss with the credibility asked for, for the sustain time.
+    /// Loss with the required credibility for the sustain time.
     Raised,
-    /// Raised, and someone has seen it.
+    /// The alert was raised and a person has acknowledged it.
     Acknowledged,
-    /// Was raised; the loss is gone with the credibility asked for clearing.
+    /// The alert was raised. The absence of the loss then reached the credibility required for
+    /// clearing.
     Cleared,
-    /// Nothing is decided; `undecided_because` says why.
+    /// No decision is possible; `undecided_because` contains the reason.
     Undecided,
-    /// Was raised and stands, but the data do not support a decision now.
+    /// The alert was raised and remains open, but the data do not currently support a decision.
     Unconfirmed,
 }
 
@@ -45,7 +46,7 @@ impl AlertState {
         Self::Unconfirmed,
     ];
 
-    /// The state in one word, as in the message.
+    /// Returns the name of the state, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -61,64 +62,67 @@ impl AlertState {
     }
 }
 
-/// The state of the alert of one parameter, and why.
+/// State of the alert of one parameter, with its reasons.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AlertMessage {
     /// The structure.
     pub structure: Name,
     /// The parameter.
     pub parameter: Name,
-    /// Time of the frame that decided, ns since the Unix epoch, UTC.
+    /// Time of the frame on which the decision is based, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// The state from now on.
+    /// State after the decision.
     pub state: AlertState,
-    /// Since when the loss has been credible, ns since the Unix epoch, UTC; none while it is not.
+    /// Time since which the loss has been credible, ns since the Unix epoch, UTC. `None` if it is
+    /// not credible.
     pub since_ns: Option<i64>,
-    /// Loss that the rule asks about, a share of the reference (0.1 = 10 %).
+    /// Loss threshold of the rule, a share of the reference (0.1 = 10 %).
     pub rule_loss: f64,
-    /// Credibility that the rule asks for (0.95 = 95 %).
+    /// Credibility that the rule requires (0.95 = 95 %).
     pub rule_credibility: f64,
-    /// Credibility found: the probability that more than `rule_loss` is gone; 0 while the reference is learnt.
+    /// Probability that the loss exceeds `rule_loss`; 0 while the reference is being learnt.
     pub credibility: f64,
-    /// Loss found, a share of the reference; none while the reference is learnt.
+    /// Estimated loss, a share of the reference. `None` while the reference is being learnt.
     pub loss: Option<f64>,
-    /// Interval of the loss for this structure: includes the uncertainty of the reference and, where the baseline states it,
-    /// the scatter between records.
+    /// Credible interval of the loss of this structure. It includes the uncertainty of the
+    /// reference and, if the baseline states it, the variation between records.
     pub loss_interval: Option<CredibleInterval>,
-    /// Interval of the loss within this record: what the estimate leaves open if the reference is exact.
+    /// Credible interval of the loss within this record, if the reference were exact.
     #[serde(default)]
     pub loss_interval_within_record: Option<CredibleInterval>,
     /// Mean of the parameter, ratio to nominal.
     pub mean: f64,
     /// Standard deviation of the parameter, ratio to nominal.
     pub std: f64,
-    /// What the loss is measured against, ratio to nominal; none while it is learnt.
+    /// Reference for the loss, ratio to nominal. `None` while it is being learnt.
     pub reference: Option<f64>,
-    /// Standard deviation of the reference.
+    /// Standard deviation of the reference, ratio to nominal.
     pub reference_std: Option<f64>,
-    /// Who acknowledged, if someone did.
+    /// Name of the person who acknowledged the alert, if any.
     pub acknowledged_by: Option<String>,
     /// The decision in words.
     pub why: String,
-    /// The verdict on the fit at the frame that decided; none where nobody judges it, and of what an earlier version kept.
+    /// Verdict on the fit at the deciding frame. `None` if the fit is not assessed, and in messages
+    /// stored by early versions.
     #[serde(default)]
     pub fit: Option<FitVerdict>,
-    /// Why the fit is not supported.
+    /// Reasons why the verdict is not supported.
     #[serde(default)]
     pub fit_reasons: FitReasons,
-    /// Whether the filter follows a sudden change: the loss is still moving.
+    /// Whether the filter follows a sudden change. If so, the loss is still changing.
     #[serde(default)]
     pub follows_jump: bool,
-    /// Why nothing is decided now; none while alerts are decided.
+    /// Reason why no decision is possible now. `None` if the service decides on alerts.
     #[serde(default)]
     pub undecided_because: Option<UndecidedBecause>,
-    /// How often a raised alert was revised since it was raised: state and `since_ns` stay the same.
+    /// Number of revisions since the alert was raised. A revision changes neither the state nor
+    /// `since_ns`.
     #[serde(default)]
     pub revision: u32,
 }
 
 impl AlertMessage {
-    /// Returns `true` if the alert was raised and is not over, whoever has seen it and whatever the data support now.
+    /// Returns `true` if the alert is open: raised, acknowledged or unconfirmed.
     #[must_use]
     pub fn stands(&self) -> bool {
         matches!(
@@ -127,13 +131,13 @@ impl AlertMessage {
         )
     }
 
-    /// Returns `true` if the alert stands and nobody has acknowledged it.
+    /// Returns `true` if the alert is open and not acknowledged.
     #[must_use]
     pub fn is_unseen(&self) -> bool {
         self.stands() && self.state != AlertState::Acknowledged && self.acknowledged_by.is_none()
     }
 
-    /// Returns `true` if this says the same of the same alert as `other`, with a newer loss.
+    /// Returns `true` if this message revises `other`: same alert and state, newer loss.
     #[must_use]
     pub fn revises(&self, other: &Self) -> bool {
         let same = |alert: &Self| {
@@ -150,7 +154,7 @@ impl AlertMessage {
             && same(self) == same(other)
     }
 
-    /// The same as it may be sent, of one that was kept when more was allowed.
+    /// Makes a stored alert valid if it was stored under less strict limits.
     #[must_use]
     pub fn legible(mut self) -> Self {
         self.acknowledged_by.iter_mut().for_each(mend_label);
@@ -158,11 +162,15 @@ impl AlertMessage {
         self
     }
 
-    /// What a value shown later says of the loss that this alert is about, in words: loss, estimate with its interval, and the
-    /// probability of the loss that the rule asks about. None where there is nothing to compare: no alert, a reference that is
-    /// being learnt, or a value that is not newer than the decision.
+    /// Describes the loss of this alert according to a later value.
     ///
-    /// Estimate and reference are independent normal variables, as in the decision itself.
+    /// The text states the loss, the estimate with its interval, and the probability that the loss
+    /// exceeds the threshold of the rule. Estimate and reference are independent normal variables,
+    /// as in the decision itself.
+    ///
+    /// Returns `None` if there is no alert, or if the reference is not positive or is being learnt.
+    /// Also returns `None` if the value belongs to another parameter or is not newer than the
+    /// decision.
     #[must_use]
     pub fn loss_by(&self, display: &ParameterDisplay) -> Option<String> {
         let is_open = match self.state {
@@ -282,7 +290,8 @@ mod tests {
     #[test]
     fn a_later_value_says_how_the_loss_stands_now() {
         let raised = alert(AlertState::Raised);
-        // mean at the threshold 0.95: one half, whatever the deviation
+        // If the mean equals the threshold 0.95, the probability is 0.5 for every standard
+        // deviation.
         let told = "loss 5.0 % (estimate 0.950, 95 % interval 0.930 to 0.970), more than 5.0 % with probability 0.500";
         assert_eq!(raised.loss_by(&display(101, 0.95)).as_deref(), Some(told));
         assert!(
@@ -300,7 +309,8 @@ mod tests {
 
     #[test]
     fn the_loss_counts_from_the_reference_of_the_alert() {
-        // (0.95·0.9 − 0.845)/√(0.01² + (0.95·0.02)²) = 0.4657; Φ(0.4657) = 0.679 (Abramowitz & Stegun, table 26.1)
+        // (0.95·0.9 − 0.845)/√(0.01² + (0.95·0.02)²) = 0.4657; Φ(0.4657) = 0.679 (Abramowitz &
+        // Stegun, table 26.1)
         let learnt = AlertMessage {
             reference: Some(0.9),
             reference_std: Some(0.02),

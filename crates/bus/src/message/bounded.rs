@@ -1,4 +1,6 @@
-//! Lists and maps that are given up as soon as they are too long: one byte of a message could otherwise take fifty in memory.
+//! Bounded deserialisation of lists and maps.
+//!
+//! Without a bound, one byte of a message could allocate fifty bytes of memory.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,7 +8,7 @@ use std::marker::PhantomData;
 
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
-/// Reads a list of at most `MOST` items.
+/// Deserialises a list of at most `MOST` items.
 pub(super) fn list<'de, D, T, const MOST: usize>(deserializer: D) -> Result<Vec<T>, D::Error>
 where
     D: Deserializer<'de>,
@@ -21,7 +23,7 @@ where
         }
 
         fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Self::Value, A::Error> {
-            // nothing is reserved: the length is what the sender claims
+            // Reserve nothing: a malicious sender can claim any length.
             let mut list = Vec::new();
             while let Some(item) = items.next_element()? {
                 if list.len() == MOST {
@@ -35,7 +37,7 @@ where
     deserializer.deserialize_seq(List::<T, MOST>(PhantomData))
 }
 
-/// Reads a map of names to counts, at most `MOST` of them.
+/// Deserialises a map of at most `MOST` names and counts.
 pub(super) fn counts<'de, D, const MOST: usize>(
     deserializer: D,
 ) -> Result<BTreeMap<String, u64>, D::Error>

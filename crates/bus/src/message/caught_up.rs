@@ -1,15 +1,16 @@
-//! The answer of a buffer that has nothing newer.
+//! Reply of a buffer that has no newer items.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Format, Header, Malformed, Message, StreamState};
 
-/// Says that the buffer has no item at or after the number asked for.
+/// Reply that the buffer has no item at or after the requested number.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CaughtUp {
-    /// Source and epoch of the stream; sequence: number of its next item, not yet put; time: 0.
+    /// Source and epoch of the stream. `sequence` is the number of its next item, which is not yet
+    /// published; time is 0.
     pub header: Header,
-    /// Whether the stream goes on.
+    /// Whether the stream continues.
     pub state: StreamState,
 }
 

@@ -1,11 +1,11 @@
-//! The structure file as read.
+//! Text of the structure file.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Format, MAX_MESSAGE_BYTES, Malformed, Message};
 use crate::name::Name;
 
-/// Answer to a query for the description of a structure.
+/// Reply to a query for the description of a structure.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Description {
     /// The structure.

@@ -1,4 +1,4 @@
-//! Estimates: everything identified, per frame.
+//! Estimates of all identified quantities, per frame.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,36 +9,37 @@ use super::{
 };
 use crate::grid::TimeGrid;
 
-/// Whether the filter still learns the noise or already works.
+/// Operating phase of the filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
-    /// The noise levels are being learnt: the estimate is not to be trusted.
+    /// The filter is learning the noise levels, so that the estimate is unreliable.
     Training,
-    /// Normal work.
+    /// Normal operation.
     Working,
-    /// A measured excitation delivers no samples that can be used: the estimate is not to be trusted.
+    /// A measured excitation has no usable samples, so that the estimate is unreliable.
     ExcitationSilent,
 }
 
-/// What was special about one frame.
+/// Special conditions of one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EstimateFlags {
-    /// Training, working, or without an excitation.
+    /// Operating phase of the filter.
     pub phase: Phase,
     /// The filter was restarted from its prior at this frame.
     pub restarted: bool,
-    /// No channel could be used: the estimate is the prediction.
+    /// No channel was usable, so that the estimate is the prediction.
     pub prediction_only: bool,
-    /// The verdict on the fit; none where nobody judges it: of the station of distributed identification, and of particles.
+    /// Verdict on the fit. `None` for the station of distributed identification and for particle
+    /// filters, which do not assess the fit.
     pub fit: Option<FitVerdict>,
-    /// Why the fit is not supported.
+    /// Reasons why the verdict is not supported.
     pub fit_reasons: FitReasons,
-    /// The filter follows a sudden change: the estimates are still moving.
+    /// The filter follows a sudden change, so that the estimates are still moving.
     pub follows_jump: bool,
 }
 
 impl EstimateFlags {
-    /// Flags of a frame of normal work on which nobody has judged the fit.
+    /// Creates the flags of a frame in normal operation without a verdict on the fit.
     #[must_use]
     pub fn working() -> Self {
         Self {
@@ -52,31 +53,31 @@ impl EstimateFlags {
     }
 }
 
-/// What is identified at one frame.
+/// Estimate at one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// Means of the parameters, in state order, ratios to nominal.
     pub mean: Vec<f64>,
-    /// Their covariance: upper triangle by columns, p(p+1)/2 values.
+    /// Covariance of the parameters: upper triangle by columns, p(p+1)/2 values.
     pub covariance: Vec<f64>,
     /// Means of the noise parameters.
     pub noise_mean: Vec<f64>,
     /// Variances of the noise parameters.
     pub noise_covariance: Vec<f64>,
-    /// Innovation per observation row, units of the channels, NaN = missing or screened out.
+    /// Innovation per observation row, units of the channels. NaN = missing or screened out.
     pub innovations: Vec<f64>,
-    /// νᵀS⁻¹ν over the channels used.
+    /// νᵀS⁻¹ν over the used channels.
     pub normalised_innovation_squared: f64,
     /// Logarithm of the evidence of this frame.
     pub log_evidence: f64,
     /// Number of observation rows used in the update.
     pub used_channels: u16,
-    /// What was special.
+    /// Special conditions of the frame.
     pub flags: EstimateFlags,
 }
 
 impl Estimate {
-    /// Variance of parameter `index`; `None` if there is no such parameter.
+    /// Returns the variance of parameter `index`, or `None` if the parameter does not exist.
     #[must_use]
     pub fn variance(&self, index: usize) -> Option<f64> {
         // Column j of the upper triangle ends with its diagonal, at j(j+1)/2 + j.
@@ -84,22 +85,24 @@ impl Estimate {
     }
 }
 
-/// Consecutive estimates; estimate j belongs to frame `header.sequence + j`.
+/// Consecutive estimates. Estimate j belongs to frame `header.sequence + j`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EstimateBlock {
-    /// Source: the id of identify; sequence: number of the first frame here; time: that of this frame.
+    /// Source: id of identify; sequence: number of the first frame in this block; time: of that
+    /// frame.
     pub header: Header,
-    /// Term of leadership of identify; 0 of the station of distributed identification, which has no standby.
+    /// Term of the leading identify. 0 for the station of distributed identification, which has no
+    /// standby.
     pub term: u64,
     /// Time of frame 0, ns since the Unix epoch, UTC.
     pub t0_ns: i64,
     /// Sampling rate of the structure, Hz.
     pub sampling_rate_hz: f64,
-    /// Parameters per estimate.
+    /// Number of parameters per estimate.
     pub parameters: u16,
-    /// Noise parameters per estimate.
+    /// Number of noise parameters per estimate.
     pub noise_parameters: u16,
-    /// Observation rows per estimate.
+    /// Number of observation rows per estimate.
     pub channels: u16,
     /// One estimate per frame.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_ITEMS>")]
@@ -109,13 +112,14 @@ pub struct EstimateBlock {
 }
 
 impl EstimateBlock {
-    /// Times of the frames, from frame 0 of the epoch; `None` only if the block was never checked.
+    /// Returns the times of the frames, from frame 0 of the epoch. `None` if the sampling rate is
+    /// invalid, which [`Message::check`] excludes.
     #[must_use]
     pub fn grid(&self) -> Option<TimeGrid> {
         TimeGrid::new(self.t0_ns, self.sampling_rate_hz)
     }
 
-    /// The estimates in order, each with the number of its frame.
+    /// Iterates over the estimates in order, with their frame numbers.
     pub fn iter(&self) -> impl Iterator<Item = (u64, &Estimate)> {
         (self.header.sequence..).zip(&self.estimates)
     }

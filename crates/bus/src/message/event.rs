@@ -1,4 +1,4 @@
-//! Rare things that people want to know: what, when, why.
+//! Rare events with their reasons, for people.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,58 +6,58 @@ use super::text::{mend_label, mend_text};
 use super::{Format, Malformed, Message, check_label, check_text};
 use crate::name::Name;
 
-/// The kinds of events.
+/// Kind of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EventKind {
     /// A filter or a service was restarted.
     Restart,
-    /// One that stood by has taken over.
+    /// A standby took over.
     Takeover,
     /// A reference or a noise parameter was calibrated.
     Calibration,
-    /// A noise level or parameter stays unknown: the data do not inform it.
+    /// A noise level or parameter remains unknown, because the data do not inform it.
     Unidentified,
-    /// Another model class leads.
+    /// Another model class is the most plausible one.
     LeadingClass,
-    /// A node disagrees with the others and is left out.
+    /// A node disagrees with the others and is excluded.
     NodeExcluded,
-    /// Nothing comes of a node that could be fused, or no node is there any more.
+    /// A node is offline or sends nothing that the station can fuse.
     NodeSilent,
-    /// A node is taken back, or is heard again.
+    /// A node is included again or sends usable messages again.
     NodeBack,
-    /// A channel is no longer used.
+    /// A channel is excluded.
     ChannelExcluded,
-    /// A channel is taken back.
+    /// A channel is included again.
     ChannelBack,
-    /// Items are lost for good.
+    /// Items are permanently lost.
     Gap,
-    /// Identification does not keep up: values for people are put less often.
+    /// Identification is overloaded and publishes display values less often.
     Overloaded,
-    /// It has caught up again.
+    /// Identification has caught up.
     CaughtUp,
 }
 
-/// One event.
+/// One event with its reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
     /// The structure.
     pub structure: Name,
-    /// When, ns since the Unix epoch, UTC, in measurement time.
+    /// Measurement time of the event, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// The kind.
+    /// Kind of the event.
     pub kind: EventKind,
-    /// Whom it concerns: a node, channel, parameter or service; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without
-    /// control characters.
+    /// Affected node, channel, parameter or service; at most
+    /// [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without control characters.
     pub subject: String,
     /// What happened, in words.
     pub what: String,
-    /// Why, in words.
+    /// The reason, in words.
     pub why: String,
 }
 
 impl Event {
-    /// The same as it may be sent, of one that was kept when more was allowed.
+    /// Makes a stored event valid if it was stored under less strict limits.
     #[must_use]
     pub fn legible(mut self) -> Self {
         mend_label(&mut self.subject);

@@ -1,28 +1,31 @@
-//! What the station tells a sensor node of the fusion.
+//! Feedback of the station to a sensor node after a fusion.
 
 use serde::{Deserialize, Serialize};
 
 use super::local::{MotionNumbers, ToldMotion, check_density, check_motion};
 use super::{Format, Header, MAX_CHANNELS, Malformed, Message, bounded, check_count};
 
-/// The answer to one message of a node.
+/// Reply to one message of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FeedbackMessage {
-    /// Source: the station; epoch: its own; sequence: number of the fusion; time: that of the fusion.
+    /// Source: the station; epoch: of the station; sequence: number of the fusion; time: of the
+    /// fusion.
     pub header: Header,
-    /// Epoch of the node whose message this answers.
+    /// Epoch of the node's message.
     pub node_epoch: u64,
-    /// The message that this answers, by the node's own count.
+    /// Sequence number of the node's message.
     pub answers: u64,
-    /// How many nodes were fused.
+    /// Number of fused nodes.
     pub nodes: u16,
     /// Means of the parameters, in the order of the structure file, ratios to nominal.
     pub mean: Vec<f64>,
-    /// Their covariance: upper triangle by columns, p(p+1)/2 values, or the p variances alone.
+    /// Covariance of the parameters: upper triangle by columns, p(p+1)/2 values, or only the p
+    /// variances.
     pub covariance: Vec<f64>,
-    /// The fused motion, where motion is sent in modes.
+    /// Fused motion, if the nodes exchange motion in modes.
     pub motion: Option<MotionNumbers>,
-    /// By node in the order of the file: its responses or samples, where these are exchanged.
+    /// Responses or samples per node, in the order of the structure file, if the nodes exchange
+    /// them.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub responses: Vec<Option<ToldMotion>>,
 }

@@ -1,6 +1,6 @@
-//! How well the model explains the data, and what keeps alerts from being decided.
+//! Verdicts on the fit of the model, and reasons why alerts cannot be decided.
 //!
-//! The words of the verdicts and reasons are here alone: every sentence that names one takes them from this file.
+//! This file alone contains the wording of verdicts and reasons. All messages and pages use it.
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -10,15 +10,15 @@ use super::{
 };
 use crate::name::Name;
 
-/// Whether the data support the model.
+/// Verdict on whether the data support the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FitVerdict {
-    /// No measure disagrees with the model.
+    /// All measures of fit agree with the model.
     Supported,
-    /// The model leaves out something that matters; intervals are widened for it.
+    /// The model omits something that matters. The filter widens the intervals accordingly.
     Doubtful,
-    /// The data contradict the model: an estimate has no meaning.
+    /// The data contradict the model, so that an estimate is meaningless.
     Contradicted,
 }
 
@@ -26,7 +26,7 @@ impl FitVerdict {
     /// All verdicts, from the best to the worst.
     pub const ALL: [Self; 3] = [Self::Supported, Self::Doubtful, Self::Contradicted];
 
-    /// The verdict in one word, as in the message.
+    /// Returns the name of the verdict, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -36,7 +36,7 @@ impl FitVerdict {
         }
     }
 
-    /// The verdict in a sentence without its end.
+    /// Returns the verdict as a clause without a full stop.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -51,15 +51,15 @@ impl FitVerdict {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FitReason {
-    /// The innovations exceed what the filter expects, all at once.
+    /// The innovations suddenly exceed the expectation of the filter.
     InnovationBurst,
-    /// A parameter rests on its bound.
+    /// A parameter is at its bound.
     ParameterAtBound,
     /// A parameter lies far outside its prior.
     FarFromPrior,
     /// The model explains too little of the response.
     LittleExplained,
-    /// The noise found is much larger than the noise stated.
+    /// The identified noise is much larger than the stated noise.
     ExcessNoise,
     /// The innovations are correlated over time.
     CorrelatedInnovations,
@@ -82,7 +82,7 @@ impl FitReason {
         Self::ExcitationInInnovations,
     ];
 
-    /// The reason as in the message.
+    /// Returns the name of the reason, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -97,7 +97,7 @@ impl FitReason {
         }
     }
 
-    /// The reason in words.
+    /// Returns the reason in words.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -119,12 +119,13 @@ impl FitReason {
     }
 }
 
-/// The reasons for a verdict other than supported; a list of words in JSON, a bit for each in postcard.
+/// Reasons for a verdict other than supported. JSON contains a list of names, postcard one bit per
+/// reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FitReasons(u16);
 
 impl FitReasons {
-    /// The reasons in the order in which they are reported.
+    /// Iterates over the reasons in the order in which they are reported.
     pub fn iter(self) -> impl Iterator<Item = FitReason> {
         FitReason::ALL
             .into_iter()
@@ -137,7 +138,7 @@ impl FitReasons {
         self.0 == 0
     }
 
-    /// The reasons in words, separated by commas; empty without a reason.
+    /// Returns the reasons in words, separated by commas, or an empty text if there are none.
     #[must_use]
     pub fn words(self) -> String {
         self.iter()
@@ -184,7 +185,9 @@ impl<'de> Deserialize<'de> for FitReasons {
     }
 }
 
-/// The verdict in words with its reasons: `the data contradict the model: a parameter rests on its bound`.
+/// Describes a verdict and its reasons.
+///
+/// Example: `the data contradict the model: a parameter rests on its bound`.
 #[must_use]
 pub fn fit_in_words(verdict: FitVerdict, reasons: FitReasons) -> String {
     match verdict {
@@ -197,24 +200,25 @@ pub fn fit_in_words(verdict: FitVerdict, reasons: FitReasons) -> String {
     }
 }
 
-/// What keeps alerts of a parameter from being decided.
+/// Reason why the alerts of a parameter cannot be decided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum UndecidedBecause {
-    /// The filter still learns its noise levels.
+    /// The filter is still learning its noise levels.
     NoiseTraining,
-    /// A measured excitation delivers no samples that can be used.
+    /// A measured excitation has no usable samples.
     ExcitationSilent,
     /// The data contradict the model.
     FitContradicted,
-    /// The estimate rests on a bound of the parameter.
+    /// The estimate is at a bound of the parameter.
     ParameterAtBound,
-    /// The estimate or its reference is so uncertain that a loss of twice the rule's would not be raised.
+    /// The estimate or its reference is too uncertain. Even twice the loss of the rule would not
+    /// raise an alert.
     NothingLearnt,
 }
 
 impl UndecidedBecause {
-    /// All reasons, the most fundamental first.
+    /// All reasons, in decreasing order of importance.
     pub const ALL: [Self; 5] = [
         Self::NoiseTraining,
         Self::ExcitationSilent,
@@ -223,7 +227,7 @@ impl UndecidedBecause {
         Self::NothingLearnt,
     ];
 
-    /// The reason as in the message.
+    /// Returns the name of the reason, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -235,7 +239,7 @@ impl UndecidedBecause {
         }
     }
 
-    /// The reason in words.
+    /// Returns the reason in words.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -250,22 +254,24 @@ impl UndecidedBecause {
     }
 }
 
-/// The measures of fit of one observed channel; none where a measure is not known yet.
+/// Measures of fit of one observed channel. `None` if a measure is not yet known.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelFitDisplay {
     /// The channel.
     pub channel: Name,
-    /// Largest autocorrelation of the innovations over the lags of one period, 0 to 1; near 0 when they are white.
+    /// Largest absolute autocorrelation of the innovations over the lags of one period, 0 to 1.
+    /// White innovations have a value near 0.
     pub largest_autocorrelation: Option<f64>,
-    /// Share of the variance of the channel that the model explains, 0 to 1.
+    /// Share of the channel's variance that the model or the stated noise explains, 0 to 1.
     pub explained_share: Option<f64>,
-    /// Correlation of the innovations with the measured excitation, −1 to 1; the largest over all lags of one period.
+    /// Correlation of the innovations with the measured excitation, −1 to 1. It is the value with
+    /// the largest magnitude over the lags of one period.
     pub excitation_correlation: Option<f64>,
-    /// Noise found divided by the noise stated, as standard deviations.
+    /// Identified noise divided by stated noise, as standard deviations.
     pub noise_ratio: Option<f64>,
 }
 
-/// The verdict on the fit of one structure, put at display rate and when it changes.
+/// Verdict on the fit of one structure, published at display rate and on every change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FitDisplay {
     /// The structure.
@@ -274,17 +280,18 @@ pub struct FitDisplay {
     pub time_ns: i64,
     /// The verdict.
     pub verdict: FitVerdict,
-    /// Why it is not supported.
+    /// Reasons why the verdict is not supported.
     pub reasons: FitReasons,
-    /// Whether the filter follows a sudden change: the estimates are still moving.
+    /// Whether the filter follows a sudden change. If so, the estimates are still moving.
     pub follows_jump: bool,
-    /// The measures of each observed channel, in the order of the structure file.
+    /// Measures of fit per observed channel, in the order of the structure file.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub channels: Vec<ChannelFitDisplay>,
 }
 
 impl FitDisplay {
-    /// The verdict in words, with its reasons and whether a sudden change is being followed.
+    /// Returns the verdict in words, with its reasons and whether the filter follows a sudden
+    /// change.
     #[must_use]
     pub fn words(&self) -> String {
         let followed = if self.follows_jump {

@@ -1,4 +1,4 @@
-//! Frames: the aligned samples of all channels of a structure.
+//! Frames: aligned samples of all channels of a structure.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,32 +11,34 @@ use crate::grid::TimeGrid;
 
 /// Consecutive frames.
 ///
-/// Frame j of the block has number `header.sequence + j`; frame k is at `t0_ns + round(k·10⁹/rate)`. The channels are
-/// those of the structure file, node after node, in its order.
+/// Frame j of the block has number `header.sequence + j`. The time of frame k is
+/// `t0_ns + round(k·10⁹/rate)`. The channels follow the order of the structure file, node by node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameBlock {
-    /// Source: the id of ingest; sequence: number of the first frame here; time: that of this frame.
+    /// Source: id of ingest; sequence: number of the first frame in this block; time: of that
+    /// frame.
     pub header: Header,
     /// Time of frame 0, ns since the Unix epoch, UTC.
     pub t0_ns: i64,
     /// Sampling rate of the structure, Hz.
     pub sampling_rate_hz: f64,
-    /// Channels of a frame.
+    /// Number of channels per frame.
     pub channels: u16,
-    /// Frame-major, units of the channels, NaN = missing.
+    /// Values, frame by frame, in the units of the channels. NaN = missing.
     pub values: Vec<f64>,
     /// Whether more frames follow this block.
     pub state: StreamState,
 }
 
 impl FrameBlock {
-    /// Times of the frames, from frame 0 of the epoch; `None` only if the block was never checked.
+    /// Returns the times of the frames, from frame 0 of the epoch. `None` if the sampling rate is
+    /// invalid, which [`Message::check`] excludes.
     #[must_use]
     pub fn grid(&self) -> Option<TimeGrid> {
         TimeGrid::new(self.t0_ns, self.sampling_rate_hz)
     }
 
-    /// The frames in order, each with its number and a value per channel.
+    /// Iterates over the frames in order, with their numbers. Each frame has one value per channel.
     pub fn iter(&self) -> impl Iterator<Item = (u64, &[f64])> {
         let frames = self.values.chunks_exact(usize::from(self.channels).max(1));
         (self.header.sequence..).zip(frames)

@@ -1,24 +1,26 @@
-//! The header that every postcard message starts with.
+//! The first field of every postcard message.
 
 use serde::{Deserialize, Serialize};
 
 use super::Malformed;
 
-/// Longest source id, in bytes.
+/// Maximum length of a source id, in bytes.
 pub const MAX_SOURCE_BYTES: usize = 128;
 
-/// Who says it, in which life, which item it is, and when that was measured.
+/// Source, epoch, sequence number and time of a message.
 ///
-/// These fields never change within a version, whatever follows them.
+/// These fields are the same in all message types and never change within a version.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
-    /// Id of the source: the node, or the id of the service.
+    /// Id of the source: the name of the node, or the id of the service.
     pub source: String,
-    /// Raised at each start or takeover of the source; a higher one starts the numbers anew, a lower one is stale.
+    /// Epoch of the sequence numbers. A higher epoch restarts them, and messages of a lower epoch
+    /// are stale.
     pub epoch: u64,
-    /// Number of the first item (sample, frame, estimate) of the block; the next block starts at this plus its items.
+    /// Number of the first item (sample, frame, estimate) of the block. The next block starts at
+    /// this number plus the number of items.
     pub sequence: u64,
-    /// Time of measurement of the first item, ns since the Unix epoch, UTC.
+    /// Measurement time of the first item, ns since the Unix epoch, UTC.
     pub time_ns: i64,
 }
 

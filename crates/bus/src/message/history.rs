@@ -1,4 +1,4 @@
-//! What the history service keeps, as it answers queries.
+//! Replies of the history service.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,25 +8,32 @@ use super::{
 };
 use crate::name::Name;
 
-/// One quantity over time, in rows that each stand for an interval; all columns have the same length.
+/// History of one quantity, in rows that each summarise an interval. All columns have the same
+/// length.
 ///
-/// A row of a parameter stands for the estimates of its interval: `mean` is the average of their means, `std` the root of the
-/// average of their variances, `spread` the standard deviation of their means over the interval, `least` and `largest` the
-/// extremes of their means, `low` and `high` the lowest and highest end of their 95 % intervals, `probability_of_loss` the largest
-/// one. Other kinds have a `mean` only, or `mean` and `std` (zero where there is none).
+/// For a parameter, a row summarises the estimates of its interval:
+///
+/// - `mean`: average of their means
+/// - `std`: square root of their average variance
+/// - `spread`: standard deviation of their means
+/// - `least`, `largest`: extremes of their means
+/// - `low`, `high`: lowest and highest end of their 95 % intervals
+/// - `probability_of_loss`: the largest probability
+///
+/// Other kinds have only a `mean`, or `mean` and `std`. Columns without values are zero.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HistoryRows {
     /// Time of the last value in the row, s since the Unix epoch, UTC.
     pub time_s: Vec<f64>,
-    /// How many values the row stands for.
+    /// Number of values in the row.
     pub count: Vec<u64>,
     /// Average of the means.
     pub mean: Vec<f64>,
-    /// Root of the average variance.
+    /// Square root of the average variance.
     pub std: Vec<f64>,
     /// Standard deviation of the means within the interval.
     pub spread: Vec<f64>,
-    /// Least mean.
+    /// Smallest mean.
     pub least: Vec<f64>,
     /// Largest mean.
     pub largest: Vec<f64>,
@@ -34,35 +41,36 @@ pub struct HistoryRows {
     pub low: Vec<f64>,
     /// Highest end of the 95 % intervals.
     pub high: Vec<f64>,
-    /// Largest probability of loss; 0 for what has none.
+    /// Largest probability of loss; 0 for quantities without this probability.
     pub probability_of_loss: Vec<f64>,
 }
 
-/// The answer to a query for one quantity.
+/// Reply to a query for one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HistorySpan {
     /// The structure.
     pub structure: Name,
-    /// `parameter`, `noise`, `outlier`, `class` or `node`.
+    /// Kind of the quantity: `parameter`, `noise`, `outlier`, `class` or `node`.
     pub kind: String,
-    /// Which one.
+    /// Name of the quantity.
     pub name: String,
-    /// Length of the intervals that were kept, s; none where rows are values as they were displayed.
+    /// Length of the intervals, s. `None` if each row is one value as displayed.
     pub resolution_s: Option<u32>,
-    /// Time of the first value that is kept in any resolution, s since the Unix epoch, UTC; none if there is none.
+    /// Time of the earliest stored value at any resolution, s since the Unix epoch, UTC. `None` if
+    /// no value is stored.
     pub kept_from_s: Option<f64>,
-    /// The rows, in order of time.
+    /// The rows, in chronological order.
     pub rows: HistoryRows,
 }
 
-/// The answer to a query for what happened: alerts in all their changes, acknowledgements, events; oldest first.
+/// Reply to a query for all alert changes, acknowledgements and events, oldest first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HistoryLog {
     /// The structure.
     pub structure: Name,
     /// Changes of alerts.
     pub alerts: Vec<AlertMessage>,
-    /// Who has seen which alert.
+    /// Acknowledgements of alerts.
     pub acknowledgements: Vec<Acknowledgement>,
     /// Restarts, calibrations, faults.
     pub events: Vec<Event>,

@@ -1,4 +1,4 @@
-//! What a sensor node that identifies for itself sends to the station.
+//! Message of a sensor node that identifies locally, to the station.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,35 +7,39 @@ use super::{
     bounded, check_count, check_finite, check_finite_list, check_range,
 };
 
-/// Most answers of the station that a node has taken since its last message.
+/// Maximum number of station replies in the lineage of one message.
 const MAX_ANSWERS: usize = 64;
 
-/// Largest power of two, and its inverse the smallest, that is a unit of told samples.
+/// Maximum absolute exponent of a unit, as a power of two.
 const LARGEST_EXPONENT: i16 = 1000;
 
-/// The motion of the structure in few numbers, each with its variance.
+/// Motion of the structure as a few numbers with their variances.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionNumbers {
     /// Means.
     pub mean: Vec<f64>,
-    /// Variances, as many, all positive.
+    /// Variances, one per mean, all positive.
     pub variance: Vec<f64>,
 }
 
-/// Some samples of a node in whole units, which take two bytes each where eight would be told of noise.
+/// Samples of a node in whole units. A sample usually takes two bytes instead of eight, because it
+/// omits digits below the noise.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ToldSamples {
-    /// By channel: its unit is two to this power, in SI units.
+    /// Exponent per channel. The unit is two to this power, in SI units.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     exponents: Vec<i16>,
-    /// By instant and channel: units, one further from zero than they are unless negative; 0 where a sample is missing.
+    /// Samples in units, by time step and channel; 0 if a sample is missing. Values from 0 upwards
+    /// are stored incremented by one.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     units: Vec<i32>,
 }
 
 impl ToldSamples {
-    /// Samples by instant and channel, NaN where one is missing, in units of two to these powers by channel. What is no whole number of units is
-    /// rounded; what is more than 2³¹ of them is missing.
+    /// Encodes samples by time step and channel, with one exponent per channel.
+    ///
+    /// NaN represents a missing sample. Samples are rounded to whole units. A sample with a
+    /// magnitude of 2³¹ − 1 units or more is missing.
     #[must_use]
     pub fn new(samples: &[f64], exponents: &[i16]) -> Self {
         let unit = exponents
@@ -52,7 +56,7 @@ impl ToldSamples {
         }
     }
 
-    /// Returns the samples by instant and channel, NaN where one is missing.
+    /// Decodes the samples by time step and channel. NaN represents a missing sample.
     #[must_use]
     pub fn samples(&self) -> Vec<f64> {
         let unit = self
@@ -95,17 +99,20 @@ impl ToldSamples {
     }
 }
 
-/// What is told of the motion.
+/// Transmitted motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToldMotion {
-    /// Modal coordinates or responses.
+    /// Modal coordinates or responses, with variances.
     Numbers(MotionNumbers),
     /// Samples.
     Samples(ToldSamples),
 }
 
 impl ToldMotion {
-    /// Means with their variances; or samples, which have none, in units of two to these powers by channel.
+    /// Creates the message from means and variances, or from samples.
+    ///
+    /// If `exponents` is empty, `mean` and `variance` are stored as numbers. Otherwise, `mean`
+    /// contains samples, encoded with one exponent per channel, and `variance` is ignored.
     #[must_use]
     pub fn new(mean: &[f64], variance: &[f64], exponents: &[i16]) -> Self {
         match exponents.is_empty() {
@@ -117,7 +124,9 @@ impl ToldMotion {
         }
     }
 
-    /// Returns means and variances; of samples the samples by instant and channel, NaN where one is missing, and no variances.
+    /// Returns means and variances.
+    ///
+    /// For samples, returns the samples by time step and channel (NaN = missing), and no variances.
     #[must_use]
     pub fn into_numbers(self) -> (Vec<f64>, Vec<f64>) {
         match self {
@@ -134,64 +143,69 @@ impl ToldMotion {
     }
 }
 
-/// From which density a node has started towards its message.
+/// Origin of a node's density.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeLineage {
-    /// Its own last message, 0 for the prior of the structure file.
+    /// Number of the node's own message from which it started; 0 for the prior of the structure
+    /// file.
     pub own: u64,
-    /// Messages whose answers it has taken since then.
+    /// Numbers of the messages whose replies the node has used since then.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_ANSWERS>")]
     pub answers: Vec<u64>,
 }
 
-/// A density of the parameters, and what goes with it.
+/// Density of the parameters, with its origin and the motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalDensity {
     /// Means of the parameters, in the order of the structure file, ratios to nominal.
     pub mean: Vec<f64>,
-    /// Their covariance: upper triangle by columns, p(p+1)/2 values, or the p variances alone.
+    /// Covariance of the parameters: upper triangle by columns, p(p+1)/2 values, or only the p
+    /// variances.
     pub covariance: Vec<f64>,
-    /// From which density the node started; none after it had to start anew.
+    /// Origin of the density. `None` after a restart of the node.
     pub lineage: Option<NodeLineage>,
-    /// Its motion, where the structure file asks for it.
+    /// Motion at the node, if the structure file requests it.
     pub motion: Option<ToldMotion>,
 }
 
-/// How the screening of one channel of a node stands; the station tells it on the topic of the channel.
+/// Screening state of one channel of a node. The station publishes it on the topic of the channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScreenedChannel {
-    /// In training, screening, or faulty.
+    /// State of the screening: training, screening or faulty.
     pub state: ChannelState,
-    /// Samples rejected since the filter started.
+    /// Number of samples rejected since the filter started.
     pub rejected: u64,
-    /// Samples screened since then.
+    /// Number of samples screened since the filter started.
     pub screened: u64,
-    /// Share of rejected samples among the recent ones; in single precision, as people look at it.
+    /// Share of rejected samples among the recent samples. Single precision suffices for display.
     pub recent_share: f32,
-    /// Running standard deviation of its residuals, unit of the channel.
+    /// Running standard deviation of the residuals, unit of the channel.
     pub scale: f32,
-    /// The latest stretch in which every sample was rejected, where it has changed since the message before.
+    /// Latest interval in which all samples were rejected, if it has changed since the previous
+    /// message.
     pub masked: Option<MaskedSpan>,
 }
 
-/// What a node sends once in a fusion period, and when its samples end.
+/// Message of a node, sent once per fusion period and at the end of its samples.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalMessage {
-    /// Source: the node; epoch: of the node's worker; sequence: its count of fusion periods, from 1; time: of its last
-    /// sample, by its own clock.
+    /// Source: the node; epoch: of its worker; sequence: count of fusion periods, from 1; time: of
+    /// its last sample, by the node's clock.
     pub header: Header,
-    /// Whether its samples come as they are measured.
+    /// Whether the samples are live or replayed.
     pub pace: Pace,
-    /// None where there is nothing new: the samples ended within a period.
+    /// The density. `None` if there is no new information, because the samples ended within a
+    /// period.
     pub density: Option<LocalDensity>,
-    /// Times the filter of the node has started anew.
+    /// Number of restarts of the node's filter.
     pub restarts: u64,
-    /// Instants since its last message at which it had a sample of any channel: 0 where all is predicted.
+    /// Number of time steps since the last message with a sample of at least one channel. If it is
+    /// 0, the density is only a prediction.
     pub samples: u64,
-    /// Its observed channels, in the order of the structure file; none where outliers are not screened.
+    /// Observed channels, in the order of the structure file. Empty if outliers are not screened.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub screening: Vec<ScreenedChannel>,
-    /// Whether more follows.
+    /// Whether more messages follow.
     pub state: NodeState,
 }
 

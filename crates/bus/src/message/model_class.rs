@@ -1,4 +1,4 @@
-//! The model classes at display rate.
+//! Model classes at display rate.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,43 +7,44 @@ use super::{
 };
 use crate::name::Name;
 
-/// How plausible one class is.
+/// Plausibility of one model class.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClassPlausibility {
-    /// The class: a name of the structure file, `baseline`, or the parameter that it singles out.
+    /// Name of the class: from the structure file, `baseline`, or the parameter that the class
+    /// singles out.
     pub class: String,
-    /// Its probability among those that compete.
+    /// Probability among the competing classes.
     pub plausibility: f64,
 }
 
-/// A calibration of the nominal model.
+/// Calibration of the nominal model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClassCalibration {
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// The class whose estimates became the nominal model.
+    /// Class whose estimates became the nominal model.
     pub class: String,
-    /// By which share the stiffness of what it singles out was changed: −0.049 for a loss of 4.9 %.
+    /// Relative change of the stiffness that the class singles out: −0.049 for a loss of 4.9 %.
     pub change: f64,
 }
 
-/// How the model classes of a structure stand.
+/// State of the model classes of a structure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelClassDisplay {
     /// The structure.
     pub structure: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// The classes that compete.
+    /// The competing classes.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub classes: Vec<ClassPlausibility>,
-    /// The most plausible one at this frame.
+    /// Most plausible class at this frame.
     pub leading: String,
-    /// The last one that has led for long enough to be believed.
+    /// Latest class that has led for long enough to be accepted.
     pub believed: String,
-    /// Calibrations of the nominal model so far.
+    /// Number of calibrations of the nominal model.
     pub calibrations: u64,
-    /// The latest of them.
+    /// Latest calibration.
     pub calibration: Option<ClassCalibration>,
 }
 

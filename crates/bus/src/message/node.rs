@@ -1,4 +1,4 @@
-//! How a sensor node does in the eyes of the station.
+//! The station's assessment of a sensor node.
 
 use std::collections::BTreeMap;
 
@@ -9,24 +9,24 @@ use super::{
 };
 use crate::name::Name;
 
-/// Most reasons in one message: they come from a closed set.
+/// Maximum number of reasons in one message. The reasons come from a closed set.
 const MAX_REASONS: usize = 64;
 
-/// What the station makes of a node.
+/// The station's assessment of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NodeHealth {
-    /// It is part of the fusion.
+    /// The fusion includes the node.
     Used,
-    /// It has sent nothing that could be fused, or only what it predicts without samples.
+    /// The node has sent nothing that the station can fuse, or only predictions without samples.
     Silent,
-    /// It disagrees with the others and is left out.
+    /// The node disagrees with the others and is excluded.
     Excluded,
-    /// Its samples have ended, or no node is there any more.
+    /// The samples of the node have ended, or the node is offline.
     Ended,
 }
 
-/// Put after each fusion, for each node, and once more when no node is there any more.
+/// State of one node, published after each fusion and once more when the node goes offline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeDisplay {
     /// The structure.
@@ -35,33 +35,36 @@ pub struct NodeDisplay {
     pub node: Name,
     /// Time of the fusion, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// What the station makes of it.
+    /// The station's assessment.
     pub state: NodeHealth,
-    /// Mahalanobis distance from the others; none where it was not judged.
+    /// Mahalanobis distance from the other nodes. `None` if the station did not assess the node.
     pub distance: Option<f64>,
-    /// Distance from which on a node is suspicious.
+    /// Distance above which a node is suspicious.
     pub distance_limit: Option<f64>,
-    /// How far what it has learnt was counted: 1 of a regular node, less of one that was discounted, 0 of one that was left out; none
-    /// where it was not judged.
+    /// Weight of the node's information in the fusion. It is 1 for a regular node, less for a
+    /// discounted node, and 0 for an excluded node. `None` if the station did not assess the node.
     pub weight: Option<f64>,
-    /// Time since which it has been left out without a break, ns.
+    /// Time since which the node has been excluded without interruption, ns since the Unix epoch,
+    /// UTC.
     pub excluded_since_ns: Option<i64>,
-    /// Time of the first fusion of those without a break for which it had sent nothing that could be fused, ns.
+    /// Time of the first of the uninterrupted fusions without a usable message of the node, ns
+    /// since the Unix epoch, UTC.
     pub silent_since_ns: Option<i64>,
-    /// Time of its last message, ns: when it came, by the station's clock, or of its last sample where samples are replayed.
+    /// Time of the last message, ns since the Unix epoch, UTC: its arrival by the station's clock
+    /// or, for replayed samples, the time of its last sample.
     pub heard_ns: Option<i64>,
-    /// Share of the fusions in which it was left out.
+    /// Share of the fusions that excluded the node.
     pub excluded_share: f64,
-    /// Messages taken.
+    /// Number of accepted messages.
     pub messages: u64,
-    /// Bytes of payload received from it.
+    /// Bytes of payload received from the node.
     pub bytes_received: u64,
-    /// Bytes of payload sent to it.
+    /// Bytes of payload sent to the node.
     pub bytes_sent: u64,
-    /// Messages refused, by reason.
+    /// Number of rejected messages, by reason.
     #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub refused: BTreeMap<String, u64>,
-    /// Times its filter has started anew.
+    /// Number of restarts of the node's filter.
     pub restarts: u64,
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Format, Malformed, Message, check_finite, check_range};
 use crate::name::Name;
 
-/// Mean and spread of one noise parameter.
+/// Mean and standard deviation of one noise parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseDisplay {
     /// The structure.
@@ -16,7 +16,7 @@ pub struct NoiseDisplay {
     pub time_ns: i64,
     /// Mean, in the unit of the parameter.
     pub mean: f64,
-    /// Standard deviation, same unit.
+    /// Standard deviation, in the unit of the parameter.
     pub std: f64,
 }
 

@@ -1,34 +1,34 @@
-//! The screening of one channel at display rate.
+//! Outlier screening of one channel at display rate.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Format, Malformed, Message, check_finite, check_range};
 use crate::name::Name;
 
-/// How the screening of a channel stands.
+/// State of the screening of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ChannelState {
-    /// Its first scale is not yet known.
+    /// The initial scale is not yet known.
     Training,
     /// Outliers are screened.
     Screening,
-    /// The sensor is faulty: none of its samples are used.
+    /// The sensor is faulty; all samples are dropped.
     Faulty,
 }
 
-/// A stretch in which every sample of a channel was rejected.
+/// An interval in which all samples of a channel were rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MaskedSpan {
-    /// Time of its first frame, ns since the Unix epoch, UTC.
+    /// Time of the first frame, ns since the Unix epoch, UTC.
     pub from_ns: i64,
-    /// Time of its last frame so far.
+    /// Time of the last frame so far, ns since the Unix epoch, UTC.
     pub to_ns: i64,
-    /// Samples in it.
+    /// Number of samples in the interval.
     pub samples: u64,
 }
 
-/// What the screening has done to one channel.
+/// Result of the screening of one channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutlierDisplay {
     /// The structure.
@@ -37,19 +37,19 @@ pub struct OutlierDisplay {
     pub channel: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// How its screening stands.
+    /// State of the screening.
     pub state: ChannelState,
-    /// Samples rejected since the last message of this channel.
+    /// Number of samples rejected since the last message of this channel.
     pub flagged: u64,
-    /// Samples rejected since the start.
+    /// Number of samples rejected since the start.
     pub rejected: u64,
-    /// Samples screened since the start.
+    /// Number of samples screened since the start.
     pub screened: u64,
-    /// Share of rejected samples among the recent ones.
+    /// Share of rejected samples among the recent samples.
     pub recent_share: f64,
-    /// The running scale of its residuals, in the unit of the channel.
+    /// Running scale of the residuals, in the unit of the channel.
     pub scale: f64,
-    /// The latest stretch without a used sample; it goes on if its end is the time of this message.
+    /// Latest interval without a used sample. It continues if it ends at the time of this message.
     pub masked: Option<MaskedSpan>,
 }
 

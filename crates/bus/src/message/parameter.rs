@@ -5,18 +5,18 @@ use serde::{Deserialize, Serialize};
 use super::{Format, Malformed, Message, check_finite, check_range};
 use crate::name::Name;
 
-/// An equal-tailed credible interval.
+/// An equal-tailed credible interval of a parameter or a loss.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CredibleInterval {
-    /// Probability that it holds the parameter, such as 0.95.
+    /// Probability that the interval contains the quantity, such as 0.95.
     pub level: f64,
-    /// Lower end, ratio to nominal.
+    /// Lower end: ratio to nominal for a parameter, share of the reference for a loss.
     pub low: f64,
-    /// Upper end, ratio to nominal.
+    /// Upper end, in the same unit.
     pub high: f64,
 }
 
-/// Mean, spread and probability of loss of one parameter.
+/// Mean, standard deviation and probability of loss of one parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterDisplay {
     /// The structure.
@@ -31,11 +31,11 @@ pub struct ParameterDisplay {
     pub std: f64,
     /// The credible interval.
     pub interval: CredibleInterval,
-    /// Probability that more than `loss` of the reference is gone.
+    /// Probability that the loss exceeds `loss`.
     pub probability_of_loss: f64,
-    /// The loss asked about, a share of the reference (0.1 = 10 %).
+    /// Loss for which the probability is stated, a share of the reference (0.1 = 10 %).
     pub loss: f64,
-    /// What the loss is measured against, ratio to nominal.
+    /// Reference for the loss, ratio to nominal.
     pub reference: f64,
 }
 
@@ -43,7 +43,10 @@ impl ParameterDisplay {
     /// Level of the displayed interval, and its half-width in standard deviations of a Gaussian.
     const INTERVAL: (f64, f64) = (0.95, 1.959_963_984_540_054);
 
-    /// Makes the display of a Gaussian estimate (ratio to nominal), with `loss` (a share of `reference`) asked about.
+    /// Creates the display of a Gaussian estimate.
+    ///
+    /// - `mean`, `reference`: ratios to nominal; `variance`: square of this unit
+    /// - `loss`: share of `reference` for which the probability is computed
     #[must_use]
     pub fn of_gaussian(
         (structure, parameter): (&Name, &Name),
@@ -71,7 +74,7 @@ impl ParameterDisplay {
     }
 }
 
-/// Probability that a Gaussian variable lies below a threshold.
+/// Returns the probability that a Gaussian variable lies below a threshold.
 pub(super) fn probability_below(threshold: f64, mean: f64, std: f64) -> f64 {
     if std > 0.0 {
         0.5 * libm::erfc((mean - threshold) / (std * std::f64::consts::SQRT_2))

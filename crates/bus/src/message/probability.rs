@@ -1,12 +1,14 @@
-//! Probabilities for people.
+//! Rounding of probabilities for display.
 
 use std::fmt;
 
-/// Fewest and most decimals of a probability as a share.
+/// Minimum and maximum number of decimals of a probability (0 to 1).
 const DECIMALS: std::ops::RangeInclusive<i32> = 3..=6;
 
-/// A probability rounded to three decimals of a share, and to more where three would put it on the other side of a probability that is
-/// asked for. It never reads as certainty: `above 0.999`, or `> 99.9 %`.
+/// A probability rounded to three to six decimals, as a number from 0 to 1.
+///
+/// Three decimals suffice unless the rounded value would lie on the other side of a required
+/// probability. The text never displays certainty, but `above 0.999` or `> 99.9 %`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoundedProbability {
     bound: Bound,
@@ -14,7 +16,7 @@ pub struct RoundedProbability {
     decimals: usize,
 }
 
-/// What the number that is shown is to the probability.
+/// Relation of the probability to the displayed number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bound {
     Nearest,
@@ -23,7 +25,8 @@ enum Bound {
 }
 
 impl RoundedProbability {
-    /// Rounds `value`; on which side of each of `asked` it lies (all from 0 to 1) can be told from what is shown.
+    /// Rounds `value`, so that the result lies on the same side of each probability in `asked`. All
+    /// probabilities are from 0 to 1.
     #[must_use]
     pub fn new(value: f64, asked: &[f64]) -> Self {
         let rounded = DECIMALS.map(|decimals| Self::to_decimals(value, decimals));
@@ -49,7 +52,7 @@ impl RoundedProbability {
         .as_printed()
     }
 
-    /// Rounds to the most decimals, away from the probability asked for that is so near.
+    /// Rounds to the maximum number of decimals, away from the nearby required probability.
     fn away_from(value: f64, asked: &[f64]) -> Self {
         let nearest = Self::to_decimals(value, *DECIMALS.end());
         let Some(missed) = asked.iter().find(|asked| !nearest.tells(value, **asked)) else {
@@ -69,7 +72,7 @@ impl RoundedProbability {
         .as_printed()
     }
 
-    /// With the number that is read from the text.
+    /// Replaces the number by the value of its text.
     fn as_printed(self) -> Self {
         let printed = format!("{:.*}", self.decimals, self.shown);
         Self {
@@ -78,7 +81,7 @@ impl RoundedProbability {
         }
     }
 
-    /// Whether one sees on which side of `asked` it lies.
+    /// Returns `true` if the displayed number lies on the same side of `asked` as `value`.
     fn tells(&self, value: f64, asked: f64) -> bool {
         let (least, most) = match self.bound {
             Bound::Nearest => (self.shown, self.shown),
@@ -92,7 +95,7 @@ impl RoundedProbability {
         }
     }
 
-    /// The same in per cent: `1.2 %`, `> 99.9 %`.
+    /// Returns the text in per cent: `1.2 %`, `> 99.9 %`.
     #[must_use]
     pub fn percent(&self) -> String {
         let sign = match self.bound {
@@ -136,7 +139,8 @@ mod tests {
         assert_eq!(told(0.5, &[]), pair("0.500", "50.0 %"));
     }
 
-    /// Broke: 0.9899 read as 0.990 beside "normal" by a rule that asks for 0.99.
+    /// Regression test: 0.9899 was displayed as 0.990, next to the state normal of a rule that
+    /// requires 0.99.
     #[test]
     fn what_is_shown_lies_on_the_side_of_what_is_asked_for() {
         assert_eq!(told(0.9899, &[0.99]), pair("0.9899", "98.99 %"));

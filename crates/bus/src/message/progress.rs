@@ -1,21 +1,24 @@
-//! How far a service has come.
+//! Progress of a service.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Format, Header, Malformed, Message};
 
-/// All frames below number `done` are done.
+/// Progress of a service that has processed all frames below number `done`.
 ///
-/// Put per block, and repeated while nothing happens, because a progress message may be dropped.
+/// Services publish it for each block and repeat it while idle, because progress messages may be
+/// dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Source: the id of the service; epoch: that of the frames it counts; sequence: same as `done`;
-    /// time: that of the last frame done, ns since the Unix epoch (`i64::MIN` while there is none).
+    /// Source: id of the service; epoch: of the counted frames; sequence: same as `done`.
+    ///
+    /// Time: of the last processed frame, ns since the Unix epoch, UTC (`i64::MIN` if there is
+    /// none).
     pub header: Header,
-    /// Number of the first frame not yet done.
+    /// Number of the first unprocessed frame.
     pub done: u64,
-    /// Number of the first frame that the service would need again if it were killed now; of the same epoch. That of `done`
-    /// for a service that remembers nothing.
+    /// Number of the first frame, of the same epoch, that the service would need again after a
+    /// crash. Equals `done` for a service without checkpoints.
     pub kept: u64,
 }
 

@@ -8,48 +8,52 @@ use super::{
 };
 use crate::grid::TimeGrid;
 
-/// Whether the node goes on.
+/// Whether more samples of the node follow.
 pub type NodeState = StreamState;
 
-/// Whether samples come as they are measured.
+/// Whether the samples are live or replayed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
-    /// As they are measured: a node that stays silent is late by the wall clock.
+    /// The samples are sent as they are measured. A silent node is late by the wall clock.
     Live,
-    /// From a record or a simulation, at any speed: one node can lead another by thousands of blocks, and frames wait for
-    /// the others without limit, so that the same record gives the same frames.
+    /// The samples come from a record or a simulation, at any speed.
+    ///
+    /// One node can be thousands of blocks ahead of another. Frames wait for all nodes without a
+    /// time limit, so that the same record yields the same frames.
     Replayed,
 }
 
 /// Consecutive samples of all channels of one node.
 ///
-/// Sample j is at `header.time_ns + round(j·10⁹/rate)`; a gap in time starts a new block. Values are in the units of
-/// the channels; NaN is missing. Infinities are not refused here: ingest counts them against the channel.
+/// The time of sample j is `header.time_ns + round(j·10⁹/rate)`. A gap in time starts a new block.
+/// Values are in the units of the channels; NaN is missing. Infinite values are allowed here:
+/// ingest counts them as faults of the channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleBlock {
-    /// Source: the name of the node; sequence: number of its first sample here.
+    /// Source: name of the node; sequence: number of the first sample in this block.
     pub header: Header,
     /// Sampling rate of the node, Hz.
     pub sampling_rate_hz: f64,
-    /// Whether they come as they are measured.
+    /// Whether the samples are live or replayed.
     pub pace: Pace,
-    /// Channels of the node.
+    /// Number of channels of the node.
     pub channels: u16,
-    /// Sample-major: sample 0 of all channels, sample 1 of all channels, ...
+    /// Values, sample by sample: sample 0 of all channels, sample 1 of all channels, and so on.
     pub samples: Vec<f64>,
-    /// Whether the node goes on after this block.
+    /// Whether more samples of the node follow this block.
     pub state: NodeState,
 }
 
 impl SampleBlock {
-    /// Times of the samples; `None` only if the block was never checked and its rate is no rate.
+    /// Returns the times of the samples. `None` if the sampling rate is invalid, which
+    /// [`Message::check`] excludes.
     #[must_use]
     pub fn grid(&self) -> Option<TimeGrid> {
         TimeGrid::new(self.header.time_ns, self.sampling_rate_hz)
     }
 
-    /// The samples in order, each with a value per channel.
+    /// Iterates over the samples in order. Each has one value per channel.
     pub fn iter(&self) -> impl Iterator<Item = &[f64]> {
         self.samples.chunks_exact(usize::from(self.channels).max(1))
     }
@@ -116,7 +120,7 @@ impl Block for SampleBlock {
     }
 
     fn append(&mut self, next: &Self) -> bool {
-        // Both times are rounded, each on its own: 1 ns apart is no gap.
+        // Both times are rounded independently, so that a difference of 1 ns is not a gap.
         const ROUNDING_NS: u64 = 1;
         let Some(grid) = self.grid() else {
             return false;

@@ -1,17 +1,19 @@
-//! The state of an identification, from the one that leads to one that stands by.
+//! State of an identification, sent by the leader to its standby.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Format, Header, MAX_MESSAGE_BYTES, Malformed, Message, bounded};
 
-/// All that an identification knows between two blocks.
+/// Complete state of an identification between two blocks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StateMessage {
-    /// Source: the id of identify; epoch and sequence: of the first frame that is not in the state; time: of the last one that is.
+    /// Source: id of identify; epoch and sequence: of the first frame that is not in the state;
+    /// time: of the last frame in the state.
     pub header: Header,
-    /// Term in which it leads.
+    /// Term of the leader.
     pub term: u64,
-    /// The state as a checkpoint has it, with what it is of and a checksum. Only identify reads it.
+    /// State in the format of a checkpoint, with a description of its origin and a checksum. Only
+    /// identify reads it.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_MESSAGE_BYTES>")]
     pub checkpoint: Vec<u8>,
 }

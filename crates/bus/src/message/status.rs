@@ -1,4 +1,4 @@
-//! How a service is doing.
+//! Status of a service.
 
 use std::collections::BTreeMap;
 
@@ -10,25 +10,25 @@ use super::{
 };
 use crate::name::Name;
 
-/// Most reasons in one status: they come from a closed set.
+/// Maximum number of reasons in one status. The reasons come from a closed set.
 const MAX_REASONS: usize = 1024;
 
-/// How a service keeps up with what it is given.
+/// Whether a service keeps up with its input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Load {
-    /// It keeps up.
+    /// The service keeps up.
     Normal,
-    /// It is overloaded: values for people are put at a tenth of their rate.
+    /// The service is overloaded and publishes display values at a tenth of their rate.
     DisplayShed,
-    /// That was not enough: it falls behind, and reads from the recording.
+    /// The service is behind despite the lower display rate, and reads from the recording.
     Behind,
-    /// It was behind, and comes nearer.
+    /// The service was behind and is catching up.
     CatchingUp,
 }
 
 impl Load {
-    /// The state as a word.
+    /// Returns the name of the state, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -40,65 +40,70 @@ impl Load {
     }
 }
 
-/// Whether a service does its work, or waits to take it over.
+/// Role of a process in a service with a standby.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Standing {
-    /// It puts what it does.
+    /// The leader, which publishes its results.
     Leading,
-    /// It does the same as the one that leads, and puts nothing.
+    /// A standby, which processes the same data as the leader and publishes nothing.
     StandingBy,
-    /// It has not yet what it needs for that: the state of the one that leads.
+    /// A future standby that has not yet received the state of the leader.
     Joining,
 }
 
-/// Put once per second by every service, and when its load changes.
+/// Status of a service, published once per second and when the load changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// The structure.
     pub structure: Name,
-    /// The service, as in its key.
+    /// Name of the service, as in the key.
     pub service: Name,
-    /// The instance, as in its key.
+    /// Id of the instance, as in the key.
     pub id: Name,
-    /// Wall clock, ns since the Unix epoch, UTC.
+    /// Wall-clock time, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// Wall clock minus time of the last item done, s; none before the first.
+    /// Wall-clock time minus time of the last processed item, s. `None` before the first item.
     pub lag_s: Option<f64>,
-    /// Whether the samples come as they are measured or from a record or simulation, of those that know: ingest, and fuse where nodes
-    /// identify for themselves, once some have come.
+    /// Whether the samples are live or replayed. Only ingest, and fuse in distributed
+    /// identification, report it, after the first samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pace: Option<Pace>,
-    /// Where it stands, of a service that several processes may be ready for: identify.
+    /// Role of the process. Only identify, which supports a standby, reports it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<Standing>,
-    /// Number of the first item not yet done.
+    /// Number of the first unprocessed item.
     pub done: u64,
-    /// How it keeps up, of a service that tells: identify.
+    /// Load of the service. Only identify reports it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub load: Option<Load>,
-    /// Frames that ingest has made and this service has not done, where that is known.
+    /// Number of frames of ingest that the service has not yet processed, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames_behind: Option<u64>,
-    /// The verdict on the fit after the last frame, of identify.
+    /// Verdict on the fit after the last frame. Only identify reports it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fit: Option<FitVerdict>,
-    /// Number of watched parameters on which nothing is decided, by reason, of alert.
+    /// Number of watched parameters without a decision, by reason. Only the alert service reports
+    /// it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub undecided: BTreeMap<UndecidedBecause, u64>,
-    /// What was dropped, lost or mended, counted by reason since the start.
+    /// Number of dropped, lost or recovered items since the start, by reason.
     #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub drops: BTreeMap<String, u64>,
-    /// Restarts since the start.
+    /// Number of restarts since the start.
     pub restarts: u64,
     /// Version of the program.
     pub version: String,
 }
 
-/// Times before this are those of a record that begins at 0: three years, longer than any.
+/// End of the times that belong to a record without dates, which begins at 0. Three years exceed
+/// any record.
 const WITHOUT_DATES_BEFORE_NS: u64 = 100_000_000_000_000_000;
-/// Whether the samples of a structure come as they are measured, by the newest status that says so. Of those that do not, a lag behind
-/// the clock on the wall says nothing. None before anybody has said so.
+/// Returns whether the samples of a structure are live or replayed, from the newest status that
+/// reports it.
+///
+/// For replayed samples, the lag behind the wall clock is meaningless. Returns `None` if no status
+/// reports it.
 #[must_use]
 pub fn pace_told<'s>(statuses: impl Iterator<Item = &'s Status>) -> Option<Pace> {
     statuses
@@ -107,7 +112,8 @@ pub fn pace_told<'s>(statuses: impl Iterator<Item = &'s Status>) -> Option<Pace>
         .pace
 }
 
-/// Whether a time (ns since the Unix epoch) is that of a record without dates, which begins at 0.
+/// Returns `true` if a time (ns since the Unix epoch) belongs to a record without dates, which
+/// begins at 0.
 #[must_use]
 pub fn is_without_date(time_ns: i64) -> bool {
     time_ns.unsigned_abs() < WITHOUT_DATES_BEFORE_NS

@@ -1,13 +1,14 @@
-//! Texts in messages: how long they may be, and of which characters.
+//! Limits of the length and the characters of texts in messages.
 
 use super::Malformed;
 
-/// Longest text that is read as one, in bytes: a note, a reason.
+/// Maximum length of prose, such as a note or a reason, in bytes.
 const MAX_TEXT_BYTES: usize = 4096;
-/// Longest text that stands for one thing, in bytes: who acknowledges, what an event is about. Databases find rows by it.
+/// Maximum length of a label, such as a person's name or the subject of an event, in bytes.
+/// Databases use labels as keys.
 pub const MAX_LABEL_BYTES: usize = 512;
 
-/// Checks a text that is read as one: it may have line breaks and tabs.
+/// Checks prose, which may contain line breaks and tabs.
 pub(super) fn check_text(what: &'static str, text: &str) -> Result<(), Malformed> {
     check_length(what, text, MAX_TEXT_BYTES)?;
     match text.chars().find(|c| !is_of_text(*c)) {
@@ -20,7 +21,7 @@ pub(super) fn check_text(what: &'static str, text: &str) -> Result<(), Malformed
     }
 }
 
-/// Checks a text that stands for one thing.
+/// Checks a label, which must not contain control characters.
 pub(super) fn check_label(what: &'static str, text: &str) -> Result<(), Malformed> {
     check_length(what, text, MAX_LABEL_BYTES)?;
     match text.chars().find(|c| c.is_control()) {
@@ -48,12 +49,13 @@ fn is_of_text(c: char) -> bool {
     !c.is_control() || matches!(c, '\n' | '\r' | '\t')
 }
 
-/// Makes a text that was kept by an earlier version one that may be sent: other characters are replaced, and what is too long is cut.
+/// Makes prose from an earlier version valid: replaces control characters and cuts excessive
+/// length.
 pub(super) fn mend_text(text: &mut String) {
     mend(text, MAX_TEXT_BYTES, is_of_text);
 }
 
-/// The same for a text that stands for one thing.
+/// Makes a label from an earlier version valid, as [`mend_text`] does for prose.
 pub(super) fn mend_label(text: &mut String) {
     mend(text, MAX_LABEL_BYTES, |c| !c.is_control());
 }
@@ -116,7 +118,7 @@ mod tests {
 
     #[test]
     fn what_is_mended_passes_and_what_passes_stays() {
-        // two bytes each, so that the limit falls within a character
+        // A limit falls within one of these two-byte characters.
         for text in [
             "Ada\0",
             "Bob\nCäcilia",

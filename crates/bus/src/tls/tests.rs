@@ -1,15 +1,15 @@
-//! Certificates that must not be used.
+//! Certificates that must be rejected.
 
 use super::*;
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair, date_time_ymd};
 
-/// An authority and one certificate of it, in a folder of their own.
+/// An authority and one of its certificates, in a temporary folder.
 struct Files {
     folder: tempfile::TempDir,
     tls: TlsConfig,
 }
 
-/// Writes an authority, and a certificate that it has issued until the end of a year.
+/// Writes an authority, and a certificate that is valid until the end of the year `until`.
 fn files(until: i32) -> Files {
     let folder = tempfile::tempdir().unwrap();
     let authority_key = KeyPair::generate().unwrap();

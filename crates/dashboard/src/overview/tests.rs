@@ -173,7 +173,8 @@ fn an_alert_that_somebody_has_seen_is_still_told_when_data_stop() {
     );
 }
 
-/// Broke: "nothing is measured" alone stood above the button that acknowledges an alert that was over.
+/// Regression test: only "nothing is measured" was shown above the button that acknowledges a
+/// cleared alert.
 #[test]
 fn what_somebody_should_look_at_is_told_when_data_stop() {
     let as_it_was = "nothing is measured: what is shown is how it was";
@@ -207,7 +208,7 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
     assert_eq!(overview(&store).sentence, format!("{all}{as_it_was}"));
 }
 
-/// Four seconds of estimates, in which the third channel could never be used.
+/// Four seconds of estimates in which the third channel was never used.
 fn estimates_without_the_third_channel() -> EstimateBlock {
     let estimate = Estimate {
         mean: vec![],
@@ -249,7 +250,7 @@ fn a_channel_that_is_never_used_is_silent() {
     );
 }
 
-/// How far ingest has come: `time_ns` is that of its last frame.
+/// Returns the progress of ingest whose last frame has time `time_ns`.
 fn ingested(epoch: u64, time_ns: i64) -> Input {
     let header = Header {
         source: "ingest".into(),
@@ -292,7 +293,7 @@ fn what_is_read_again_from_the_recording_makes_no_sensor_alive_and_no_data_new()
             Some(3.99),
             "it is shown all the same, with its time"
         );
-        // and the next sample counts
+        // The next sample counts.
         store.handle(parameter("storey-1", 4_010_000_000, 1.0, 0.001));
         assert_eq!(overview(&store).age_s, Some(0.0));
     }
@@ -325,7 +326,9 @@ fn the_sentence_of_an_alert_has_the_present_state_beside_it() {
     );
 }
 
-/// The status of a service with samples of this pace; its clock is at `time_ns`, and it is 27 s ahead of that.
+/// Returns the status of a service whose samples have this pace.
+///
+/// Its clock is at `time_ns`, and its data is 27 s ahead of that clock.
 fn status(service: Service, time_ns: i64, pace: Option<Pace>) -> Input {
     Input::Status(Status {
         structure: name("demo"),
@@ -346,10 +349,11 @@ fn status(service: Service, time_ns: i64, pace: Option<Pace>) -> Input {
     })
 }
 
-/// A time of the clock on the wall.
+/// A wall clock time.
 const CLOCK_NS: i64 = 1_795_000_000_000_000_000;
 
-/// Broke: a lag of -27 s was told in the demo, which runs ahead of the clock, and in the distributed demo all the time.
+/// Regression test: the demo, which runs ahead of the clock, showed a lag of -27 s, and the
+/// distributed demo did so permanently.
 #[test]
 fn what_is_replayed_or_simulated_has_the_time_of_its_data_and_no_lag() {
     let found = |station: Service, time_ns: i64, pace: Option<Pace>| {

@@ -26,7 +26,7 @@ fn an_alert_is_stale_from_when_its_service_has_gone_until_one_says_how_it_stands
     store.handle(Input::Alert(alert("storey-2", 5, AlertState::Raised)));
     store.handle(services(&[]));
     assert!(store.stale_alerts.contains("storey-2"));
-    // an answer as old as what is known says that it still stands
+    // A reply as old as the known state confirms that state.
     store.handle(Input::StandingAlert(alert(
         "storey-2",
         5,
@@ -140,7 +140,7 @@ fn revisions_are_one_change_with_the_newest_loss() {
     store.handle(Input::Alert(alert("storey-1", 2, AlertState::Raised)));
     store.handle(Input::Alert(revised(3, 1, 0.2)));
     store.handle(Input::Alert(revised(5, 2, 0.3)));
-    // what the history tells is no news
+    // Past changes from the history do not count as news.
     let alerts = vec![revised(1, 0, 0.1), revised(3, 1, 0.2)];
     let past = HistoryLog {
         structure: name("demo"),

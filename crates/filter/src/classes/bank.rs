@@ -1,4 +1,4 @@
-//! The filters of the classes, their plausibilities, and what they say together.
+//! The filters of all classes, their plausibilities and their combined estimate.
 
 use super::persistence::Persistence;
 use super::{
@@ -13,30 +13,32 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// A filter whose state is larger than this has diverged (state units).
+/// Upper limit of the state entries; a filter beyond it has diverged (state units).
 const LARGEST_STATE: f64 = 1e8;
 
-/// A filter that explains one datum worse than the best by more than this has diverged (nats).
+/// A filter has diverged if its log evidence is this far below the best (nats).
 const WORST: f64 = 1000.0;
 
-/// Filters with fewer entries step faster than threads can be woken.
+/// State length from which the filters step in parallel.
+///
+/// Smaller filters complete a step faster than threads wake up.
 const PARALLEL_FROM: usize = 24;
 
-/// The whole state of a bank between two steps: what a checkpoint holds.
+/// The complete state of a bank between two steps, for a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClassBankState {
     bank: BankState,
     filters: Vec<FilterState>,
 }
 
-/// A filter for each class of a plan, with plausibilities: Huang & Yuen (2023), §5.3 to §5.5.
+/// One filter for each class of a plan, with plausibilities: Huang & Yuen (2023), §5.3 to §5.5.
 ///
-/// One call of [`ClassBank::step`] is one time step. The filters of large classes step in parallel; the result is the same
-/// to the bit for any number of threads.
+/// One call of [`ClassBank::step`] is one time step. Banks of large filters step in parallel. The
+/// results are bit-identical for any number of threads.
 #[derive(Debug)]
 pub struct ClassBank<S: ComponentSystem> {
     system: S,
-    /// of the full model
+    /// Settings of the full model.
     template: FilterSettings,
     settings: ClassSettings,
     members: Vec<Member<S::Model>>,
@@ -45,19 +47,19 @@ pub struct ClassBank<S: ComponentSystem> {
     work: Workspace,
 }
 
-/// What a bank knows besides its filters.
+/// The state of a bank without its filters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BankState {
     level: Level,
-    /// what calibrations have multiplied each component by (N_k)
+    /// Product of all calibration factors of each component (N_k).
     factors: Vec<f64>,
     plausibilities: Plausibilities,
     persistence: Persistence,
-    /// class whose filter identifies the noise levels and screens outliers
+    /// Class whose filter identifies the noise levels and screens outliers.
     lead: usize,
-    /// class that was last told to lead
+    /// Last class whose lead was reported as lasting.
     believed: ClassId,
-    /// observed steps, for the training stage
+    /// Number of observed steps, for the training stage.
     steps: usize,
     calibrations: u64,
 }
@@ -72,31 +74,34 @@ struct Member<M> {
 
 #[derive(Debug)]
 struct Workspace {
-    /// ln p(z | D, C) of each class
+    /// ln p(z | D, C) of each class.
     log_evidences: Vec<f64>,
-    /// the frame without the channels that the leading filter rejected (N_0)
+    /// The frame without the channels that the leading filter rejected (N_0).
     observations: Vec<f64>,
-    /// noise levels of the leading filter (N_ψ)
+    /// Noise levels of the leading filter (N_ψ).
     psi: Vec<f64>,
-    /// estimate over the classes: motion (N_x), parameters of the full model (N_θ), and their covariance
+    /// Motion (N_x), combined over the classes. `mean` and `covariance` are the combined parameters
+    /// of the full model (N_θ) and their covariance.
     motion: DVector<f64>,
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
-    /// parameters of the full model as one class has them (N_θ)
+    /// Parameters of the full model according to one class (N_θ).
     of_class: DVector<f64>,
-    /// entry of a class's parameters, and factor on it, for each parameter of the full model
+    /// For each parameter of the full model: its entry in the parameters of a class, and the factor
+    /// on this entry.
     mapped: Vec<(usize, f64)>,
-    /// parameters of the full model that the most plausible class kept at a bound
+    /// Parameters of the full model that the most plausible class kept at a bound.
     limited: Vec<usize>,
 }
 
 impl<S: ComponentSystem> ClassBank<S> {
-    /// Makes a bank with every filter at its prior and all classes equally plausible.
+    /// Creates a bank with every filter at its prior and all classes equally plausible.
     ///
-    /// `template` holds the settings of a filter of the full model; the prior of a group is the mean of its components'.
+    /// `template` contains the settings for a filter of the full model. The prior mean of a group
+    /// is the mean over its components.
     ///
     /// # Errors
-    /// When a setting does not fit the system or lies outside its range.
+    /// Returns an error if a setting does not fit the system or is out of range.
     pub fn new(
         system: S,
         template: FilterSettings,
@@ -153,10 +158,11 @@ impl<S: ComponentSystem> ClassBank<S> {
         Ok(bank)
     }
 
-    /// Goes back to the prior with uniform plausibilities; what calibrations have found is forgotten.
+    /// Returns to the prior with uniform plausibilities and discards all calibrations.
     ///
     /// # Errors
-    /// When a filter cannot be made, which has been possible before.
+    /// Returns an error if a filter cannot be created. This cannot happen after a successful
+    /// [`ClassBank::new`].
     pub fn restart(&mut self) -> Result<(), FilterError> {
         self.events.clear();
         self.start()
@@ -181,13 +187,15 @@ impl<S: ComponentSystem> ClassBank<S> {
         Ok(())
     }
 
-    /// Takes one frame; [`ClassBank::events`] tells what it changed.
+    /// Processes one frame; [`ClassBank::events`] then returns the resulting changes.
     ///
     /// The result is that of the most plausible class, with `ln p(z | D)` over all classes.
     ///
     /// # Errors
-    /// When the frame does not fit the models, which leaves the bank as it was, or when all filters have diverged: the bank
-    /// must be restarted.
+    /// Returns an error in these cases:
+    ///
+    /// - The frame does not fit the models. The bank is then unchanged.
+    /// - All filters have diverged. The caller must then restart the bank.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
         self.members[0].filter.check_frame(frame)?;
         self.events.clear();
@@ -230,7 +238,9 @@ impl<S: ComponentSystem> ClassBank<S> {
         Ok(step)
     }
 
-    /// Forgets the motion and keeps the parameters, noise levels and plausibilities: after a gap too long to be bridged.
+    /// Discards the motion after a gap that is too long to bridge.
+    ///
+    /// Parameters, noise levels and plausibilities remain.
     pub fn forget_motion(&mut self) {
         for member in &mut self.members {
             member.filter.forget_motion();
@@ -238,54 +248,54 @@ impl<S: ComponentSystem> ClassBank<S> {
         self.combine();
     }
 
-    /// Returns what happened to the classes at the last step.
+    /// Returns the changes of the classes in the last step.
     #[must_use]
     pub fn events(&self) -> &[ClassEvent] {
         &self.events
     }
 
-    /// Returns the classes that compete, in the order of [`ClassBank::plausibilities`].
+    /// Returns the competing classes, in the order of [`ClassBank::plausibilities`].
     pub fn classes(&self) -> impl ExactSizeIterator<Item = ClassId> {
         self.members.iter().map(|member| member.id)
     }
 
-    /// Returns the plausibilities of the classes that compete.
+    /// Returns the plausibilities of the competing classes.
     #[must_use]
     pub fn plausibilities(&self) -> &Plausibilities {
         &self.state.plausibilities
     }
 
-    /// Returns the most plausible class, by its place.
+    /// Returns the index of the most plausible class.
     #[must_use]
     pub fn leader(&self) -> usize {
         self.state.lead
     }
 
-    /// Returns the class whose lead was last told to have lasted.
+    /// Returns the last class whose lead was reported as lasting.
     #[must_use]
     pub fn believed(&self) -> ClassId {
         self.state.believed
     }
 
-    /// Returns the filter of a class, by its place.
+    /// Returns the filter of a class by its index.
     #[must_use]
     pub fn filter(&self, class: usize) -> &ExtendedKalmanFilter<S::Model> {
         &self.members[class].filter
     }
 
-    /// Returns the grouping of a class, by its place.
+    /// Returns the grouping of a class by its index.
     #[must_use]
     pub fn grouping(&self, class: usize) -> &Grouping {
         &self.members[class].grouping
     }
 
-    /// Returns what calibrations have multiplied each component by (N_k).
+    /// Returns the product of all calibration factors of each component (N_k).
     #[must_use]
     pub fn factors(&self) -> &[f64] {
         &self.state.factors
     }
 
-    /// Returns how often the nominal model was calibrated.
+    /// Returns the number of calibrations of the nominal model.
     #[must_use]
     pub fn calibrations(&self) -> u64 {
         self.state.calibrations
@@ -297,7 +307,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         &self.template
     }
 
-    /// Returns the settings of the comparison.
+    /// Returns the settings of the class comparison.
     #[must_use]
     pub fn settings(&self) -> &ClassSettings {
         &self.settings
@@ -309,37 +319,41 @@ impl<S: ComponentSystem> ClassBank<S> {
         &self.work.motion
     }
 
-    /// Returns the parameters of the full model (N_θ, ratios to nominal), weighted by the plausibilities, (5.33).
+    /// Returns the parameters of the full model (N_θ, ratios to nominal), weighted by the
+    /// plausibilities, (5.33).
     #[must_use]
     pub fn parameter_mean(&self) -> &DVector<f64> {
         &self.work.mean
     }
 
-    /// Returns the parameters of the full model (from 0) that the most plausible class kept at a bound in the last step.
+    /// Returns the parameters of the full model at a bound in the most plausible class, after the
+    /// last step (indices from 0).
     #[must_use]
     pub fn limited_parameters(&self) -> &[usize] {
         &self.work.limited
     }
 
-    /// Returns the covariance of [`ClassBank::parameter_mean`] (N_θ × N_θ), that of the mixture over the classes.
+    /// Returns the covariance of [`ClassBank::parameter_mean`] (N_θ × N_θ), of the mixture over the
+    /// classes.
     #[must_use]
     pub fn parameter_covariance(&self) -> &DMatrix<f64> {
         &self.work.covariance
     }
 
-    /// Returns what is known of the noise parameters.
+    /// Returns the state of the noise identification.
     #[must_use]
     pub fn noise(&self) -> &NoiseState {
         self.members[self.state.lead].filter.noise()
     }
 
-    /// Returns what is known of outliers in each channel; `None` where they are not screened.
+    /// Returns the state of the outlier screening; `None` if it is disabled.
     #[must_use]
     pub fn outliers(&self) -> Option<&OutlierState> {
         self.members[self.state.lead].filter.outliers()
     }
 
-    /// Returns the innovation of the most plausible class (N_0), NaN where a channel was missing or rejected.
+    /// Returns the innovation of the most plausible class (N_0), NaN for missing and rejected
+    /// channels.
     #[must_use]
     pub fn innovation(&self) -> &DVector<f64> {
         self.members[self.state.lead].filter.innovation()
@@ -359,10 +373,12 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
     }
 
-    /// Takes the state of a checkpoint; the next step gives the same bits as if the bank had never stopped.
+    /// Restores the state of a checkpoint; subsequent steps are bit-identical to an uninterrupted
+    /// run.
     ///
     /// # Errors
-    /// When the state does not fit the plan or the models; the bank then stays as it was.
+    /// Returns an error if the state does not fit the plan or the models. The bank is then
+    /// unchanged.
     pub fn restore(&mut self, state: ClassBankState) -> Result<(), FilterError> {
         let ClassBankState {
             bank: state,
@@ -424,7 +440,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         Ok(())
     }
 
-    /// Tells whether the leading filter finds something that the others then must know.
+    /// Returns `true` if the leading filter has results that all other filters must use.
     fn has_common_findings(&self) -> bool {
         let adapts = !self.template.noise.parameters.is_empty()
             && self.template.noise_settings.rule != NoiseRule::Fixed;
@@ -453,7 +469,8 @@ impl<S: ComponentSystem> ClassBank<S> {
                 work.psi
                     .copy_from_slice(leading.filter.noise().mean.as_slice());
             } else {
-                // nobody has screened this frame, which may be what broke the filter: the others predict and leave it
+                // A frame without screening may contain the outlier that broke the filter. All
+                // other filters only predict.
                 work.observations.fill(f64::NAN);
             }
         }
@@ -481,7 +498,8 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
     }
 
-    /// Notes which parameters a class had to bring back to their bounds: a calibration makes their entries anew.
+    /// Records the parameters that a class returned to their bounds, before a calibration replaces
+    /// their entries.
     fn note_limited(&mut self, class: usize, limited_states: usize) {
         let Self {
             system,
@@ -505,7 +523,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
     }
 
-    /// Writes the evidences; a filter that was lost has none.
+    /// Collects the evidences; the evidence of a lost filter is minus infinity.
     fn weigh(&mut self) {
         let Self { members, work, .. } = self;
         work.log_evidences.clear();
@@ -536,7 +554,8 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
     }
 
-    /// Returns what the filter of a class knows of noise levels and outliers; of levels that were lost with it, their start.
+    /// Returns noise levels and outlier state of a filter; noise levels that are not finite return
+    /// to their initial state.
     fn findings_of(&self, class: usize) -> (NoiseState, Option<OutlierState>) {
         let known = self.members[class].filter.state();
         let is_lost = known
@@ -552,7 +571,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         (noise, known.outliers().cloned())
     }
 
-    /// Lets the filter of a class identify the noise levels and screen outliers from now on.
+    /// Makes the filter of a class identify the noise levels and screen outliers.
     fn appoint(&mut self, class: usize) {
         let former = self.state.lead;
         if former != class {
@@ -575,7 +594,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         self.work.psi = psi;
     }
 
-    /// Lets every filter that was lost continue from the leading one.
+    /// Restarts every lost filter from the leading filter.
     fn restart_lost(&mut self, leader: usize) -> Result<(), FilterError> {
         for class in 0..self.members.len() {
             if self.work.log_evidences[class] == f64::NEG_INFINITY {
@@ -603,12 +622,12 @@ impl<S: ComponentSystem> ClassBank<S> {
         Ok(())
     }
 
-    /// Follows the lead of a class: calibrates, changes the level, or just tells of it.
+    /// Acts on a lasting lead: calibrates, changes the level, or only reports the lead.
     fn act(&mut self, leader: usize) -> Result<(), FilterError> {
         let steps = self.settings.persistence_steps;
         self.state.steps += 1;
         if self.state.steps <= steps {
-            return Ok(()); // training
+            return Ok(()); // training stage
         }
         let lead = (!self.state.plausibilities.is_tied()).then_some(leader);
         let Some(lasting) =
@@ -646,7 +665,9 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
     }
 
-    /// Makes the estimates of a class the nominal values, (5.48) and (5.67); returns what each component was multiplied by.
+    /// Makes the estimates of a class the nominal values, (5.48) and (5.67).
+    ///
+    /// Returns the factor for each component.
     fn fold(&mut self, class: usize) -> Vec<f64> {
         let (member, motion) = (&self.members[class], self.work.motion.len());
         let multiplier =
@@ -658,7 +679,8 @@ impl<S: ComponentSystem> ClassBank<S> {
         multipliers
     }
 
-    /// Starts the classes of a level from one of those that run, all equally plausible: (5.54) to (5.56).
+    /// Starts the classes of a level from the running class `source`, all equally plausible: (5.54)
+    /// to (5.56).
     fn enter(&mut self, level: Level, source: usize) -> Result<(), FilterError> {
         let groupings = self
             .settings
@@ -730,14 +752,14 @@ impl<S: ComponentSystem> ClassBank<S> {
         })
     }
 
-    /// Returns the parameters of the full model that are no components, in order.
+    /// Returns the parameters of the full model that are not components, in order.
     fn others(&self) -> impl Iterator<Item = usize> {
         let components = self.system.components();
         (0..self.system.parameter_len())
             .filter(|parameter| components.binary_search(parameter).is_err())
     }
 
-    /// Makes the settings of a class from those of the full model.
+    /// Derives the settings of a class from the settings of the full model.
     fn settings_of(
         &self,
         grouping: &Grouping,
@@ -770,7 +792,8 @@ impl<S: ComponentSystem> ClassBank<S> {
         let entry = |of: &DVector<f64>, component: usize| of[motion + components[component]];
         let least_bound = match self.settings.plan {
             ClassPlan::Predefined { .. } => 0.0,
-            // a calibration opens the multipliers, however little the prior left them
+            // A calibration resets the variance of a multiplier to `reset_std`², so the variance
+            // bound must be at least as large.
             ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => {
                 self.settings.reset_std.powi(2)
             }
@@ -814,13 +837,16 @@ impl<S: ComponentSystem> ClassBank<S> {
             ..template.clone()
         };
         for (low, high) in settings.lower.iter_mut().zip(&settings.upper) {
-            // components that have been calibrated far apart leave their group no room but to stay
+            // If calibrations have moved the components of a group far apart, their bounds do not
+            // overlap. The multiplier of the group is then fixed.
             *low = low.min(*high);
         }
         Ok(settings)
     }
 
-    /// Gives a new filter the motion and other parameters of class `source`, and multipliers that are open again.
+    /// Initialises a new filter with the motion and the other parameters of class `source`.
+    ///
+    /// The multipliers start uncertain, with standard deviation `reset_std`.
     fn continue_member(&self, member: &mut Member<S::Model>, source: usize, multipliers: &[f64]) {
         let motion = self.work.motion.len();
         let (source, target) = (&self.members[source], &member.grouping);
@@ -849,7 +875,7 @@ impl<S: ComponentSystem> ClassBank<S> {
             .continue_from(source.filter.state(), mean, covariance, origin);
     }
 
-    /// Writes the estimate over all classes, (5.33), and the covariance of the mixture.
+    /// Computes the estimate over all classes, (5.33), and the covariance of the mixture.
     fn combine(&mut self) {
         let motion = self.work.motion.len();
         let Self {
@@ -892,7 +918,7 @@ impl<S: ComponentSystem> ClassBank<S> {
     }
 }
 
-/// Says which parameter of a class, times which factor, each parameter of the full model is.
+/// Maps each parameter of the full model to a parameter of a class and a factor.
 fn map_parameters(
     system: &impl ComponentSystem,
     grouping: &Grouping,

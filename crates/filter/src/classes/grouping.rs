@@ -1,9 +1,11 @@
-//! Which components share a multiplier.
+//! The grouping of components that share a multiplier.
 
 use crate::error::FilterError;
 use serde::{Deserialize, Serialize};
 
-/// A partition of the components of a structure; the components of a group share one stiffness multiplier.
+/// A partition of the components of a structure.
+///
+/// The components of a group share one stiffness multiplier.
 ///
 /// Source: Huang & Yuen (2023), (5.36) to (5.39).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -13,10 +15,12 @@ pub struct Grouping {
 }
 
 impl Grouping {
-    /// Puts components (from 0) into groups; those in none form the last group together.
+    /// Creates a partition from groups of components (numbered from 0).
+    ///
+    /// All components that belong to none of `groups` form one additional group at the end.
     ///
     /// # Errors
-    /// When a group is empty, or a component is named twice or does not exist.
+    /// Returns an error if a group is empty, or if a component does not exist or occurs twice.
     pub fn new(mut groups: Vec<Vec<usize>>, components: usize) -> Result<Self, FilterError> {
         let mut group_of = vec![usize::MAX; components];
         for (group, members) in groups.iter().enumerate() {
@@ -58,7 +62,7 @@ impl Grouping {
         Ok(Self { groups, group_of })
     }
 
-    /// One multiplier for all `components`: the baseline, (5.41).
+    /// Returns the baseline, (5.41): one multiplier for all `components`.
     #[must_use]
     pub fn together(components: usize) -> Self {
         Self {
@@ -67,10 +71,11 @@ impl Grouping {
         }
     }
 
-    /// One multiplier for `members` and one for the rest, (5.43) and (5.59).
+    /// Returns a partition with one multiplier for `members` and one for the rest, (5.43) and
+    /// (5.59).
     ///
     /// # Errors
-    /// As [`Grouping::new`].
+    /// As for [`Grouping::new`].
     pub fn apart(members: Vec<usize>, components: usize) -> Result<Self, FilterError> {
         Self::new(vec![members], components)
     }
@@ -81,13 +86,13 @@ impl Grouping {
         &self.groups
     }
 
-    /// Returns the group of a component.
+    /// Returns the index of the group that contains a component.
     #[must_use]
     pub fn group_of(&self, component: usize) -> usize {
         self.group_of[component]
     }
 
-    /// Tells whether the same components are together, whatever the order of the groups.
+    /// Returns `true` if both partitions have the same groups, in any order.
     #[must_use]
     pub fn is_same_partition(&self, other: &Self) -> bool {
         let both = || self.group_of.iter().zip(&other.group_of);

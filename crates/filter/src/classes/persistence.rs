@@ -1,31 +1,36 @@
-//! When a lead has lasted long enough to be acted on.
+//! Detection of leads that have lasted long enough to act on.
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// What counts as a lasting lead.
+/// The criterion for a lasting lead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PersistenceRule {
-    /// The same class leads for `N_t` steps on end: Huang & Yuen (2023), (5.45), (5.46).
+    /// The same class leads for `N_t` consecutive steps: Huang & Yuen (2023), (5.45), (5.46).
     Consecutive,
-    /// That, or a class leads nearly all of the last `2 N_t` steps, or two classes other than the baseline have been
-    /// taking turns for `4 N_t`: then the one with the larger share. Two damages at once make their classes take turns.
+    /// [`PersistenceRule::Consecutive`] or one of two conditions on the share of steps.
+    ///
+    /// - A class leads in at least 90 % of the last `2 N_t` steps.
+    /// - The baseline leads in at most 10 % of the last `4 N_t` steps. The class with the largest
+    ///   share then wins.
+    ///
+    /// The second condition covers two simultaneous damages, whose classes alternate.
     #[default]
     Share,
 }
 
-/// Share of the steps that is nearly all.
+/// Minimum share of a window for a lasting lead.
 const NEARLY_ALL: f64 = 0.9;
 
-/// Counts the leads of the classes.
+/// Counts the leads of each class.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Persistence {
     leader: Option<usize>,
     run: usize,
-    /// leaders of the last 4 N_t steps, the newest last
+    /// Leaders of the last 4 N_t steps, the newest last.
     recent: VecDeque<u16>,
-    /// how often each class leads among all, and among the newer half, of them
+    /// Leads of each class in the last 4 N_t steps and in the last 2 N_t steps.
     counts: Vec<[usize; 2]>,
 }
 
@@ -39,7 +44,7 @@ impl Persistence {
         }
     }
 
-    /// Returns for how many classes it counts; none where its counts do not fit its memory.
+    /// Returns the number of classes, or 0 if `recent` contains an unknown class.
     pub(super) fn classes(&self) -> usize {
         let known = |class: &u16| usize::from(*class) < self.counts.len();
         if self.recent.iter().all(known) {
@@ -49,7 +54,9 @@ impl Persistence {
         }
     }
 
-    /// Takes the leader of a step, `None` for a tie; returns the class whose lead has lasted.
+    /// Counts the leader of one step and returns the class whose lead has lasted.
+    ///
+    /// `None` as the leader means a tie, which resets all counts.
     pub(super) fn update(
         &mut self,
         leader: Option<usize>,
@@ -144,7 +151,7 @@ mod tests {
 
     #[test]
     fn classes_that_take_turns_are_acted_on_by_share_only() {
-        // class 1 leads two steps of three, class 2 the third
+        // Class 1 leads in two of three steps, class 2 in the third.
         let leaders = (0..400).map(|step| Some(if step % 3 == 2 { 2 } else { 1 }));
         assert_eq!(
             first_lead(leaders.clone(), PersistenceRule::Consecutive),

@@ -1,14 +1,14 @@
-//! The posterior probabilities of model classes, by logarithms.
+//! The posterior probabilities of model classes, as logarithms.
 //!
-//! Source: Huang & Yuen (2023), (5.13) to (5.21). Logarithms are carried from step to step: without a floor a class that
-//! does not fit has a plausibility too small for a number within seconds.
+//! Source: Huang & Yuen (2023), (5.13) to (5.21). The state consists of logarithms: without a
+//! floor, the plausibility of a class that does not fit underflows within seconds.
 
 use serde::{Deserialize, Serialize};
 
-/// How far below the others a class without a floor starts after its filter was lost (nats).
+/// Distance of a lost class without a floor below the least plausible other class (nats).
 const LOST: f64 = 1000.0;
 
-/// Plausibility of each class: positive, with sum 1.
+/// The plausibility of each class, all positive with sum 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Plausibilities {
     /// `ln P` of each class.
@@ -16,7 +16,7 @@ pub struct Plausibilities {
 }
 
 impl Plausibilities {
-    /// Gives every class the same, (5.17).
+    /// Returns equal plausibilities for all classes, (5.17).
     #[must_use]
     pub fn uniform(classes: usize) -> Self {
         Self {
@@ -24,7 +24,7 @@ impl Plausibilities {
         }
     }
 
-    /// Takes the given probabilities, which must have the sum 1.
+    /// Creates plausibilities from probabilities, which must sum to 1.
     #[must_use]
     pub fn from_probabilities(probabilities: &[f64]) -> Self {
         Self {
@@ -32,10 +32,10 @@ impl Plausibilities {
         }
     }
 
-    /// Takes `ln p(z | D, C)` of every class, minus infinity where its filter was lost; returns `ln p(z | D)`.
+    /// Updates the plausibilities with `ln p(z | D, C)` of every class and returns `ln p(z | D)`.
     ///
-    /// No plausibility is left below `floor`; 0 is none. When every class is lost, nothing changes and the result is minus
-    /// infinity.
+    /// The evidence of a lost filter is minus infinity. No plausibility falls below `floor`; 0
+    /// means no floor. If every class is lost, nothing changes and the result is minus infinity.
     pub fn update(&mut self, log_evidences: &[f64], floor: f64) -> f64 {
         let joint = self
             .logarithms
@@ -46,8 +46,10 @@ impl Plausibilities {
         if largest == f64::NEG_INFINITY {
             return largest;
         }
-        // beside the largest: of evidences of 10⁵ nats, as an outlier of hundreds of deviations has, nothing but differences
-        // must be left before the sum is taken, or it is 1 to ten digits only
+        // Each term first loses the largest value, and only then the logarithm of the sum. The log
+        // evidence of an outlier of hundreds of standard deviations is about −10⁵ nats. In the
+        // other order, this magnitude would limit the sum of the plausibilities to ten correct
+        // digits.
         let rest = joint.map(|l| (l - largest).exp()).sum::<f64>().ln();
         let mut least = f64::INFINITY;
         for (prior, evidence) in self.logarithms.iter_mut().zip(log_evidences) {
@@ -67,9 +69,11 @@ impl Plausibilities {
         largest + rest
     }
 
-    /// Lifts what is below the floor onto it, and scales the others so that the sum stays 1.
+    /// Raises all plausibilities below the floor to the floor, and scales the others so that the
+    /// sum stays 1.
     ///
-    /// Scaling may push another one below: then once more. A floor below `1/N` ends after `N` rounds at most.
+    /// Scaling can push another plausibility below the floor, so the function repeats. With a floor
+    /// below `1/N` it needs at most `N` rounds.
     fn raise(&mut self, floor: f64) {
         let ln_floor = floor.ln();
         for _ in 0..self.logarithms.len() {
@@ -115,7 +119,7 @@ impl Plausibilities {
         &self.logarithms
     }
 
-    /// Returns the most plausible class, (5.32); the first of several.
+    /// Returns the index of the most plausible class, (5.32), the first one in a tie.
     #[must_use]
     pub fn leader(&self) -> usize {
         let mut leader = 0;
@@ -127,7 +131,7 @@ impl Plausibilities {
         leader
     }
 
-    /// Tells whether two classes are the most plausible ones.
+    /// Returns `true` if at least two classes share the highest plausibility.
     #[must_use]
     pub fn is_tied(&self) -> bool {
         let most = self.logarithms[self.leader()];
@@ -141,7 +145,7 @@ mod tests {
 
     #[test]
     fn logarithms_give_what_bayes_gives() {
-        // ch5 §5 A1: by plain numbers, and with evidences that no number holds
+        // ch5 §5 A1: with plain probabilities, and with evidences that underflow as probabilities
         let (prior, evidences) = ([0.2, 0.3, 0.5], [-3.0, -1.0, -2.0]);
         let joint: Vec<f64> = prior
             .iter()
@@ -161,7 +165,7 @@ mod tests {
 
     #[test]
     fn floor_lifts_three_of_five_and_keeps_the_sum() {
-        // ch5 §5 A2: scaling the others pushes a third one below the floor
+        // ch5 §5 A2: scaling the others pushes a third class below the floor
         let mut plausibilities =
             Plausibilities::from_probabilities(&[0.9998, 1.5e-4, 1e-30, 4.99e-5, 1e-5]);
         plausibilities.update(&[0.0; 5], 1e-4);
@@ -173,7 +177,9 @@ mod tests {
         assert!(found.iter().all(|p| *p >= 1e-4 * (1.0 - 1e-12)));
     }
 
-    /// Returns after how many steps the second class leads, when the first was better by `gap` nats for `steps`.
+    /// Returns the number of steps until the second class leads.
+    ///
+    /// The first class was better by `gap` nats in the preceding `steps` steps.
     fn switching_delay(steps: usize, gap: f64, floor: f64) -> usize {
         let mut plausibilities = Plausibilities::uniform(2);
         for _ in 0..steps {
@@ -189,7 +195,8 @@ mod tests {
 
     #[test]
     fn floor_lets_a_class_come_back_at_once() {
-        // ch5 §5 A3: as long as it was hopeless without a floor, ln(9999)/0.05 steps with it
+        // ch5 §5 A3: without a floor, the return takes as long as the former lead. With a floor, it
+        // takes ln(9999)/0.05 steps.
         let delay = switching_delay(2000, 0.05, 0.0);
         assert!(delay.abs_diff(2001) <= 1, "{delay}");
         let delay = switching_delay(20_000, 0.05, 1e-4);

@@ -1,7 +1,7 @@
 use super::*;
 use nalgebra::DVector;
 
-/// ẏ = A y with a dense, singular, non-normal A: an oscillator with a parameter column.
+/// ẏ = A y + g with a dense, singular, non-normal A: an oscillator with a column for a parameter.
 struct Dense {
     a: DMatrix<f64>,
 }
@@ -50,7 +50,7 @@ impl ProcessModel for Dense {
     }
 }
 
-/// Reads A, Γg, B and Γ₂b off one exponential of a larger matrix.
+/// Returns A, Γg, B and Γ₂b from one exponential of a larger matrix.
 fn by_augmented_exponential(
     model: &Dense,
     step_s: f64,
@@ -58,7 +58,7 @@ fn by_augmented_exponential(
 ) -> (DMatrix<f64>, DMatrix<f64>) {
     let mut g = [0.0; 3];
     model.derivative(&mut g);
-    // y' = A y + g u1 + b u2 + s t: states y, one constant for g, one for b, and a ramp (t, 1)
+    // y' = A y + g u1 + b u2 + s t: the states y, one constant for g, one for b, and a ramp (t, 1).
     let mut big = DMatrix::zeros(7, 7);
     big.view_mut((0, 0), (3, 3)).copy_from(&model.a);
     for i in 0..3 {
@@ -80,7 +80,7 @@ fn by_augmented_exponential(
 
 #[test]
 fn series_agrees_with_the_augmented_exponential() {
-    // ch2 §5 check 2, at steps from fine to five periods a step (substeps)
+    // ch2 §5 check 2, from fine steps to steps of five periods (substeps).
     for reach in [0.01, 0.4, 1.4, 6.0, 31.0] {
         let model = oscillator(reach / 0.01);
         let slope = [0.0, 40.0, 0.0];
@@ -109,7 +109,7 @@ fn series_agrees_with_the_augmented_exponential() {
 
 #[test]
 fn increment_of_the_mean_is_that_of_the_remainder_form() {
-    // ch2 §5 check 2: y + Γ g = A_i y + δ_i with δ_i = Γ (g − A_y y)
+    // ch2 §5 check 2: y + Γ g = A_i y + δ_i with δ_i = Γ (g − A_y y).
     let model = oscillator(40.0);
     let y = DVector::from_row_slice(&[0.4, -1.0, 0.7]);
     let mut g = DVector::zeros(3);

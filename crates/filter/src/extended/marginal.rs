@@ -1,7 +1,8 @@
-//! What is known of the parameters alone, taken out of the joint density and put into it.
+//! Marginal density of the parameters: extraction, replacement and updates that preserve it.
 //!
-//! Source: Huang & Yuen (2023), §6.2 and §6.3; the replacement that keeps the joint density consistent in place of (6.17)
-//! and (6.21), which cut the state off from the parameters.
+//! Source: Huang & Yuen (2023), §6.2 and §6.3. The replacement keeps the joint density consistent.
+//! It is used instead of (6.17) and (6.21), which set the correlation of state and parameters to
+//! zero.
 
 use super::ExtendedKalmanFilter;
 use crate::dense::{cholesky_mut, solve_lower_mut, solve_lower_transposed_mut, symmetrise_mut};
@@ -27,12 +28,18 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Replaces the marginal density of the parameters and keeps `p(x, ẋ | θ)`.
     ///
-    /// With `D = Σ_xθ Σ_θθ⁻¹`: `x ← x + D (θ' − θ)`, `Σ_xx ← Σ_xx + D (Σ' − Σ_θθ) Dᵀ`, `Σ_xθ ← D Σ'`. The joint covariance
-    /// stays positive definite when `Σ'` is. Means are kept within their limits.
+    /// With `D = Σ_xθ Σ_θθ⁻¹`:
+    ///
+    /// - `x ← x + D (θ' − θ)`
+    /// - `Σ_xx ← Σ_xx + D (Σ' − Σ_θθ) Dᵀ`
+    /// - `Σ_xθ ← D Σ'`
+    ///
+    /// If `Σ'` is positive definite, the joint covariance remains positive definite. The means are
+    /// clamped to their limits.
     ///
     /// # Errors
-    /// When `parameters` has another size, is not positive definite or finite, or when nothing of the parameters is
-    /// uncertain now. The filter is then as it was.
+    /// Returns an error if `parameters` has another size or is not finite and positive definite, or
+    /// if the current covariance of the parameters is singular. The filter is then unchanged.
     pub fn replace_parameters(&mut self, parameters: &Gaussian) -> Result<(), FilterError> {
         let (first, len) = self.parameter_range();
         let sizes = [("mean of parameters", parameters.mean.len(), len)];
@@ -99,7 +106,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .view_mut((first, first), (len, len))
             .copy_from(&parameters.covariance);
         if let Some(posterior) = &mut state.posterior {
-            // what the last frame said of the excitation depends on the parameters in the same way
+            // The excitation posterior of the last frame depends on the parameters in the same way.
             let excitation = regression(&factor, posterior.cross.rows(first, len).into_owned());
             posterior.mean += &excitation * &step;
             posterior.covariance += &excitation * &growth * excitation.transpose();
@@ -116,10 +123,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Replaces mean and covariance of the whole state (n, n × n), as the feedback of the source does.
+    /// Replaces mean (n) and covariance (n × n) of the whole state, like the feedback of the
+    /// source.
     ///
     /// # Errors
-    /// When a size is wrong or a number not finite. The filter is then as it was.
+    /// Returns an error if a size is wrong or a number is not finite. The filter is then unchanged.
     pub fn replace_state(
         &mut self,
         mean: &DVector<f64>,
@@ -157,11 +165,15 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Takes `R [x, ẋ]` (r) as measured with independent errors of known variance, and leaves the marginal density of the
-    /// parameters as it is (a Schmidt-Kalman update that considers them).
+    /// Updates the motion with measurements of `R [x, ẋ]` (r) whose errors are independent and have
+    /// known variances.
+    ///
+    /// The marginal density of the parameters remains unchanged (a Schmidt-Kalman update that
+    /// considers them).
     ///
     /// # Errors
-    /// When a size is wrong, a number not finite, or a variance not positive. The filter is then as it was.
+    /// Returns an error if a size is wrong, a value is not finite or a variance is not positive and
+    /// finite. The filter is then unchanged.
     pub fn observe_motion(
         &mut self,
         rows: &DMatrix<f64>,
@@ -217,7 +229,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             gain.rows_mut(first, n - first).fill(0.0);
             let innovation = value - response.dot(&state.mean.rows(0, first));
             state.mean.axpy(innovation, &gain, 1.0);
-            // Joseph form of one row: P − K s ᵀ − s Kᵀ + K t Kᵀ
+            // Joseph form of one row: P − K sᵀ − s Kᵀ + K t Kᵀ
             for j in 0..n {
                 for i in 0..=j {
                     let change =

@@ -1,4 +1,4 @@
-//! All that a filter needs to know besides its model.
+//! Settings of a filter, except for its model.
 
 use crate::discretise::InputHold;
 use crate::error::FilterError;
@@ -11,19 +11,20 @@ use crate::update::CovarianceForm;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
-/// Start-up aid: the measurement noise is taken as `Σ_n (1 + a e^(−t/τ))`.
+/// Start-up aid that increases the measurement noise to `Σ_n (1 + a e^(−t/τ))`.
 ///
-/// With accurate sensors and parameters that start far off, the first updates lie outside the linear range of the
-/// filter and lock it at wrong values with small deviations; softened, they do not.
+/// If the sensors are accurate and the initial parameters are far from the truth, the first updates
+/// leave the linear range of the filter. It then locks at wrong values with small standard
+/// deviations. The increased noise prevents this.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Annealing {
-    /// `a`, 0 for none.
+    /// `a`, 0 for no effect.
     pub amount: f64,
     /// `τ` (s).
     pub time_constant_s: f64,
 }
 
-/// All that a filter needs to know besides its model.
+/// Settings of a filter, except for its model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FilterSettings {
     /// Time between two frames (s).
@@ -34,34 +35,36 @@ pub struct FilterSettings {
     pub prior_std: DVector<f64>,
     /// `λ` of the state.
     pub fading: FadingFactor,
-    /// No variance exceeds this (n, state unit²); infinite where there is no bound.
+    /// Largest variance of each state entry (n, state unit²); infinite for no bound.
     pub variance_bound: DVector<f64>,
-    /// The state is kept above this (n); minus infinity where there is no limit.
+    /// Lower limit of the state (n); minus infinity for no limit.
     pub lower: DVector<f64>,
-    /// The state is kept below this (n).
+    /// Upper limit of the state (n); infinite for no limit.
     pub upper: DVector<f64>,
-    /// Both noises.
+    /// Covariances of the excitation noise and the measurement noise.
     pub noise: NoiseModel,
-    /// How the noise parameters are identified.
+    /// Settings for the identification of the noise parameters.
     pub noise_settings: NoiseSettings,
-    /// How outliers are screened, if they are.
+    /// Settings for the screening of outliers; `None` disables it.
     pub outliers: Option<OutlierSettings>,
-    /// Start-up aid, if any.
+    /// Start-up aid; `None` disables it.
     pub annealing: Option<Annealing>,
-    /// How misfit is measured and answered; `None` trusts the model.
+    /// Settings for the measurement of misfit and the reaction to it; `None` trusts the model.
     pub misfit: Option<MisfitSettings>,
-    /// Standard deviation of each entry of the state that no datum can reduce (n): the published covariance includes it.
+    /// Standard deviation of each state entry that no datum can reduce (n). The published
+    /// covariance includes it.
     ///
-    /// A parameter that is identified by way of an assumption has the deviation here that follows from the assumption.
+    /// For a parameter whose identification relies on an assumption, it is the standard deviation
+    /// that follows from this assumption.
     pub considered_std: DVector<f64>,
-    /// How a known excitation runs between frames.
+    /// Course of a known excitation between frames.
     pub input_hold: InputHold,
-    /// The form of the covariance update.
+    /// Form of the covariance update.
     pub covariance_form: CovarianceForm,
 }
 
 impl FilterSettings {
-    /// Makes settings with no forgetting, no bounds, known noises and no start-up aid.
+    /// Creates settings with no forgetting, no bounds, known noise covariances and no start-up aid.
     #[must_use]
     pub fn new(
         step_s: f64,
@@ -89,7 +92,7 @@ impl FilterSettings {
         }
     }
 
-    /// Returns the variance of the noise of each channel before anything is identified (N_0).
+    /// Returns the noise variance of each channel before identification (N_0).
     pub(crate) fn stated_noise(&self) -> impl Iterator<Item = f64> {
         let identified = |channel: usize| -> f64 {
             let of_sensors = self
@@ -135,7 +138,7 @@ impl FilterSettings {
             });
         }
         for (&low, &high) in self.lower.iter().zip(&self.upper) {
-            // `clamp` panics on such limits
+            // `clamp` panics if its limits are NaN or in the wrong order.
             if low.is_nan() || high.is_nan() || low > high {
                 let allowed = "not above its upper limit, and a number";
                 return Err(FilterError::Setting {

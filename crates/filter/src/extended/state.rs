@@ -1,4 +1,4 @@
-//! What a filter knows between two steps.
+//! State of a filter between two steps.
 
 use super::settings::FilterSettings;
 use crate::discretise::InputHold;
@@ -12,7 +12,7 @@ use crate::update::ExcitationPosterior;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// The whole state of a filter between two steps: what a checkpoint holds.
+/// Complete state of a filter between two steps, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FilterState {
     pub(super) mean: DVector<f64>,
@@ -22,33 +22,33 @@ pub struct FilterState {
     pub(super) misfit: Option<MisfitState>,
     pub(super) fit: Option<FitState>,
     pub(super) steps: u64,
-    /// step from which the start-up aid counts: the start, or the last jump of the parameters
+    /// Step from which the start-up aid counts: the start, or the last jump of the parameters.
     pub(super) annealed_from: u64,
-    /// the coming frame finds the prior of the motion: it is not predicted
+    /// `true` if the next frame updates the motion without a prediction.
     pub(super) fresh: bool,
-    /// the known excitation of the last frame, NaN where it was missing (N_f)
+    /// Known excitation of the last frame (N_f), NaN for a missing sample.
     pub(super) last_excitation: DVector<f64>,
-    /// how the known excitation runs between frames, where it is not held
+    /// Course of the known excitation between frames; `None` if the excitation is held over a step.
     pub(super) excitation_course: Option<ExcitationCourse>,
-    /// running mean square of the known excitation, for missing samples (N_f)
+    /// Running mean square of the known excitation (N_f), the variance of a missing sample.
     pub(super) excitation_mean_square: DVector<f64>,
-    /// running mean square of the physical state, for when it must be forgotten (n − N_θ)
+    /// Running mean square of the physical state (n − N_θ), for a reset of the motion.
     pub(super) motion_mean_square: DVector<f64>,
     pub(super) posterior: Option<ExcitationPosterior>,
 }
 
 impl FilterState {
-    /// Returns what was known of the noise parameters.
+    /// Returns the estimates of the noise parameters.
     pub(crate) fn noise(&self) -> &NoiseState {
         &self.noise
     }
 
-    /// Returns what was known of outliers.
+    /// Returns the state of the outlier screening, or `None` if outliers are not screened.
     pub(crate) fn outliers(&self) -> Option<&OutlierState> {
         self.outliers.as_ref()
     }
 
-    /// Returns the number of channels whose outliers are screened.
+    /// Returns the number of channels with outlier screening, or 0 without screening.
     pub(super) fn screened(&self) -> usize {
         self.outliers
             .as_ref()
@@ -60,13 +60,14 @@ impl FilterState {
         self.misfit.as_ref().map_or(0, MisfitState::parameter_len)
     }
 
-    /// Returns the number of values that the measures of fit remember; 0 where their own lengths disagree.
+    /// Returns the number of values stored in the measures of fit, or 0 if their lengths disagree.
     pub(super) fn fit_len(&self) -> usize {
         self.fit.as_ref().map_or(0, FitState::remembered_len)
     }
 
-    /// Returns the numbers of states and components of the course of the excitation; zeros where none is followed, or its own
-    /// lengths disagree.
+    /// Returns the numbers of states and components of the excitation course.
+    ///
+    /// Both are 0 if the filter has no excitation course or if its lengths disagree.
     pub(super) fn course_shape(&self) -> (usize, usize) {
         self.excitation_course
             .as_ref()

@@ -3,7 +3,8 @@ use crate::kalman::{KalmanFilter, LinearModel};
 use crate::outlier::{OutlierTraining, Verdict};
 use crate::{CovarianceForm, FadingFactor, NoiseModel, NoiseSettings, OutlierSettings};
 
-/// A linear system without parameters, sparse enough to be checked by hand: two coupled oscillators, both sensed.
+/// A linear system without parameters, sparse enough to check by hand: two coupled oscillators,
+/// both with a sensor.
 #[derive(Debug, Clone)]
 struct Linear {
     system: DMatrix<f64>,
@@ -226,7 +227,8 @@ fn checkpoint_gives_the_same_bits_as_an_unbroken_run() {
 
 #[test]
 fn direct_term_agrees_with_an_augmented_kalman_filter() {
-    // The second route: the excitation of the coming step as a state of its own, renewed at every step.
+    // Second route: the excitation of the coming step is a separate state, drawn again at every
+    // step.
     let mut linear = two_oscillators();
     let direct = DMatrix::from_row_slice(2, 1, &[0.0, 0.8]);
     linear.direct = Some(direct.clone());
@@ -413,7 +415,7 @@ fn any_rule() -> impl proptest::strategy::Strategy<Value = NoiseRule> {
     ])
 }
 
-/// Leaves the level of both sensors to a rule that trains for 20 steps.
+/// Assigns the level of both sensors to a rule that trains for 20 steps.
 fn with_unknown_sensors(settings: &mut FilterSettings, rule: NoiseRule) {
     settings.noise.sensors.fill(0.0);
     settings
@@ -451,7 +453,7 @@ proptest::proptest! {
         if let Some(rule) = rule {
             with_unknown_sensors(&mut settings, rule);
         }
-        // trained after 20 of 60 frames
+        // Screening is trained after 20 of 60 frames.
         settings.outliers = screens.then(|| OutlierSettings { training_steps: 20, ..OutlierSettings::for_period(20.0) });
         settings.fading = FadingFactor::from_half_life(memory).unwrap();
         settings.covariance_form = if joseph { CovarianceForm::Joseph } else { CovarianceForm::Symmetric };
@@ -461,13 +463,15 @@ proptest::proptest! {
             filter.step(Frame { observations: &datum, excitation: &[0.0] }).unwrap();
             let covariance = filter.covariance();
             proptest::prop_assert_eq!(covariance, &covariance.transpose());
-            // relative: at the start of a wide prior the smallest eigenvalue sits at rounding level in every form
+            // Relative, because the smallest eigenvalue of a wide prior is at rounding level in
+            // every form.
             let eigenvalues = covariance.clone().symmetric_eigenvalues();
             proptest::prop_assert!(eigenvalues.min() >= -1e-12 * eigenvalues.max(), "eigenvalues {eigenvalues}");
         }
     }
 
-    /// With λ = 1, known noises and a linear model the chain of stages is the Kalman filter.
+    /// With λ = 1, known noise covariances and a linear model, the extended filter equals the
+    /// Kalman filter.
     #[test]
     fn linear_chain_is_the_kalman_filter(
         n in 2_usize..7,
@@ -475,7 +479,8 @@ proptest::proptest! {
         data in proptest::collection::vec(-3.0_f64..3.0, 160),
     ) {
         let mut system = random_system(n, &entries);
-        system.system -= DMatrix::identity(n, n) * 6.0; // what grows without bound has no twelve digits
+        // Stable, because an unbounded response cannot agree to twelve digits.
+        system.system -= DMatrix::identity(n, n) * 6.0;
         let (transition, input) = LinearModel::discretise(&system.system, &system.input, 0.02);
         let (excitation, sensors) = (DMatrix::from_element(1, 1, 0.3), DMatrix::identity(2, 2) * 1e-2);
         let linear = LinearModel {
@@ -501,7 +506,8 @@ proptest::proptest! {
         }
     }
 
-    /// Limits that nothing exceeds leave every bit, of any linear system, memory and rule.
+    /// Limits that nothing exceeds leave every bit unchanged, for any linear system, memory and
+    /// rule.
     #[test]
     fn infinite_thresholds_are_no_screening(
         n in 2_usize..7,
@@ -560,8 +566,10 @@ proptest::proptest! {
         proptest::prop_assert!((dropped.covariance() - wide.covariance()).amax() < 1e-9 * scale);
     }
 
-    /// Stopped anywhere, written, read and gone on with, every stage gives the same bits: noise levels under each rule, and
-    /// outliers.
+    /// A filter that is stopped at any step, saved, loaded and resumed is bit-identical in all
+    /// stages.
+    ///
+    /// This covers the noise levels under each rule and the outlier screening.
     #[test]
     fn checkpoint_at_any_step_changes_nothing(
         stop in 1_usize..600,
@@ -735,7 +743,7 @@ fn restart_in_mid_motion_does_not_assume_rest() {
 
 #[test]
 fn innovation_covariance_that_is_singular_is_mended_by_jitter() {
-    // two channels that see the same thing without noise: S has rank 1
+    // Two channels with the same signal and no noise: `S` has rank 1.
     let mut model = two_oscillators();
     model.observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
     let mut settings = settings();

@@ -1,4 +1,4 @@
-//! Scratch space of a filter, made once.
+//! Scratch space of a filter, allocated once.
 
 use super::settings::FilterSettings;
 use crate::constant::ConstantPath;
@@ -15,64 +15,67 @@ pub(super) struct Workspace {
     pub(super) discretise: discretise::Workspace,
     pub(super) update: update::Workspace,
     pub(super) objective: Objective,
-    /// what a linear time-invariant model computes only once
+    /// Quantities that a linear time-invariant model computes only once.
     pub(super) constant: Option<ConstantPath>,
-    /// the transition of a linear structure with proportional damping
+    /// Transition of a linear structure with proportional damping.
     pub(super) proportional: Option<proportional::Transition>,
-    /// P (n × n), but for what the unknown excitation of the step adds; then (I − GH) P
+    /// `P` (n × n), without the contribution of the unknown excitation of the step; then
+    /// `(I − GH) P`.
     pub(super) covariance: DMatrix<f64>,
-    /// y predicted (n)
+    /// Predicted `y` (n).
     pub(super) mean: DVector<f64>,
-    /// [Γg, B] (n × (1 + N_f))
+    /// `[Γg, B]` (n × (1 + N_f))
     pub(super) inputs: DMatrix<f64>,
-    /// B (n × N_f); of a constant model always the same
+    /// `B` (n × N_f), constant for a constant model.
     pub(super) input_matrix: DMatrix<f64>,
-    /// H P (N_0 × n), of models that do not hand out H
+    /// `H P` (N_0 × n), for models that do not provide `H`.
     pub(super) h_p: DMatrix<f64>,
-    /// P Hᵀ, then Vᵀ (n × N_0)
+    /// `P Hᵀ`, then `Vᵀ` (n × N_0)
     pub(super) p_ht: DMatrix<f64>,
-    /// Hᵀ (n × N_0), where the model hands it out
+    /// `Hᵀ` (n × N_0), for models that provide it.
     pub(super) h_t: DMatrix<f64>,
     pub(super) by_h_t: Right,
-    /// H B (N_0 × N_f)
+    /// `H B` (N_0 × N_f)
     pub(super) h_b: DMatrix<f64>,
-    /// λ B Σ_f (n × N_f)
+    /// `λ B Σ_f` (n × N_f)
     pub(super) input_spread: DMatrix<f64>,
-    /// A C (n × N_f)
+    /// `A C` (n × N_f)
     pub(super) cross: DMatrix<f64>,
-    /// [A C, B] (n × 2N_f), its halves swapped and transposed (2N_f × n)
+    /// `[A C, B]` (n × 2N_f), followed by its halves, swapped and transposed (2N_f × n).
     pub(super) pair: DMatrix<f64>,
     pub(super) swapped_pair: DMatrix<f64>,
     pub(super) by_pair: Right,
     pub(super) multiplier: Multiplier,
-    /// what of the predicted datum's covariance does not depend on ψ (N_0 × N_0)
+    /// Part of the covariance of the predicted datum that does not depend on `ψ` (N_0 × N_0).
     pub(super) frame_known: DMatrix<f64>,
-    /// Σ_f of the coming step and of the frame (N_f × N_f), Σ_n (N_0 × N_0)
+    /// `Σ_f` of the coming step and of the frame (N_f × N_f), then `Σ_n` (N_0 × N_0).
     pub(super) step_excitation: DMatrix<f64>,
     pub(super) frame_excitation: DMatrix<f64>,
     pub(super) sensors: DMatrix<f64>,
-    /// known excitation at the older and the newer frame, and the older one with w̄ (N_f)
+    /// Known excitation (N_f) at the older and the newer frame. `predict` adds the posterior mean
+    /// to `older`.
     pub(super) older: DVector<f64>,
     pub(super) newer: DVector<f64>,
-    /// variance of a measured excitation whose sample at the older frame is missing, else 0 (N_f)
+    /// Variance of a measured excitation whose sample at the older frame is missing, 0 for all
+    /// others (N_f).
     pub(super) missing: DVector<f64>,
-    /// what the known excitation exceeds its straight line by, on average over the step (N_f)
+    /// Average over the step by which the known excitation exceeds its straight line (N_f).
     pub(super) above_the_line: DVector<f64>,
-    /// growth of the known excitation over the step (N_f)
+    /// Change of the known excitation over the step (N_f).
     pub(super) newer_less_older: DVector<f64>,
-    /// B_y ḟ (n)
+    /// `B_y ḟ` (n)
     pub(super) ramp: DVector<f64>,
-    /// diagonal of S with the noise levels before this step moves them (N_0)
+    /// Diagonal of `S` with the noise levels from before this step (N_0).
     pub(super) variances: DVector<f64>,
-    /// diagonal of `S − R`
+    /// Diagonal of `S − R` (N_0).
     pub(super) predicted_variances: DVector<f64>,
     pub(super) misfit: misfit::Workspace,
-    /// residuals in order
+    /// Scratch space for sorted residuals.
     pub(super) sorted: Vec<f64>,
 }
 
 impl Workspace {
-    /// Makes room for the steps of a model, and computes what a constant one computes only once.
+    /// Allocates the workspace of a model and computes the quantities of a constant model.
     pub(super) fn new(
         model: &(impl ProcessModel + ObservationModel),
         settings: &FilterSettings,

@@ -1,30 +1,31 @@
-//! What a node sends in place of its whole state and covariance.
+//! Reduced forms of the state and covariance that a node sends.
 //!
-//! Notation: Huang & Yuen (2023), §6.3.1. `Φ` (N_d × N_m): modes of the nominal model with `Φᵀ M Φ = I`; `u = Φᵀ M x` and
-//! `v = Φᵀ M ẋ`, (6.11) to (6.15). `Φ` and `Φᵀ M` are known everywhere and never sent.
+//! Notation: Huang & Yuen (2023), §6.3.1. `Φ` (N_d × N_m) contains the modes of the nominal model
+//! with `Φᵀ M Φ = I`. The modal coordinates are `u = Φᵀ M x` and `v = Φᵀ M ẋ`, (6.11) to (6.15).
+//! All nodes and the station know `Φ` and `Φᵀ M`, so they are never sent.
 
 use super::samples::SampleExchange;
 use crate::error::FilterError;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Kept modes that miss more than this share of the effective mass are worth a warning.
+/// Share of missed effective mass above which the kept modes require a warning.
 pub const MISSED_MASS: f64 = 0.05;
 
 /// The kept modes of the nominal model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModalBasis {
-    /// `Φ` (N_d × N_m)
+    /// `Φ` (N_d × N_m).
     shapes: DMatrix<f64>,
-    /// `Φᵀ M` (N_m × N_d)
+    /// `Φᵀ M` (N_m × N_d).
     projection: DMatrix<f64>,
 }
 
-/// How the covariance of a node is reduced, table of §6.3.1.
+/// The reduction of a node's covariance, table of §6.3.1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weights {
-    /// All of it, of the unprojected state.
+    /// The whole covariance of the unprojected state.
     Whole,
     /// The blocks of `u`, `v` and `θ`, each as a matrix.
     Matrix,
@@ -32,14 +33,15 @@ pub enum Weights {
     Vector,
     /// One number for each block.
     Scalar,
-    /// Variances of `u` and `v`, and the matrix of `θ`: the proposal of the source.
+    /// The variances of `u` and `v`, and the matrix of `θ`, as proposed in the source.
     #[default]
     Mixed,
 }
 
 impl Weights {
-    /// Returns how many numbers the reduced covariance has, for `dofs` degrees of freedom, `modes` kept modes and
-    /// `parameters` parameters.
+    /// Returns the count of numbers in the reduced covariance.
+    ///
+    /// `dofs` is the number of degrees of freedom, `modes` the number of kept modes.
     #[must_use]
     pub fn numbers(self, dofs: usize, modes: usize, parameters: usize) -> usize {
         let triangle = |n: usize| n * (n + 1) / 2;
@@ -52,7 +54,7 @@ impl Weights {
         }
     }
 
-    /// Returns how many numbers a message has: the reduced covariance and the estimate itself.
+    /// Returns the count of numbers in a message: the reduced covariance and the estimate itself.
     #[must_use]
     pub fn message_numbers(self, dofs: usize, modes: usize, parameters: usize) -> usize {
         let estimate = match self {
@@ -62,9 +64,10 @@ impl Weights {
         estimate + self.numbers(dofs, modes, parameters)
     }
 
-    /// Reduces the covariance of one block (c × c) to what is left of it after it was sent.
+    /// Returns the part of one covariance block (c × c) that a message keeps.
     ///
-    /// A scalar is the mean variance: its trace over its dimension, so that the fused covariance has the right size.
+    /// A scalar weight is the mean variance, trace over dimension, so that the fused covariance has
+    /// the right size.
     #[must_use]
     pub fn reduce(self, block: &DMatrix<f64>, is_parameters: bool) -> DMatrix<f64> {
         match self {
@@ -79,20 +82,21 @@ impl Weights {
     }
 }
 
-/// The motion of a structure in few numbers, each with its variance.
+/// The motion of a structure in a few numbers, each with its variance.
 ///
-/// In modes: `u`, then `v` (2 N_m; kg^½ m, kg^½ m/s). As responses: one for each row of [`Responses`], in its unit. As samples:
-/// by instant and channel, in the units of the sensors, NaN where one is missing, and no variances.
+/// - Modes: `u`, then `v` (2 N_m; kg^½ m, kg^½ m/s)
+/// - Responses: one number for each row of [`Responses`], in its unit
+/// - Samples: by instant and channel, in sensor units, NaN for a missing sample, without variances
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CompressedMotion {
     /// Means.
     pub mean: DVector<f64>,
-    /// Variances, all positive; none for samples, whose noise is known.
+    /// Variances, all positive. Empty for samples, because their noise is known.
     pub variance: DVector<f64>,
 }
 
 impl CompressedMotion {
-    /// Tells whether it holds `len` numbers that make sense.
+    /// Returns `true` if it contains `len` finite means and `len` finite positive variances.
     pub(super) fn is_sound(&self, len: usize) -> bool {
         let finite = self
             .mean
@@ -104,17 +108,18 @@ impl CompressedMotion {
     }
 }
 
-/// What a node knows best of the motion: the displacements, velocities or strains that it measures, and their rates.
+/// The responses that a node estimates best: its measured displacements, velocities or strains, and
+/// their rates.
 ///
-/// Every other node can take them for measurements, because they are linear in the motion: `R [x, ẋ]`.
+/// All other nodes can use them as measurements, because they are linear in the motion: `R [x, ẋ]`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Responses {
-    /// `R` (r × 2 N_d)
+    /// `R` (r × 2 N_d).
     rows: DMatrix<f64>,
 }
 
 impl Responses {
-    /// Makes the responses `R [x, ẋ]` of a node from `R` (r × 2 N_d).
+    /// Creates the responses `R [x, ẋ]` of a node from `R` (r × 2 N_d).
     #[must_use]
     pub fn new(rows: DMatrix<f64>) -> Self {
         Self { rows }
@@ -126,7 +131,8 @@ impl Responses {
         &self.rows
     }
 
-    /// Returns the responses with their variances, from mean (n) and covariance (n × n) of a state `[x, ẋ, …]`.
+    /// Returns the responses with their variances, from mean (n) and covariance (n × n) of a state
+    /// `[x, ẋ, …]`.
     #[must_use]
     pub fn compress(&self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> CompressedMotion {
         let moving = self.rows.ncols();
@@ -140,25 +146,26 @@ impl Responses {
     }
 }
 
-/// What nodes tell one another of the motion through the station; only nodes whose clocks agree can.
+/// The motion data that nodes exchange through the station, which requires synchronised clocks.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum MotionExchange {
-    /// Nothing.
+    /// No exchange.
     #[default]
     None,
-    /// All in the same modes, as published.
+    /// Motion of all nodes in the same modes, as published.
     Modes(ModalBasis),
-    /// Each its own responses; of all nodes, in their order.
+    /// Responses of each node, in the order of the nodes.
     Responses(Vec<Responses>),
-    /// Each a few of its samples.
+    /// A few samples of each node.
     Samples(SampleExchange),
 }
 
 impl ModalBasis {
-    /// Makes a basis from mode shapes and the mass matrix.
+    /// Creates a basis from mode shapes (N_d × N_m) and the mass matrix (N_d × N_d).
     ///
     /// # Errors
-    /// When the sizes do not fit, or `Φᵀ M Φ` is not the identity to 1e-8.
+    /// Returns an error if the sizes do not fit, or if `Φᵀ M Φ` differs from the identity by more
+    /// than 1e-8.
     pub fn new(shapes: DMatrix<f64>, mass: &DMatrix<f64>) -> Result<Self, FilterError> {
         let found = mass.nrows();
         if found != shapes.nrows() || mass.ncols() != found {
@@ -182,20 +189,21 @@ impl ModalBasis {
         Ok(Self { shapes, projection })
     }
 
-    /// Returns `N_m`.
+    /// Returns the number of kept modes, `N_m`.
     #[must_use]
     pub fn modes(&self) -> usize {
         self.shapes.ncols()
     }
 
-    /// Returns `N_d`.
+    /// Returns the number of degrees of freedom, `N_d`.
     #[must_use]
     pub fn dofs(&self) -> usize {
         self.shapes.nrows()
     }
 
-    /// Returns for each kept mode its share of the mass that a uniform motion along `influence` (N_d) sets going,
-    /// `(φᵀ M ι)² / ιᵀ M ι`.
+    /// Returns the effective mass share of each kept mode, `(φᵀ M ι)² / ιᵀ M ι`.
+    ///
+    /// `influence` (N_d) is `ι`, the direction of a uniform ground motion.
     #[must_use]
     pub fn effective_mass_shares(&self, influence: &DVector<f64>, mass: &DMatrix<f64>) -> Vec<f64> {
         let total = influence.dot(&(mass * influence));
@@ -206,9 +214,11 @@ impl ModalBasis {
             .collect()
     }
 
-    /// Compresses mean (n) and covariance (n × n) of a state `[x, ẋ, …]`, (6.11) to (6.15) and (6.18) to (6.20).
+    /// Compresses mean (n) and covariance (n × n) of a state `[x, ẋ, …]`, (6.11) to (6.15) and
+    /// (6.18) to (6.20).
     ///
-    /// Variances are kept above the smallest positive number that has an inverse.
+    /// All variances are at least the square root of the smallest normal number, so that they have
+    /// a finite inverse.
     #[must_use]
     pub fn compress(&self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> CompressedMotion {
         let (dofs, modes) = (self.dofs(), self.modes());
@@ -232,7 +242,7 @@ impl ModalBasis {
         motion
     }
 
-    /// Returns displacements and velocities (2 N_d) of a compressed motion, (6.17).
+    /// Returns displacements and velocities (2 N_d) of a compressed motion (2 N_m), (6.17).
     #[must_use]
     pub fn extract(&self, motion: &DVector<f64>) -> DVector<f64> {
         let (dofs, modes) = (self.dofs(), self.modes());
@@ -244,7 +254,8 @@ impl ModalBasis {
         state
     }
 
-    /// Returns the covariance (2 N_d × 2 N_d) that the source gives to an extracted motion, (6.21): of rank 2 N_m.
+    /// Returns the covariance of an extracted motion (2 N_d × 2 N_d, rank 2 N_m) according to
+    /// (6.21).
     #[must_use]
     pub fn extract_covariance(&self, variance: &DVector<f64>) -> DMatrix<f64> {
         let (dofs, modes) = (self.dofs(), self.modes());
@@ -260,27 +271,27 @@ impl ModalBasis {
     }
 }
 
-/// How the covariance of the parameters is reduced for nodes that send nothing else, §7.3.1.
+/// The reduction of the parameter covariance for nodes that send only parameters, §7.3.1.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CovarianceScheme {
-    /// All of it.
+    /// The whole covariance.
     #[default]
     Full,
     /// The variances.
     Identity,
-    /// What it shows along given orthonormal columns `𝒲` (N_θ × N_θ), (7.21) to (7.27).
+    /// The variances along given orthonormal columns `𝒲` (N_θ × N_θ), (7.21) to (7.27).
     Basis(DMatrix<f64>),
 }
 
 impl CovarianceScheme {
-    /// Makes the basis of the eigenvectors of summed information matrices.
+    /// Creates a basis from the eigenvectors of summed information matrices (N_θ × N_θ).
     #[must_use]
     pub fn of_information(sum: &DMatrix<f64>) -> Self {
         Self::Basis(sum.clone().symmetric_eigen().eigenvectors)
     }
 
-    /// Returns what is left of a covariance (N_θ × N_θ) after it was sent, `Σ* = Σ_m φ_m w_m w_mᵀ`, `φ_m = w_mᵀ Σ w_m`.
+    /// Returns the reduced covariance `Σ* = Σ_m φ_m w_m w_mᵀ` (N_θ × N_θ), with `φ_m = w_mᵀ Σ w_m`.
     #[must_use]
     pub fn reduce(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
         match self {
@@ -308,7 +319,7 @@ mod tests {
         assert_eq!(Weights::Whole.numbers(100, 5, 5), 21_115);
         assert_eq!(Weights::Matrix.numbers(100, 5, 5), 45);
         assert_eq!(Weights::Mixed.numbers(100, 5, 5), 25);
-        // the other schemes for the structures of §4.1 and §4.2
+        // The other schemes for the structures of §4.1 and §4.2.
         for (weights, building, bridge) in [
             (Weights::Whole, 4185, 5777),
             (Weights::Matrix, 105, 98),
@@ -319,7 +330,7 @@ mod tests {
             assert_eq!(weights.message_numbers(40, 5, 10), building, "{weights:?}");
             assert_eq!(weights.message_numbers(49, 6, 8), bridge, "{weights:?}");
         }
-        // numbers of the whole record, distributed and raw
+        // Numbers in the whole record, distributed and raw.
         assert_eq!(85 * 16 * 300, 408_000);
         assert_eq!(68 * 15 * 300, 306_000);
         assert!((408_000.0_f64 / (2.0 * 16.0 * 250.0 * 300.0) - 0.170).abs() < 1e-12);
@@ -328,7 +339,7 @@ mod tests {
 
     #[test]
     fn motion_in_the_span_survives_compression() {
-        // two modes of a chain of three unit masses
+        // Two modes of a chain of three unit masses.
         let stiffness = DMatrix::<f64>::from_row_slice(
             3,
             3,
@@ -391,7 +402,9 @@ mod tests {
         assert!((covariance - matrix_form.covariance).amax() < 1e-12);
     }
 
-    /// Why no file can ask for scalar weights: a node that has learnt of one parameter would be taken for one that knows something of all.
+    /// Shows why files cannot select scalar weights.
+    ///
+    /// A node that has learnt one parameter would claim information about all parameters.
     #[test]
     fn a_scalar_weight_claims_what_was_not_learnt() {
         let before = DMatrix::from_diagonal_element(3, 3, 0.04);
@@ -408,7 +421,8 @@ mod tests {
                 "{weights:?}: {learnt}"
             );
         }
-        // half as much again as was known before, of parameters that the node has not seen; and of the one it has, half a hundredth
+        // The claim for the unseen parameters is half of their prior information. The claim for the
+        // learnt parameter is half a per cent of its true gain.
         let learnt = learnt(Weights::Scalar);
         assert!(
             (learnt[1] * 0.04 - 0.4925).abs() < 1e-4 && learnt[0] < 0.01 * 2475.0,
@@ -418,7 +432,8 @@ mod tests {
 
     #[test]
     fn finer_weights_fuse_better_on_average() {
-        // ch6 §3.3: 200 random triples of independent four-variate estimates, error variance relative to matrix weights
+        // ch6 §3.3: 200 random triples of independent four-variate estimates, error variance
+        // relative to matrix weights
         let mut seed = 1_u64;
         let mut uniform = || {
             seed = seed
@@ -434,7 +449,7 @@ mod tests {
                     &a * a.transpose() + DMatrix::identity(4, 4) * 0.01
                 })
                 .collect();
-            // variance of the fused mean when each estimate weighs as the scheme says
+            // Variance of the fused mean if the weights of the estimates follow the scheme.
             let error = |weights: Option<Weights>| {
                 let informations: Vec<DMatrix<f64>> = truths
                     .iter()

@@ -1,7 +1,7 @@
-//! Which nodes are wrong: their parameters against those of all others.
+//! Detection of faulty nodes by comparing their parameters with those of all other nodes.
 //!
-//! Source: Huang & Yuen (2023), §7.4.1, (7.47) to (7.64). A sensor with a constant error looks regular to its own filter; its
-//! parameters do not fit those of the other nodes.
+//! Source: Huang & Yuen (2023), §7.4.1, (7.47) to (7.64). A sensor with a constant error looks
+//! regular to its own filter, but its parameters do not fit those of the other nodes.
 
 use super::gaussian::Gaussian;
 use super::station::Sharing;
@@ -9,39 +9,48 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// The test of the nodes against one another.
+/// Settings of the test that compares the nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GlobalDetector {
-    /// Probability below which the distance of a regular node stays, 0.95 in the source.
+    /// Probability that the distance of a regular node stays below the limit, 0.95 in the source.
     pub screening: f64,
-    /// Outlier probability from which on a suspicious node is left out, 0.5 in the source.
+    /// Outlier probability at and above which a suspicious node is excluded, 0.5 in the source.
     pub exclusion: f64,
-    /// Leaves out the farthest node, looks again, and so on: one gross node then makes no other suspicious.
+    /// Excludes the farthest node and repeats the test, instead of testing all nodes at once.
+    ///
+    /// One node with a gross error then makes no other node suspicious.
     pub one_at_a_time: bool,
-    /// Fusions in a row in which a node must be regular before it is used again; 1, as in the source, for at once.
+    /// Number of consecutive regular fusions before a node is used again; 1 in the source, for
+    /// immediate use.
     pub readmission: u32,
-    /// What becomes of a node that is suspicious.
+    /// The treatment of suspicious nodes.
     pub weighting: Weighting,
 }
 
-/// What becomes of a node that is found to be suspicious.
+/// The treatment of suspicious nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weighting {
-    /// It is left out, as in the source.
+    /// The fusion excludes suspicious nodes, as in the source.
     #[default]
     AllOrNothing,
-    /// What it has learnt counts less, by [`NodeDistance::weight`], and its motion is told to nobody, until it has been regular in so many
-    /// fusions in a row as it takes to be used again. It is left out until then when its weight is below [`LEAST_WEIGHT`], or that has
-    /// gone on for more than [`PATIENCE`] fusions.
+    /// The learnt information of a suspicious node counts less, by [`NodeDistance::weight`].
+    ///
+    /// The station does not forward the node's motion until the node has completed
+    /// [`GlobalDetector::readmission`] regular fusions in a row. Two conditions exclude the node
+    /// until then: a weight below [`LEAST_WEIGHT`], or more than [`PATIENCE`] fusions in this
+    /// state.
     Graded,
 }
 
-/// A node that counts less than this, which is farther than about three times the limit, is left out.
+/// Weight below which a node is excluded; its distance is then more than about three times the
+/// limit.
 pub const LEAST_WEIGHT: f64 = 0.1;
 
-/// Fusions for which a node may go without having become regular before it is left out: one bad second costs it little, and a wrong sensor
-/// does not pull for longer.
+/// Maximum number of fusions in which a discounted node is still used before it is regular.
+///
+/// One bad second then costs a node little, and a faulty sensor affects the result only for a short
+/// time.
 pub const PATIENCE: u32 = 3;
 
 impl Default for GlobalDetector {
@@ -56,19 +65,21 @@ impl Default for GlobalDetector {
     }
 }
 
-/// What the test found of one node.
+/// The result of the test for one node.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NodeDistance {
-    /// `d`: simplified Mahalanobis distance from all others, (7.52).
+    /// `d`: simplified Mahalanobis distance from all other nodes, (7.52).
     pub distance: f64,
-    /// It is suspicious: left out of this fusion, unless weights are graded.
+    /// The node is suspicious. This fusion excludes it, unless weights are graded.
     pub excluded: bool,
-    /// `min(1, limit²/d²)`, with the distance from the regular nodes: with errors as much larger it would be a regular node. 1 of one
-    /// that is not suspicious.
+    /// `min(1, limit²/d²)`, where `d` is the distance from the regular nodes; 1 for a node that is
+    /// not suspicious.
+    ///
+    /// With variances larger by the inverse of this weight, the node would be regular.
     pub weight: f64,
 }
 
-/// The fewest nodes that are kept.
+/// Minimum number of nodes that the test keeps.
 const FEWEST: usize = 2;
 
 /// Sums of weights `1/v` and of weighted means.
@@ -98,11 +109,14 @@ impl Sums {
         sums
     }
 
-    /// Squared distance of a node from these sums, without its own terms where it is part of them.
+    /// Returns the squared distance of a node from these sums, without its own terms if it is part
+    /// of them.
     ///
-    /// In (7.52) the others are surer by their number, as if each had learnt by itself. Nodes that tell one another what they
-    /// measure know much the same: the mean of the others is as uncertain as one of them, and a node that is surer than they are
-    /// would be far from all. What the others know together is counted as it is fused, `1/γ` of each.
+    /// (7.52) assumes that the other nodes have learnt independently, so that their mean has a
+    /// variance smaller by their number. However, nodes that exchange measurements have almost the
+    /// same information. Their mean is as uncertain as one of them, and a node more certain than
+    /// the others would look far from all. The joint information of the others therefore counts as
+    /// in the fusion: `1/γ` of each.
     fn squared_distance(&self, node: &Gaussian, is_part: bool) -> f64 {
         let mut sum = 0.0;
         let shared = self
@@ -122,14 +136,17 @@ impl Sums {
 }
 
 impl GlobalDetector {
-    /// Returns the distance from which on a node is suspicious, `√Φ⁻¹_χ²(screening)`, (7.53).
+    /// Returns the distance above which a node is suspicious, `√Φ⁻¹_χ²(screening)`, (7.53).
     #[must_use]
     pub fn limit(&self, parameters: usize) -> f64 {
         chi_squared(parameters).map_or(f64::INFINITY, |chi| chi.inverse_cdf(self.screening).sqrt())
     }
 
-    /// Judges the nodes, which share what they know as `sharing` says, by their densities of the same parameters; the order is kept.
-    /// Fewer than three are not judged.
+    /// Tests the nodes by their densities of the same parameters and returns the results in the
+    /// same order.
+    ///
+    /// `sharing` is the assumed overlap of their information. The test requires at least three
+    /// nodes; fewer nodes are all regular.
     #[must_use]
     pub fn judge(&self, nodes: &[&Gaussian], sharing: Sharing) -> Vec<NodeDistance> {
         let parameters = nodes.first().map_or(0, |node| node.mean.len());
@@ -159,7 +176,8 @@ impl GlobalDetector {
         }
         let mut regular: Vec<bool> = found.iter().map(|node| node.distance <= limit).collect();
         if !regular.contains(&true) {
-            // none is left: those at or below the median stand for the regular ones
+            // Without any regular node, the nodes with distances up to the median replace the
+            // regular nodes.
             let mut distances: Vec<f64> = found.iter().map(|node| node.distance).collect();
             distances.sort_by(f64::total_cmp);
             let median = distances[(distances.len() - 1) / 2];
@@ -223,7 +241,7 @@ impl GlobalDetector {
     }
 }
 
-/// `min(1, limit²/d²)`; 0 of a distance that is none.
+/// Returns `min(1, limit²/d²)`, or 0 if the distance is NaN.
 fn weight(limit: f64, distance: f64) -> f64 {
     let weight = (limit / distance).powi(2);
     if weight.is_nan() {

@@ -12,24 +12,29 @@ use serde::{Deserialize, Serialize};
 /// A Gaussian density by its mean `μ` (n) and covariance `Σ` (n × n).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Gaussian {
-    /// `μ` (n)
+    /// `μ` (n).
     pub mean: DVector<f64>,
-    /// `Σ` (n × n), symmetric positive definite
+    /// `Σ` (n × n), symmetric positive definite.
     pub covariance: DMatrix<f64>,
 }
 
-/// A Gaussian density by its information matrix `Δ = Σ⁻¹` (n × n) and vector `δ = Σ⁻¹ μ` (n), in which products are sums.
+/// A Gaussian density by its information matrix `Δ = Σ⁻¹` (n × n) and vector `δ = Σ⁻¹ μ` (n).
+///
+/// In this form, the product of densities is a sum.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Information {
-    /// `Δ` (n × n)
+    /// `Δ` (n × n).
     pub matrix: DMatrix<f64>,
-    /// `δ` (n)
+    /// `δ` (n).
     pub vector: DVector<f64>,
 }
 
 impl Gaussian {
-    /// Makes a density from its mean (n) and the upper triangle of its covariance by columns (n(n+1)/2), or its n variances
-    /// alone; `None` when the lengths do not fit.
+    /// Creates a density from its mean (n) and the upper triangle of its covariance by columns
+    /// (n(n+1)/2).
+    ///
+    /// A slice of n entries instead contains only the variances. Returns `None` if the lengths do
+    /// not fit.
     #[must_use]
     pub fn from_triangle(mean: &[f64], covariance: &[f64]) -> Option<Self> {
         let n = mean.len();
@@ -59,7 +64,7 @@ impl Gaussian {
             .collect()
     }
 
-    /// Returns the variances (n), all there is of a covariance that is diagonal.
+    /// Returns the variances (n), which define a diagonal covariance completely.
     #[must_use]
     pub fn variances(&self) -> Vec<f64> {
         self.covariance.diagonal().as_slice().to_vec()
@@ -68,7 +73,7 @@ impl Gaussian {
     /// Returns the information form.
     ///
     /// # Errors
-    /// When the covariance is not positive definite, or a number is not finite.
+    /// Returns an error if the covariance is not positive definite or a number is not finite.
     pub fn information(&self) -> Result<Information, FilterError> {
         let mut matrix = inverse(&self.covariance)?;
         symmetrise_mut(&mut matrix);
@@ -84,7 +89,7 @@ impl Gaussian {
 }
 
 impl Information {
-    /// Returns no information on `n` quantities.
+    /// Returns zero information about `n` quantities.
     #[must_use]
     pub fn none(n: usize) -> Self {
         Self {
@@ -93,14 +98,14 @@ impl Information {
         }
     }
 
-    /// Adds `weight` times other information; a negative weight takes it away.
+    /// Adds `weight` times other information; a negative weight subtracts it.
     pub fn add(&mut self, weight: f64, other: &Self) {
         self.matrix
             .zip_apply(&other.matrix, |entry, addend| *entry += weight * addend);
         self.vector.axpy(weight, &other.vector, 1.0);
     }
 
-    /// Forgets: multiplies the covariance by `growth ≥ 1` and keeps the mean.
+    /// Fades the information: multiplies the covariance by `growth ≥ 1` and keeps the mean.
     pub fn fade(&mut self, growth: f64) {
         self.matrix /= growth;
         self.vector /= growth;
@@ -109,7 +114,7 @@ impl Information {
     /// Returns mean and covariance.
     ///
     /// # Errors
-    /// When the matrix is not positive definite, or a number is not finite.
+    /// Returns an error if the matrix is not positive definite or a number is not finite.
     pub fn gaussian(&self) -> Result<Gaussian, FilterError> {
         let mut covariance = inverse(&self.matrix)?;
         symmetrise_mut(&mut covariance);
@@ -123,7 +128,9 @@ impl Information {
         Ok(Gaussian { mean, covariance })
     }
 
-    /// Returns `ζ = ½ (δᵀ Δ⁻¹ δ − ln|Δ| + n ln 2π)`, (6.38): `exp(−½ xᵀ Δ x + δᵀ x − ζ)` is the density.
+    /// Returns `ζ = ½ (δᵀ Δ⁻¹ δ − ln|Δ| + n ln 2π)`, (6.38).
+    ///
+    /// The density is `exp(−½ xᵀ Δ x + δᵀ x − ζ)`.
     fn log_normaliser(&self) -> Result<f64, FilterError> {
         let n = self.vector.len();
         let mut factor = self.matrix.clone();
@@ -135,12 +142,15 @@ impl Information {
     }
 }
 
-/// Multiplies densities of the same quantities; returns the normalised product and the logarithm of its factor `s₀`.
+/// Multiplies densities of the same quantities; returns the normalised product and the logarithm of
+/// its factor `s₀`.
 ///
-/// `∏ 𝒩(x; μ_ι, Σ_ι) = s₀ 𝒩(x; μ_p, Σ_p)` with `Σ_p = (Σ Σ_ι⁻¹)⁻¹`, `μ_p = Σ_p Σ Σ_ι⁻¹ μ_ι`, (6.41) to (6.43).
+/// `∏ 𝒩(x; μ_ι, Σ_ι) = s₀ 𝒩(x; μ_p, Σ_p)` with `Σ_p = (Σ Σ_ι⁻¹)⁻¹`, `μ_p = Σ_p Σ Σ_ι⁻¹ μ_ι`, (6.41)
+/// to (6.43).
 ///
 /// # Errors
-/// When there is none, their sizes differ, or a covariance is not positive definite.
+/// Returns an error if the list is empty, the sizes differ, or a covariance is not positive
+/// definite.
 pub fn product(densities: &[Gaussian]) -> Result<(Gaussian, f64), FilterError> {
     let Some(first) = densities.first() else {
         return Err(FilterError::Dimension {
@@ -217,7 +227,7 @@ mod tests {
         );
         assert!((product.covariance[(0, 0)] - 0.6816).abs() < 1e-4);
         assert!((product.covariance[(0, 0)].sqrt() - 0.8256).abs() < 1e-4);
-        // the factor, from the densities themselves at some point
+        // The factor, from the densities themselves at some points.
         let density = |x: f64, g: &Gaussian| {
             let variance = g.covariance[(0, 0)];
             (-(x - g.mean[0]).powi(2) / (2.0 * variance)).exp()

@@ -1,7 +1,8 @@
-//! The filter of a sensor node: its own channels alone, and the station's feedback.
+//! The filter of a sensor node: it uses its own channels and the station's feedback.
 //!
-//! Sources: Huang & Yuen (2023), §6.2, §6.3 and §7.3. A node knows its own counter only; that its clock is off against those
-//! of other nodes does no harm, because no sample of it ever meets one of theirs, (7.20).
+//! Sources: Huang & Yuen (2023), §6.2, §6.3 and §7.3. A node knows only its own sample counter. If
+//! nodes send only parameters, a clock offset does no harm, because no sample of a node meets
+//! samples of other nodes, (7.20). An exchange of motion requires synchronised clocks.
 
 use super::compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange};
 use super::gaussian::{Gaussian, Information};
@@ -14,43 +15,47 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Messages that feedback may still answer; older ones are forgotten.
+/// Maximum number of messages that feedback can still answer; older messages are dropped.
 const KEPT: usize = 16;
 
-/// What a node does with the fused density.
+/// The effect of the fused density on a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeedbackRule {
-    /// It takes the place of the node's marginal density of the parameters; `p(x, ẋ | θ)` stays the node's own.
+    /// The fused density replaces the node's marginal density of the parameters. The node keeps its
+    /// `p(x, ẋ | θ)`.
     #[default]
     Marginal,
-    /// As [`FeedbackRule::Marginal`], with the covariance times the number of nodes fused: information divided, not copied.
+    /// As [`FeedbackRule::Marginal`], with the covariance multiplied by the number of fused nodes.
+    ///
+    /// This divides the information among the nodes instead of copying it.
     Federated,
     /// The node takes the mean and keeps its covariance.
     Mean,
-    /// The node goes on alone.
+    /// The node ignores the fused density.
     None,
-    /// Parameters and motion are overwritten and their correlation is dropped, as published: (6.17) and (6.21).
+    /// The fused density overwrites parameters and motion, and their correlation is dropped, as
+    /// published: (6.17) and (6.21).
     Reset,
 }
 
-/// What a node is told of the fusion.
+/// The station's answer to one message of a node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Feedback {
     /// Index of the node's own message that this answers.
     pub answers: u64,
     /// The fused density of the parameters.
     pub parameters: Gaussian,
-    /// How many nodes were fused.
+    /// Number of fused nodes.
     pub nodes: usize,
-    /// The fused motion, where motion is sent in modes.
+    /// The fused motion, if nodes exchange motion in modes.
     pub motion: Option<CompressedMotion>,
-    /// By node: what it sent of its responses or samples, where these are sent.
+    /// Responses or samples by node, if nodes exchange them.
     pub responses: Vec<Option<CompressedMotion>>,
 }
 
 impl FeedbackRule {
-    /// Returns the density that takes the place of what the node had sent; `None` when nothing does.
+    /// Returns the density that replaces the sent density; `None` if the node ignores feedback.
     pub(super) fn target(
         self,
         fused: &Gaussian,
@@ -72,63 +77,73 @@ impl FeedbackRule {
     }
 }
 
-/// From which density a node has started towards its message: what lies between is what it has learnt.
+/// The density from which a node started towards its message.
 ///
-/// It names a message that was answered, because only of that the node knows that the station has it.
+/// The difference between the message and this density is the information that the node has learnt.
+/// A lineage only names answered messages, because an answer proves that the station has received
+/// them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lineage {
-    /// Its own last message that was answered, 0 for the prior that all nodes share.
+    /// Index of its own last answered message; 0 for the prior that all nodes share.
     pub own: u64,
-    /// Messages whose feedback it has taken since it sent that one.
+    /// Messages whose feedback the node has applied since it sent message `own`.
     pub answers: Vec<u64>,
 }
 
-/// What a node sends once in a fusion period.
+/// The message that a node sends once per fusion period.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LocalEstimate {
-    /// Its own count of fusion periods, from 1.
+    /// The node's count of fusion periods, from 1.
     pub index: u64,
-    /// Its density of the parameters.
+    /// The node's density of the parameters.
     pub parameters: Gaussian,
-    /// From which density it started; `None` where that has no name, and nothing is to be counted as learnt: after it had to
-    /// start anew or samples were skipped, until the next answer.
+    /// The density from which the node started.
+    ///
+    /// `None` if the node cannot name this density: after a restart or skipped samples, until the
+    /// next answer. The station then counts nothing as learnt.
     pub lineage: Option<Lineage>,
-    /// Its motion, in modes, as its own responses or as samples, where motion is exchanged.
+    /// The node's motion in modes, as its own responses or as samples, if nodes exchange motion.
     pub motion: Option<CompressedMotion>,
-    /// Instant of its last sample, to which the motion belongs: fusion periods of measurement time, from an origin that is the
-    /// same for all nodes. The node's own count, unless who passes the message on knows the time.
+    /// Time of the last sample, to which the motion belongs (fusion periods of measurement time).
+    ///
+    /// The origin must be the same for all nodes. [`LocalFilter::report`] writes the node's own
+    /// count. A caller that knows the time replaces it.
     pub instant: f64,
 }
 
-/// How a node takes part.
+/// Settings of a node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeSettings {
     /// Samples in a fusion period, `r_s / r_c`, at least 1.
     pub steps_per_period: u64,
-    /// What it does with feedback.
+    /// The node's use of feedback.
     pub feedback: FeedbackRule,
-    /// How the covariance of the parameters is reduced.
+    /// The reduction of the parameter covariance.
     pub scheme: CovarianceScheme,
-    /// What is told of the motion.
+    /// The exchanged motion data.
     pub motion: MotionExchange,
-    /// Which of the nodes this is, from 0.
+    /// Index of this node among all nodes, from 0.
     pub position: usize,
-    /// Means of parameters outside these (N_θ each) make the node start anew.
+    /// Lower and upper limits of the parameter means (N_θ each).
+    ///
+    /// A node with a mean outside these limits restarts from its prior.
     pub healthy: (DVector<f64>, DVector<f64>),
 }
 
-/// What came of feedback.
+/// The outcome of feedback.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Taken {
-    /// It is part of the estimate now.
+    /// The estimate now contains the feedback.
     Applied,
-    /// It answers a message that is too old, answered already, or was never sent.
+    /// The feedback answers a message that is too old, already answered or never sent.
     Stale,
-    /// It is no density, or none that fits what the node knows.
+    /// The feedback is not a valid density, or contradicts the node's own information.
     Refused,
 }
 
-/// What a node takes over its own death. Its messages and their answers are not in it: they are of the life that has ended.
+/// The state of a node for a checkpoint.
+///
+/// It does not contain messages and answers, because they belong to the current run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LocalState {
     filter: FilterState,
@@ -138,46 +153,48 @@ pub struct LocalState {
     restarts: u64,
 }
 
-/// The filter as it was when the last message was sent, and what has come since.
+/// The filter state at the last message, and all frames since then.
 #[derive(Debug, Clone)]
 struct Rewind {
     index: u64,
     state: FilterState,
-    /// observations and excitation of each frame since
+    /// Observations and excitation of each frame since the message.
     frames: Vec<(Vec<f64>, Vec<f64>)>,
 }
 
 /// An adaptive extended Kalman filter that takes part in a fusion.
 ///
-/// Feedback that answers the last message is taken at the instant of that message, and the samples since then are filtered
-/// again: how late it came makes no difference. Feedback that answers an earlier one shifts what is known now.
+/// Feedback to the last message applies at the time of that message. The node then filters the
+/// subsequent samples again, so the delay of the feedback has no effect. Feedback to an earlier
+/// message shifts the current estimate.
 #[derive(Debug, Clone)]
 pub struct LocalFilter<M> {
     filter: ExtendedKalmanFilter<M>,
     settings: NodeSettings,
     prior: Gaussian,
     counter: u64,
-    /// index and density of its last messages
+    /// Index and density of the last messages.
     sent: VecDeque<(u64, Gaussian)>,
     rewind: Option<Rewind>,
-    /// the message that the coming one starts from, 0 for the prior; `None` until an answer gives one
+    /// The message from which the next one starts, 0 for the prior. `None` until an answer provides
+    /// one.
     from: Option<u64>,
-    /// answers taken: message, and the last one sent by then
+    /// Applied answers: index of the message, and index of the last message sent by then.
     taken: VecDeque<(u64, u64)>,
     last_sent: u64,
     last_answer: u64,
-    /// what it keeps to exchange samples, where nodes do
+    /// Data for the exchange of samples, if nodes exchange them.
     shared: Option<Shared>,
-    /// means of the last fused density that was healthy
+    /// Means of the last fused density within the limits.
     fused: Option<DVector<f64>>,
     restarts: u64,
 }
 
 impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
-    /// Makes a node from a filter at its prior.
+    /// Creates a node from a filter at its prior.
     ///
     /// # Errors
-    /// When a setting does not fit the filter.
+    /// Returns an error if a setting does not fit the filter.
     pub fn new(
         filter: ExtendedKalmanFilter<M>,
         settings: NodeSettings,
@@ -265,11 +282,13 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         })
     }
 
-    /// Says where in a fusion period the first sample lies, from 0, so that periods end when those of other nodes do. To be called
-    /// before the first sample.
+    /// Sets the index of the first sample within its fusion period (from 0).
+    ///
+    /// The periods of all nodes then end at the same samples. Callers must call this before the
+    /// first sample.
     pub fn begin_at(&mut self, sample: u64) {
         self.counter = sample % self.settings.steps_per_period;
-        // what all share is the prior at the start of a period, which has faded since
+        // All nodes share the prior at the start of a period. It has faded since then.
         let mut prior = self.filter.parameters();
         prior.covariance *= self
             .filter
@@ -294,13 +313,14 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
-    /// Goes on from a checkpoint in a new life, whose messages the station does not take for those of the one before.
+    /// Restores a checkpoint in a new run.
     ///
-    /// The station may know of what was learnt by then and after it: nothing is told as learnt until a message of this life has been
-    /// answered.
+    /// The station may already know information that the node learnt before and after the
+    /// checkpoint. The node therefore reports nothing as learnt until the station has answered a
+    /// message of this run.
     ///
     /// # Errors
-    /// When the state does not fit the filter; the node is then as it was.
+    /// Returns an error if the state does not fit the filter. The node is then unchanged.
     pub fn restore(&mut self, state: LocalState) -> Result<(), FilterError> {
         let LocalState {
             filter,
@@ -324,7 +344,8 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.filter.restore(filter)?;
         let last = counter / self.settings.steps_per_period;
         (self.counter, self.last_sent, self.last_answer) = (counter, last, last);
-        // a message of the life before has a name that this station does not know; the prior is one that it does
+        // The station does not know messages of a previous run, so it counts nothing for their
+        // indices. It does know the prior (index 0) and would count everything twice.
         self.from = from.filter(|own| *own > 0);
         (self.fused, self.restarts) = (fused, restarts);
         self.sent.clear();
@@ -334,10 +355,12 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         Ok(())
     }
 
-    /// Takes one frame of the node's own observations; a filter that diverges starts anew and the frame is lost.
+    /// Processes one frame of the node's own observations.
+    ///
+    /// If the filter diverges, it restarts, the frame is lost and the result is `None`.
     ///
     /// # Errors
-    /// When the frame does not fit the model.
+    /// Returns an error if the frame does not fit the model.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Option<Step>, FilterError> {
         let Some(mut shared) = self.shared.take() else {
             return self.step_all(frame);
@@ -386,7 +409,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         step
     }
 
-    /// Takes one frame of all that the filter observes.
+    /// Processes one frame of all observations of the filter.
     fn step_all(&mut self, frame: Frame<'_>) -> Result<Option<Step>, FilterError> {
         self.filter.check_frame(frame)?;
         self.counter += 1;
@@ -409,7 +432,9 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
-    /// Returns how the screening of the node's own observations stands, in their order; empty where outliers are not screened.
+    /// Returns the outlier screening state of the node's own observations, in their order.
+    ///
+    /// Empty if outlier screening is disabled.
     #[must_use]
     pub fn screens(&self) -> &[ChannelScreen] {
         let all = self
@@ -422,13 +447,13 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
-    /// Tells whether a fusion period has just ended.
+    /// Returns `true` if a fusion period has just ended.
     #[must_use]
     pub fn is_due(&self) -> bool {
         self.counter > 0 && self.counter.is_multiple_of(self.settings.steps_per_period)
     }
 
-    /// Returns what is to be sent now; a node that is not healthy starts anew first.
+    /// Returns the message to send now; a node outside its limits restarts first.
     pub fn report(&mut self) -> LocalEstimate {
         if !self.is_healthy() {
             self.start_anew();
@@ -482,7 +507,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
-    /// Takes the answer of the station to one of its messages, however late.
+    /// Applies the station's answer to one of the node's messages, however late.
     pub fn take(&mut self, feedback: &Feedback) -> Taken {
         let sent = self
             .sent
@@ -530,17 +555,19 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.settings.steps_per_period
     }
 
-    /// Returns how often the node had to start anew.
+    /// Returns the number of restarts of the filter.
     #[must_use]
     pub fn restarts(&self) -> u64 {
         self.restarts
     }
 
-    /// Forgets the motion and keeps everything else, after a gap of `steps` samples that is too long to be bridged.
+    /// Discards the motion after a gap of `steps` samples that is too long to bridge.
+    ///
+    /// Everything else remains.
     pub fn skip(&mut self, steps: u64) {
         self.counter += steps;
         if steps > 0 {
-            // nothing has faded in between, as a station would think
+            // The filter did not fade in the gap, as the station would assume.
             self.from = None;
         }
         self.filter.forget_motion();
@@ -548,7 +575,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.shared.iter_mut().for_each(Shared::skip);
     }
 
-    /// Goes back to the instant of the message, takes the feedback there, and filters again what has come since.
+    /// Applies the feedback at the time of the message and filters all subsequent frames again.
     fn take_then(
         &mut self,
         rewind: Rewind,
@@ -627,8 +654,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
-    /// Filters the period that the answered message has ended once more, with the samples of all nodes; returns `target` with
-    /// what was learnt by that of the parameters. Without such samples everything stays as it is.
+    /// Filters the period before the answered message again, now with the samples of all nodes.
+    ///
+    /// Returns `target` with the additional information about the parameters. Without such samples,
+    /// nothing changes.
     fn learn_from_samples(
         &mut self,
         exchange: &SampleExchange,
@@ -680,7 +709,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         });
         match learnt {
             Ok(learnt) if is_within(&learnt.mean, &self.settings.healthy) => Ok(learnt),
-            // what others have told does not go with what this node knows: it is left alone
+            // The samples of other nodes contradict this node's information, so it ignores them.
             Ok(_) | Err(_) => {
                 self.filter.restore(without)?;
                 Ok(target)
@@ -688,7 +717,8 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
-    /// Adds `target − sent`, faded since then, to what the node knows of the parameters now.
+    /// Adds `target − sent`, faded since the message, to the current information about the
+    /// parameters.
     fn take_now(&mut self, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
         let Some(target) =
             self.settings
@@ -710,7 +740,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         is_within(&parameters.mean, &self.settings.healthy) && parameters.information().is_ok()
     }
 
-    /// Goes back to the prior, with the parameters at the last fused means.
+    /// Returns to the prior, with the parameters at the last fused means.
     fn start_anew(&mut self) {
         self.restarts += 1;
         self.filter.restart();
@@ -719,7 +749,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 mean: mean.clone(),
                 covariance: self.prior.covariance.clone(),
             };
-            // a prior without uncertainty stays as it is
+            // A prior without uncertainty stays unchanged.
             let _ = self.filter.replace_parameters(&anew);
         }
         self.sent.clear();
@@ -729,7 +759,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     }
 }
 
-/// Tells whether means lie between limits (N_θ each).
+/// Returns `true` if all means lie between the limits (N_θ each).
 pub(super) fn is_within(means: &DVector<f64>, (low, high): &(DVector<f64>, DVector<f64>)) -> bool {
     means
         .iter()
@@ -737,7 +767,7 @@ pub(super) fn is_within(means: &DVector<f64>, (low, high): &(DVector<f64>, DVect
         .all(|(mean, (low, high))| (low..=high).contains(&mean))
 }
 
-/// Overwrites parameters and motion, (6.17) and (6.21): the cross-covariances become zero.
+/// Overwrites parameters and motion, (6.17) and (6.21); the cross-covariances become zero.
 fn reset<M: ProcessModel + ObservationModel>(
     filter: &mut ExtendedKalmanFilter<M>,
     basis: &ModalBasis,
@@ -768,7 +798,9 @@ fn reset<M: ProcessModel + ObservationModel>(
     filter.replace_state(&mean, &covariance)
 }
 
-/// Returns what a node started from, faded to `index`: its own message `own` and what feedback has changed since.
+/// Returns the information from which a node started, faded to period `index`.
+///
+/// It consists of the node's own message `own` and the changes by feedback since then.
 pub(super) fn base(
     own: (u64, &Gaussian),
     shifts: &[(u64, Gaussian, Gaussian)],

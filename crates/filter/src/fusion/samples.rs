@@ -1,42 +1,53 @@
-//! Nodes that tell one another a few of their samples.
+//! Exchange of a few samples between nodes.
 //!
-//! A node sees its own channels at the sampling rate. What relates one storey to another lies in the channels of others: a
-//! few of their samples in each fusion period, with the white noise of their sensors, tell more than anything that is
-//! filtered before, because nothing in them is counted twice. A node takes them one period late: it goes back to its last
-//! message, filters the period once more with the samples of all, and goes on from there.
+//! A node filters its own channels at the full sampling rate. The relation between two storeys,
+//! however, requires channels of other nodes. A few of their samples per fusion period, with the
+//! white noise of their sensors, carry more information than any filtered quantity, because they
+//! count nothing twice. A node uses them one period late: it returns to its last message, filters
+//! the period again with the samples of all nodes, and continues from there.
 
 use crate::extended::FilterState;
 use std::ops::Range;
 
-/// The part of a sensor's noise deviation that told samples are rounded to. An eighth adds 1/768 to the variance of the noise.
+/// Rounding unit of sent samples as a share of the sensor's noise standard deviation.
+///
+/// An eighth adds 1/768 to the variance of the noise.
 const UNIT_SHARE: f64 = 0.125;
-/// Most units of a told sample.
+/// Maximum magnitude of a sent sample in units.
 const MOST_UNITS: f64 = i32::MAX as f64;
 
-/// The exponent of the unit that samples of a sensor with this noise deviation are told in: the largest power of two that is no more
-/// than an eighth of it, so that a told sample is a small whole number.
+/// Returns the exponent of the rounding unit for a sensor with this noise standard deviation.
+///
+/// The unit is the largest power of two up to an eighth of the deviation, so that a sent sample is
+/// a small whole number of units.
 #[must_use]
 pub fn unit_exponent(noise_std: f64) -> i16 {
-    // the range of normal numbers; what is no number gets the smallest unit
+    // The limits keep the unit in the range of normal numbers. A deviation of 0 has the smallest
+    // unit.
     (noise_std * UNIT_SHARE)
         .log2()
         .floor()
         .clamp(-1022.0, 1000.0) as i16
 }
 
-/// Which of their samples nodes tell all others: at so many instants in a fusion period, evenly spaced, the last at its end.
+/// The samples that nodes exchange, at a few instants in each fusion period.
+///
+/// The instants are evenly spaced, and the last one is at the end of the period.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SampleExchange {
-    /// observations of each node in the filter of all channels
+    /// Observations of each node in the filter of all channels.
     channels: Vec<Range<usize>>,
     instants: usize,
-    /// by observation, exponent of the power of two that told samples are whole multiples of; none: told as they are
+    /// Exponents of the rounding units (powers of two) by observation. Samples without an exponent
+    /// are not rounded.
     units: Vec<i16>,
 }
 
 impl SampleExchange {
-    /// Makes the exchange of nodes that have so many observations each, in the order of the filter's observations; at least one
-    /// instant.
+    /// Creates the exchange from the number of observations of each node, in the order of the
+    /// filter's observations.
+    ///
+    /// The exchange has at least one instant.
     #[must_use]
     pub fn new(observations: &[usize], instants: usize) -> Self {
         let mut first = 0;
@@ -54,7 +65,9 @@ impl SampleExchange {
         }
     }
 
-    /// Rounds what is told to whole multiples of 2^exponent, by observation; missing exponents round nothing.
+    /// Rounds sent samples to whole multiples of 2^exponent, by observation.
+    ///
+    /// Samples without an exponent are not rounded.
     #[must_use]
     pub fn rounded_to(self, exponents: Vec<i16>) -> Self {
         Self {
@@ -63,7 +76,8 @@ impl SampleExchange {
         }
     }
 
-    /// Returns the exponents of the units in which a node tells its samples, by its observations; none if they are not rounded.
+    /// Returns the unit exponents for the observations of a node; empty if its samples are not
+    /// rounded.
     #[must_use]
     pub fn unit_exponents(&self, node: usize) -> &[i16] {
         self.units.get(self.channels(node)).unwrap_or_default()
@@ -81,13 +95,13 @@ impl SampleExchange {
         self.instants
     }
 
-    /// Returns which observations of the filter are those of a node.
+    /// Returns the range of a node's observations in the filter.
     #[must_use]
     pub fn channels(&self, node: usize) -> Range<usize> {
         self.channels.get(node).cloned().unwrap_or_default()
     }
 
-    /// Returns how many numbers a node tells in a fusion period.
+    /// Returns the count of numbers that a node sends in a fusion period.
     #[must_use]
     pub fn numbers(&self, node: usize) -> usize {
         self.instants * self.channels(node).len()
@@ -99,39 +113,39 @@ impl SampleExchange {
         self.channels.last().map_or(0, |last| last.end)
     }
 
-    /// Tells whether these are samples of a node for one period: as many as there should be, finite or missing (NaN).
+    /// Returns `true` if `samples` has the right length and each value is finite or missing (NaN).
     pub(super) fn is_sound(&self, node: usize, samples: &[f64]) -> bool {
         samples.len() == self.numbers(node) && samples.iter().all(|sample| !sample.is_infinite())
     }
 }
 
-/// Samples from one message of a node to the next.
+/// The samples between two messages of a node.
 #[derive(Debug, Clone)]
 pub(super) struct Period {
-    /// The message at its beginning.
+    /// Index of the message at the start of the period.
     pub(super) index: u64,
-    /// The filter then, after the answer to that message where one came in time.
+    /// State of the filter at the start, after the answer to that message if it arrived in time.
     pub(super) state: FilterState,
-    /// Observations of all channels, those of others missing, and excitation.
+    /// Observations of all channels (NaN in channels of other nodes) and excitation.
     pub(super) frames: Vec<(Vec<f64>, Vec<f64>)>,
 }
 
-/// What a node keeps for the exchange.
+/// A node's data for the exchange.
 #[derive(Debug, Clone)]
 pub(super) struct Shared {
-    /// its own observations in the filter of all channels
+    /// The node's own observations in the filter of all channels.
     pub(super) own: Range<usize>,
-    /// samples from one instant to the next
+    /// Number of samples from one instant to the next.
     pub(super) every: u64,
-    /// what its samples are rounded to, by channel; fewer: as they are
+    /// Rounding units by channel. Channels without a unit are not rounded.
     units: Vec<f64>,
-    /// what it will tell, by instant and channel
+    /// Samples to send, by instant and channel.
     outgoing: Vec<f64>,
-    /// the period that its last message has ended
+    /// The period that ended with the last message.
     pub(super) ended: Option<Period>,
-    /// the period since
+    /// The period since the last message.
     pub(super) running: Option<Period>,
-    /// scratch: a frame of all channels
+    /// Scratch: a frame of all channels.
     pub(super) frame: Vec<f64>,
 }
 
@@ -152,7 +166,7 @@ impl Shared {
         }
     }
 
-    /// Keeps what is told of the sample with this number in the period, from 1.
+    /// Stores sample `number` of the period (from 1) if it belongs to an instant of the exchange.
     pub(super) fn tell(&mut self, number: u64, samples: impl Iterator<Item = f64>) {
         if !number.is_multiple_of(self.every) {
             return;
@@ -169,7 +183,8 @@ impl Shared {
         }
     }
 
-    /// Returns what is to be told of the period that ends now, and begins the next at message `index`.
+    /// Returns the samples to send for the period that ends now, and starts the next period at
+    /// message `index`.
     pub(super) fn end_period(&mut self, index: u64, steps: u64, state: &FilterState) -> Vec<f64> {
         let whole =
             |period: &Period| period.index + 1 == index && period.frames.len() as u64 == steps;
@@ -183,12 +198,12 @@ impl Shared {
         std::mem::replace(&mut self.outgoing, vec![f64::NAN; len])
     }
 
-    /// Forgets the periods: the filter has begun anew, or samples are missing for long.
+    /// Discards both periods after a restart of the filter or a long gap.
     pub(super) fn forget(&mut self) {
         (self.ended, self.running) = (None, None);
     }
 
-    /// Forgets the periods, and what was to be told: it is of another period than the samples to come.
+    /// Discards both periods and the samples to send, which do not belong to the next period.
     pub(super) fn skip(&mut self) {
         self.forget();
         self.outgoing.fill(f64::NAN);

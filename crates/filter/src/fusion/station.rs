@@ -1,7 +1,8 @@
-//! The central station: fuses on its own clock with what has arrived.
+//! The central station, which fuses received messages on its own clock.
 //!
-//! Sources: Huang & Yuen (2023), §6.3.3, (6.44) to (6.58); §7.3.2, (7.18) to (7.32); §7.4. What a node has learnt is its density
-//! without the density that it started from; the published product leaves that in and counts it once for every node.
+//! Sources: Huang & Yuen (2023), §6.3.3, (6.44) to (6.58); §7.3.2, (7.18) to (7.32); §7.4. The
+//! information that a node has learnt is its density without the density from which it started. The
+//! published product includes the start density and counts it once per node.
 
 use super::compression::{CompressedMotion, MotionExchange};
 use super::detector::{GlobalDetector, LEAST_WEIGHT, NodeDistance, PATIENCE, Weighting};
@@ -13,16 +14,19 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Answers to a node that its next message may refer to, besides those that its last one did.
+/// Maximum number of kept answers per node.
+///
+/// Answers named in the last message of the node are kept beyond this limit, because its next
+/// message may name them again.
 const ANSWERS_KEPT: usize = 16;
 
-/// How densities are fused.
+/// The rule that fuses densities.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FusionRule {
-    /// The product of all densities, as published: only for comparison.
+    /// The product of all densities, as published. Only for comparison.
     Published,
-    /// What all share is counted once, and what each has learnt is added.
+    /// Counts the shared density once and adds the information that each node has learnt.
     PriorCorrect(Sharing),
 }
 
@@ -32,21 +36,24 @@ impl Default for FusionRule {
     }
 }
 
-/// How far nodes learn the same from the excitation that they share: what each has learnt counts `1/γ`.
+/// The assumed overlap of the information that nodes learn from shared excitation.
+///
+/// The information of each node is divided by `γ`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sharing {
-    /// `γ = N_s`: never overconfident, whatever the correlation (covariance intersection with equal weights).
+    /// `γ = N_s`: never overconfident, for any correlation (covariance intersection with equal
+    /// weights).
     #[default]
     All,
-    /// `γ = 1`: nodes learn independently.
+    /// `γ = 1`: the nodes learn independently.
     Nothing,
-    /// Any `γ` from 1 up; at most the number of nodes counts.
+    /// Any `γ` of at least 1, limited to the number of nodes.
     Factor(f64),
 }
 
 impl Sharing {
-    /// Returns `γ` for so many nodes: the sum of their weights, where these are graded.
+    /// Returns `γ` for `nodes` nodes, or for the sum of their weights if weights are graded.
     pub(super) fn factor(self, nodes: f64) -> f64 {
         let most = nodes.max(1.0);
         match self {
@@ -57,50 +64,54 @@ impl Sharing {
     }
 }
 
-/// All that a station needs to know.
+/// Settings of a station.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StationSettings {
     /// Number of nodes.
     pub nodes: usize,
-    /// The density of the parameters that all nodes start from, a sample before their first: a filter's prior, which is for
-    /// its first sample, with its covariance over `λ`.
+    /// The parameter density from which all nodes start, one sample before their first sample.
+    ///
+    /// The prior of a filter applies to its first sample. This density is that prior with its
+    /// covariance divided by `λ`.
     pub prior: Gaussian,
-    /// What forgetting makes of a variance in a fusion period, `λ^(r_s/r_c)`.
+    /// Growth of a variance by fading in one fusion period, `λ^(r_s/r_c)`.
     pub growth_per_period: f64,
-    /// No variance exceeds this (N_θ), as at the nodes.
+    /// Upper limits of the variances (N_θ), as at the nodes.
     pub variance_bound: DVector<f64>,
-    /// How densities are fused.
+    /// The rule that fuses densities.
     pub rule: FusionRule,
-    /// What the nodes do with the result.
+    /// The nodes' use of feedback.
     pub feedback: FeedbackRule,
-    /// What nodes tell one another of the motion.
+    /// The exchanged motion data.
     pub motion: MotionExchange,
-    /// Motion so far apart (fusion periods) still belongs to the same instant: half a sample.
+    /// Maximum time difference of simultaneous motion (fusion periods): half a sample.
     pub same_instant: f64,
-    /// The test of the nodes, if there is one.
+    /// The detector of faulty nodes; `None` disables it.
     pub detector: Option<GlobalDetector>,
-    /// A message older than this (fusion periods) is dropped, 3 by default.
+    /// Maximum age of a message (fusion periods), 3 by default. Older messages are dropped.
     pub stale_periods: f64,
-    /// Fused means outside these (N_θ each) make the station start anew from the prior.
+    /// Lower and upper limits of the fused means (N_θ each).
+    ///
+    /// If a mean is outside these limits, the station restarts from the prior.
     pub healthy: (DVector<f64>, DVector<f64>),
 }
 
-/// Why a message of a node was not taken.
+/// The reason for the rejection of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Refusal {
-    /// There is no such node.
+    /// The node does not exist.
     UnknownNode,
-    /// Its sizes are not those of the structure.
+    /// The sizes do not fit the structure.
     Dimension,
-    /// It holds numbers that are not finite, or a covariance that is none.
+    /// The message contains a number that is not finite, or an invalid covariance.
     NoDensity,
-    /// It is not newer than what the node has sent before.
+    /// The message is not newer than the node's last message.
     Old,
 }
 
 impl Refusal {
-    /// Returns the word under which it is counted.
+    /// Returns the name of the counter for this reason.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -112,67 +123,76 @@ impl Refusal {
     }
 }
 
-/// What a fusion found of one node.
+/// The result of a fusion for one node.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct NodeReport {
-    /// It had sent something since the fusion before, not too old.
+    /// The node has sent a message since the previous fusion, and it is not stale.
     pub heard: bool,
-    /// Its distance from the others, where nodes are tested and it was heard.
+    /// Distance of the node from the others. `None` without a detector or without a message.
     pub distance: Option<f64>,
-    /// It was left out.
+    /// The fusion excluded the node.
     pub excluded: bool,
-    /// How far what it has learnt was counted: 1 of a regular node, less of one that was discounted, 0 of one that was not heard or left
-    /// out.
+    /// Weight of the information that the node has learnt.
+    ///
+    /// It is 1 for a regular node, less for a discounted node, and 0 for an excluded node or
+    /// without a message.
     pub weight: f64,
-    /// Its motion was left out: it belongs to another instant than that of most nodes.
+    /// The fusion ignored the node's motion, because its time differs from that of most nodes.
     pub out_of_step: bool,
 }
 
-/// What a fusion gave.
+/// The result of a fusion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fused {
     /// The density of the parameters.
     pub parameters: Gaussian,
-    /// The motion, where nodes send it in modes.
+    /// The fused motion, if nodes exchange motion in modes.
     pub motion: Option<CompressedMotion>,
-    /// By node: its responses or samples, where nodes send them and it was fused.
+    /// Responses or samples of each fused node, if nodes exchange them.
     pub responses: Vec<Option<CompressedMotion>>,
-    /// Number of nodes that were fused.
+    /// Number of fused nodes.
     pub used: usize,
-    /// By node.
+    /// Reports by node.
     pub nodes: Vec<NodeReport>,
-    /// By node: the answer to its last message, if there is one.
+    /// Answers by node, to its last message. `None` without a message.
     pub feedback: Vec<Option<Feedback>>,
-    /// What came out was no sound value, and the station began anew from the prior.
+    /// The fused means were out of range, and the station restarted from the prior.
     pub started_anew: bool,
-    /// The station knew less than the nodes of a past that it has not seen, and took over what they know.
+    /// The station adopted the information of its nodes, because they knew more from a past that it
+    /// does not know.
     pub adopted: bool,
 }
 
-/// What a station takes over its own death: its density, and what it knows of its nodes, without what has come since the last fusion.
+/// The state of a station for a checkpoint.
+///
+/// It contains the density and the state of each node, without the messages since the last fusion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StationState {
     known: Vec<Known>,
     fused: Information,
 }
 
-/// A node as the station knows it.
+/// The station's knowledge of one node.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Known {
-    /// index and density of its last message
+    /// Index and density of the last message.
     own: Option<(u64, Gaussian)>,
-    /// lineage of its last message that had one
+    /// Lineage of the last message; `None` if that message had none.
     lineage: Option<Lineage>,
-    /// its messages that were answered, and what the answers may have made of them
+    /// Answered messages, and the densities that may have replaced them.
     answered: VecDeque<Answered>,
-    /// index of messages since the one that it last started from, and what it had learnt by each
+    /// Index and learnt information of the messages after the node's last start message.
     counted: VecDeque<(u64, Information)>,
-    /// what has come since the last fusion; by the station's clock, which begins anew with each life
+    /// Message received since the last fusion. Not saved, because the station's clock restarts with
+    /// each run.
     #[serde(skip)]
     waiting: Option<Waiting>,
-    /// fusions in which it has to be regular yet before it is used again, or where weights are graded, before its motion is told
+    /// Regular fusions still required before the node is used again. With graded weights, they are
+    /// required before its motion is forwarded.
     suspended: u32,
-    /// fusions in a row in which it had to be, or was not regular
+    /// Number of consecutive fusions with `suspended` above 0.
+    ///
+    /// It exceeds `PATIENCE` at once if the weight is below `LEAST_WEIGHT`.
     unsettled: u32,
 }
 
@@ -181,37 +201,37 @@ struct Known {
 struct Answered {
     index: u64,
     sent: Gaussian,
-    /// what has replaced it, where the node follows feedback
+    /// The density that replaced it, if the node applies feedback.
     target: Option<Gaussian>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 struct Waiting {
-    /// time of the message on the station's clock (fusion periods)
+    /// Time of the message on the station's clock (fusion periods).
     at: f64,
     learnt: Option<Information>,
-    /// it started from a density that this station does not know
+    /// The node started from a density that this station does not know.
     of_unknown_past: bool,
     motion: Option<CompressedMotion>,
-    /// instant of the motion (fusion periods of measurement time)
+    /// Time of the motion (fusion periods of measurement time).
     instant: f64,
 }
 
-/// The state of the station: one density, and what it knows of its nodes.
+/// The central station: one density, and its knowledge of the nodes.
 #[derive(Debug, Clone)]
 pub struct Station {
     settings: StationSettings,
     known: Vec<Known>,
     fused: Information,
-    /// time of the last fusion (fusion periods)
+    /// Time of the last fusion (fusion periods).
     at: Option<f64>,
 }
 
 impl Station {
-    /// Makes a station at the common prior.
+    /// Creates a station at the common prior.
     ///
     /// # Errors
-    /// When the prior is no density or a setting is out of range.
+    /// Returns an error if the prior is not a valid density or a setting is out of range.
     pub fn new(settings: StationSettings) -> Result<Self, FilterError> {
         let fused = settings.prior.information()?;
         let expected = settings.prior.mean.len();
@@ -264,10 +284,10 @@ impl Station {
         })
     }
 
-    /// Takes a message of a node that belongs to time `at` (fusion periods on the station's clock).
+    /// Receives a message of a node for time `at` (fusion periods on the station's clock).
     ///
     /// # Errors
-    /// When the message is of no use; the station is then as it was.
+    /// Returns the reason if the message is invalid or old. The station is then unchanged.
     pub fn receive(&mut self, node: usize, message: LocalEstimate, at: f64) -> Result<(), Refusal> {
         let parameters = self.settings.prior.mean.len();
         let growth = self.settings.growth_per_period;
@@ -347,7 +367,8 @@ impl Station {
         Ok(())
     }
 
-    /// Returns the state for a checkpoint, best after a fusion: messages that wait for the next one are not in it.
+    /// Returns the state for a checkpoint, preferably after a fusion; messages since the last
+    /// fusion are not included.
     #[must_use]
     pub fn state(&self) -> StationState {
         StationState {
@@ -356,13 +377,15 @@ impl Station {
         }
     }
 
-    /// Takes the state of a checkpoint, with a clock that begins anew: the time from the fusion before it to the next one is that since the
-    /// beginning of the clock.
+    /// Restores the state of a checkpoint; the clock of the station restarts at 0.
     ///
-    /// Messages of nodes that were answered after the checkpoint start from a past that this station does not know, see [`Fused::adopted`].
+    /// The first fusion fades the density by its own time since this restart of the clock.
+    ///
+    /// Messages of nodes that were answered after the checkpoint start from a past that this
+    /// station does not know, see [`Fused::adopted`].
     ///
     /// # Errors
-    /// When the state does not fit the settings; the station is then as it was.
+    /// Returns an error if the state does not fit the settings. The station is then unchanged.
     pub fn restore(&mut self, state: StationState) -> Result<(), FilterError> {
         let n = self.settings.prior.mean.len();
         let fits = |vector: &DVector<f64>, matrix: &DMatrix<f64>| {
@@ -402,7 +425,7 @@ impl Station {
         Ok(())
     }
 
-    /// Forgets a node that has begun a new life: its numbers start anew.
+    /// Deletes all knowledge of a node that has restarted, because its message indices restart.
     pub fn forget(&mut self, node: usize) {
         if let Some(known) = self.known.get_mut(node) {
             *known = Known::default();
@@ -415,7 +438,7 @@ impl Station {
         self.at
     }
 
-    /// Returns whether a node has sent something since the last fusion.
+    /// Returns `true` if a node has sent a message since the last fusion.
     #[must_use]
     pub fn has_heard(&self, node: usize) -> bool {
         self.known
@@ -423,10 +446,11 @@ impl Station {
             .is_some_and(|known| known.waiting.is_some())
     }
 
-    /// Fuses what has arrived, at time `at` (fusion periods on the station's clock); later messages wait for the next one.
+    /// Fuses the received messages at time `at` (fusion periods on the station's clock).
     ///
-    /// Without any message what is known fades. The result is always a density: sums that are none are made more cautious,
-    /// up to leaving out what the nodes have learnt.
+    /// Messages that arrive later wait for the next fusion. Without any message, the density only
+    /// fades. The result is always a valid density: if the sum is invalid, the fusion reduces the
+    /// learnt information, if necessary to zero.
     pub fn fuse(&mut self, at: f64) -> Fused {
         let growth = self.settings.growth_per_period;
         let elapsed = self.at.map_or(at, |before| at - before).max(0.0);
@@ -480,7 +504,8 @@ impl Station {
         let mut responses = Vec::new();
         if let MotionExchange::Responses(_) | MotionExchange::Samples(_) = self.settings.motion {
             responses.resize(nodes.len(), None);
-            // motion of a wrong node moves the others to where it is, where it looks regular: it is told once it has been for long enough
+            // A faulty node's motion pulls the other nodes towards its error, so that it looks
+            // regular. The station forwards its motion only after enough regular fusions.
             for index in used
                 .iter()
                 .filter(|index| self.known[**index].suspended == 0)
@@ -513,10 +538,14 @@ impl Station {
         (instant - other).abs() <= self.settings.same_instant
     }
 
-    /// Takes over what nodes know of a past that this station has not seen, when most of them have one and it is more than what
-    /// the station knows; tells whether it did. A station that has been started again would answer with its prior otherwise.
+    /// Adopts the information of nodes whose past this station does not know. Returns `true` if it
+    /// did.
     ///
-    /// All have been answered with the same density before: their mean information counts nothing twice.
+    /// This requires that at least half of the used nodes have such a past, and that they know more
+    /// than the station. Otherwise, a restarted station would answer with its prior.
+    ///
+    /// All these nodes were answered with the same density, so their mean information counts
+    /// nothing twice.
     fn adopt(&mut self, used: &[usize], waiting: &[Option<Waiting>], at: f64) -> bool {
         let strangers: Vec<(&Waiting, &Gaussian)> = used
             .iter()
@@ -546,7 +575,7 @@ impl Station {
         else {
             return false;
         };
-        // the sum of the variances in units of the station's own tells which of the two knows more
+        // The mean ratio of the variances shows whether the nodes or the station knows more.
         let share = theirs
             .covariance
             .diagonal()
@@ -606,8 +635,9 @@ impl Station {
 
     /// Makes the fused density the state, and returns it.
     ///
-    /// What a node has learnt counts its weight over `γ`, which is that of as many nodes as the weights sum up to: a node that counts less and
-    /// less ends as one that is left out, and the others then count as they do without it.
+    /// The information that a node has learnt counts with its weight over `γ`. `γ` depends on the
+    /// sum of the weights. As the weight of a node approaches zero, the result therefore approaches
+    /// a fusion without it.
     fn add_learnt(
         &mut self,
         (used, nodes): (&[usize], &[NodeReport]),
@@ -630,7 +660,8 @@ impl Station {
                 product.gaussian().ok().map(|density| (product, density))
             }
             FusionRule::PriorCorrect(sharing) => {
-                // a sum that is no density is one that counts too much
+                // An invalid sum counts too much information. The second factor is the most
+                // cautious one.
                 let learnt = |index: &&usize| {
                     waiting[**index]
                         .as_ref()
@@ -663,13 +694,14 @@ impl Station {
             self.fused = information;
             return density;
         }
-        // what was known before, faded, is a density
+        // The previous density, faded, is valid.
         self.fused
             .gaussian()
             .unwrap_or_else(|_| self.settings.prior.clone())
     }
 
-    /// Weighs each coordinate by the variances, (6.44) to (6.48); the variance is that of nodes that share all.
+    /// Weights each coordinate by the inverse variances, (6.44) to (6.48), and multiplies the fused
+    /// variance by `γ`.
     fn fuse_motion(
         &self,
         (used, nodes): (&[usize], &[NodeReport]),
@@ -717,7 +749,7 @@ impl Station {
         let mut feedback = vec![None; self.known.len()];
         for index in heard {
             let own_instant = of(*index).unwrap_or(instant);
-            // the motion of another instant would be taken for that of the answered message
+            // Motion of another time would be taken for the motion at the answered message.
             let motion = motion
                 .filter(|_| self.is_same(instant, own_instant))
                 .cloned();
@@ -749,7 +781,8 @@ impl Station {
 }
 
 impl Known {
-    /// Returns what a node started from, its own message and what answers have changed since; `None` where that is not known.
+    /// Returns the node's start: its own message and the changes by answers since then. `None` if
+    /// unknown.
     fn start<'k>(
         &'k self,
         lineage: &Lineage,
@@ -778,10 +811,12 @@ impl Known {
         ))
     }
 
-    /// Keeps what a message has told, to be taken away from later ones that start from before it.
+    /// Records the information of a message, to subtract it from later messages that start before
+    /// it.
     fn count(&mut self, index: u64, learnt: &Information, growth: f64) {
         self.counted.push_back((index, learnt.clone()));
-        // what no later message can start in between is one sum: there are no more of them than answers
+        // Messages without an answered message between them merge into one sum, because no later
+        // message can start between them. There are therefore no more sums than answers.
         let mut sums: VecDeque<(u64, Information)> = VecDeque::with_capacity(self.counted.len());
         for (index, mut learnt) in std::mem::take(&mut self.counted) {
             let apart = |before: u64| {
@@ -805,7 +840,7 @@ impl Known {
             .iter()
             .flat_map(|lineage| lineage.answers.iter().chain([&lineage.own]));
         let named: Vec<u64> = named.copied().collect();
-        // what lies before the start of the last message is not named again
+        // Later messages do not name answers before the start of the last message.
         let first = named.iter().copied().min().unwrap_or(0);
         self.answered.retain(|answered| answered.index >= first);
         if self.answered.len() > ANSWERS_KEPT
@@ -819,10 +854,13 @@ impl Known {
     }
 }
 
-/// An answer that a node has taken: index of the message, what has replaced it, what was replaced.
+/// An answer that a node has applied: index of the message, the replacing density, the replaced
+/// density.
 type Shift = (u64, Gaussian, Gaussian);
 
-/// Returns the instant in the middle of those of the motions: a wrong clock moves it to none but the instant of another node.
+/// Returns the median time of the motions.
+///
+/// A wrong clock can move it only to the time of another node.
 fn instant_of_most(used: &[usize], waiting: &[Option<Waiting>]) -> f64 {
     let with_motion = used.iter().filter_map(|index| {
         waiting[*index]
@@ -834,7 +872,7 @@ fn instant_of_most(used: &[usize], waiting: &[Option<Waiting>]) -> f64 {
     instants.get(instants.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Keeps variances below their bounds, as the nodes do at each step.
+/// Limits the variances to their bounds, as the nodes do in each step.
 fn bound(information: &mut Information, bounds: &DVector<f64>) {
     let Ok(mut density) = information.gaussian() else {
         return;

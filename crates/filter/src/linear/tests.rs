@@ -4,7 +4,8 @@ use crate::{
     NoiseParameter, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings,
 };
 
-/// Three unequal masses in a row with Rayleigh damping, two forces, absolute accelerations of the first and the last.
+/// Three unequal masses in a row with Rayleigh damping and two forces. The first and the last have
+/// absolute accelerometers.
 fn matrices() -> ([DMatrix<f64>; 3], DMatrix<f64>, DMatrix<f64>) {
     let mass = DMatrix::from_diagonal(&DVector::from_row_slice(&[2.0, 1.0, 0.5]));
     let stiffness = DMatrix::from_row_slice(
@@ -128,7 +129,7 @@ fn sizes_that_do_not_fit_are_refused() {
     );
 }
 
-/// The same model without its constant transition: discretised anew at every step.
+/// The same model without its constant transition, so that every step is discretised.
 #[derive(Debug, Clone)]
 struct Stepwise(StateSpace);
 
@@ -213,7 +214,8 @@ fn settings(model: &impl ProcessModel, rule: NoiseRule, hold: InputHold) -> Filt
     settings
 }
 
-/// Runs 120 frames with known excitation, and a missing sample of a channel, of the excitation and of everything.
+/// Runs 120 frames with known excitation. Samples of one channel, of the excitation and of a whole
+/// frame are missing.
 fn run<M: ProcessModel + ObservationModel>(
     model: M,
     settings: FilterSettings,
@@ -290,7 +292,7 @@ fn constant_transition_gives_what_the_series_gives() {
     }
 }
 
-/// What a step adds to the variance of a residual was missing where it is known beforehand.
+/// With a constant transition, the residual variance must include the excitation noise of the step.
 #[test]
 fn outliers_are_screened_alike_with_and_without_a_constant_transition() {
     let ([mass, damping, stiffness], distribution, observation) = matrices();

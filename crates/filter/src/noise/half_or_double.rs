@@ -1,25 +1,33 @@
-//! The two-stage rule of the linear filter: half-or-double training, then one Newton step a frame.
+//! The two-stage rule of the linear filter: half-or-double training, then one Newton step per
+//! frame.
 //!
-//! Source: Yuen, Liang & Kuok (2013), *Online estimation of noise parameters for Kalman filter*. `ψ` is its `θ`. Three
-//! printed details that matter: a Hessian that is not positive definite leaves `Σ_ψ` as it was, without the fading
-//! factor; the Newton step is taken with that `Σ_ψ`, again without the factor, although the prior of the objective has it;
-//! and the gradient is that of the objective with the new datum. Derivatives are exact where the source takes differences.
+//! Source: Yuen, Liang & Kuok (2013), *Online estimation of noise parameters for Kalman filter*.
+//! Its `θ` is `ψ` here. Three printed details matter:
+//!
+//! - If the Hessian is not positive definite, `Σ_ψ` remains unchanged, without the fading factor.
+//! - The Newton step uses that `Σ_ψ`, again without the factor, although the prior of the objective
+//!   includes it.
+//! - The gradient is that of the objective with the new datum.
+//!
+//! The derivatives are exact, whereas the source uses differences.
 
 use super::objective::Objective;
 use super::training::prior_distance;
 use super::{NoiseSettings, NoiseState};
 
-/// More noise parameters than this are refused: the candidates of a training step are three to their number.
+/// Maximum number of noise parameters `N_ψ`, because a training step evaluates `3^N_ψ` candidates.
 pub(super) const MOST_PARAMETERS: usize = 5;
 
-/// A candidate holds each noise parameter, halves it or doubles it; holding comes first and wins a tie.
+/// Factors by which a candidate keeps, halves or doubles a noise parameter. The first factor wins a
+/// tie.
 const FACTORS: [f64; 3] = [1.0, 0.5, 2.0];
 
-/// Unchanged training steps in a row before training may end.
+/// Number of consecutive unchanged training steps before training can end.
 pub(super) const UNCHANGED_STEPS: u32 = 10;
 
 impl NoiseState {
-    /// Replaces `ψ` by the best of all combinations of halves, doubles and what it was, and `Σ_ψ` by the inverse Hessian.
+    /// Replaces `ψ` by the best combination of kept, halved and doubled levels, and `Σ_ψ` by the
+    /// inverse Hessian.
     pub(super) fn halve_or_double(&mut self, settings: &NoiseSettings, objective: &mut Objective) {
         self.prior_information_to(settings.fading, objective);
         let mut best = std::mem::take(&mut objective.scratch.best);
@@ -39,7 +47,7 @@ impl NoiseState {
                 best.copy_from(&candidate);
             }
         }
-        // Exact: the values are those of the start times powers of two.
+        // The comparison is exact, because the values are the start values times powers of two.
         self.unchanged = if best == self.mean {
             self.unchanged + 1
         } else {
@@ -51,7 +59,8 @@ impl NoiseState {
         objective.scratch.candidate = candidate;
     }
 
-    /// Moves `ψ` by `−Σ_ψ ∇J`, no component further than the guard allows, then `Σ_ψ` to the inverse of the Hessian there.
+    /// Moves `ψ` by `−Σ_ψ ∇J`, each component by at most the guard factor, then sets `Σ_ψ` to the
+    /// inverse Hessian there.
     pub(super) fn guarded_newton_step(
         &mut self,
         settings: &NoiseSettings,

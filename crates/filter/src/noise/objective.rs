@@ -1,4 +1,4 @@
-//! The objective `J(ψ)` of one frame (3.28) with its exact gradient and Hessian.
+//! The objective `J(ψ)` of one frame (3.28), with its exact gradient and Hessian.
 
 use super::{NoiseModel, NoiseTarget};
 use crate::constant::NoiseSpread;
@@ -8,12 +8,13 @@ use crate::dense::{
 use nalgebra::{DMatrix, DVector};
 use pulp::Arch;
 
-/// One frame as the noise parameters see it: an N_0 × N_0 problem, whatever the number of states.
+/// The problem of one frame in the noise parameters. It is N_0 × N_0, for any number of states.
 ///
-/// Channels that are missing are rows and columns of the identity with zero innovation: they add nothing.
+/// A missing channel becomes a row and a column of the identity with zero innovation, which adds
+/// nothing.
 #[derive(Debug, Clone)]
 pub(crate) struct Objective {
-    /// `S₀` plus the contributions of the known noises (N_0 × N_0).
+    /// `S₀` with the contributions of the known noise covariances (N_0 × N_0).
     known: DMatrix<f64>,
     /// `U_l` (N_0 × N_0).
     patterns: Vec<DMatrix<f64>>,
@@ -32,18 +33,20 @@ pub(crate) struct Objective {
     arch: Arch,
 }
 
-/// How the excitation of the coming step reaches the datum.
+/// Path from the excitation of the coming step to the datum.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum ExcitationPath<'a> {
-    /// Not at all, or the frame before has told of it: it is in `S₀`.
+    /// The excitation has no effect, or `S₀` contains it because the previous frame has already
+    /// measured it.
     Felt,
     /// Through `H B` (N_0 × N_f).
     Input(&'a DMatrix<f64>),
-    /// Through the constant `H B C Bᵀ Hᵀ` of each noise parameter; `None` where it scales the sensors.
+    /// Through the constant `H B C Bᵀ Hᵀ` of each noise parameter; `None` for a parameter that
+    /// scales the sensor noise.
     Constant(&'a [Option<NoiseSpread>]),
 }
 
-/// Scratch of the rules (N_ψ).
+/// Scratch space of the rules (N_ψ).
 #[derive(Debug, Clone)]
 pub(super) struct Scratch {
     pub(super) information: DMatrix<f64>,
@@ -89,7 +92,10 @@ impl Objective {
 
     /// Sets the frame.
     ///
-    /// `known`: `S₀ = λ H A Σ Aᵀ Hᵀ` (N_0 × N_0), with all that does not depend on `ψ`; `feedthrough`: `D`; `fading`: `λ` of the state; `innovation`: NaN where a channel is missing.
+    /// - `known`: `S₀ = λ H A Σ Aᵀ Hᵀ` (N_0 × N_0), with all parts that do not depend on `ψ`
+    /// - `feedthrough`: `D` (N_0 × N_f)
+    /// - `fading`: `λ` of the state
+    /// - `innovation`: innovation (N_0), NaN for a missing channel
     pub(crate) fn set_frame(
         &mut self,
         model: &NoiseModel,
@@ -148,7 +154,9 @@ impl Objective {
         }
     }
 
-    /// Returns the likelihood part of `J(ψ)`, `½[ln|Σ_z| + eᵀ Σ_z⁻¹ e]`; infinite where `Σ_z` is not positive definite.
+    /// Returns the likelihood part of `J(ψ)`, `½[ln|Σ_z| + eᵀ Σ_z⁻¹ e]`.
+    ///
+    /// It is infinite if `Σ_z` is not positive definite.
     pub(crate) fn value(&mut self, psi: &DVector<f64>) -> f64 {
         if !self.factorise(psi) {
             return f64::INFINITY;
@@ -156,7 +164,7 @@ impl Objective {
         0.5 * (ln_determinant(&self.factor) + self.whitened.norm_squared())
     }
 
-    /// Returns `eᵀ Σ_z⁻¹ e`.
+    /// Returns `eᵀ Σ_z⁻¹ e`, or NaN if `Σ_z` is not positive definite.
     pub(crate) fn normalised_innovation_squared(&mut self, psi: &DVector<f64>) -> f64 {
         if self.factorise(psi) {
             self.whitened.norm_squared()
@@ -165,7 +173,7 @@ impl Objective {
         }
     }
 
-    /// Returns `eᵀ Σ_z⁻¹ e` where it was last factorised.
+    /// Returns `eᵀ Σ_z⁻¹ e` at the `ψ` of the last factorisation.
     pub(super) fn whitened_norm_squared(&self) -> f64 {
         self.whitened.norm_squared()
     }
@@ -188,11 +196,17 @@ impl Objective {
         true
     }
 
-    /// Fills gradient, observed Hessian and expected information of the likelihood part at `psi`.
+    /// Computes gradient, observed Hessian and expected information of the likelihood part at
+    /// `psi`.
     ///
-    /// `∂J/∂ψ_l = ½ tr(WU_l) − ½ eᵀWU_lWe`, `∂²J/∂ψ_l∂ψ_m = −½ tr(WU_lWU_m) + eᵀWU_lWU_mWe` with `W = Σ_z⁻¹` (the exact
-    /// form of the differences (3.34) to (3.38)); the expected information is `½ tr(WU_lWU_m)`. False: `Σ_z` is not
-    /// positive definite.
+    /// With `W = Σ_z⁻¹`:
+    ///
+    /// - gradient: `∂J/∂ψ_l = ½ tr(WU_l) − ½ eᵀWU_lWe`
+    /// - observed Hessian: `∂²J/∂ψ_l∂ψ_m = −½ tr(WU_lWU_m) + eᵀWU_lWU_mWe`
+    /// - expected information: `½ tr(WU_lWU_m)`
+    ///
+    /// These are the exact forms of the differences (3.34) to (3.38). Returns `false` if `Σ_z` is
+    /// not positive definite.
     pub(crate) fn differentiate(&mut self, psi: &DVector<f64>) -> bool {
         if !self.factorise(psi) {
             return false;
@@ -201,9 +215,11 @@ impl Objective {
         for l in 0..count {
             let whitened = &mut self.whitened_patterns[l];
             whitened.copy_from(&self.patterns[l]);
-            solve_lower_of_rows_mut(self.arch, &self.factor, whitened.as_mut_slice()); // U L⁻ᵀ, because U is symmetric
+            // U L⁻ᵀ, because U is symmetric.
+            solve_lower_of_rows_mut(self.arch, &self.factor, whitened.as_mut_slice());
             whitened.transpose_mut();
-            solve_lower_of_rows_mut(self.arch, &self.factor, whitened.as_mut_slice()); // L⁻¹ U L⁻ᵀ = V
+            // L⁻¹ U L⁻ᵀ = V
+            solve_lower_of_rows_mut(self.arch, &self.factor, whitened.as_mut_slice());
             self.pattern_innovations[l].gemv(1.0, whitened, &self.whitened, 0.0);
             let trace = whitened.trace();
             let quadratic = self.whitened.dot(&self.pattern_innovations[l]);

@@ -51,7 +51,7 @@ fn shifted(psi: &DVector<f64>, shifts: &[(usize, f64)]) -> DVector<f64> {
 
 #[test]
 fn exact_derivatives_agree_with_the_printed_differences() {
-    // ch3 §5 A3: below 1e-5 relative with Δψ = 1e-3 ψ, equations (3.34), (3.37), (3.38)
+    // ch3 §5 A3: relative difference below 1e-5 with Δψ = 1e-3 ψ, equations (3.34), (3.37), (3.38).
     let (_, mut objective) = random_problem();
     let psi = DVector::from_row_slice(&[0.7, 0.4, 0.05]);
     assert!(objective.differentiate(&psi));
@@ -111,7 +111,7 @@ fn missing_channel_adds_nothing() {
     );
     assert_eq!(objective.used_channels(), 2);
     let found = objective.value(&psi);
-    // the same frame with two channels only
+    // The same frame with two channels only.
     let sigma_z = DMatrix::from_fn(2, 2, |i, j| {
         let diagonal = if i == j { 1.0 + 0.05 } else { 0.0 };
         diagonal + 0.25 * (0.7 + 0.4)
@@ -122,7 +122,7 @@ fn missing_channel_adds_nothing() {
     assert!((found - expected).abs() < 1e-12);
 }
 
-/// ch3 §5 A5: white residuals with Σ_z = ψ I₁₂, truth 2e-4, start 1.
+/// Runs ch3 §5 A5: white residuals with Σ_z = ψ I₁₂, truth 2e-4, start 1.
 fn white_residuals(rule: NoiseRule, seed: u64) -> (f64, f64, u64) {
     use rand_distr::{Distribution, StandardNormal};
     let model = NoiseModel {
@@ -178,7 +178,7 @@ fn white_residuals_give_their_level_and_its_deviation() {
                 (mean - 1.0).abs() < 0.02,
                 "{rule:?} seed {seed}: mean {mean}, training ended at {ended}"
             );
-            // the observed Hessian scatters by a few per cent around the expected information
+            // The observed Hessian varies by a few per cent around the expected information.
             assert!(
                 (relative_std / expected - 1.0).abs() < 0.05,
                 "{rule:?} seed {seed}: deviation {relative_std}"
@@ -187,8 +187,10 @@ fn white_residuals_give_their_level_and_its_deviation() {
     }
 }
 
-/// White residuals with `Σ_z = ψ_f h hᵀ + ψ_n I`, both levels from 1: means over the truth of the last 4000 steps, and when
-/// the training ended.
+/// Runs white residuals with `Σ_z = ψ_f h hᵀ + ψ_n I` and start levels of 1.
+///
+/// Returns the means of the last 4000 steps divided by the true levels, and the step at which
+/// training ended.
 fn white_residuals_of_two(
     channels: usize,
     half_life: f64,
@@ -249,8 +251,8 @@ fn white_residuals_of_two(
 
 #[test]
 fn memory_that_is_too_short_leaves_training_open_and_the_force_low() {
-    // ch3 §5, failure signatures: with a half-life of 200 steps training never ends and the level of the force comes out low,
-    // with 2000 and 8000 it ends within 5000 steps
+    // ch3 §5, failure signatures: with a half-life of 200 steps, training never ends and the level
+    // of the force is too low. With 2000 and 8000 steps, training ends within 5000 steps.
     for (channels, seed) in [(3, 1), (3, 2), (12, 1), (12, 2)] {
         let (means, ended) = white_residuals_of_two(channels, 200.0, 12_000, seed);
         println!("{channels} channels, half-life 200: {means:.3?}, {ended:?}");
@@ -298,7 +300,7 @@ fn lasting_misfit_sends_the_parameters_back_to_training() {
     };
     let mut state = NoiseState::start(&model, &settings);
     state.phase = NoisePhase::Working;
-    // a gain that has frozen: information far above what any frame can still move
+    // A frozen gain: the information is too large for any frame to move the level.
     state.covariance.fill_with_identity();
     state.covariance *= 1e-14;
     let innovation = DVector::repeat(4, 100.0);
@@ -313,7 +315,8 @@ fn lasting_misfit_sends_the_parameters_back_to_training() {
     assert_eq!(state.phase, NoisePhase::Training);
 }
 
-/// One force and six equal sensors with the levels of the published building: what the two-stage rule sees of it.
+/// One force and six equal sensors with the levels of the published building, as the two-stage rule
+/// processes them.
 struct TwoLevels {
     model: NoiseModel,
     known: DMatrix<f64>,
@@ -374,7 +377,7 @@ impl TwoLevels {
     }
 }
 
-/// The method as printed, with its differences, written down a second time.
+/// A second implementation of the published method, with its differences.
 struct Printed {
     mean: [f64; 2],
     covariance: DMatrix<f64>,
@@ -464,7 +467,7 @@ impl Printed {
 
 #[test]
 fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
-    // Yuen et al. (2013): estimates with relative increments of 1e-2 and 1e-5 agree to 1e-4
+    // Yuen et al. (2013): estimates with relative increments of 1e-2 and 1e-5 agree to 1e-4.
     let (start, least) = ([10.0, 10.0], 300);
     for seed in 1..=3 {
         let mut problem = TwoLevels::seeded(seed, start);
@@ -477,7 +480,8 @@ fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
         let mut state = NoiseState::start(&problem.model, &settings);
         let mut objective = Objective::new(6, 2);
         let mut printed = [1e-2, 1e-3, 1e-5].map(|increment| (increment, Printed::start(start)));
-        // of the estimates; of the deviations once the first, nearly indefinite Hessians are forgotten
+        // Largest differences of the estimates, and of the deviations once the first, nearly
+        // indefinite Hessians have faded.
         let (mut worst, mut worst_std, mut ended) = ([0.0_f64; 3], [0.0_f64; 3], 0);
         for k in 1..=3000 {
             let innovation = problem.innovation();
@@ -519,7 +523,8 @@ fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
             state.fallbacks > 10,
             "seed {seed}: from too large a start the first Hessians are indefinite"
         );
-        // a level that training left too low comes back slowly, its prior having become too tight
+        // A level that training left too low recovers slowly, because its prior has become too
+        // narrow.
         for _ in 0..9000 {
             let innovation = problem.innovation();
             problem.set(&mut objective, &innovation);

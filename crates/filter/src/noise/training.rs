@@ -6,10 +6,11 @@ use nalgebra::DVector;
 use rand_distr::{Distribution, StandardNormal};
 
 impl NoiseState {
-    /// Replaces `ψ` by the best of the incumbent and `N_τ − 1` candidates around it, and `Σ_ψ` by the inverse Hessian there.
+    /// Replaces `ψ` by the best of the incumbent and `N_τ − 1` candidates around it, and updates
+    /// `Σ_ψ` accordingly.
     ///
-    /// Under [`NoiseRule::Fisher`] the scoring step is one more candidate: random draws move a level by less than 1 % a
-    /// step, which is too slow for a structure that begins to shake.
+    /// Under [`NoiseRule::Fisher`], the scoring step is an additional candidate. Random draws move
+    /// a level by less than 1 % per step, which is too slow for a structure that starts to shake.
     pub(super) fn search(
         &mut self,
         model: &NoiseModel,
@@ -17,7 +18,8 @@ impl NoiseState {
         objective: &mut Objective,
     ) {
         let prior_is_known = self.prior_information_to(settings.fading, objective);
-        let mut best_value = objective.value(&self.mean); // the prior term is zero at its own centre
+        // The prior term is zero at its own centre.
+        let mut best_value = objective.value(&self.mean);
         let mut best = std::mem::take(&mut objective.scratch.best);
         let mut candidate = std::mem::take(&mut objective.scratch.candidate);
         best.copy_from(&self.mean);
@@ -51,7 +53,8 @@ impl NoiseState {
             0
         };
         match settings.rule {
-            // Far from the level each frame would add the same information, true or not, and slow the search down.
+            // Far from the level, each frame would add the same information, whether true or not.
+            // The search would then slow down.
             NoiseRule::Fisher if !self.innovations_agree() => self.rescale_covariance(&best),
             NoiseRule::Fisher => self.accumulate_expected(&best, settings, objective),
             NoiseRule::Published | NoiseRule::HalfOrDouble | NoiseRule::Fixed => {
@@ -65,7 +68,7 @@ impl NoiseState {
 }
 
 impl NoiseState {
-    /// Moves `Σ_ψ` with `ψ`, so that the relative covariance stays.
+    /// Rescales `Σ_ψ` with `ψ`, so that the relative covariance remains unchanged.
     fn rescale_covariance(&mut self, psi: &DVector<f64>) {
         for l in 0..psi.len() {
             for m in 0..psi.len() {
@@ -108,7 +111,8 @@ fn logarithmic_distance(
     distance
 }
 
-/// Draws a standard normal number above `lowest` by rejection; with the default step nothing is ever rejected.
+/// Draws a standard normal number above `lowest` by rejection. With the default step, rejections
+/// practically never occur.
 fn truncated_normal(rng: &mut rand_chacha::ChaCha8Rng, lowest: f64) -> f64 {
     loop {
         let draw: f64 = StandardNormal.sample(rng);

@@ -1,18 +1,21 @@
-//! The working phase under its two names, and the covariance of the noise parameters (3.36) to (3.38).
+//! The working phase under the rules `published` and `fisher`, and the covariance of the noise
+//! parameters (3.36) to (3.38).
 
 use super::objective::Objective;
 use super::{NoiseModel, NoiseSettings, NoiseState};
 use crate::dense::{cholesky_mut, solve_lower_mut, solve_lower_transposed_mut};
 use nalgebra::{DMatrix, DVector};
 
-/// Largest change of a noise parameter at one published step, relative to its value.
+/// Largest change of a noise parameter in one published step, relative to its value.
 const LARGEST_RELATIVE_STEP: f64 = 0.5;
 
-/// Largest change of the logarithm of a noise parameter at one scoring step, unless the frame is a burst.
+/// Largest change of the logarithm of a noise parameter in one scoring step, unless the frame is a
+/// burst.
 const LARGEST_LOGARITHMIC_STEP: f64 = 0.5;
 
 impl NoiseState {
-    /// Moves `ψ` by `−Σ_ψ ∇J` (3.33), then `Σ_ψ` to the inverse of the observed Hessian (3.36).
+    /// Moves `ψ` by `−Σ_ψ ∇J` (3.33), then sets `Σ_ψ` to the inverse of the observed Hessian
+    /// (3.36).
     pub(super) fn newton_step(
         &mut self,
         model: &NoiseModel,
@@ -41,9 +44,15 @@ impl NoiseState {
         objective.scratch.best = moved;
     }
 
-    /// Moves `ln ψ` by the score over the accumulated expected information, which fades by `λ`.
+    /// Moves `ln ψ` by the score divided by the accumulated expected information, which fades by
+    /// `λ`.
     ///
-    /// `φ = ln ψ`: `s_l = −ψ_l ∂J/∂ψ_l`, `F_lm = ½ ψ_l ψ_m tr(WU_lWU_m)`, `Λ ← Λ/λ + F`, `φ ← φ + Λ⁻¹ s`.
+    /// With `φ = ln ψ`:
+    ///
+    /// - `s_l = −ψ_l ∂J/∂ψ_l`
+    /// - `F_lm = ½ ψ_l ψ_m tr(WU_lWU_m)`
+    /// - `Λ ← Λ/λ + F`
+    /// - `φ ← φ + Λ⁻¹ s`
     pub(super) fn scoring_step(
         &mut self,
         model: &NoiseModel,
@@ -68,7 +77,10 @@ impl NoiseState {
         objective.scratch.best = moved;
     }
 
-    /// Writes where one scoring step leads, and the factor of `Λ` into the scratch space; false without a step.
+    /// Writes the result of one scoring step to `candidate` and the Cholesky factor of `Λ` to the
+    /// scratch space.
+    ///
+    /// Returns `false` if no step is possible.
     pub(super) fn scoring_candidate_to(
         &mut self,
         candidate: &mut DVector<f64>,
@@ -81,11 +93,13 @@ impl NoiseState {
             return false;
         }
         let count = self.mean.len();
-        // A structure that begins to shake exceeds by far what the model explained while it was quiet. Until the level has
-        // followed, the parameters would take the blame: it may follow at once, but never beyond what this frame shows.
+        // A structure that starts to shake far exceeds what the model explained while it was quiet.
+        // Without a fast increase of the level, the excess would change the parameters. The level
+        // may therefore increase at once, but not beyond the excess of this frame.
         let excess = objective.whitened_norm_squared() / objective.used_channels() as f64;
         if !excess.is_finite() {
-            return false; // no level explains such a frame; the filter will find that it has diverged
+            // No level explains such a frame. The filter will detect that it has diverged.
+            return false;
         }
         let upward = LARGEST_LOGARITHMIC_STEP.max(excess.ln());
         let mut step = std::mem::take(&mut objective.scratch.step);
@@ -107,16 +121,17 @@ impl NoiseState {
         true
     }
 
-    /// Replaces `Σ_ψ` by the inverse of `∇²J + Σ_ψ⁻¹/λ` at `psi`, or leaves it where that is not positive definite.
+    /// Replaces `Σ_ψ` by the inverse of `∇²J + Σ_ψ⁻¹/λ` at `psi`, if that matrix is positive
+    /// definite.
     ///
-    /// Expects the prior information in the scratch space.
+    /// Otherwise, `Σ_ψ` remains unchanged. The scratch space must contain the prior information.
     pub(super) fn accumulate_observed(&mut self, psi: &DVector<f64>, objective: &mut Objective) {
         if !objective.differentiate(psi) {
             self.fall_back();
             return;
         }
         let count = psi.len();
-        // Scaled by ψ_l ψ_m: the raw entries can differ by ten orders of magnitude.
+        // Scaled by ψ_l ψ_m, because the raw entries can differ by ten orders of magnitude.
         let scratch = &mut objective.scratch;
         for l in 0..count {
             for m in 0..count {
@@ -157,7 +172,9 @@ impl NoiseState {
         }
     }
 
-    /// Writes the Cholesky factor of `Λ/λ + F` for `ln ψ` into the scratch space; `F` is taken at `psi`.
+    /// Writes the Cholesky factor of `Λ/λ + F` for `ln ψ` to the scratch space, with `F` at `psi`.
+    ///
+    /// Returns `false` if a matrix is not positive definite.
     fn logarithmic_information_to(
         &self,
         psi: &DVector<f64>,
@@ -177,7 +194,7 @@ impl NoiseState {
         cholesky_mut(&mut scratch.information).is_ok()
     }
 
-    /// Writes `Σ_ψ⁻¹/λ` into the scratch space; false when `Σ_ψ` is not positive definite.
+    /// Writes `Σ_ψ⁻¹/λ` to the scratch space and returns `false` if `Σ_ψ` is not positive definite.
     pub(super) fn prior_information_to(&self, fading: f64, objective: &mut Objective) -> bool {
         let scratch = &mut objective.scratch;
         let count = self.mean.len();
@@ -203,7 +220,8 @@ impl NoiseState {
         true
     }
 
-    /// Keeps what the data do not inform from winding up: no relative variance exceeds that of the start.
+    /// Limits the relative variance of each level to that of its start, because the variance of
+    /// uninformed levels would grow.
     fn bound_relative_std(&mut self, model: &NoiseModel) {
         let count = self.mean.len();
         for l in 0..count {
@@ -221,7 +239,8 @@ impl NoiseState {
     }
 }
 
-/// Writes `(L Lᵀ)⁻¹` for a Cholesky factor of a small matrix (N_ψ × N_ψ): here the inverse itself is the result.
+/// Writes `(L Lᵀ)⁻¹` for the Cholesky factor of a small matrix (N_ψ × N_ψ). Here, the inverse
+/// itself is the result.
 fn invert_factor_to(factor: &DMatrix<f64>, out: &mut DMatrix<f64>) {
     out.fill_with_identity();
     solve_lower_mut(factor, out.as_mut_slice());

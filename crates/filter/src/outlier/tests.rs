@@ -6,7 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 #[test]
 fn upper_bounds_are_those_of_the_source() {
-    // (4.27); the table of windows
+    // (4.27), the table of windows.
     for (window, expected) in [
         (100, 2.7046),
         (1000, 3.3926),
@@ -45,7 +45,7 @@ fn probabilities_are_those_of_the_binomial_distribution() {
     }
 }
 
-/// The sum of (4.18) as it is written, from the first term on.
+/// Returns the sum of (4.18) as printed, from the first term.
 fn plain_sum(epsilon: f64, beyond: usize, regular: usize) -> f64 {
     let q = libm::erfc(epsilon / std::f64::consts::SQRT_2);
     let n = (regular + 1) as f64;
@@ -109,7 +109,7 @@ proptest! {
     }
 }
 
-/// Share of a clean stream of standard normals that is rejected, from a given scale.
+/// Returns the share of rejected samples of a clean standard normal stream, from a given scale.
 fn swamping(seed: u64, settings: &OutlierSettings, samples: usize, scale: f64, held: bool) -> f64 {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut channel = ChannelScreen::new(settings);
@@ -127,8 +127,9 @@ fn swamping(seed: u64, settings: &OutlierSettings, samples: usize, scale: f64, h
 
 #[test]
 fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
-    // the scale held at 1, then updated; 120 000 samples. Rejections come in clusters, and with a window of 10 000 there are
-    // few of them: single streams scatter by a fifth with the updated scale, so that the mean over eight is judged
+    // The scale is held at 1, then updated, over 120 000 samples. Rejections occur in clusters, and
+    // with a window of 10 000 they are rare. With an updated scale, single streams vary by a fifth,
+    // so the test uses the mean of eight streams.
     const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
     for (window, held, updated) in [
         (1000, 0.0074, 0.0153),
@@ -155,7 +156,8 @@ fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
 
 #[test]
 fn a_first_scale_that_is_a_little_off_is_borne() {
-    // ch7 §5, check 3: eight channels of 20 000 samples, window of 10 000, with the first scale as it is, 5 % too large, 5 % too small
+    // ch7 §5, check 3: eight channels of 20 000 samples, window of 10 000. The first scale is
+    // right, 5 % too large or 5 % too small.
     for (scale, low, high) in [(1.0, 0.001, 0.01), (1.05, 0.0, 0.003), (0.95, 0.0, 0.02)] {
         let channels = (1..=8).map(|seed| swamping(seed, &settings(10_000), 20_000, scale, false));
         let found = channels.sum::<f64>() / 8.0;
@@ -176,7 +178,8 @@ fn without_the_lower_bound_half_of_a_clean_stream_is_rejected() {
         let found = swamping(seed, &settings, 20_000, 1.0, true);
         assert!(found > 0.4, "seed {seed}: {found}");
     }
-    // ch7 §5, check 3: a quarter and more of the first 4000 samples, of eight channels with a window of 10 000
+    // ch7 §5, check 3: at least a quarter of the first 4000 samples, for eight channels with a
+    // window of 10 000.
     let settings = OutlierSettings {
         lower: 0.0,
         ..settings(10_000)
@@ -190,7 +193,8 @@ fn without_the_lower_bound_half_of_a_clean_stream_is_rejected() {
 
 #[test]
 fn a_fixed_threshold_flags_as_many_clean_points_as_there_are_points() {
-    // the empirical rule that the method replaces: outside the square [−α, α]² of a bivariate normal, expected counts
+    // The empirical rule that the method replaces: expected counts outside the square [−α, α]² of a
+    // bivariate normal.
     for (points, alpha, noise, expected) in [
         (1000, 2.5, 0.0, 24.68),
         (500, 2.5, 0.05, 12.45),
@@ -217,7 +221,8 @@ fn a_fixed_threshold_flags_as_many_clean_points_as_there_are_points() {
     }
 }
 
-/// Feeds channels with residuals of unit deviation as the filter sees it, each scaled by `factor(channel, step)`.
+/// Feeds channels with residuals that the filter expects to have unit deviation, each scaled by
+/// `factor(channel, step)`.
 fn feed(
     steps: usize,
     channels: usize,
@@ -251,7 +256,8 @@ fn feed(
 
 #[test]
 fn a_scale_that_is_too_small_is_found_anew() {
-    // one channel learns in a quiet stretch and is noisier by five afterwards: without help it would stay locked out
+    // One channel learns its scale in a quiet interval and is five times as noisy afterwards.
+    // Without a new estimate, its samples would be rejected permanently.
     let (state, changes) = feed(
         4000,
         3,
@@ -264,7 +270,7 @@ fn a_scale_that_is_too_small_is_found_anew() {
         "{changes:?}"
     );
     let channel = &state.channels()[1];
-    // a fifth of the residuals from which it was found were still quiet
+    // A fifth of the residuals for this estimate were still quiet.
     assert!(
         !channel.faulty() && (0.8..1.1).contains(&channel.scale()),
         "scale {}",

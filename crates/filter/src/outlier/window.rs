@@ -1,21 +1,22 @@
-//! What a channel remembers: the tail of its regular samples, and its recent residuals.
+//! Stored data of a channel: the tail of its regular samples, and its recent residuals.
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// The latest regular samples, of which only those in the tail are kept: no other is ever asked for.
+/// Window of the latest regular samples. Only the samples in the tail are stored, because no others
+/// are needed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Window {
     size: u64,
-    /// regular samples so far
+    /// Number of regular samples so far.
     taken: u64,
-    /// number and absolute normalised residual of those above the lower bound
+    /// Sequence number and absolute normalised residual of the samples above the lower bound.
     tail: VecDeque<(u64, f64)>,
 }
 
 impl Window {
     pub(super) fn new(size: usize) -> Self {
-        // the tail of a Gaussian beyond 2 holds 4.6 %; the screening keeps it from growing
+        // The tail of a Gaussian beyond 2 contains 4.6 %. The screening limits its growth.
         Self {
             size: size as u64,
             taken: 0,
@@ -23,12 +24,14 @@ impl Window {
         }
     }
 
-    /// `N[R]`.
+    /// Returns `N[R]`, the number of samples in the window.
     pub(super) fn len(&self) -> usize {
         self.taken.min(self.size) as usize
     }
 
-    /// `κ`: remembered samples at least as far out; right for values above the lower bound only.
+    /// Returns `κ`, the number of stored samples with a residual of at least `epsilon`.
+    ///
+    /// It is correct only for `epsilon` above the lower bound.
     pub(super) fn at_least(&self, epsilon: f64) -> usize {
         self.tail
             .iter()
@@ -36,7 +39,7 @@ impl Window {
             .count()
     }
 
-    /// Takes a regular sample and forgets the one that leaves the window, (4.28).
+    /// Adds a regular sample and removes the samples that leave the window, (4.28).
     pub(super) fn push(&mut self, epsilon: f64, lower: f64) {
         if epsilon > lower {
             self.tail.push_back((self.taken, epsilon));
@@ -57,7 +60,7 @@ impl Window {
     }
 }
 
-/// The latest absolute residuals, and which of them were rejected.
+/// The latest absolute residuals, with a mark on the rejected ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Recent {
     size: usize,
@@ -76,7 +79,7 @@ impl Recent {
         }
     }
 
-    /// Samples taken since the last clearing.
+    /// Returns the number of samples since the last clearing.
     pub(super) fn taken(&self) -> u64 {
         self.taken
     }
@@ -96,7 +99,7 @@ impl Recent {
         self.ring.len() == self.size
     }
 
-    /// Says whether a whole window has passed since a multiple of it.
+    /// Returns `true` if the number of samples is a multiple of `window`.
     pub(super) fn is_due(&self, window: usize) -> bool {
         self.taken.is_multiple_of(window as u64)
     }
@@ -105,7 +108,8 @@ impl Recent {
         self.rejected as f64 / self.ring.len().max(1) as f64
     }
 
-    /// The residual that this share of the remembered ones does not exceed; 0 without any.
+    /// Returns the residual that the given share of the stored residuals does not exceed, or 0 if
+    /// none are stored.
     pub(super) fn percentile(&self, share: f64, sorted: &mut Vec<f64>) -> f64 {
         sorted.clear();
         sorted.extend(self.ring.iter().map(|(residual, _)| *residual));
@@ -117,7 +121,7 @@ impl Recent {
         *sorted.select_nth_unstable_by(at, f64::total_cmp).1
     }
 
-    /// Forgets what was rejected.
+    /// Clears the marks on rejected residuals.
     pub(super) fn forgive(&mut self) {
         self.ring
             .iter_mut()

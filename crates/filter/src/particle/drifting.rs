@@ -1,8 +1,10 @@
-//! Continuous systems with measured input whose parameters drift: the form of the source's two examples.
+//! Continuous systems with measured input and drifting parameters, as in both examples of the
+//! source.
 //!
-//! Source: Ching, Beck, Porter & Shaikhutdinov (2006). Mechanical states obey `ẋ = g(x, θ, u)`; parameters and noise levels
-//! obey `θ̇ = G w`, in discrete time `θ_k = θ_{k−1} + G w_{k−1}` with a diagonal `G`. Large entries of `G` make the
-//! estimate follow recent data, small ones let it remember.
+//! Source: Ching, Beck, Porter & Shaikhutdinov (2006). Mechanical states obey `ẋ = g(x, θ, u)`.
+//! Parameters and noise levels obey `θ̇ = G w`, in discrete time `θ_k = θ_{k−1} + G w_{k−1}` with a
+//! diagonal `G`. With large entries of `G`, the estimate follows recent data. With small entries,
+//! it has a long memory.
 
 use super::model::{
     DIFFERENCE_STEP, DifferenceWorkspace, Interval, ParticleModel, central_differences,
@@ -11,21 +13,22 @@ use super::model::{
 use crate::error::FilterError;
 use nalgebra::DMatrix;
 
-/// `ẋ = g(x, θ, u)`, `y = h(x, θ, u) + diag(σ) v` with the state `[x, θ, σ]`.
+/// A system `ẋ = g(x, θ, u)`, `y = h(x, θ, u) + diag(σ) v` with the state `[x, θ, σ]`.
 pub trait ContinuousSystem: Clone + Send {
-    /// Returns the number of mechanical states, which come first.
+    /// Returns the number of mechanical states, at the start of the state.
     fn mechanical_len(&self) -> usize;
 
-    /// Returns the number of parameters and noise levels, which come last.
+    /// Returns the number of parameters and noise levels, at the end of the state.
     fn drifting_len(&self) -> usize;
 
-    /// Returns the number of inputs `p`, all of them measured.
+    /// Returns the number of inputs `p`, which are all measured.
     fn input_len(&self) -> usize;
 
     /// Returns the number of observed channels `q`.
     fn observation_len(&self) -> usize;
 
-    /// Writes the time derivative of the mechanical states (units per second) for a whole state.
+    /// Writes the time derivative of the mechanical states (units per second), computed from the
+    /// whole state.
     fn derivative(&self, state: &[f64], input: &[f64], out: &mut [f64]);
 
     /// Writes the output without noise (q).
@@ -35,16 +38,23 @@ pub trait ContinuousSystem: Clone + Send {
     fn noise_std(&self, state: &[f64], out: &mut [f64]);
 }
 
-/// When the increment of the parameters acts within a step.
+/// The time within a step at which the parameter increment acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum IncrementTime {
-    /// Before the integration: needed where the output feels the parameters through the integrated states only.
+    /// Before the integration.
+    ///
+    /// Required if the parameters affect the output only through the integrated states.
     Start,
-    /// After it: right where the output itself contains the parameters; the Jacobian then needs one integration only.
+    /// After the integration.
+    ///
+    /// Valid if the output itself contains the parameters. The Jacobian then requires only one
+    /// integration.
     End,
 }
 
-/// A [`ContinuousSystem`] as a particle filter sees it: classical Runge-Kutta substeps with held input, and the drift.
+/// Adapter that makes a particle model from a [`ContinuousSystem`].
+///
+/// It integrates with classical Runge-Kutta substeps with held input, and adds the drift.
 #[derive(Debug, Clone)]
 pub struct Drifting<S> {
     system: S,
@@ -61,14 +71,16 @@ pub struct Drifting<S> {
 }
 
 impl<S: ContinuousSystem> Drifting<S> {
-    /// Makes a discrete model of `system`.
+    /// Creates a discrete model of `system`.
     ///
-    /// `step_s`: time between frames (s), cut into `substeps`. `drift_std`: standard deviation of the increment of each
-    /// parameter and noise level per step, the diagonal of `G`. `lower`: where they are reflected (the same unit), minus
-    /// infinity for no limit.
+    /// - `step_s`: time between frames (s), divided into `substeps`
+    /// - `drift_std`: standard deviation of the increment of each parameter and noise level per
+    ///   step, the diagonal of `G`
+    /// - `lower`: limit at which each parameter and noise level is reflected (same units), minus
+    ///   infinity for none
     ///
     /// # Errors
-    /// When a length does not fit, or a number lies outside its range.
+    /// Returns an error if a length does not fit or a number is out of range.
     pub fn new(
         system: S,
         step_s: f64,
@@ -137,14 +149,14 @@ impl<S: ContinuousSystem> Drifting<S> {
         }
     }
 
-    /// Takes an input; a missing sample is taken as zero, the mean of an excitation.
+    /// Stores an input; a missing sample counts as zero, the mean of an excitation.
     fn take_input(&mut self, input: &[f64]) {
         for (entry, value) in self.input.iter_mut().zip(input) {
             *entry = if value.is_nan() { 0.0 } else { *value };
         }
     }
 
-    /// Integrates the mechanical states over one step with the input held.
+    /// Integrates the mechanical states over one step with held input.
     fn integrate(&mut self, state: &mut [f64]) {
         let Self {
             system,
@@ -276,7 +288,7 @@ impl<S: ContinuousSystem> ParticleModel for Drifting<S> {
     }
 }
 
-/// Refuses a drift that is negative or not finite.
+/// Checks that no drift is negative or not finite.
 pub(super) fn check_drift(drift_std: &[f64]) -> Result<(), FilterError> {
     match drift_std
         .iter()

@@ -1,4 +1,4 @@
-//! What the weighted particles say: moments, quantiles, and how many of them still count.
+//! Estimates from the weighted particles: moments, quantiles and the effective sample size.
 
 use super::moments;
 use super::{ParticleFilter, ParticleModel};
@@ -20,7 +20,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         moments::covariance_to(&self.state.states, &self.weights, &self.mean, out);
     }
 
-    /// Returns `E[r(x)] = Σ W^i r(x^i)`: any quantity of interest, such as a drift or a cost.
+    /// Returns `E[r(x)] = Σ W^i r(x^i)` of any quantity of interest, such as a drift or a cost.
     pub fn expectation(&self, mut quantity: impl FnMut(&[f64]) -> f64) -> f64 {
         let particles = self
             .state
@@ -33,9 +33,10 @@ impl<M: ParticleModel> ParticleFilter<M> {
             .sum()
     }
 
-    /// Returns the weighted quantiles of one component that leave the same probability outside on either side.
+    /// Returns the limits of the central credible interval of one component.
     ///
-    /// `probability`: of the interval, 0.95 for the 2.5 % and 97.5 % quantiles. `None` when there is no such component.
+    /// `probability` is the probability of the interval: 0.95 returns the weighted 2.5 % and 97.5 %
+    /// quantiles. Returns `None` if the component does not exist.
     pub fn credible_interval(&mut self, component: usize, probability: f64) -> Option<(f64, f64)> {
         let n = self.mean.len();
         if component >= n {
@@ -94,7 +95,8 @@ impl<M: ParticleModel> ParticleFilter<M> {
         variance.sqrt() / mean
     }
 
-    /// Returns how many particles of the start have descendants: 1 when all memory of the start but one draw is gone.
+    /// Returns the number of initial particles that have descendants; 1 if all particles descend
+    /// from one initial draw.
     pub fn surviving_ancestors(&mut self) -> usize {
         self.order.copy_from_slice(&self.state.ancestors);
         self.order.sort_unstable();

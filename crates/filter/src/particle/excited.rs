@@ -1,12 +1,14 @@
-//! Any system with the two traits of the Kalman filters as a particle filter sees it.
+//! Adapter that makes a particle model from a system with the two traits of the Kalman filters.
 //!
-//! The disturbance of a step is `w = [w_f, w_θ]`: the unknown excitation `L_f w_f` with `L_f L_fᵀ = Σ_f`, held over the
-//! step, and the increment `G w_θ` of the parameters, which acts at its beginning. Notation: Huang & Yuen (2023), §2.4, for
-//! the prediction, which is that of the extended Kalman filter around each particle; Ching, Beck, Porter & Shaikhutdinov
-//! (2006) for the drift of the parameters.
+//! The disturbance of a step is `w = [w_f, w_θ]`. The unknown excitation is `L_f w_f` with
+//! `L_f L_fᵀ = Σ_f`, held over the step. The parameter increment is `G w_θ` and acts at the start
+//! of the step. The prediction is that of the extended Kalman filter around each particle: notation
+//! of Huang & Yuen (2023), §2.4. The drift of the parameters follows Ching, Beck, Porter &
+//! Shaikhutdinov (2006).
 //!
-//! Where sensors feel the excitation of their own instant (`D ≠ 0`), `w_f` is that of the frame: the observation weighs it,
-//! the state keeps it in `N_f` entries behind the parameters, and it acts on the motion over the coming step.
+//! If sensors respond directly to the excitation of the same frame (`D ≠ 0`), `w_f` is the
+//! excitation at that frame. The observation then determines its weight. The state stores it in
+//! `N_f` entries after the parameters, and it acts on the motion over the next step.
 
 use super::GaussianStart;
 use super::drifting::check_drift;
@@ -19,18 +21,23 @@ use crate::noise::{NoiseModel, NoiseTarget};
 use crate::update::ExcitationPosterior;
 use nalgebra::{DMatrix, DVector};
 
-/// A pivot below this share of its diagonal entry is a direction in which the excitation does not vary.
+/// Relative pivot below which the excitation does not vary in a direction.
 const ZERO_PIVOT: f64 = 1e-14;
 
-/// A particle that needs so many times the substeps of the prior has diverged. It would take as long as all others together.
+/// Number of substeps above which a particle has diverged, as a multiple of the substeps of the
+/// prior.
+///
+/// A diverged particle would otherwise take as long as all others together.
 const DIVERGED_SUBSTEPS: usize = 20;
 
-/// A [`ProcessModel`] and [`ObservationModel`] whose particles differ by unknown excitation and drifting parameters.
+/// A [`ProcessModel`] and [`ObservationModel`] with random excitation and drifting parameters.
 ///
-/// State: `[y, w]`, the state `y` (n) of the model with its parameters last, and the excitation `w` (N_f) of the last frame
-/// if the model has a direct term. Of the settings of the Kalman filter it uses the time step, the limits, the noises at
-/// their start and the hold of the known excitation. It uses neither the fading factor nor the bounds of the variances
-/// (the drift sets the memory), nor the start-up aid.
+/// State: `[y, w]`, where `y` (n) is the state of the model with its parameters last. `w` (N_f) is
+/// the excitation of the last frame, if the model has a direct term.
+///
+/// From the settings of the Kalman filter, it uses the time step, the limits, the initial noise
+/// levels and the hold of the known excitation. It does not use the fading factor, the variance
+/// bounds or the start-up aid, because the drift determines the memory.
 #[derive(Debug, Clone)]
 pub struct ExcitedSystem<M> {
     model: M,
@@ -40,35 +47,35 @@ pub struct ExcitedSystem<M> {
     lower: DVector<f64>,
     upper: DVector<f64>,
     noise: NoiseModel,
-    /// Σ_n (N_0 × N_0)
+    /// Σ_n (N_0 × N_0).
     sensors: DMatrix<f64>,
-    /// Σ_f and its factor, and a factor for frames with missing samples (N_f × N_f)
+    /// Σ_f, its factor, and a factor for frames with missing samples (N_f × N_f).
     excitation: DMatrix<f64>,
     excitation_factor: DMatrix<f64>,
     missing_factor: DMatrix<f64>,
     work: Workspace,
-    /// substeps from which on a particle counts as diverged
+    /// Maximum number of substeps; a particle that needs more has diverged.
     most_substeps: usize,
 }
 
 #[derive(Debug, Clone)]
 struct Workspace {
-    /// known excitation at both ends of the step, and the whole one that acts (N_f)
+    /// Known excitation at both ends of the step, and the total acting excitation (N_f).
     older: DVector<f64>,
     newer: DVector<f64>,
     acting: DVector<f64>,
-    /// B_y ḟ (n)
+    /// B_y ḟ (n).
     ramp: DVector<f64>,
-    /// B_y (n × N_f)
+    /// B_y (n × N_f).
     input_matrix: DMatrix<f64>,
-    /// Γ g (n × 1)
+    /// Γ g (n × 1).
     increment: DMatrix<f64>,
-    /// [Γ g, Γ B_y] (n × (1 + N_f))
+    /// [Γ g, Γ B_y] (n × (1 + N_f)).
     inputs: DMatrix<f64>,
-    /// what an excitation and the drift of the parameters do to the predicted state (n × N_f, n × N_θ)
+    /// Effects of excitation and parameter drift on the predicted state (n × N_f, n × N_θ).
     by_excitation: DMatrix<f64>,
     by_parameter: DMatrix<f64>,
-    /// and to the output (N_0 × N_f, N_0 × N_θ)
+    /// Effects of excitation and parameter drift on the output (N_0 × N_f, N_0 × N_θ).
     seen_excitation: DMatrix<f64>,
     seen_parameter: DMatrix<f64>,
     motion: discretise::Workspace,
@@ -77,12 +84,13 @@ struct Workspace {
 }
 
 impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
-    /// Makes a system from a model and the settings of its Kalman filter.
+    /// Creates a system from a model and the settings of its Kalman filter.
     ///
-    /// `drift_std`: standard deviation of the increment of each parameter per step (N_θ, parameter units).
+    /// `drift_std`: standard deviation of the increment of each parameter per step (N_θ, parameter
+    /// units).
     ///
     /// # Errors
-    /// When a size does not fit the model, or a setting lies outside its range.
+    /// Returns an error if a size does not fit the model or a setting is out of range.
     pub fn new(
         model: M,
         settings: &FilterSettings,
@@ -148,11 +156,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         &self.model
     }
 
-    /// Sets the identified noise levels `ψ` (N_ψ), for instance to what a Kalman filter has found.
+    /// Sets the identified noise levels `ψ` (N_ψ), for example to the result of a Kalman filter.
     ///
     /// # Errors
-    /// When there are more or fewer levels than the settings name, or the covariance of the excitation is not positive
-    /// semidefinite.
+    /// Returns an error if the number of levels differs from the settings, or if the covariance of
+    /// the excitation is not positive semidefinite.
     pub fn take_noise_levels(&mut self, levels: &DVector<f64>) -> Result<(), FilterError> {
         let expected = self.noise.parameters.len();
         if levels.len() != expected {
@@ -170,7 +178,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         semidefinite_cholesky_mut(&mut self.excitation_factor)
     }
 
-    /// Returns the prior of the settings as a start: it is for the instant of the first frame.
+    /// Returns the prior of the settings as a start density at the time of the first frame.
     #[must_use]
     pub fn start_at_prior(&self, settings: &FilterSettings) -> GaussianStart {
         let (n, len) = (self.model.state_len(), self.state_len());
@@ -186,7 +194,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         start
     }
 
-    /// Returns the estimate of a Kalman filter after its last frame as a start, with all correlations.
+    /// Returns the estimate of a Kalman filter after its last frame as a start density, with all
+    /// correlations.
     #[must_use]
     pub fn start_after(&self, filter: &ExtendedKalmanFilter<M>) -> GaussianStart {
         let (n, len) = (self.model.state_len(), self.state_len());
@@ -217,7 +226,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         }
     }
 
-    /// Sorts out what is known of the excitation; a missing sample is taken as zero, and is uncertain.
+    /// Stores the known excitation of the interval; a missing sample counts as zero and is
+    /// uncertain.
     fn take_known(&mut self, interval: Interval<'_>) {
         let Workspace { older, newer, .. } = &mut self.work;
         let known = |value: f64| if value.is_nan() { 0.0 } else { value };
@@ -227,7 +237,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         }
     }
 
-    /// Returns `L_f` for a frame: a missing sample adds as much as the known excitation has been large.
+    /// Returns `L_f` for a frame; a missing sample adds the mean square of the known excitation.
     fn factor(&mut self, samples: &[f64], mean_square: &[f64]) -> &DMatrix<f64> {
         if !samples.iter().any(|value| value.is_nan()) {
             return &self.excitation_factor;
@@ -240,12 +250,12 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         }
         match semidefinite_cholesky_mut(&mut self.missing_factor) {
             Ok(()) => &self.missing_factor,
-            // a larger diagonal cannot spoil a matrix that had a factor
+            // A larger diagonal keeps a semidefinite matrix semidefinite.
             Err(_) => &self.excitation_factor,
         }
     }
 
-    /// Writes the slope of the motion from the known excitation through the step, if it is not held.
+    /// Computes the slope of the motion that results from the known excitation during the step.
     fn take_ramp(&mut self) {
         let Self { step_s, work, .. } = self;
         let Workspace {
@@ -259,12 +269,13 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         ramp.gemv(-1.0 / *step_s, input_matrix, older, 1.0);
     }
 
-    /// Returns `true` if the motion at which the model is linearised needs far more substeps than that of the prior.
+    /// Returns `true` if the linearised motion needs far more substeps than the motion of the
+    /// prior.
     fn has_diverged(&self) -> bool {
         Series::choose(self.model.rate_bound(), self.step_s).substeps > self.most_substeps
     }
 
-    /// Linearises the process at a state with the excitation that acts on it over the step.
+    /// Linearises the process at a state, with the excitation that acts over the step.
     fn linearise_motion(&mut self, state: &[f64], noise: &[f64], interval: Interval<'_>) {
         let n = self.model.state_len();
         self.work.acting.copy_from(&self.work.older);
@@ -318,7 +329,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
             }
             self.linearise_motion(state, noise, interval);
             if self.has_diverged() {
-                state.fill(f64::NAN); // which takes the particle out
+                state.fill(f64::NAN); // removes the particle
                 return;
             }
             self.model.derivative(self.work.increment.as_mut_slice());
@@ -448,8 +459,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
 }
 
 impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
-    /// Writes the state predicted without disturbance into `state`, and what the disturbances add to it, `Γ B_y L_f` and
-    /// `A [0; G]`, for the process as it is linearised.
+    /// Adds the predicted motion without disturbance to `state`, and computes the effects of the
+    /// disturbances.
+    ///
+    /// The effects are `Γ B_y L_f` and `A [0; G]` of the linearised process.
     fn predict_columns(&mut self, interval: Interval<'_>, state: &mut [f64], direct: bool) {
         self.model.excitation_matrix(&mut self.work.input_matrix);
         if self.input_hold == InputHold::First {
@@ -518,7 +531,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
     }
 }
 
-/// Replaces a symmetric positive semidefinite matrix by a lower triangular `L` with `L Lᵀ`; known inputs are zero rows.
+/// Replaces a symmetric positive semidefinite matrix by a lower triangular `L` with `L Lᵀ`; known
+/// inputs have zero rows.
 fn semidefinite_cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), FilterError> {
     let n = matrix.nrows();
     for j in 0..n {
@@ -551,7 +565,8 @@ mod tests {
 
     #[test]
     fn factor_of_a_covariance_with_known_inputs_gives_it_back() {
-        let half = DMatrix::from_row_slice(3, 2, &[2.0, 0.0, 0.0, 0.0, -1.0, 0.5]); // the second input is known
+        // The second input is known.
+        let half = DMatrix::from_row_slice(3, 2, &[2.0, 0.0, 0.0, 0.0, -1.0, 0.5]);
         let covariance = &half * half.transpose();
         let mut factor = covariance.clone();
         semidefinite_cholesky_mut(&mut factor).unwrap();

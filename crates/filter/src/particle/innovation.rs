@@ -1,27 +1,30 @@
-//! The innovation of a particle filter: how far a frame lies from what the particles predict of it.
+//! The innovation of a particle filter: the difference between a frame and its prediction by the
+//! particles.
 //!
-//! Each particle predicts `y^i = h(f(x^i, u, w), u)` with `w` from its prior. With the weights before the frame the mean of
-//! the frame is `ȳ = Σ W^i y^i`, and its covariance `S = R + Σ W^i (y^i − ȳ)(y^i − ȳ)ᵀ`. The innovation is `ν = ŷ − ȳ`, and
-//! `νᵀ S⁻¹ ν` scatters around the number of channels while the particles follow the data. When they have lost the state,
-//! their predictions agree with one another and not with the frame, and it grows without limit.
+//! Each particle predicts `y^i = h(f(x^i, u, w), u)` with `w` from its prior. With the weights
+//! before the frame, the predicted mean is `ȳ = Σ W^i y^i`. Its covariance is
+//! `S = R + Σ W^i (y^i − ȳ)(y^i − ȳ)ᵀ`. The innovation is `ν = ŷ − ȳ`. While the particles follow
+//! the data, `νᵀ S⁻¹ ν` varies around the number of channels. If the particles have lost the state,
+//! their predictions agree with each other but not with the frame. `νᵀ S⁻¹ ν` then grows without
+//! limit.
 
 use crate::dense::{cholesky_mut, solve_lower_mut};
 use nalgebra::{DMatrix, DVector};
 
-/// Predictions of all particles for one frame, and what follows from them.
+/// The predictions of all particles for one frame, and their statistics.
 #[derive(Debug, Clone)]
 pub(super) struct Innovation {
-    /// y (q × N), and a number for each particle where there is no channel
+    /// y (q × N); one unused number per particle if there are no channels.
     pub(super) predicted: Vec<f64>,
-    /// W before the frame (N)
+    /// W before the frame (N).
     weights: Vec<f64>,
-    /// ν, NaN where a channel is missing (q)
+    /// ν, NaN for missing channels (q).
     values: DVector<f64>,
-    /// S, then its factor (q × q)
+    /// S, then its factor (q × q).
     covariance: DMatrix<f64>,
-    /// ν of the channels that are there, 0 for the others (q)
+    /// ν of the available channels, 0 for missing channels (q).
     whitened: DVector<f64>,
-    /// νᵀ S⁻¹ ν
+    /// νᵀ S⁻¹ ν.
     squared: f64,
 }
 
@@ -37,17 +40,18 @@ impl Innovation {
         }
     }
 
-    /// Returns `ν` (q, sensor units), NaN where a channel was missing.
+    /// Returns `ν` (q, sensor units), NaN for missing channels.
     pub(super) fn values(&self) -> &[f64] {
         self.values.as_slice()
     }
 
-    /// Returns `νᵀ S⁻¹ ν`; 0 without a channel.
+    /// Returns `νᵀ S⁻¹ ν`; 0 without channels.
     pub(super) fn squared(&self) -> f64 {
         self.squared
     }
 
-    /// Takes the logarithms of the weights before the frame, and forgets the predictions of the frame before.
+    /// Stores the weights before the frame, given as logarithms, and discards the previous
+    /// predictions.
     pub(super) fn begin(&mut self, log_weights: &[f64]) {
         self.predicted.fill(f64::NAN);
         for (weight, value) in self.weights.iter_mut().zip(log_weights) {
@@ -55,9 +59,10 @@ impl Innovation {
         }
     }
 
-    /// Compares the frame `datum` (q, NaN where missing) with the predictions; `covariance_of_sensors` writes `R` (q × q).
+    /// Compares the frame `datum` (q, NaN where missing) with the predictions;
+    /// `covariance_of_sensors` writes `R` (q × q).
     ///
-    /// A particle whose prediction is not finite does not count.
+    /// Particles with a non-finite prediction do not count.
     pub(super) fn compare(
         &mut self,
         datum: &[f64],
@@ -92,7 +97,7 @@ impl Innovation {
                 .for_each(|(sum, value)| *sum += weight * value);
         }
         if total.is_nan() || total <= 0.0 {
-            return; // no particle is left, which the weights say too
+            return; // no particle is left, as the weights also show
         }
         *whitened /= total; // ȳ
         covariance_of_sensors(covariance);
@@ -104,7 +109,8 @@ impl Innovation {
             for b in 0..q {
                 let right = weight / total * (row[b] - whitened[b]);
                 for a in 0..q {
-                    covariance[(a, b)] += (row[a] - whitened[a]) * right; // S = R + Σ W (y − ȳ)(y − ȳ)ᵀ
+                    // S = R + Σ W (y − ȳ)(y − ȳ)ᵀ
+                    covariance[(a, b)] += (row[a] - whitened[a]) * right;
                 }
             }
         }

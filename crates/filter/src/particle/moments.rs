@@ -1,17 +1,19 @@
-//! Moments of weighted particles, and draws with given moments.
+//! Moments of weighted particles, and random draws with given moments.
 //!
-//! `x` (n × N): one column a particle; `W` (N): normalised weights. A particle of weight zero may hold anything, also NaN,
-//! and is left out.
+//! `x` (n × N): one column per particle; `W` (N): normalised weights. Particles with weight zero
+//! are ignored and may contain any value, including NaN.
 
 use nalgebra::{DMatrix, DVector};
 
-/// The Jacobi method ends when no correlation is left above this.
+/// Largest remaining correlation at which the Jacobi method ends.
 const OFF_DIAGONAL: f64 = 1e-15;
 
-/// It converges quadratically after a few sweeps; more than this many mean a matrix that is not finite.
+/// Maximum number of Jacobi sweeps.
+///
+/// The method converges quadratically within a few sweeps, except for matrices that are not finite.
 const LARGEST_SWEEPS: usize = 60;
 
-/// Writes weighted mean and standard deviation of every component (n).
+/// Computes the weighted mean and standard deviation of every component (n).
 pub(super) fn mean_and_std_to(
     states: &[f64],
     weights: &[f64],
@@ -43,7 +45,7 @@ pub(super) fn mean_and_std_to(
     std.apply(|variance| *variance = variance.sqrt());
 }
 
-/// Writes the weighted covariance (n × n) around a given mean.
+/// Computes the weighted covariance (n × n) around a given mean.
 pub(super) fn covariance_to(
     states: &[f64],
     weights: &[f64],
@@ -71,18 +73,20 @@ pub(super) fn covariance_to(
     }
 }
 
-/// A square root of a covariance: `V = D C D` with the deviations `D` and the symmetric root of the correlations `C`.
+/// A square root of a covariance `V = D C D`, with the standard deviations `D` and the correlations
+/// `C`.
 ///
-/// The root of the correlations does not depend on the units, which may differ by many orders between the components.
+/// The symmetric root of the correlations does not depend on the units, which can differ by many
+/// orders of magnitude between components.
 #[derive(Debug, Clone)]
 pub(super) struct SquareRoot {
-    /// `D` (n)
+    /// `D` (n).
     deviation: DVector<f64>,
-    /// `C^{1/2}` (n × n)
+    /// `C^{1/2}` (n × n).
     root: DMatrix<f64>,
-    /// `C`, then its eigenvalues on the diagonal (n × n)
+    /// `C`, then its eigenvalues on the diagonal (n × n).
     reduced: DMatrix<f64>,
-    /// eigenvectors (n × n)
+    /// Eigenvectors (n × n).
     vectors: DMatrix<f64>,
 }
 
@@ -97,7 +101,7 @@ impl SquareRoot {
         }
     }
 
-    /// Takes a covariance (n × n); eigenvalues of its correlations below zero are cut.
+    /// Factorises a covariance (n × n); negative eigenvalues of its correlations become zero.
     pub(super) fn factorise(&mut self, covariance: &DMatrix<f64>) {
         let n = self.deviation.len();
         for j in 0..n {
@@ -111,7 +115,7 @@ impl SquareRoot {
                 } else if scale > 0.0 {
                     0.5 * (covariance[(i, j)] + covariance[(j, i)]) / scale
                 } else {
-                    0.0 // a component that does not vary has no correlation
+                    0.0 // a constant component has no correlation
                 };
             }
         }
@@ -146,7 +150,8 @@ impl SquareRoot {
     }
 }
 
-/// Replaces a symmetric matrix by its eigenvalues on the diagonal, with the eigenvectors as columns: cyclic Jacobi method.
+/// Replaces a symmetric matrix by its eigenvalues on the diagonal, with the eigenvectors as
+/// columns: cyclic Jacobi method.
 fn diagonalise(matrix: &mut DMatrix<f64>, vectors: &mut DMatrix<f64>) {
     let n = matrix.nrows();
     vectors.fill_with_identity();

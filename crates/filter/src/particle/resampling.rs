@@ -1,12 +1,13 @@
-//! Draws indices with probabilities proportional to weights.
+//! Draws of indices with probabilities proportional to weights.
 
 use super::settings::Resampling;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// Writes `N` indices in ascending order of the particles they name; `weights` (N) sum to 1.
+/// Draws `N` particle indices in ascending order; `weights` (N) sum to 1.
 ///
-/// `cumulative`: scratch (N). A particle of weight zero is never drawn, whatever the rounding of the sums.
+/// `cumulative`: scratch (N). A particle with weight zero is never drawn, despite rounding of the
+/// sums.
 pub(super) fn draw_indices(
     scheme: Resampling,
     weights: &[f64],
@@ -97,7 +98,7 @@ mod tests {
             }
         }
         for (sum, weight) in sums.iter().zip(weights) {
-            // five standard deviations of a binomial mean
+            // Five standard deviations of a binomial mean.
             let allowed = 5.0 * (5.0 * weight * (1.0 - weight) / runs as f64).sqrt();
             assert!(
                 (sum / runs as f64 - 5.0 * weight).abs() <= allowed,

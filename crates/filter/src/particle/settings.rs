@@ -3,49 +3,55 @@
 use crate::error::FilterError;
 use serde::{Deserialize, Serialize};
 
-/// Where the particles of a step are drawn from.
+/// The density from which the particles of a step are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ImportanceDensity {
-    /// The Gaussian density of one extended Kalman step from each particle: few particles are wasted, at the cost of a
-    /// Jacobian each. Best with accurate sensors and with a cheap Jacobian.
+    /// The Gaussian density of one extended Kalman step from each particle.
+    ///
+    /// It wastes few particles but costs one Jacobian per particle. It is best with accurate
+    /// sensors and a cheap Jacobian.
     #[default]
     Optimal,
-    /// The prediction, without a look at the datum: several times cheaper, and enough where the sensors are noisy.
+    /// The prediction, independent of the datum.
+    ///
+    /// It is several times cheaper and sufficient with noisy sensors.
     Prior,
 }
 
-/// How particles are drawn anew.
+/// The resampling scheme.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Resampling {
-    /// One uniform number and equidistant points on the cumulative weights: least variance.
+    /// One uniform number and equidistant points on the cumulative weights: lowest variance.
     #[default]
     Systematic,
     /// Independent draws.
     Multinomial,
 }
 
-/// All that a particle filter needs to know besides its model and its start.
+/// Settings of a particle filter, apart from its model and its start density.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParticleSettings {
-    /// `N`; the error of an estimate falls with its square root.
+    /// `N`. The error of an estimate decreases with its square root.
     pub particles: usize,
-    /// Where particles are drawn from.
+    /// The density from which particles are drawn.
     pub density: ImportanceDensity,
-    /// Coefficient of variation of the weights above which particles are drawn anew; 2 means an effective size of `N/5`.
+    /// Coefficient of variation of the weights above which the filter resamples; 2 means an
+    /// effective size of `N/5`.
     pub resampling_threshold: f64,
-    /// How they are drawn.
+    /// The resampling scheme.
     pub resampling: Resampling,
-    /// `a` of the kernel at resampling, in (0, 1]; 1 for none.
+    /// `a` of the resampling kernel, in (0, 1]; 1 for no kernel.
     ///
-    /// A smaller one keeps the particles apart where nothing else disturbs them, at the price of some smoothing.
+    /// A smaller value separates particles without any other disturbance, but smooths the
+    /// distribution.
     pub kernel: f64,
     /// Seed of all draws.
     pub seed: u64,
-    /// Threads that share the particles; the result does not depend on it.
+    /// Number of threads that share the particles; the result does not depend on it.
     ///
-    /// A step allocates nothing with one thread; handing work to more may allocate now and then.
+    /// With one thread, a step does not allocate. With more threads, it may allocate occasionally.
     pub threads: usize,
 }
 

@@ -1,7 +1,8 @@
 //! A particle filter that starts from an extended Kalman filter of the same system.
 //!
-//! With accurate sensors and a wide prior the weights of the first frames fall on a handful of particles, whose wrong initial
-//! motion nothing mends. A Kalman filter over the first second narrows the Gaussian from which the particles are drawn.
+//! With accurate sensors and a wide prior, the weights of the first frames concentrate on a few
+//! particles. No later step corrects their wrong initial motion. A Kalman filter over the first
+//! second narrows the Gaussian from which the particles are drawn.
 
 use super::{
     ExcitedSystem, GaussianStart, ParticleFilter, ParticleSettings, ParticleState, ParticleStep,
@@ -12,21 +13,21 @@ use crate::model::{ObservationModel, ProcessModel};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// The whole state of a warm-started filter between two steps: what a checkpoint holds.
+/// The complete state of a warm-started filter between two steps, for a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[expect(
     clippy::large_enum_variant,
     reason = "one of them exists per filter, and it lives in a checkpoint only"
 )]
 pub enum WarmStartState {
-    /// The Kalman filter runs.
+    /// The Kalman filter is running.
     Warming {
         /// The Kalman filter.
         kalman: FilterState,
-        /// Frames that it still takes.
+        /// Number of frames left for the Kalman filter.
         left: u64,
     },
-    /// The particles run, with the noise levels (N_ψ) that the Kalman filter had found.
+    /// The particle filter is running, with the noise levels (N_ψ) identified by the Kalman filter.
     Running {
         /// The particles.
         particles: ParticleState,
@@ -35,10 +36,11 @@ pub enum WarmStartState {
     },
 }
 
-/// A particle filter of any [`ProcessModel`] and [`ObservationModel`], with a Kalman filter for its first frames.
+/// A particle filter of any [`ProcessModel`] and [`ObservationModel`], with a Kalman filter for its
+/// first frames.
 ///
-/// At the change it takes mean and covariance over, the correlations included, and the noise levels, which stay as they are
-/// from then on.
+/// The particle filter starts from the mean and the covariance of the Kalman filter, including
+/// correlations. It also takes over the noise levels, which then remain constant.
 #[derive(Debug, Clone)]
 pub struct WarmStartedParticleFilter<M> {
     kalman: ExtendedKalmanFilter<M>,
@@ -46,18 +48,19 @@ pub struct WarmStartedParticleFilter<M> {
     prior: GaussianStart,
     noise_levels: DVector<f64>,
     warm_steps: u64,
-    /// frames that the Kalman filter still takes
+    /// Number of frames left for the Kalman filter.
     left: u64,
 }
 
 impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilter<M> {
-    /// Makes a filter at its prior.
+    /// Creates a filter at its prior.
     ///
-    /// `drift_std`: standard deviation of the increment of each parameter per step (N_θ, parameter units). `warm_steps`:
-    /// frames that the Kalman filter takes, 0 to draw the particles from the prior.
+    /// - `drift_std`: standard deviation of the increment of each parameter per step (N_θ,
+    ///   parameter units)
+    /// - `warm_steps`: number of frames for the Kalman filter; 0 draws the particles from the prior
     ///
     /// # Errors
-    /// When a setting does not fit the model or lies outside its range.
+    /// Returns an error if a setting does not fit the model or is out of range.
     pub fn new(
         model: M,
         settings: FilterSettings,
@@ -80,10 +83,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         })
     }
 
-    /// Goes back to the prior.
+    /// Returns to the prior.
     ///
     /// # Errors
-    /// None for a filter that could be made: those of its parts are passed on.
+    /// Passes on errors of both filters, which do not occur after a successful
+    /// [`WarmStartedParticleFilter::new`].
     pub fn restart(&mut self) -> Result<(), FilterError> {
         self.kalman.restart();
         self.left = self.warm_steps;
@@ -91,8 +95,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         self.particles.restart_from(self.prior.clone())
     }
 
-    /// Forgets the motion and keeps mean and covariance of the parameters, and the noise levels: after a gap too long to be
-    /// bridged. The Kalman filter runs again for as long as at the start, one frame at least.
+    /// Discards the motion after a gap that is too long to bridge.
+    ///
+    /// It keeps the mean and covariance of the parameters and the noise levels. The Kalman filter
+    /// then runs again for `warm_steps` frames, at least one.
     pub fn forget_motion(&mut self) {
         if self.left == 0 {
             let n = self.kalman.mean().len();
@@ -112,13 +118,15 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         self.left = self.warm_steps.max(1);
     }
 
-    /// Takes one frame.
+    /// Processes one frame.
     ///
-    /// The step at which the particles take over allocates, no other one does.
+    /// Only the step in which the particle filter takes over allocates.
     ///
     /// # Errors
-    /// When the frame does not fit the model, which leaves the filter as it was, or when the filter has diverged and must
-    /// be restarted.
+    /// Returns an error in these cases:
+    ///
+    /// - The frame does not fit the model. The filter is then unchanged.
+    /// - The filter has diverged. The caller must then restart it.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<ParticleStep, FilterError> {
         if self.left == 0 {
             return self.particles.step(frame);
@@ -150,12 +158,12 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         self.particles.settings().particles
     }
 
-    /// Returns the Kalman filter; it stands still once the particles run.
+    /// Returns the Kalman filter, which is idle while the particle filter runs.
     pub fn kalman(&self) -> &ExtendedKalmanFilter<M> {
         &self.kalman
     }
 
-    /// Returns the mean of the state (n), from whichever filter runs.
+    /// Returns the mean of the state (n) from the active filter.
     pub fn mean(&self) -> &[f64] {
         let n = self.kalman.mean().len();
         if self.left > 0 {
@@ -165,7 +173,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         }
     }
 
-    /// Returns the standard deviation of one entry of the state, from whichever filter runs; `None` beyond its end.
+    /// Returns the standard deviation of one state entry from the active filter; `None` if the
+    /// entry does not exist.
     pub fn std(&self, component: usize) -> Option<f64> {
         if component >= self.kalman.mean().len() {
             None
@@ -180,7 +189,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         }
     }
 
-    /// Returns the innovation of the last step (N_0, sensor units), from whichever filter runs; NaN where a channel was missing.
+    /// Returns the innovation of the last step (N_0, sensor units) from the active filter, NaN for
+    /// missing channels.
     pub fn innovation(&self) -> &[f64] {
         if self.left > 0 {
             self.kalman.innovation().as_slice()
@@ -189,15 +199,17 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         }
     }
 
-    /// Returns the length of the state of the particles: that of the model, and the excitation of one with a direct term.
+    /// Returns the length of the particle state: the state of the model, and its excitation if it
+    /// has a direct term.
     pub fn state_len(&self) -> usize {
         self.particles.mean().len()
     }
 
-    /// Writes the covariance of the filter that runs.
+    /// Computes the covariance of the active filter.
     ///
-    /// `out`: as long and wide as the state of the particles, which holds the excitation behind the state of a model with
-    /// a direct term; those entries are zero while the Kalman filter runs.
+    /// `out` is square with the length of the particle state. With a direct term, this state
+    /// contains the excitation after the state of the model. These entries are zero while the
+    /// Kalman filter is active.
     pub fn covariance_to(&self, out: &mut DMatrix<f64>) {
         if self.left > 0 {
             let n = self.kalman.mean().len();
@@ -224,10 +236,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         }
     }
 
-    /// Takes the state of a checkpoint; the next step gives the same bits as if the filter had never stopped.
+    /// Restores the state of a checkpoint; subsequent steps are bit-identical to an uninterrupted
+    /// run.
     ///
     /// # Errors
-    /// When the state does not fit the model or the settings.
+    /// Returns an error if the state does not fit the model or the settings.
     pub fn restore(&mut self, state: WarmStartState) -> Result<(), FilterError> {
         match state {
             WarmStartState::Warming { kalman, left } => {

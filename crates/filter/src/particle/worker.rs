@@ -1,8 +1,9 @@
 //! One step of one particle: the importance density in the space of the disturbance.
 //!
-//! Source: Ching, Beck, Porter & Shaikhutdinov (2006), the weights of equation (10), written for `w` in place of `x_k`: the
-//! Jacobian of `w ↦ x_k` stands in numerator and denominator alike. All is whitened by `L Lᵀ = R`:
-//! `r = L⁻¹ (ŷ − y₀)`, `J̃ = L⁻¹ J` (q × l), `S̃ = I + J̃ J̃ᵀ`, so that `|S̃| = |S|/|R|` and `P⁻¹ = I + J̃ᵀ J̃`.
+//! Source: Ching, Beck, Porter & Shaikhutdinov (2006), weights of equation (10), written for `w`
+//! instead of `x_k`. The Jacobian of `w ↦ x_k` cancels, because it occurs in numerator and
+//! denominator. All quantities are whitened by `L Lᵀ = R`: `r = L⁻¹ (ŷ − y₀)`, `J̃ = L⁻¹ J`
+//! (q × l), `S̃ = I + J̃ J̃ᵀ`. Hence `|S̃| = |S|/|R|` and `P⁻¹ = I + J̃ᵀ J̃`.
 
 use super::model::{DifferenceWorkspace, Interval, ParticleModel};
 use super::settings::ImportanceDensity;
@@ -16,22 +17,22 @@ use rand_distr::{Distribution, StandardNormal};
 pub(super) struct Worker<M> {
     pub(super) model: M,
     differences: DifferenceWorkspace,
-    /// y (q)
+    /// y (q).
     output: DVector<f64>,
-    /// r (q)
+    /// r (q).
     residual: DVector<f64>,
-    /// v₀ (q)
+    /// v₀ (q).
     noise: DVector<f64>,
-    /// J, then J̃ (q × l)
+    /// J, then J̃ (q × l).
     jacobian: DMatrix<f64>,
-    /// R, then L (q × q)
+    /// R, then L (q × q).
     sensors: DMatrix<f64>,
-    /// S̃, then its factor (q × q)
+    /// S̃, then its factor (q × q).
     innovation: DMatrix<f64>,
-    /// w, μ, then δ (l)
+    /// w, μ, then δ (l).
     disturbance: DVector<f64>,
     centre: DVector<f64>,
-    /// z of a draw of a whole state (n)
+    /// z for a draw of a whole state (n).
     pub(super) normals: Vec<f64>,
 }
 
@@ -53,16 +54,16 @@ impl<M: ParticleModel> Worker<M> {
         }
     }
 
-    /// Fills the normal numbers for a draw of a whole state.
+    /// Draws standard normal numbers for a whole state.
     pub(super) fn draw_normals(&mut self, rng: &mut ChaCha8Rng) {
         fill_normal(&mut self.normals, rng);
     }
 
-    /// Moves a particle to the frame `datum` (q, NaN where missing) and returns the logarithm of what its weight is
-    /// multiplied with; minus infinity takes it out.
+    /// Moves a particle to the frame `datum` (q, NaN where missing) and returns the logarithm of
+    /// its weight factor.
     ///
-    /// `predicted` (q) becomes a draw of what the particle predicts of the frame, without sensor noise: `y₀ + J w` with `w`
-    /// from its prior.
+    /// Minus infinity removes the particle. `predicted` (q) becomes a draw from the particle's
+    /// prediction of the frame without sensor noise: `y₀ + J w` with `w` from its prior.
     pub(super) fn advance(
         &mut self,
         density: ImportanceDensity,
@@ -93,7 +94,8 @@ impl<M: ParticleModel> Worker<M> {
         }
     }
 
-    /// Moves the disturbance from its prior to the density of one extended Kalman step; returns `ln p(w) − ln q(w)`.
+    /// Moves the disturbance from its prior to the density of one extended Kalman step; returns
+    /// `ln p(w) − ln q(w)`.
     fn draw_optimal(
         &mut self,
         interval: Interval<'_>,
@@ -121,7 +123,7 @@ impl<M: ParticleModel> Worker<M> {
             *predicted = self.output[j] + moved; // y₀ + J w₀
         }
         if self.whiten_residual(datum, state).is_none() || !self.whiten_jacobian(datum) {
-            return 0.0; // no sensible density from here: the prior is always right
+            return 0.0; // no valid density from here; the prior is always correct
         }
         let Self {
             residual,
@@ -141,7 +143,8 @@ impl<M: ParticleModel> Worker<M> {
                     .zip(jacobian.row(b).iter())
                     .map(|(a, b)| a * b)
                     .sum();
-                innovation[(a, b)] = if a == b { 1.0 + product } else { product }; // S̃ = I + J̃ J̃ᵀ
+                // S̃ = I + J̃ J̃ᵀ
+                innovation[(a, b)] = if a == b { 1.0 + product } else { product };
             }
         }
         if cholesky_mut(innovation).is_err() {
@@ -164,7 +167,7 @@ impl<M: ParticleModel> Worker<M> {
         0.5 * (drawn - prior - ln_determinant(innovation))
     }
 
-    /// Returns `ln N(ŷ; h(x_k), R(x_k))` over the channels that are there.
+    /// Returns `ln N(ŷ; h(x_k), R(x_k))` over the available channels.
     fn log_likelihood(&mut self, interval: Interval<'_>, datum: &[f64], state: &[f64]) -> f64 {
         self.model
             .observe(interval, state, self.output.as_mut_slice());
@@ -179,9 +182,11 @@ impl<M: ParticleModel> Worker<M> {
         }
     }
 
-    /// Writes `L` and `r` for the output as it stands and the noise levels of `state`; returns `ln|R|`.
+    /// Computes `L` and `r` for the current output and the noise levels of `state`; returns
+    /// `ln|R|`.
     ///
-    /// A missing channel becomes a row of the identity in `R` with zero residual. `None`: `R` is not positive definite.
+    /// A missing channel becomes a row of the identity in `R` with zero residual. Returns `None` if
+    /// `R` is not positive definite.
     fn whiten_residual(&mut self, datum: &[f64], state: &[f64]) -> Option<f64> {
         let Self {
             model,
@@ -206,7 +211,7 @@ impl<M: ParticleModel> Worker<M> {
         Some(ln_determinant(sensors))
     }
 
-    /// Replaces `J` by `J̃`; returns whether it and the residual are finite.
+    /// Replaces `J` by `J̃`; returns `true` if `J̃` and the residual are finite.
     fn whiten_jacobian(&mut self, datum: &[f64]) -> bool {
         for (j, value) in datum.iter().enumerate() {
             if value.is_nan() {

@@ -1,25 +1,26 @@
-//! Right factors of products, packed.
+//! Packed right factors of products.
 
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Columns of the right factor that are multiplied together.
+/// Number of right-factor columns that are multiplied together.
 pub(crate) const COLUMNS: usize = 4;
 
-/// The right factor of a product (k × c), packed in the order in which it is read, without the rows that are zero.
+/// The right factor of a product (k × c), packed in read order, without rows of zeros.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Right {
     pub(super) columns: usize,
     /// Runs of rows of all groups of [`COLUMNS`] columns.
     pub(super) runs: Vec<Range<usize>>,
-    /// Where the runs of a group end, and its values.
+    /// Ends of each group in `runs` and in `values`.
     pub(super) ends: Vec<(usize, usize)>,
-    /// A row of a group, run after run.
+    /// Rows of the groups, run by run.
     pub(super) values: Vec<[f64; COLUMNS]>,
 }
 
 impl Right {
-    /// Makes room for factors of at most `rows` × `columns`, with up to `runs` runs of rows in each group of columns.
+    /// Reserves space for factors up to `rows` × `columns`, with up to `runs` runs of rows in each
+    /// group of columns.
     pub(crate) fn new(rows: usize, columns: usize, runs: usize) -> Self {
         let groups = columns.div_ceil(COLUMNS);
         Self {
@@ -36,7 +37,8 @@ impl Right {
         self.pack_runs(matrix, |_, runs| runs.push(0..rows));
     }
 
-    /// Packs a square matrix whose entries farther than `half_bandwidth` from the diagonal are zero, whatever they hold.
+    /// Packs a square matrix as a band; entries farther than `half_bandwidth` from the diagonal
+    /// count as zero.
     pub(crate) fn pack_band(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize) {
         let n = matrix.nrows();
         let of_group = |columns: Range<usize>, runs: &mut Vec<Range<usize>>| {
@@ -56,7 +58,7 @@ impl Right {
         });
     }
 
-    /// Packs a matrix (k × c) without the rows that are zero throughout a group of columns.
+    /// Packs a matrix (k × c) without the rows that are zero in a whole group of columns.
     pub(crate) fn pack_sparse(&mut self, matrix: &DMatrix<f64>) {
         self.pack_runs(matrix, |columns, runs| {
             let first_run = runs.len();
@@ -77,7 +79,7 @@ impl Right {
         });
     }
 
-    /// Packs a matrix (k × c) that is likely to have its zeros where that of the last time had them.
+    /// Packs a matrix (k × c) that probably has the same zeros as the previous one.
     pub(crate) fn repack_sparse(&mut self, matrix: &DMatrix<f64>) {
         let entry_count = matrix
             .as_slice()
@@ -98,11 +100,13 @@ impl Right {
             });
         }
         if found < entry_count {
-            self.pack_sparse(matrix); // one of the entries left out is not zero
+            self.pack_sparse(matrix); // one of the skipped entries is not zero
         }
     }
 
-    /// Packs a matrix (k × c) whose entries are zero outside the runs of rows, increasing, that `of_group` adds for some columns.
+    /// Packs a matrix (k × c) whose entries outside certain runs of rows are zero.
+    ///
+    /// `of_group` appends the runs for a group of columns in increasing order.
     pub(crate) fn pack_runs(
         &mut self,
         matrix: &DMatrix<f64>,
@@ -120,7 +124,9 @@ impl Right {
         });
     }
 
-    /// Packs what `write` puts in the place of zeros for the columns of a group and one of the runs of rows that `of_group` adds.
+    /// Packs the values that `write` stores for each group of columns and each of its runs.
+    ///
+    /// `of_group` appends the runs of a group. All values are zero before `write`.
     pub(crate) fn pack_with(
         &mut self,
         columns: usize,
@@ -139,7 +145,8 @@ impl Right {
         self.repack_with(write);
     }
 
-    /// Does so with the runs of rows of the last time, and with what was there then.
+    /// Packs with the runs of rows and the values of the previous packing, which `write`
+    /// overwrites.
     pub(crate) fn repack_with(
         &mut self,
         mut write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]]),
@@ -155,12 +162,12 @@ impl Right {
         }
     }
 
-    /// Returns the number of terms of a row of the product.
+    /// Returns the number of terms in one row of the product.
     pub(crate) fn term_count(&self) -> usize {
         COLUMNS * self.values.len()
     }
 
-    /// Tells whether a factor has been packed.
+    /// Returns `true` if a factor has been packed.
     pub(crate) fn is_packed(&self) -> bool {
         !self.ends.is_empty()
     }

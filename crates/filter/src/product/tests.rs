@@ -1,4 +1,4 @@
-//! Products against those of nalgebra.
+//! Comparison of the products with those of nalgebra.
 
 use super::*;
 
@@ -14,7 +14,7 @@ fn packed(matrix: &DMatrix<f64>) -> Right {
 
 #[test]
 fn product_is_that_of_nalgebra() {
-    // less than a register of rows, then strips of every length, full and moved up
+    // Fewer rows than a register, then strips of every length, full and moved up.
     for (rows, arch) in
         (1..80).flat_map(|rows| all_instructions().into_iter().map(move |arch| (rows, arch)))
     {
@@ -104,7 +104,8 @@ fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
     };
     let (left, full) = (band(4), matrix(45, 45));
     let mut right = Right::new(45, 45, 1);
-    right.pack_band(&full, 2); // what is outside the band does not count
+    // Entries outside the band are ignored.
+    right.pack_band(&full, 2);
     let cut = DMatrix::from_fn(45, 45, |i, j| {
         if i.abs_diff(j) <= 2 {
             full[(i, j)]
@@ -123,7 +124,7 @@ fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
     assert!((out - left * cut).amax() < 1e-14);
 }
 
-/// Packs two square matrices one below the other.
+/// Packs two square matrices, one below the other.
 fn stacked(first: &DMatrix<f64>, second: &DMatrix<f64>) -> Right {
     let n = first.nrows();
     let mut right = Right::new(2 * n, n, 2);
@@ -143,7 +144,7 @@ fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_fo
         matrix(6, 6).transpose(),
     );
     let right = stacked(&by_first, &by_second);
-    // the second piece has rows 9 to 13 alone
+    // The second piece contains only rows 9 to 13.
     let left = Left::joined(
         Piece::after(&first, 3),
         6,
@@ -235,7 +236,8 @@ fn transposed_product_is_that_of_nalgebra() {
     }
 }
 
-/// Rows before the split are turned, the others stand where they are and beyond the diagonal.
+/// Checks that rows before the split are transposed, and that the other rows are stored and
+/// mirrored.
 #[test]
 fn split_product_is_turned_and_mirrored() {
     let (n, split) = (40, 22);

@@ -1,18 +1,19 @@
-//! Transposes, by tiles that are read whole before they are written.
+//! Transposition by tiles, which are read completely before they are written.
 
 use super::{COLUMNS, Target};
 use pulp::bytemuck::{Pod, cast_slice};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
-/// Rows and columns that are transposed together: as many as there are columns in a block of a product.
+/// Number of rows and columns that are transposed together, equal to the columns of a product
+/// block.
 const TILE: usize = COLUMNS;
 
-/// Most rows of a block: registers times the lanes of the widest.
+/// Maximum number of rows of a block: registers times lanes of the widest register.
 const LONGEST: usize = 32;
 
 impl Target<'_> {
-    /// Writes a block to columns `columns`, from row `first` on.
+    /// Writes a block to columns `columns`, starting at row `first`.
     #[inline(always)]
     pub(super) fn store<F: Pod, const R: usize>(
         &mut self,
@@ -31,7 +32,8 @@ impl Target<'_> {
         }
     }
 
-    /// Writes the transpose of a block, or of its first rows and columns: to columns `rows` of rows `columns`.
+    /// Writes the transpose of a block, or of its first rows and columns, to columns `rows` and
+    /// rows `columns`.
     #[inline(always)]
     pub(super) fn scatter<F: Pod, const R: usize>(
         &mut self,
@@ -74,7 +76,8 @@ impl Target<'_> {
     }
 }
 
-/// Copies what is below the diagonal of a square matrix to the place above it, for some rows and as many columns.
+/// Copies the entries of a square matrix below the diagonal to their mirror positions, for some
+/// rows and as many columns.
 pub(super) fn mirror_square(arch: Arch, rows: Range<usize>, entries: &mut [f64], stride: usize) {
     arch.dispatch(Mirror {
         rows,
@@ -101,7 +104,8 @@ impl WithSimd for Mirror<'_> {
         } = self;
         let mut column = start;
         while column + TILE < end {
-            // the columns before `below` hold what is copied, the others receive it
+            // The columns before `below` contain the entries to copy. The later columns receive
+            // them.
             let below = column + TILE;
             let (known, mut wanted) = entries.split_at_mut(below * stride);
             let known = &known[column * stride..];
@@ -116,7 +120,7 @@ impl WithSimd for Mirror<'_> {
             }
             column = below;
         }
-        // the tiles on the diagonal
+        // The tiles on the diagonal.
         for row in start..end {
             for column in start + (row - start) / TILE * TILE..row {
                 entries[row * stride + column] = entries[column * stride + row];

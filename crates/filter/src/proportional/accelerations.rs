@@ -1,7 +1,9 @@
-//! A step through the accelerations that displacements and parameters cause, where `G` has a narrow band.
+//! A step through the accelerations caused by displacements and parameters, for a `G` with a narrow
+//! band.
 //!
-//! With `ρ = (−G x + W θ) h²`, few terms each, `x ← x + h q̂ ẋ + ŝ ρ` and `ẋ ← (I − Gs − (α + βG) q) ẋ + q̂ ρ/h` are two bands a
-//! row in place of those of `[Φ, ΨW]`.
+//! `ρ = (−G x + W θ) h²` has few terms. The step is `x ← x + h q̂ ẋ + ŝ ρ` and
+//! `ẋ ← (I − Gs − (α + βG) q) ẋ + q̂ ρ/h`. Each row then needs two bands instead of the blocks of
+//! `[Φ, ΨW]`.
 
 use super::band::{Band, Evaluate, Padded};
 use super::polynomials::{LARGEST_DEGREE, Polynomials};
@@ -13,36 +15,36 @@ use crate::product::{
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// What a step through the accelerations needs.
+/// Storage of a step through the accelerations.
 #[derive(Debug, Clone)]
 pub(super) struct Accelerations {
-    /// `h` (s)
+    /// `h` (s).
     step_s: f64,
-    /// `Z`, and two of its powers
+    /// `Z`, and two of its powers.
     z: Band,
     powers: [Band; 2],
-    /// `q̂`, `ŝ` and `I − Gs − (α + βG) q`
+    /// `q̂`, `ŝ` and `I − Gs − (α + βG) q`.
     impulse: Band,
     step: Band,
     velocity: Band,
-    /// `h² W` (N_d × N_θ) at the point, and where it is not zero
+    /// `h² W` (N_d × N_θ) at the linearisation point, and its non-zero rows.
     by_theta: DMatrix<f64>,
     reach: Vec<Range<usize>>,
-    /// `[Z, 0, h² W]ᵀ` (n × N_d)
+    /// `[Z, 0, h² W]ᵀ` (n × N_d).
     by_state: Right,
-    /// `[h q̂, ŝ]ᵀ` and `[I − Gs − (α + βG) q, q̂/h]ᵀ` (2N_d × N_d)
+    /// `[h q̂, ŝ]ᵀ` and `[I − Gs − (α + βG) q, q̂/h]ᵀ` (2N_d × N_d).
     by_motion: [PairOfBands; 2],
-    /// `[Φ, ΨW] Σ` (2N_d × 2N_d)
+    /// `[Φ, ΨW] Σ` (2N_d × 2N_d).
     half_way: DMatrix<f64>,
-    /// `ρ` of a strip of rows
+    /// `ρ` of a strip of rows.
     caused: DMatrix<f64>,
-    /// scratch (N_d)
+    /// Scratch (N_d).
     columns: [Padded; 5],
     multiplier: Multiplier,
 }
 
 impl Accelerations {
-    /// Makes room for the steps of a model of that form.
+    /// Allocates storage for the steps of a model of this form.
     pub(super) fn new(form: &ProportionalForm<'_>, multiplier: Multiplier) -> Self {
         let (free, parameters) = form.acceleration_by_theta.shape();
         let (n, margin) = (2 * free + parameters, form.half_bandwidth);
@@ -67,7 +69,8 @@ impl Accelerations {
         }
     }
 
-    /// Tells whether a step has fewer terms this way than by the blocks of `[Φ, ΨW]`.
+    /// Returns `true` if a step has fewer terms through the accelerations than by the blocks of
+    /// `[Φ, ΨW]`.
     pub(super) fn are_shorter(form: &ProportionalForm<'_>, polynomials: &Polynomials) -> bool {
         let free = form.stiffness.nrows();
         let band = |degree: usize| (2 * degree * form.half_bandwidth + 1).min(free);
@@ -87,14 +90,14 @@ impl Accelerations {
         (band(1) + of_bands) * free + reached < 2 * (2 * of_block * free + by_theta)
     }
 
-    /// Returns the number of terms by which a row of the covariance moves.
+    /// Returns the number of terms in the transition of one covariance row.
     pub(super) fn term_count(&self) -> usize {
         let bands =
             2 * self.impulse.entry_count() + self.step.entry_count() + self.velocity.entry_count();
         self.z.entry_count() + self.reach.iter().map(ExactSizeIterator::len).sum::<usize>() + bands
     }
 
-    /// Makes the step anew, of `step_s` (s).
+    /// Computes the matrices of a step of `step_s` (s).
     pub(super) fn set(
         &mut self,
         form: &ProportionalForm<'_>,
@@ -138,7 +141,7 @@ impl Accelerations {
             }
         }
         if !by_state.is_packed() {
-            // which entries are zero is the same at every point
+            // The zero entries are the same at every point.
             by_state.pack_with(
                 free,
                 |columns, runs| {
@@ -166,9 +169,11 @@ impl Accelerations {
         of_v.pack([(velocity, 1.0), (impulse, 1.0 / h)]);
     }
 
-    /// Replaces `[g, B_y]` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameters at their ends stay zero.
+    /// Replaces `[g, B_y]` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameter rows at the
+    /// end stay zero.
     ///
-    /// `rest`, `slope_of_z`: `−(α + βG) h = rest + slope_of_z Z`; `slope`: of the known accelerations (N_d).
+    /// - `rest`, `slope_of_z`: `−(α + βG) h = rest + slope_of_z Z`
+    /// - `slope`: slope of the known accelerations (N_d)
     pub(super) fn integrate_inputs(
         &mut self,
         [rest, slope_of_z]: [f64; 2],
@@ -189,7 +194,8 @@ impl Accelerations {
         for mut column in inputs.column_iter_mut() {
             let (velocity, rest_of_column) = column.as_mut_slice().split_at_mut(free);
             let acceleration = &mut rest_of_column[..free];
-            let is_at_rest = velocity.iter().all(|entry| *entry == 0.0); // excitations move accelerations alone
+            // Excitations change only accelerations.
+            let is_at_rest = velocity.iter().all(|entry| *entry == 0.0);
             if is_at_rest {
                 turned.as_mut_slice().fill(0.0);
             } else {
@@ -203,7 +209,8 @@ impl Accelerations {
                     .zip(pushed.as_slice())
                     .zip(turned.as_slice());
                 for (entry, ((moved, pushed), turned)) in velocity.iter_mut().zip(terms) {
-                    *entry = *h * (moved - rest * pushed - slope_of_z * turned); // (q + (α + βG) s) ẋ
+                    // (q + (α + βG) s) ẋ
+                    *entry = *h * (moved - rest * pushed - slope_of_z * turned);
                 }
             }
             x.copy_from(acceleration);
@@ -218,7 +225,7 @@ impl Accelerations {
             }
         }
         if let Some(slope) = slope {
-            // the integral of s, by Horner's rule
+            // The integral of s, by Horner's rule.
             moved.as_mut_slice().fill(0.0);
             for coefficient in polynomials.ramp.coefficients[..=polynomials.ramp.degree]
                 .iter()
@@ -237,9 +244,10 @@ impl Accelerations {
         }
     }
 
-    /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, both triangles with the same bits.
+    /// Computes `λ A_i Σ A_iᵀ` (n × n) in `out`; both triangles are bit-identical.
     ///
-    /// First all rows from the right; what has moved is turned at once, so that its rows can move from the right too.
+    /// The first pass multiplies all rows from the right and transposes the result at once. The
+    /// second pass can then multiply from the right too.
     pub(super) fn propagate_covariance_to(
         &mut self,
         covariance: &DMatrix<f64>,
@@ -331,7 +339,7 @@ impl Accelerations {
             let entries = column * n + moving..(column + 1) * n;
             let at_rest = &covariance.as_slice()[entries.clone()];
             for (entry, at_rest) in out.as_mut_slice()[entries].iter_mut().zip(at_rest) {
-                *entry = fading * at_rest; // the parameters among themselves
+                *entry = fading * at_rest; // the parameter block
             }
         }
     }
@@ -379,7 +387,7 @@ impl Accelerations {
     }
 }
 
-/// What moves some rows of a matrix `X` (m × n) to those of `X [Φ, ΨW]ᵀ`.
+/// The operands for rows of `X [Φ, ΨW]ᵀ` from rows of `X` (m × n).
 struct Strip<'m> {
     by_state: &'m Right,
     by_motion: &'m [PairOfBands; 2],
@@ -387,15 +395,15 @@ struct Strip<'m> {
     multiplier: Multiplier,
 }
 
-/// Which columns of the motion.
+/// The half of the motion columns.
 enum Half<'m> {
-    /// Those of displacements, which start from where they are.
+    /// Displacements, which start from their current values.
     Displacements(Piece<'m>),
     Velocities,
 }
 
 impl Strip<'_> {
-    /// Writes `ρ` for the rows of `x` (m × n).
+    /// Computes `ρ` for the rows of `x` (m × n).
     fn accelerate(&mut self, x: Left<'_>, rows: Range<usize>, extent: Extent) {
         let store = Store::Plain {
             target: Target::new(self.caused),
@@ -413,7 +421,7 @@ impl Strip<'_> {
         });
     }
 
-    /// Writes half of the motion of the rows, given `ρ` and their columns of velocities.
+    /// Computes one half of the motion of the rows from `ρ` and their velocity columns.
     fn step(
         &self,
         half: Half<'_>,
@@ -484,7 +492,8 @@ impl PairOfBands {
         };
         let half_bandwidths = [first, second].map(Band::half_bandwidth);
         if self.right.is_packed() && self.half_bandwidths == half_bandwidths {
-            self.right.repack_with(write); // what is outside the bands is zero from the last time
+            // Entries outside the bands are still zero from the previous packing.
+            self.right.repack_with(write);
             return;
         }
         self.half_bandwidths = half_bandwidths;

@@ -1,4 +1,4 @@
-//! Square matrices with entries near the diagonal alone, by their diagonals: what they do runs along whole columns of numbers.
+//! Square band matrices stored by diagonals, so that operations run along whole columns of numbers.
 
 use super::polynomials::Polynomial;
 use crate::product::{COLUMNS, MOST_LANES};
@@ -11,20 +11,23 @@ use std::ops::Range;
 #[derive(Debug, Clone)]
 pub(super) struct Band {
     n: usize,
-    /// N, filled up with zeros to whole registers.
+    /// N, padded to whole registers.
     padded: usize,
-    /// Entries farther from the diagonal than this are zero, or left from before.
+    /// Distance from the diagonal beyond which entries are zero or stale.
     half_bandwidth: usize,
-    /// The diagonals from the lowest that there may be, each with zeros before and after it, and diagonals of zeros around them.
+    /// All possible diagonals from the lowest one, each with zeros before and after it, and
+    /// surrounded by diagonals of zeros.
     entries: Vec<f64>,
-    /// The largest distance of a diagonal that may have entries.
+    /// Maximum half-bandwidth.
     most: usize,
-    /// Zeros before and after each diagonal, and half of the diagonals of zeros on either side.
+    /// Number of zeros before and after each diagonal, and half the number of zero diagonals on
+    /// each side.
     margin: usize,
 }
 
 impl Band {
-    /// Makes room for a band (N × N) up to `most` beside the diagonal, to be multiplied by one up to `margin` beside it.
+    /// Allocates a band (N × N) of half-bandwidth up to `most`, for products with bands of
+    /// half-bandwidth up to `margin`.
     pub(super) fn new(n: usize, most: usize, margin: usize) -> Self {
         let (most, padded) = (
             most.min(n.saturating_sub(1)),
@@ -46,17 +49,18 @@ impl Band {
         self.n
     }
 
-    /// Returns how far from the diagonal it has entries.
+    /// Returns the distance from the diagonal beyond which entries are zero.
     pub(super) fn half_bandwidth(&self) -> usize {
         self.half_bandwidth
     }
 
-    /// Returns the number of its entries.
+    /// Returns the number of entries in the band.
     pub(super) fn entry_count(&self) -> usize {
         (2 * self.half_bandwidth + 1) * self.n - self.half_bandwidth * (self.half_bandwidth + 1)
     }
 
-    /// Sets it to `factor` times a full matrix, of which it takes what is not farther than `half_bandwidth` from the diagonal.
+    /// Sets the band to `factor` times the entries of a full matrix within `half_bandwidth` of the
+    /// diagonal.
     pub(super) fn set(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize, factor: f64) {
         self.half_bandwidth = half_bandwidth.min(self.most);
         for (column, entries) in matrix.as_slice().chunks_exact(self.n).enumerate() {
@@ -67,7 +71,7 @@ impl Band {
         }
     }
 
-    /// Returns where entry `(row, row + diagonal)` is.
+    /// Returns the index of entry `(row, row + diagonal)`.
     #[inline(always)]
     fn place(&self, diagonal: isize, row: usize) -> usize {
         ((self.most + 2 * self.margin) as isize + diagonal) as usize
@@ -76,7 +80,7 @@ impl Band {
             + row
     }
 
-    /// Returns the entries of a diagonal, from `shift` rows below its first one on.
+    /// Returns the entries of a diagonal, starting `shift` rows below its first row.
     #[inline(always)]
     fn diagonal(&self, diagonal: isize, shift: isize) -> &[f64] {
         let start = (self.place(diagonal, 0) as isize + shift) as usize;
@@ -89,7 +93,8 @@ impl Band {
         &mut self.entries[start..start + self.padded]
     }
 
-    /// Returns where the diagonals up to `half_bandwidth` from that in the middle are, with the zeros before and after each.
+    /// Returns the range of the diagonals within `half_bandwidth` of the main diagonal, including
+    /// the zeros around each.
     #[inline(always)]
     fn all(&self, half_bandwidth: usize) -> Range<usize> {
         let (first, length) = (
@@ -99,7 +104,8 @@ impl Band {
         first * length..(first + 2 * half_bandwidth + 1) * length
     }
 
-    /// Sets the diagonals beyond `half_bandwidth` to zero, twice `width` of them: a wider band may have been here before.
+    /// Clears `2 width` diagonals on each side beyond `half_bandwidth`, which may be stale entries
+    /// of a wider band.
     #[inline(always)]
     fn clear_around(&mut self, half_bandwidth: usize, width: usize) {
         let (inner, outer) = (
@@ -110,12 +116,12 @@ impl Band {
         self.entries[inner.end..outer.end].fill(0.0);
     }
 
-    /// Returns the distances of its diagonals from that in the middle.
+    /// Returns the distances of the diagonals from the main diagonal.
     fn diagonals(&self) -> std::ops::RangeInclusive<isize> {
         -(self.half_bandwidth as isize)..=self.half_bandwidth as isize
     }
 
-    /// Writes `factor` times the columns `columns` and rows `rows` of its transpose.
+    /// Computes `factor` times the columns `columns` and rows `rows` of the transpose.
     pub(super) fn transpose_to(
         &self,
         factor: f64,
@@ -125,7 +131,7 @@ impl Band {
     ) {
         let half = self.half_bandwidth;
         if columns.len() == COLUMNS && rows.len() == COLUMNS + 2 * half {
-            // nothing is cut off at an end: along each diagonal
+            // All entries are inside the matrix, so the copy runs along each diagonal.
             for (first, d) in self.diagonals().enumerate() {
                 let entries = &self.diagonal(d, 0)[columns.clone()];
                 for (lane, (values, entry)) in values[first..first + COLUMNS]
@@ -150,23 +156,23 @@ impl Band {
         }
     }
 
-    /// Writes the product with a vector (N).
+    /// Computes the product with a vector (N).
     pub(super) fn mul_to(&self, arch: Arch, x: &Padded, out: &mut Padded) {
         arch.dispatch(MulTo { band: self, x, out });
     }
 }
 
-/// A vector (N) that bands multiply, with zeros before it and after it.
+/// A vector (N) for products with bands, with zeros before and after it.
 #[derive(Debug, Clone)]
 pub(super) struct Padded {
     n: usize,
-    /// As many zeros as a band may have diagonals on one side.
+    /// Number of zeros on each side, at least the half-bandwidth of a band.
     margin: usize,
     entries: Vec<f64>,
 }
 
 impl Padded {
-    /// Makes room for N entries that bands up to `margin` beside the diagonal multiply.
+    /// Allocates N entries for products with bands of half-bandwidth up to `margin`.
     pub(super) fn new(n: usize, margin: usize) -> Self {
         let margin = margin.min(n.saturating_sub(1));
         Self {
@@ -189,7 +195,7 @@ impl Padded {
     }
 }
 
-/// Rows of a vector whose sums stay in registers.
+/// Number of vector rows whose sums stay in registers.
 const ROWS: usize = 4 * MOST_LANES;
 
 struct MulTo<'m> {
@@ -221,13 +227,13 @@ impl WithSimd for MulTo<'_> {
 }
 
 impl MulTo<'_> {
-    /// Writes `R` registers of rows from row `first` on.
+    /// Computes `R` registers of rows, starting at row `first`.
     #[inline(always)]
     fn rows<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
         let Self { band, x, out } = self;
         let length = R * S::F64_LANES;
         if first >= out.n {
-            return; // what only fills up the last register: it stays zero
+            return; // padding of the last register, stays zero
         }
         let mut sums = [simd.splat_f64s(0.0); R];
         for d in band.diagonals() {
@@ -243,7 +249,7 @@ impl MulTo<'_> {
     }
 }
 
-/// Evaluates polynomials of one band, `Z`: `sums` become these, `powers` are scratch.
+/// Evaluates polynomials of one band `Z` into `sums`, with `powers` as scratch.
 pub(super) struct Evaluate<'b, const N: usize> {
     pub(super) z: &'b Band,
     pub(super) powers: &'b mut [Band; 2],
@@ -305,22 +311,24 @@ impl<const N: usize> WithSimd for Evaluate<'_, N> {
     }
 }
 
-/// Some rows of a power, and what they add to the polynomials.
+/// Some rows of a power, and their contribution to the polynomials.
 struct Terms<'e, 'b, const N: usize> {
     z: &'e Band,
     power: &'e Band,
     next: &'e mut Band,
     polynomials: [&'b Polynomial; N],
     sums: &'e mut [&'b mut Band; N],
-    /// which power the next one is
+    /// Exponent of the next power.
     k: usize,
-    /// the first row
+    /// The first row.
     first: usize,
 }
 
 impl<const N: usize> Terms<'_, '_, N> {
-    /// Writes `R` registers of rows of the next power, `(Z P)_{i, i+d} = Σ_e Z_{i, i+e} P_{i+e, i+d}`, and adds them to the sums;
-    /// around all bands there are diagonals of zeros.
+    /// Computes `R` registers of rows of the next power and adds them to the sums.
+    ///
+    /// `(Z P)_{i, i+d} = Σ_e Z_{i, i+e} P_{i+e, i+d}`. The zero diagonals around all bands make
+    /// special cases at the edges unnecessary.
     #[inline(always)]
     fn add<S: Simd, const R: usize>(&mut self, simd: S) {
         let Self {
@@ -360,7 +368,7 @@ impl<const N: usize> Terms<'_, '_, N> {
     }
 }
 
-/// Returns the rows of a square matrix (n × n) not farther from the diagonal than `half_bandwidth` in a column.
+/// Returns the rows of a square matrix (n × n) within `half_bandwidth` of the diagonal in a column.
 pub(super) fn around(column: usize, half_bandwidth: usize, n: usize) -> Range<usize> {
     column.saturating_sub(half_bandwidth)..(column + half_bandwidth + 1).min(n)
 }

@@ -1,4 +1,5 @@
-//! A step by the blocks of `[Φ, ΨW]`: of structures in which everything accelerates everything, and of steps that are doubled.
+//! A step by the blocks of `[Φ, ΨW]`, for fully coupled structures and for steps that require
+//! doubling.
 
 use super::band::around;
 use super::polynomials::Polynomials;
@@ -8,15 +9,20 @@ use crate::product::{Extent, Left, Multiplier, Right, Sum};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
-/// Powers of `Z` that are made beforehand: about the root of the usual degree, which makes the fewest products.
+/// Number of precomputed powers of `Z`.
+///
+/// About the square root of the usual degree, which minimises the number of products.
 const POWERS: usize = 4;
 
-/// What a step by blocks needs. All polynomials are kept transposed: they are right factors of products with the covariance.
+/// Storage of a step by blocks.
+///
+/// All polynomials are stored transposed, because they are right factors of products with the
+/// covariance.
 #[derive(Debug, Clone)]
 pub(super) struct Blocks {
-    /// `h` (s): the time step, halved until one series spans it.
+    /// `h` (s): the time step, halved until one series covers it.
     substep_s: f64,
-    /// Entries of the polynomials of `G` farther from the diagonal than this are zero.
+    /// Distance from the diagonal beyond which the polynomials of `G` are zero.
     half_bandwidth: usize,
     /// `Z` to `Z⁴`.
     powers: [DMatrix<f64>; POWERS],
@@ -28,23 +34,23 @@ pub(super) struct Blocks {
     z_step: DMatrix<f64>,
     /// `∫ s dt b / h³` for the slope `b` of the known accelerations (N_d).
     ramp: DVector<f64>,
-    /// scratch (N_d × N_d)
+    /// Scratch (N_d × N_d).
     square: [DMatrix<f64>; 2],
-    /// scratch (N_d)
+    /// Scratch (N_d).
     column: [DVector<f64>; 2],
-    /// `[Φ, ΨW]ᵀ` (n × 2N_d)
+    /// `[Φ, ΨW]ᵀ` (n × 2N_d).
     transposed: DMatrix<f64>,
-    /// Entries of its blocks of motion farther from their diagonals than this are zero.
+    /// Distance from the diagonal beyond which its motion blocks are zero.
     transposed_half_bandwidth: usize,
-    /// `[Φ, ΨW] Σ` (2N_d × n)
+    /// `[Φ, ΨW] Σ` (2N_d × n).
     half_way: DMatrix<f64>,
-    /// `Wᵀ` (N_θ × N_d)
+    /// `Wᵀ` (N_θ × N_d).
     theta_by_acceleration: DMatrix<f64>,
-    /// `Wᵀ sᵀ` or `Wᵀ qᵀ` (N_θ × N_d)
+    /// `Wᵀ sᵀ` or `Wᵀ qᵀ` (N_θ × N_d).
     by_theta: DMatrix<f64>,
-    /// scratch (2N_d)
+    /// Scratch (2N_d).
     motion: DVector<f64>,
-    /// right factors: `Z`, another polynomial of it, and `[Φ, ΨW]ᵀ`
+    /// Right factors: `Z`, another polynomial of `Z`, and `[Φ, ΨW]ᵀ`.
     by_z: Right,
     by_square: Right,
     by_transition: Right,
@@ -52,7 +58,7 @@ pub(super) struct Blocks {
 }
 
 impl Blocks {
-    /// Makes room for the steps of a model of that form.
+    /// Allocates storage for the steps of a model of this form.
     pub(super) fn new(form: &ProportionalForm<'_>, multiplier: Multiplier) -> Self {
         let (free, parameters) = form.acceleration_by_theta.shape();
         let n = 2 * free + parameters;
@@ -82,10 +88,12 @@ impl Blocks {
         }
     }
 
-    /// Makes the step anew, of `substep_s` (s) doubled so many times; replaces `[g, B_y]` as
-    /// [`Transition::discretise`](super::Transition::discretise) does.
+    /// Computes a step of `substep_s` (s) doubled `doublings` times, and integrates the inputs.
     ///
-    /// `damping`: `rest` and `slope` in `−(α + βG) h = rest + slope Z`; `slope`: of the known accelerations (N_d).
+    /// It replaces `[g, B_y]` as [`Transition::discretise`](super::Transition::discretise) does.
+    ///
+    /// - `damping`: `rest` and `slope` in `−(α + βG) h = rest + slope Z`
+    /// - `slope`: slope of the known accelerations (N_d)
     pub(super) fn discretise(
         &mut self,
         form: &ProportionalForm<'_>,
@@ -106,12 +114,12 @@ impl Blocks {
         self.pack(form.reach);
     }
 
-    /// Returns the number of terms by which a row of the covariance moves.
+    /// Returns the number of terms in the transition of one covariance row.
     pub(super) fn term_count(&self) -> usize {
         self.by_transition.term_count()
     }
 
-    /// Writes `Z = −G h²` and its powers, transposed.
+    /// Computes `Z = −G h²` and its powers, transposed.
     fn raise_to_powers(&mut self, form: &ProportionalForm<'_>) {
         let [z, z_2, z_3, z_4] = &mut self.powers;
         let (free, band) = (z.nrows(), form.half_bandwidth);
@@ -122,7 +130,7 @@ impl Blocks {
             }
         }
         self.by_z.pack_band(z, band);
-        // polynomials of one matrix commute: the narrower factor stands on the right
+        // Polynomials of one matrix commute, so the narrower factor is the right one.
         let by_z = |left: &DMatrix<f64>, bands, out: &mut DMatrix<f64>| {
             let extent = Extent::Band(bands * band);
             self.multiplier
@@ -133,7 +141,8 @@ impl Blocks {
         by_z(z_3, 4, z_4);
     }
 
-    /// Writes `q̂`, `ŝ` and what `Z` makes of them for the first substep, and the response to a ramp.
+    /// Computes `q̂`, `ŝ`, their products with `Z` for the first substep, and the response to a
+    /// ramp.
     fn evaluate(
         &mut self,
         form: &ProportionalForm<'_>,
@@ -163,7 +172,7 @@ impl Blocks {
             let coefficients = &polynomial.coefficients;
             // Σ c_j Z^j = (… (c_n + …) Z⁴ + c_4 + … + c_7 Z³) Z⁴ + c_0 + … + c_3 Z³
             let last = degree.saturating_sub(1) / POWERS;
-            out.as_mut_slice().fill(0.0); // several times faster than nalgebra's
+            out.as_mut_slice().fill(0.0); // several times faster than nalgebra's fill
             add_polynomial(
                 &coefficients[POWERS * last..=POWERS * (last + 1)],
                 powers,
@@ -199,10 +208,11 @@ impl Blocks {
         self.half_bandwidth = half_bandwidth;
     }
 
-    /// Doubles the time: `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`, and the same for the integral of `Ψ`.
+    /// Doubles the time: `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`, and the same for the integral
+    /// of `Ψ`.
     ///
-    /// `Gs` and `Gq` are doubled like `q` and `s`: to multiply these by `G` once more would raise the rounding of the slow modes to
-    /// the size of the fast ones.
+    /// `Gs` and `Gq` are doubled separately, like `q` and `s`. Multiplying `q` and `s` by `G` again
+    /// would raise the rounding errors of slow modes to the level of fast modes.
     fn double(&mut self, [rest, slope_of_z]: [f64; 2], slope: Option<&[f64]>) {
         let Self {
             impulse,
@@ -248,7 +258,8 @@ impl Blocks {
             *product = 2.0 * *z_s + rest * q + slope_of_z * z_q;
             *z_s = 2.0 * *z_s + z_s_squared; // −2Gs + (Gs)²
         }
-        add_to_diagonal(product, 2.0); // both blocks on the diagonal of Φ: 2I − 2Gs − (α + βG) q
+        // Both diagonal blocks of Φ: 2I − 2Gs − (α + βG) q
+        add_to_diagonal(product, 2.0);
         packed.pack_band(impulse, half_bandwidth);
         by_square(impulse, packed, other);
         add_scaled_mut(step, 1.0, other); // s(2t) = 2s − Gs s + q²
@@ -262,7 +273,7 @@ impl Blocks {
         self.half_bandwidth = (2 * half_bandwidth).min(impulse.nrows());
     }
 
-    /// Replaces `[g, B_y]` by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameters at their ends stay zero.
+    /// Replaces `[g, B_y]` by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameter rows at the end stay zero.
     fn integrate_inputs(
         &mut self,
         [rest, slope_of_z]: [f64; 2],
@@ -279,7 +290,7 @@ impl Blocks {
             ..
         } = self;
         let (free, half_bandwidth) = (impulse.nrows(), self.half_bandwidth);
-        // what is stored is the transpose
+        // The stored matrix is the transpose.
         let times = |matrix: &DMatrix<f64>, row: usize, vector: &DVector<f64>| {
             let terms = around(row, half_bandwidth, free);
             dot(
@@ -294,8 +305,10 @@ impl Blocks {
                 let turned = times(z_step, row, velocity); // −G s ẋ
                 let pushed = times(step, row, velocity);
                 let moved = times(impulse, row, velocity) - rest * pushed - slope_of_z * turned;
-                column[row] = *h * (moved + *h * times(step, row, acceleration)); // (q + (α + βG) s) ẋ + s ẍ
-                column[free + row] = turned + *h * times(impulse, row, acceleration); // −G s ẋ + q ẍ
+                // (q + (α + βG) s) ẋ + s ẍ
+                column[row] = *h * (moved + *h * times(step, row, acceleration));
+                // −G s ẋ + q ẍ
+                column[free + row] = turned + *h * times(impulse, row, acceleration);
             }
         }
         if let Some(slope) = slope {
@@ -308,7 +321,7 @@ impl Blocks {
         }
     }
 
-    /// Writes `[Φ, ΨW]ᵀ`.
+    /// Computes `[Φ, ΨW]ᵀ`.
     fn assemble(&mut self, [rest, slope_of_z]: [f64; 2], form: &ProportionalForm<'_>) {
         let Self {
             substep_s: h,
@@ -375,14 +388,14 @@ impl Blocks {
         }
     }
 
-    /// Packs `[Φ, ΨW]ᵀ` without the entries that are zero by its structure.
+    /// Packs `[Φ, ΨW]ᵀ` without its structural zeros.
     fn pack(&mut self, reach: &[Range<usize>]) {
         let (free, half_bandwidth) = (self.impulse.nrows(), self.half_bandwidth);
         self.by_transition
             .pack_runs(&self.transposed, |columns, runs| {
                 let mut columns = columns;
                 if columns.start < free && columns.end > free {
-                    columns = 0..free; // some of both halves
+                    columns = 0..free; // contains columns of both halves
                 } else if columns.start >= free {
                     columns = columns.start - free..columns.end - free;
                 }
@@ -393,7 +406,9 @@ impl Blocks {
             });
     }
 
-    /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, without process noise, equation (2.61); both triangles get the same bits.
+    /// Computes `λ A_i Σ A_iᵀ` (n × n) in `out`, without process noise, equation (2.61).
+    ///
+    /// Both triangles are bit-identical.
     pub(super) fn propagate_covariance_to(
         &mut self,
         covariance: &DMatrix<f64>,
@@ -417,7 +432,7 @@ impl Blocks {
         for column in moving..n {
             let (before, rest) = out.as_mut_slice().split_at_mut(column * n);
             let (with_motion, at_rest) = rest[..n].split_at_mut(moving);
-            // the parameters with the motion, and among themselves
+            // The blocks of the parameters with the motion, and the parameter block.
             with_motion
                 .copy_from_slice(&half_way.as_slice()[column * moving..(column + 1) * moving]);
             for (entry, of_motion) in before.chunks_exact_mut(n).zip(&*with_motion) {
@@ -458,7 +473,7 @@ impl Blocks {
     }
 }
 
-/// Adds `c_0 I + c_1 Z + …` by the powers of `Z`; `coefficients` are as many as these, or one more.
+/// Adds `c_0 I + c_1 Z + …` from the powers of `Z`; there are at most `POWERS + 1` coefficients.
 fn add_polynomial(
     coefficients: &[f64],
     powers: &[DMatrix<f64>; POWERS],

@@ -1,14 +1,17 @@
-//! The polynomials of `Z` for one series, as numbers.
+//! The coefficients of the polynomials of `Z` for one series.
 
 use crate::discretise::Series;
 
-/// Polynomials are shortened by no more than this, relative to their values: the rounding of a double.
+/// Maximum relative change of a polynomial by economisation, equal to the rounding of a double.
 const LARGEST_LOSS: f64 = 1e-16;
 
-/// Largest degree of the polynomials, a multiple of the powers that are made beforehand, not below the longest series.
+/// Maximum degree of the polynomials.
+///
+/// It is a multiple of the number of precomputed powers and at least the order of the longest
+/// series.
 pub(super) const LARGEST_DEGREE: usize = 44;
 
-/// `1/k`: divisions would take longer than all else of a series.
+/// `1/k`, precomputed, because divisions would dominate the time of a series.
 const RECIPROCALS: [f64; LARGEST_DEGREE + 3] = {
     let mut reciprocals = [0.0; LARGEST_DEGREE + 3];
     let mut k = 1;
@@ -19,8 +22,10 @@ const RECIPROCALS: [f64; LARGEST_DEGREE + 3] = {
     reciprocals
 };
 
-/// For each degree n and k < n, by what the coefficient k of a Chebyshev polynomial on an interval of length 1 follows from that of
-/// k + 1: `(k + 1)(2k + 1) / 2(n² − k²)`, without its sign.
+/// Magnitudes of the ratios between successive Chebyshev coefficients on an interval of length 1.
+///
+/// For each degree n and k < n, the entry is the ratio of coefficient k to coefficient k + 1:
+/// `(k + 1)(2k + 1) / 2(n² − k²)`.
 static CHEBYSHEV_RATIOS: [[f64; LARGEST_DEGREE]; LARGEST_DEGREE + 1] = {
     let mut ratios = [[0.0; LARGEST_DEGREE]; LARGEST_DEGREE + 1];
     let mut n = 1;
@@ -35,7 +40,7 @@ static CHEBYSHEV_RATIOS: [[f64; LARGEST_DEGREE]; LARGEST_DEGREE + 1] = {
     ratios
 };
 
-/// `c_0 + c_1 z + …` for numbers `z = −g h²`.
+/// A polynomial `c_0 + c_1 z + …` of numbers `z = −g h²`.
 #[derive(Debug, Clone)]
 pub(super) struct Polynomial {
     pub(super) degree: usize,
@@ -51,29 +56,34 @@ impl Polynomial {
         }
     }
 
-    /// Lowers the degree from `order` as far as nothing but rounding changes for `z` from `−range` to 0.
+    /// Lowers the degree from `order` as far as only rounding changes for `z` from `−range` to 0.
     fn economise(&mut self, order: usize, range: f64) {
         self.degree = economise_mut(&mut self.coefficients, order, range);
     }
 }
 
-/// What a substep makes of displacements and velocities.
+/// The polynomials that describe the effect of a substep on displacements and velocities.
 pub(super) struct Polynomials {
-    /// `q̂(z)`
+    /// `q̂(z)`.
     pub(super) impulse: Polynomial,
-    /// `ŝ(z)`
+    /// `ŝ(z)`.
     pub(super) step: Polynomial,
-    /// `1 + z ŝ(z) + (rest + slope z) q̂(z)`: the velocity after a unit velocity
+    /// `1 + z ŝ(z) + (rest + slope z) q̂(z)`: the velocity after a unit velocity.
     pub(super) velocity: Polynomial,
-    /// the integral of `s` over `h³`
+    /// The integral of `s`, divided by `h³`.
     pub(super) ramp: Polynomial,
 }
 
 impl Polynomials {
-    /// Sums up the Taylor series of a substep: with `(A_s h)^k = c_k + d_k A_s h`, it is `q̂ = Σ d_k / k!`.
+    /// Sums the Taylor series of a substep: with `(A_s h)^k = c_k + d_k A_s h`, it is
+    /// `q̂ = Σ d_k / k!`.
     ///
-    /// `rest`, `slope`: `−(α + βg) h = rest + slope z`; `reach`: bound of `|A_s h|`; `range`: bound of `−z`. From
-    /// `(A_s h)² = (rest + slope z) A_s h + z` follows `d_{k+1} = (rest + slope z) d_k + z d_{k−1}`.
+    /// - `rest`, `slope`: `−(α + βg) h = rest + slope z`
+    /// - `reach`: bound of `|A_s h|`
+    /// - `range`: bound of `−z`
+    ///
+    /// `d_{k+1} = (rest + slope z) d_k + z d_{k−1}` follows from
+    /// `(A_s h)² = (rest + slope z) A_s h + z`.
     pub(super) fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
         let [mut impulse, mut step, mut velocity, mut ramp] =
             std::array::from_fn(|_| Polynomial::zero());
@@ -109,7 +119,7 @@ impl Polynomials {
         }
     }
 
-    /// Returns the degree to which the responses are evaluated together.
+    /// Returns the common degree for the evaluation of the responses.
     pub(super) fn degree(&self) -> usize {
         [&self.impulse, &self.step, &self.ramp]
             .into_iter()
@@ -119,11 +129,12 @@ impl Polynomials {
     }
 }
 
-/// Lowers the degree of a polynomial as far as its values for `z` from `−range` to 0 stay the same but for rounding, and
-/// returns it.
+/// Lowers the degree of a polynomial as far as only rounding changes for `z` from `−range` to 0,
+/// and returns it.
 ///
-/// The term of highest degree is replaced by what remains of it less a Chebyshev polynomial of that interval, which is small
-/// all over it: the economisation of power series of Lanczos (1956, *Applied Analysis*, §7.10).
+/// Each step subtracts a Chebyshev polynomial of this interval that cancels the term of highest
+/// degree. This polynomial is small on the whole interval. The method is the economisation of power
+/// series of Lanczos (1956, *Applied Analysis*, §7.10).
 pub(super) fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64) -> usize {
     let mut lost = 0.0;
     for n in (1..=degree).rev() {
@@ -131,7 +142,7 @@ pub(super) fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64)
         if lost > LARGEST_LOSS * coefficients[0].abs() {
             return n;
         }
-        // of the Chebyshev polynomial, from its highest coefficient to its lowest
+        // Coefficients of the Chebyshev polynomial, from the highest to the lowest degree.
         let mut entry = std::mem::take(&mut coefficients[n]);
         for (coefficient, ratio) in coefficients[..n]
             .iter_mut()

@@ -1,4 +1,4 @@
-//! The blocks against the series that applies the Jacobian to columns.
+//! Comparison of the blocks with the series that applies the Jacobian to columns.
 
 use super::band::{Band, Evaluate, Padded};
 use super::polynomials::economise_mut;
@@ -14,7 +14,7 @@ use pulp::Arch;
 const STEP_S: f64 = 0.01;
 const INPUTS: usize = 2;
 
-/// A structure by its matrices, moving; parameters act on accelerations as `W` says.
+/// A moving structure defined by its matrices; the parameters change the accelerations by `W`.
 struct Structure {
     stiffness: DMatrix<f64>,
     half_bandwidth: usize,
@@ -28,7 +28,8 @@ fn wave(rows: usize, columns: usize) -> DMatrix<f64> {
     DMatrix::from_fn(rows, columns, |i, j| ((5 * i + 3 * j + 1) as f64).sin())
 }
 
-/// A chain of unequal masses and springs, `reach` radians of its fastest mode a step.
+/// Returns a chain of unequal masses and springs, with `reach` radians of its fastest mode per
+/// step.
 fn chain(masses: usize, parameters: usize, reach: f64) -> Structure {
     let frequency = 0.5 * reach / STEP_S;
     let spring = |j: usize| frequency * frequency * (0.7 + 0.3 * (j as f64).cos());
@@ -51,7 +52,7 @@ fn chain(masses: usize, parameters: usize, reach: f64) -> Structure {
     }
 }
 
-/// A structure with a mass matrix that couples everything: `G` is full and not symmetric.
+/// Returns a structure with a fully coupled mass matrix: `G` is full and not symmetric.
 fn coupled(masses: usize, parameters: usize, reach: f64) -> Structure {
     let mut structure = chain(masses, parameters, reach);
     let factor = DMatrix::identity(masses, masses) + wave(masses, masses) * 0.1;
@@ -138,7 +139,8 @@ impl ProcessModel for Structure {
     }
 }
 
-/// A covariance of displacements and velocities as a motion has them, of the size of the fastest mode, and of parameters.
+/// Returns a realistic covariance of displacements, velocities and parameters, scaled to the
+/// fastest mode.
 fn covariance(structure: &Structure) -> DMatrix<f64> {
     let (n, free) = (structure.state_len(), structure.free());
     let rate = structure.stiffness_bound().sqrt();
@@ -149,7 +151,7 @@ fn covariance(structure: &Structure) -> DMatrix<f64> {
     covariance
 }
 
-/// `[g, B_y]`, and the ramp.
+/// Returns `[g, B_y]` and the ramp.
 fn inputs(structure: &Structure) -> (DMatrix<f64>, Vec<f64>) {
     let (n, free) = (structure.state_len(), structure.free());
     let mut inputs = DMatrix::zeros(n, 1 + INPUTS);
@@ -169,7 +171,8 @@ fn inputs(structure: &Structure) -> (DMatrix<f64>, Vec<f64>) {
     (inputs, ramp)
 }
 
-/// Largest difference of two covariances, each entry by the deviations of its row and its column.
+/// Returns the largest difference of two covariances, relative to the standard deviations of row
+/// and column.
 fn worst_covariance(found: &DMatrix<f64>, expected: &DMatrix<f64>) -> f64 {
     let std = expected.diagonal().map(f64::sqrt);
     (found - expected)
@@ -177,7 +180,9 @@ fn worst_covariance(found: &DMatrix<f64>, expected: &DMatrix<f64>) -> f64 {
         .amax()
 }
 
-/// Largest difference of two matrices, each entry by the largest of its column and of its kind: displacement or velocity.
+/// Returns the largest difference of two matrices, relative to the largest entry of the same kind.
+///
+/// The kinds are displacements, velocities and parameters.
 fn worst_column(found: &DMatrix<f64>, expected: &DMatrix<f64>, free: usize) -> f64 {
     let kinds = [0..free, free..2 * free, 2 * free..found.nrows()]
         .into_iter()
@@ -268,7 +273,7 @@ fn blocks_agree_with_the_operator_for_any_damping() {
     }
 }
 
-/// The operator's own rounding grows with its substeps.
+/// The rounding error of the operator grows with its number of substeps.
 #[test]
 fn doubled_steps_agree_with_substeps_of_the_operator() {
     for reach in [2.0, 6.0, 31.0, 200.0] {
@@ -277,7 +282,7 @@ fn doubled_steps_agree_with_substeps_of_the_operator() {
     }
 }
 
-/// As of the tower: modes of kilohertz, damped far beyond the critical.
+/// Models a tower with modes in the kilohertz range, damped far above critical.
 #[test]
 fn doubled_steps_of_overdamped_modes_agree_with_substeps_of_the_operator() {
     let mut structure = coupled(12, 2, 20.0);
@@ -285,7 +290,7 @@ fn doubled_steps_of_overdamped_modes_agree_with_substeps_of_the_operator() {
     assert_agreement("overdamped", &structure, 1e-11);
 }
 
-/// Narrow bands and full ones, in the same storage one after the other, and cut off where they are wider than the matrix.
+/// Checks narrow and full bands in the same storage, also bands that are wider than the matrix.
 #[test]
 fn polynomials_of_a_band_are_those_of_its_full_matrix() {
     let mut polynomials = Polynomials::new([-0.1, 0.02], 1.2, 1.1);
@@ -375,7 +380,7 @@ fn a_narrow_band_is_stepped_through_the_accelerations() {
 
 #[test]
 fn a_reach_changes_nothing_but_what_is_computed() {
-    // parameters of two rows each, of none, and of all, not in the order of the rows
+    // Parameters with two rows each, with none and with all, not in the order of the rows.
     let reach = vec![30..32, 0..2, 12..14, 13..15, 0..0, 0..40];
     let mut narrow = chain(40, reach.len(), 0.4);
     for (parameter, reach) in reach.iter().enumerate() {
@@ -406,7 +411,7 @@ fn a_reach_changes_nothing_but_what_is_computed() {
     assert!(worst_covariance(&propagated[0], &propagated[1]) < 1e-15);
 }
 
-/// A step that becomes shorter has narrower polynomials; nothing of the wider ones is left.
+/// A shorter step has narrower polynomials. No entries of the wider ones may remain.
 #[test]
 fn a_transition_made_anew_is_that_of_a_new_one() {
     let (fast, slow) = (chain(40, 3, 1.4), chain(40, 3, 1e-3));
@@ -429,7 +434,8 @@ fn a_transition_made_anew_is_that_of_a_new_one() {
     assert_eq!(propagated(&mut used, &slow), propagated(&mut new, &slow));
 }
 
-/// `exp` on an interval, whose Taylor series needs degree 17 to the rounding of a double and Chebyshev's expansion 12.
+/// `exp` on an interval: to double precision, its Taylor series needs degree 17, a Chebyshev
+/// expansion degree 12.
 #[test]
 fn an_economised_polynomial_has_the_same_values_and_a_lower_degree() {
     let (range, order) = (1.3, 25);

@@ -1,4 +1,4 @@
-//! Bouc-Wen chain of ten masses under ground motion, velocities observed (ch2 §4.5).
+//! Bouc-Wen chain of ten masses under ground motion, with observed velocities (ch2 §4.5).
 
 use super::Normal;
 use nalgebra::DMatrix;
@@ -6,27 +6,27 @@ use spandrel_filter::{ObservationModel, ProcessModel};
 
 pub const MASSES: usize = 10;
 pub const GROUPS: usize = 6;
-/// k/m, s⁻²: 2000 kN/m and 1000 kg.
+/// Stiffness k/m (s⁻²): 2000 kN/m and 1000 kg.
 const STIFFNESS: f64 = 2000.0;
-/// True values of α (1/s), β (s), μ and κ (m^−η), η: the unknowns are ratios to them.
+/// True values of α (1/s), β (s), μ and κ (m^−η), η. The unknowns are ratios to these values.
 const NOMINAL: [f64; 5] = [0.100, 7.526e-4, 1000.0, 1500.0, 2.0];
 /// Sensed masses, from 0.
 pub const SENSED: [usize; 5] = [0, 2, 4, 7, 9];
 
-/// Whether the displacements, which appear in no equation, are part of the state.
+/// Presence of the displacements in the state; they occur in no equation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Displacements {
     Kept,
     LeftOut,
 }
 
-/// y = [x,] ẋ, r, θ_k (6), and α, β, μ, κ, η over their true values.
+/// State y = [x,] ẋ, r, θ_k (6), and α, β, μ, κ, η relative to their true values.
 #[derive(Debug, Clone)]
 pub struct BoucWen {
     displacements: Displacements,
     state: Vec<f64>,
     ground: f64,
-    /// ∂ṙ/∂(ẋ, r, μ, κ, η) of each mass, the last three for unknowns over their true values
+    /// ∂ṙ/∂(ẋ, r, μ, κ, η) of each mass, the last three for unknowns relative to their true values.
     slopes: [[f64; 5]; MASSES],
 }
 
@@ -65,7 +65,7 @@ impl BoucWen {
     }
 }
 
-/// `[K(θ) x]_i / m`: springs 1 to 5 have a group each, springs 6 to 10 share one.
+/// Returns `[K(θ) x]_i / m`: springs 1 to 5 have a group each, springs 6 to 10 share one.
 fn elastic(theta: &[f64], x: &[f64], i: usize) -> f64 {
     let spring = |j: usize| {
         let below = if j > 0 { x[j - 1] } else { 0.0 };
@@ -74,7 +74,7 @@ fn elastic(theta: &[f64], x: &[f64], i: usize) -> f64 {
     spring(i) - if i + 1 < MASSES { spring(i + 1) } else { 0.0 }
 }
 
-/// `|r|^η` and its logarithm's product, safe at 0.
+/// Returns `|r|^η`, or 0 if `r` is almost 0.
 fn power(r: f64, exponent: f64) -> f64 {
     if r.abs() < 1e-12 {
         0.0
@@ -203,7 +203,9 @@ impl ObservationModel for BoucWen {
     }
 }
 
-/// Velocities of the sensed masses without noise, by a Runge-Kutta step a sample with the excitation held.
+/// Returns the velocities of the sensed masses without noise.
+///
+/// It takes one Runge-Kutta step per sample with held excitation.
 pub fn simulate(
     normal: &mut Normal,
     steps: usize,

@@ -1,4 +1,5 @@
-//! Three-pier bridge: plane Euler-Bernoulli frame with consistent mass, 59 degrees of freedom (ch2 §4.4).
+//! Three-pier bridge with 59 degrees of freedom: a plane Euler-Bernoulli frame with consistent mass
+//! (ch2 §4.4).
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 use spandrel_filter::{ObservationModel, ProcessModel};
@@ -12,7 +13,8 @@ const PIER: (f64, f64) = (1.57, 1.57 * 1.57 / (4.0 * std::f64::consts::PI));
 const RAYLEIGH: [f64; 2] = [0.063, 0.006];
 pub const GROUPS: usize = 7;
 
-/// The nodes: deck 1 to 17 every 16 m; piers below 5, 9 and 13, each with a middle and a foot.
+/// Returns the nodes: deck nodes 1 to 17 every 16 m, and piers below 5, 9 and 13, each with a
+/// middle node and a foot.
 fn nodes() -> Vec<(f64, f64)> {
     let mut nodes: Vec<(f64, f64)> = (0..17).map(|j| (16.0 * f64::from(j), 0.0)).collect();
     for x in [64.0, 128.0, 192.0] {
@@ -21,7 +23,7 @@ fn nodes() -> Vec<(f64, f64)> {
     nodes
 }
 
-/// Elements: two nodes (from 1), group (from 0), section.
+/// Returns the elements: two nodes (from 1), group (from 0), section.
 fn elements() -> Vec<(usize, usize, usize, (f64, f64))> {
     let mut elements: Vec<_> = (1..=16).map(|j| (j, j + 1, (j - 1) / 4, DECK)).collect();
     for (pier, (deck, middle, foot)) in [(5, 18, 19), (9, 20, 21), (13, 22, 23)]
@@ -36,7 +38,7 @@ fn elements() -> Vec<(usize, usize, usize, (f64, f64))> {
     elements
 }
 
-/// Stiffness and consistent mass of an element in global directions.
+/// Returns stiffness and consistent mass of an element in global coordinates.
 fn element_matrices(
     from: (f64, f64),
     to: (f64, f64),
@@ -83,26 +85,27 @@ fn element_matrices(
     (turn(k), turn(m))
 }
 
-/// y = [x (59), ẋ (59), θ (7), α and β over their true values]; absolute accelerations observed.
+/// State y = [x (59), ẋ (59), θ (7), α and β relative to their true values]; absolute accelerations
+/// are observed.
 #[derive(Debug, Clone)]
 pub struct Bridge {
     pub mass: DMatrix<f64>,
     pub stiffness: DMatrix<f64>,
-    /// M⁻¹ K of each group
+    /// M⁻¹ K of each group.
     groups: Vec<DMatrix<f64>>,
-    /// displacements when the ground moves horizontally, vertically
+    /// Displacements caused by a unit ground displacement, horizontal and vertical.
     influence: [DVector<f64>; 2],
     sensed: Vec<usize>,
     process: Point,
     observed: Point,
 }
 
-/// A linearisation point: M⁻¹K(θ) and what the parameters multiply.
+/// A linearisation point: M⁻¹K(θ) and the derivatives with respect to the parameters.
 #[derive(Debug, Clone)]
 struct Point {
     velocity: DVector<f64>,
     stiffness: DMatrix<f64>,
-    /// ∂ẍ/∂(θ, α, β) (59 × 9)
+    /// ∂ẍ/∂(θ, α, β) (59 × 9).
     by_parameter: DMatrix<f64>,
     acceleration: DVector<f64>,
     alpha: f64,
@@ -184,7 +187,7 @@ impl Bridge {
         self.mass.nrows()
     }
 
-    /// The continuous system of the nominal bridge: A_u, B_u and the rows of H.
+    /// Returns the continuous system of the nominal bridge: A_u, B_u and the rows of H.
     pub fn nominal(&self) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
         let n = self.freedoms();
         let stiffness = self
@@ -283,7 +286,7 @@ impl ProcessModel for Bridge {
         }
     }
     fn rate_bound(&self) -> f64 {
-        // ω_max = 228.3 rad/s as designed; up to βω = 2 a mode is not overdamped, and |λ| = ω
+        // ω_max = 228.3 rad/s as designed. Up to βω = 2, a mode is not overdamped, and |λ| = ω.
         let omega = 228.3 * self.process.largest_factor.max(0.0).sqrt();
         if self.process.beta * omega < 2.0 {
             omega

@@ -1,4 +1,5 @@
-//! The small systems of the published examples, written out by hand: no structure room is needed to test a filter.
+//! The small systems of the published examples, written by hand so that filter tests need no
+//! structure crate.
 
 #![allow(dead_code, reason = "each test program uses its own part")]
 
@@ -23,7 +24,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use spandrel_filter::{ObservationModel, ProcessModel};
 
-/// Independent standard normal numbers.
+/// A source of independent standard normal numbers.
 pub struct Normal(ChaCha8Rng);
 
 impl Normal {
@@ -36,7 +37,7 @@ impl Normal {
     }
 }
 
-/// Root mean square of a sequence.
+/// Returns the root mean square of a sequence.
 pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
         (sum + value * value, count + 1.0)
@@ -44,7 +45,7 @@ pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / count).sqrt()
 }
 
-/// ẍ + 2ζω ẋ + ω² x = f with y = [x, ẋ, ω, ζ], displacement and velocity observed (ch2 §4.3).
+/// ẍ + 2ζω ẋ + ω² x = f with y = [x, ẋ, ω, ζ] and observed displacement and velocity (ch2 §4.3).
 #[derive(Debug, Clone, Default)]
 pub struct Oscillator {
     process: [f64; 4],
@@ -125,7 +126,8 @@ impl ObservationModel for Oscillator {
 
 /// Chain of equal masses of 1 kg, fixed at one end, with y = [x, ẋ, θ_k, α, β] (ch3 §4.0).
 ///
-/// A force acts on the last mass; all accelerations −(C ẋ + K x) are observed, without the direct term f/m, as in the source.
+/// A force acts on the last mass. All accelerations −(C ẋ + K x) are observed, without the direct
+/// term f/m, as in the source.
 #[derive(Debug, Clone)]
 pub struct Chain {
     pub masses: usize,
@@ -147,7 +149,7 @@ impl Chain {
         }
     }
 
-    /// Nominal stiffness matrix (N_d × N_d).
+    /// Returns the nominal stiffness matrix (N_d × N_d).
     pub fn matrix(&self) -> DMatrix<f64> {
         let n = self.masses;
         DMatrix::from_fn(n, n, |i, j| match i.abs_diff(j) {
@@ -158,7 +160,7 @@ impl Chain {
         })
     }
 
-    /// `[K x]_i` for the nominal stiffness.
+    /// Returns `[K x]_i` for the nominal stiffness.
     fn force_row(&self, x: &[f64], i: usize) -> f64 {
         let below = if i > 0 { x[i - 1] } else { 0.0 };
         let above = if i + 1 < self.masses {
@@ -169,7 +171,7 @@ impl Chain {
         self.stiffness * (x[i] - below - above)
     }
 
-    /// `−(C ẋ + K x)` at a state.
+    /// Returns `−(C ẋ + K x)` at a state.
     fn acceleration(&self, y: &[f64], i: usize) -> f64 {
         let n = self.masses;
         let (theta, alpha, beta) = (y[2 * n], y[2 * n + 1], y[2 * n + 2]);
@@ -177,7 +179,7 @@ impl Chain {
         -theta * elastic - alpha * y[n + i]
     }
 
-    /// Derivative of that acceleration along a direction of the state.
+    /// Returns the derivative of this acceleration along a direction of the state.
     fn acceleration_along(&self, y: &[f64], direction: &[f64], i: usize) -> f64 {
         let n = self.masses;
         let (theta, alpha, beta) = (y[2 * n], y[2 * n + 1], y[2 * n + 2]);

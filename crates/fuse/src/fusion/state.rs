@@ -1,4 +1,4 @@
-//! What a station takes over its own death.
+//! The checkpoint state of a station.
 
 use super::Fusion;
 use crate::node::Node;
@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use spandrel_filter::FilterError;
 use spandrel_filter::fusion::StationState;
 
-/// What a station knows after a fusion: what a checkpoint holds.
+/// The state of a station after a fusion, as stored in a checkpoint.
 ///
-/// Clock and numbers are not in it. They begin anew in each life, as do the estimates, under a higher epoch: how long nobody fused cannot
-/// be told from a clock that was set, and counts as the half period up to the first fusion.
+/// It excludes the clock and the numbers of the estimates. Both restart in each run, under a higher
+/// epoch. A clock that may have been set does not show how long fusion was interrupted. The
+/// interruption therefore counts as the half period up to the first fusion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FusionState {
     epoch: u64,
@@ -18,12 +19,13 @@ pub struct FusionState {
 }
 
 impl FusionState {
-    /// Version of the layout: raised with every change of a field here or in the states below.
+    /// Version of the layout. Every change of a field here or in the nested states must increase
+    /// it.
     pub const VERSION: u16 = 1;
 }
 
 impl Fusion {
-    /// Returns the state for a checkpoint, best after a fusion.
+    /// Returns the state for a checkpoint, preferably after a fusion.
     #[must_use]
     pub fn state(&self) -> FusionState {
         FusionState {
@@ -33,10 +35,10 @@ impl Fusion {
         }
     }
 
-    /// Goes on from a checkpoint of another life, before the first input.
+    /// Restores a checkpoint of an earlier run. This must precede the first input.
     ///
     /// # Errors
-    /// The state does not fit the structure; the station is then as it was.
+    /// Fails if the state does not match the structure. The station is then unchanged.
     pub fn restore(&mut self, state: FusionState) -> Result<(), FilterError> {
         let FusionState {
             epoch,

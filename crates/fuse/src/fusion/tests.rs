@@ -13,7 +13,7 @@ fn structure() -> Structure {
     Structure::parse(FILE, Path::new("forty-storey-building.toml")).unwrap()
 }
 
-/// What a node sends that has learnt a little of everything.
+/// Returns the message of a node that has learnt a little about every parameter.
 fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
     let covariance = (0..10)
         .flat_map(|j| (0..=j).map(move |i| if i == j { 0.008 } else { 0.0 }))
@@ -201,7 +201,7 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
         ],
     );
     assert_eq!(estimates(&outputs).len(), 1);
-    // nothing more has come: what is known fades; that all are a period late is no event
+    // Without further messages the information fades. A single delay by one period is no event.
     let told = |outputs: &[Output]| -> Vec<EventKind> {
         let of_station = |output: &Output| match output {
             Output::Event(event) if event.subject == "fuse" => Some(event.kind),
@@ -221,7 +221,7 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
             .all(|block| block.estimates[0].flags.prediction_only)
     );
     assert_eq!(told(&outputs), []);
-    // three on end are one, told once, and so is that something comes again
+    // Three consecutive fusions without data cause one event, and so does their end.
     let outputs = run(
         &mut fusion,
         (5..9).map(|second| Input::Tick(second * SECOND_NS)),
@@ -235,7 +235,7 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
             Input::Tick(10 * SECOND_NS),
         ]),
     );
-    // these nodes have taken no answer, so that the station takes over what they know
+    // These nodes have received no feedback, so the station adopts their estimates.
     assert_eq!(told(&outputs), [EventKind::Restart, EventKind::NodeBack]);
 }
 
@@ -320,7 +320,8 @@ fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
     run(&mut fusion, [Input::Present(vec![true; 16])]);
     let mut weights = Vec::new();
     for index in 1..20 {
-        // ten parameters are off by 0.3, with variances of 0.008 here and there: d² is 56, and 29.6 the limit
+        // Ten parameters differ by 0.3, with variances of 0.008 on both sides: d² = 56 exceeds the
+        // limit of 29.6.
         let mean = |node| if node == 4 { 1.25 } else { 0.95 };
         let outputs = run(
             &mut fusion,
@@ -370,7 +371,8 @@ fn the_last_block_says_that_it_is_the_last() {
     assert_eq!(fusion.done_ns(), Some(1_400_000_000));
 }
 
-/// Broke: one message that claims to replay made the station wait for periods that live nodes never complete.
+/// Regression: one message that claimed to be replayed made the station wait for periods that live
+/// nodes never complete.
 #[test]
 fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -383,7 +385,7 @@ fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
         estimates(&run(&mut fusion, [Input::Tick(2 * SECOND_NS)])).len(),
         1
     );
-    // of a later life, so that what node 5 sends from now on is refused
+    // This message has a later epoch, so the station rejects the next messages of node 5.
     run(
         &mut fusion,
         [local(5, message(4, 1000, Pace::Replayed, 0.95))],
@@ -402,7 +404,8 @@ fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
     }
 }
 
-/// Broke: fusions were due when the messages of nodes that had begun together came, and missed some of them every few seconds.
+/// Regression: fusions coincided with the arrival of messages from nodes that had started together.
+/// Every few seconds, a fusion missed some of them.
 #[test]
 fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -432,7 +435,7 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
     assert_eq!(heard, [true; 5]);
 }
 
-/// Broke: no fusion until the clock had come to where it had been.
+/// Regression: there was no fusion until the clock had reached its former time again.
 #[test]
 fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -457,7 +460,8 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
             );
         }
     }
-    // half a second after the messages; at once when the clock has gone back, and then a period later
+    // Fusions follow the messages by half a second. When the clock is set back, one follows at
+    // once, and the next a period later.
     let half_ns = SECOND_NS / 2;
     let blocks = estimates(&outputs);
     let between = blocks
@@ -466,7 +470,7 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
     assert_eq!(between.collect::<Vec<_>>(), [2, 2, 1 - 2 * 3600, 2, 2]);
 }
 
-/// Broke: the station forgot all it knew when its clock was set forward.
+/// Regression: the station lost all information when its clock was set forward.
 #[test]
 fn a_clock_that_is_set_forward_makes_nothing_older() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -546,7 +550,7 @@ fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
 fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [Input::Present(vec![true; 16])]);
-    // node 15 began five periods after the others
+    // Node 15 started five periods after the others.
     for index in 1..=10_u64 {
         let outputs = run(
             &mut fusion,
@@ -600,7 +604,8 @@ fn health(outputs: &[Output], node: usize) -> Vec<NodeHealth> {
     states.collect()
 }
 
-/// Live nodes send a message in each of these seconds, and the station fuses half a second later.
+/// Sends the messages of live nodes in each of these seconds. The station fuses half a second
+/// later.
 fn live(
     fusion: &mut Fusion,
     seconds: std::ops::Range<u64>,
@@ -624,7 +629,7 @@ fn live(
     outputs
 }
 
-/// Broke: a node that fell silent made no event.
+/// Regression: there was no event when a node became silent.
 #[test]
 fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -633,7 +638,8 @@ fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
     let sends =
         |node, second| (node != 5 || !silent(second)).then(|| message(3, second, Pace::Live, 0.95));
     let outputs = live(&mut fusion, 1..30, sends);
-    // told of in the third fusion without it, so that a message that was lost is nothing
+    // The event follows the third fusion without the node, so that a single lost message causes
+    // none.
     assert_eq!(
         events(&outputs),
         [
@@ -710,7 +716,8 @@ fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
     );
 }
 
-/// Broke: no fusion followed the end of the last nodes, so that they stayed what they had been in the one before.
+/// Regression: no fusion followed the end of the last nodes, so their displayed state remained that
+/// of the last fusion.
 #[test]
 fn the_last_nodes_that_end_are_told_to_have_ended() {
     for pace in [Pace::Replayed, Pace::Live] {
@@ -740,7 +747,7 @@ fn the_last_nodes_that_end_are_told_to_have_ended() {
             Some(StreamState::Ended),
             "{pace:?}"
         );
-        // a sensor that begins anew under the same worker is heard again
+        // A sensor that restarts under the same worker is used again.
         let outputs = live(&mut fusion, 8..10, |_, second| {
             Some(message(3, second, pace, 0.95))
         });
@@ -752,7 +759,7 @@ fn the_last_nodes_that_end_are_told_to_have_ended() {
     }
 }
 
-/// Broke: the station did not notice that all its nodes were gone.
+/// Regression: the station did not notice that all nodes had disappeared.
 #[test]
 fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -771,7 +778,7 @@ fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
         (0..16).all(|node| health(&outputs, node) == [NodeHealth::Ended]),
         "{outputs:?}"
     );
-    // and stays so in the fusions that follow, until a node is there again
+    // The nodes remain ended in later fusions until a node is present again.
     let outputs = live(&mut fusion, 4..12, |_, _| None);
     assert_eq!(health(&outputs, 3), [NodeHealth::Ended; 8]);
     assert!(
@@ -836,7 +843,7 @@ fn what_nodes_tell_of_their_channels_is_passed_on_by_name() {
     let found: Vec<_> = of_second
         .map(|display| (display.flagged, display.rejected, display.masked))
         .collect();
-    // the last one is of a filter that has begun anew
+    // The last count is from a filter that has restarted.
     assert_eq!(
         found,
         [
@@ -846,7 +853,7 @@ fn what_nodes_tell_of_their_channels_is_passed_on_by_name() {
             (1, 1, Some(span))
         ]
     );
-    // of other channels than those of the node
+    // The channels differ from the channels of the node.
     run(
         &mut fusion,
         [local(

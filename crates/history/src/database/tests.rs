@@ -51,7 +51,8 @@ fn from_s(seconds: i64) -> SpanQuery {
     }
 }
 
-/// Ten minutes of storey 2 at 10 Hz, which loses 20 % after five, in batches of one second.
+/// Returns ten minutes of storey 2 at 10 Hz in batches of one second. The storey loses 20 % after
+/// five minutes.
 fn ten_minutes(collector: &mut Collector) -> Vec<Arc<Batch>> {
     let mut batches = Vec::new();
     for second in 0..600 {
@@ -79,7 +80,7 @@ async fn keeps_and_answers(database: &Database) {
     let batches = ten_minutes(&mut collector);
     for some in batches.chunks(50) {
         database.write("life", some).await.unwrap();
-        // the answer was lost: the same is written again
+        // The confirmation was lost, so the same batches are written again.
         database.write("life", some).await.unwrap();
     }
     let structure = name("demo");
@@ -105,7 +106,7 @@ async fn keeps_and_answers(database: &Database) {
     assert_eq!(few.rows.mean.first().copied(), Some(1.0));
     assert_eq!(few.rows.probability_of_loss.last().copied(), Some(0.99));
 
-    // after an hour the values go, their minutes stay
+    // After an hour the values are deleted, and their minutes remain.
     let keep = Keep {
         display_s: Some(60),
         ..Keep::default()
@@ -122,7 +123,7 @@ async fn keeps_and_answers(database: &Database) {
     assert!((old.rows.std[3] - 0.01).abs() < 1e-9 && old.rows.spread[3] < 1e-6);
     let new = span(from_s(580)).await;
     assert_eq!((new.resolution_s, new.rows.time_s.len()), (None, 200));
-    // and when the minutes have gone, the hour and the day remain
+    // When the minutes are deleted, the hour and the day remain.
     let keep = Keep {
         display_s: Some(0),
         minute_s: Some(0),
@@ -210,7 +211,7 @@ async fn keeps_what_happened(database: &Database) {
         .write("another-life", std::slice::from_ref(&batch))
         .await
         .unwrap();
-    // another life of the service hears the same again
+    // Another run of the service receives the same message again.
     database.write("a-third-life", &[batch]).await.unwrap();
     let log = database
         .log(STRUCTURE, &name("demo"), &from_s(0))
@@ -246,7 +247,7 @@ async fn a_file_keeps_and_answers() {
     keeps_and_answers(&database).await;
     keeps_what_happened(&database).await;
     database.close().await;
-    // and it is there for the next life
+    // The next run finds the log in the file.
     let database = file(folder.path()).await;
     let log = database
         .log(STRUCTURE, &name("demo"), &from_s(0))
@@ -255,7 +256,7 @@ async fn a_file_keeps_and_answers() {
     assert_eq!(log.alerts.len(), 4);
 }
 
-/// Revisions of an alert that come in several batches.
+/// Writes revisions of an alert in several batches.
 async fn keeps_the_last_revision(database: &Database) {
     let revised = |seconds, revision, since_ns| AlertMessage {
         since_ns,
@@ -263,7 +264,7 @@ async fn keeps_the_last_revision(database: &Database) {
         loss: Some(0.1 + 0.01 * f64::from(revision)),
         ..alert(seconds, AlertState::Raised)
     };
-    // a second alert begins at 30 s
+    // A second alert starts at 30 s.
     let first = [
         (10, 0, Some(1)),
         (11, 1, Some(1)),
@@ -301,7 +302,7 @@ async fn an_alert_that_is_revised_has_two_rows() {
     keeps_the_last_revision(&file(folder.path()).await).await;
 }
 
-/// A PostgreSQL server of its own, in a folder of its own, which listens on a socket in there.
+/// A PostgreSQL server for the tests, in its own folder, with a socket there.
 mod server;
 
 #[tokio::test]
@@ -327,7 +328,8 @@ async fn a_server_keeps_and_answers_and_may_be_away() {
     assert_eq!(log.alerts.len(), 1);
 }
 
-/// What no check of messages lets through any more, and what none can see: sums that leave the numbers of a computer.
+/// Covers strings that the message checks reject, and sums that overflow, which no check of
+/// messages can detect.
 #[tokio::test]
 async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written() {
     let Some(server) = server::Server::start_or_skip() else {
@@ -346,7 +348,7 @@ async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written(
         })
     };
     let batches = |collector: &mut Collector| vec![Arc::new(collector.take(1).unwrap())];
-    // no two bytes in a row are alike, so that nothing is gained by packing them
+    // No two adjacent bytes are equal, so that compression gains nothing.
     let long: String = (0..20_000_u32)
         .map(|k| char::from(b'!' + (k.wrapping_mul(2_654_435_761) >> 25) as u8 % 90))
         .collect();
@@ -379,7 +381,7 @@ async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written(
         (vec!["filter", "node", "channel"], 1)
     );
     assert_eq!(database.set_aside(), 2);
-    // the squares of these are finite, and their sum is not
+    // The squares of these values are finite, but their sum is not.
     for k in 0..2 {
         collector.handle(parameter("storey-1", START_NS + k * DISPLAY_NS, 1.2e154));
         collector.handle(parameter("storey-3", START_NS + k * DISPLAY_NS, 1.0));
@@ -413,7 +415,8 @@ async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written(
     );
 }
 
-/// What was kept before names were limited: it is answered, and not with what no reader would take.
+/// Covers entries from before names were limited: replies contain them in a form that readers
+/// accept.
 #[tokio::test]
 async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
     let folder = tempfile::tempdir().unwrap();
@@ -462,7 +465,8 @@ async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
     assert_eq!(std::fs::read_to_string(path).unwrap(), text);
 }
 
-/// Fifty parameters for a month by minute, hour and day, with an hour of values: how large the file gets, and how long a plot takes.
+/// Measures file size and query time for fifty parameters: a month by minute, hour and day, and an
+/// hour of values.
 #[tokio::test]
 #[ignore = "two million rows; its figures are in docs/history.md"]
 #[expect(clippy::disallowed_methods, reason = "it tells how long it took")]
@@ -550,7 +554,7 @@ async fn a_month_of_fifty_parameters() {
     assert!(bytes < 1_000_000_000);
 }
 
-// A rollback: an earlier program must not write into tables that it does not know.
+// Covers a rollback: an earlier program must not write into tables of an unknown version.
 #[tokio::test]
 async fn tables_of_a_later_version_are_refused_and_left_as_they_are() {
     let folder = tempfile::tempdir().unwrap();

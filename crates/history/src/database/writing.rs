@@ -1,4 +1,4 @@
-//! Writes batches within a transaction; where a row can never be written, all others.
+//! Writes batches within a transaction, with or without skipping rows that the database rejects.
 
 use super::{Address, Series};
 use crate::batch::{Batch, Happened};
@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-/// Rows of one statement.
+/// Number of rows per statement.
 const ROWS_AT_ONCE: usize = 100;
 const BUCKET_COLUMNS: [&str; 14] = [
     "series",
@@ -28,7 +28,7 @@ const BUCKET_COLUMNS: [&str; 14] = [
     "probability",
 ];
 
-/// Why something was not written.
+/// The reason why a write failed.
 #[derive(Debug)]
 pub(super) enum Failed {
     Database(sqlx::Error),
@@ -48,7 +48,7 @@ impl From<serde_json::Error> for Failed {
 }
 
 impl Failed {
-    /// Whether what was to be written is to blame: the same fails again however often it is tried.
+    /// Returns `true` if the rows are the cause, so that every retry would fail.
     pub(super) fn is_of_the_rows(&self, address: &Address) -> bool {
         let error = match self {
             Self::Message(_) | Self::Database(sqlx::Error::Encode(_)) => return true,
@@ -57,11 +57,13 @@ impl Failed {
         };
         let code = error.code().unwrap_or_default();
         match address {
-            // data exception, integrity constraint, a row too large for its index
+            // Classes: data exception, integrity constraint violation, program limit exceeded (such
+            // as a row too large for its index).
             Address::Postgres(_) => ["22", "23", "54"]
                 .iter()
                 .any(|class| code.starts_with(class)),
-            // too big, constraint, mismatch; the last byte of an extended code says which
+            // Codes: too big, constraint, mismatch. The low byte of an extended code contains the
+            // primary code.
             Address::Sqlite(_) => code
                 .parse::<u32>()
                 .is_ok_and(|code| [18, 19, 20].contains(&(code & 0xff))),
@@ -76,24 +78,24 @@ impl Failed {
     }
 }
 
-/// How rows are written.
+/// The treatment of rows that the database rejects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Care {
-    /// Many by one statement: one that cannot be written stops all.
+    /// Many rows per statement. A rejected row fails the whole write.
     ManyRowsAtOnce,
-    /// Those that cannot be written are found and left out.
+    /// Rejected rows are identified and skipped.
     SettingAside,
 }
 
-/// What was left out.
+/// The skipped rows.
 #[derive(Debug, Default)]
 pub(super) struct SetAside {
     pub(super) rows: u64,
-    /// Why the last of them cannot be written.
+    /// The reason for the last skipped row.
     pub(super) reason: Option<String>,
 }
 
-/// Some rows of one table.
+/// Rows of one table.
 #[derive(Clone, Copy)]
 enum Rows<'r> {
     Points(&'r [(Series, i64, [f64; 3])]),
@@ -120,13 +122,14 @@ impl Rows<'_> {
     }
 }
 
-/// One transaction.
+/// A write within one transaction.
 pub(super) struct Writing<'w> {
     connection: &'w mut AnyConnection,
     address: &'w Address,
     care: Care,
-    /// Numbers of the series that are known to be there, and those that were looked up or given since.
+    /// IDs of the series that exist in the database.
     numbers: &'w HashMap<(String, Series), i64>,
+    /// IDs that this transaction looked up or created.
     found: HashMap<(String, Series), i64>,
     set_aside: SetAside,
 }
@@ -148,12 +151,12 @@ impl<'w> Writing<'w> {
         }
     }
 
-    /// The numbers of series that were not known before, and what was left out.
+    /// Returns the IDs of newly found series, and the skipped rows.
     pub(super) fn end(self) -> (HashMap<(String, Series), i64>, SetAside) {
         (self.found, self.set_aside)
     }
 
-    /// Writes batches but for those that an earlier attempt of the same life has written.
+    /// Writes all batches, except those that an earlier attempt of the same run has written.
     pub(super) async fn write_all(
         &mut self,
         life: &str,
@@ -200,7 +203,7 @@ impl<'w> Writing<'w> {
         Ok(())
     }
 
-    /// Writes rows; what cannot be written of them is looked for by halves where it is to be set aside.
+    /// Writes rows. With [`Care::SettingAside`], it finds and skips rejected rows by bisection.
     async fn write(&mut self, batch: &Batch, rows: Rows<'_>) -> Result<(), Failed> {
         if self.care == Care::ManyRowsAtOnce {
             return self.insert(batch, rows).await;
@@ -280,7 +283,7 @@ impl<'w> Writing<'w> {
         batch: &Batch,
         buckets: &[(&(Series, i64, i64), &Sums)],
     ) -> Result<(), Failed> {
-        // SQLite and PostgreSQL have other words for the lesser and the larger of two
+        // SQLite and PostgreSQL have different functions for the minimum and maximum of two values.
         let lesser = |c: &str| {
             format!(
                 "{c} = CASE WHEN excluded.{c} < bucket.{c} THEN excluded.{c} ELSE bucket.{c} END"
@@ -331,7 +334,7 @@ impl<'w> Writing<'w> {
     }
 }
 
-/// The number of a series, a new one if it has none.
+/// Returns the ID of a series. Creates one if the series is new.
 async fn number_of(
     connection: &mut AnyConnection,
     structure: &str,
@@ -357,13 +360,13 @@ async fn number_of(
         .try_get(0)
 }
 
-/// `($1, $2), ($3, $4)` for two rows of two columns.
+/// Returns `($1, $2), ($3, $4)` for two rows of two columns.
 fn placeholders(rows: usize, columns: usize) -> String {
     let mut text = String::new();
     for row in 0..rows {
         text.push_str(if row == 0 { "(" } else { ", (" });
         for column in 1..=columns {
-            // writing to a String does not fail
+            // Writing to a `String` does not fail.
             let _ = write!(
                 text,
                 "{}${}",
@@ -424,8 +427,10 @@ async fn insert_happened(
     Ok(())
 }
 
-/// Puts a revision of an alert in the place of the one before it, so that an alert has two rows at most: what was said first, and
-/// what was said last. Returns `false` where it is the first revision.
+/// Replaces the previous revision of an alert. Returns `false` if this is the first one.
+///
+/// Each state of an alert therefore has at most two rows: the first message and the latest
+/// revision.
 async fn replace_revision(
     connection: &mut AnyConnection,
     structure: &str,

@@ -1,4 +1,4 @@
-//! What the identification tells as events: excitations, noise levels, bounds, outliers, model classes.
+//! The events of the identification: excitations, noise levels, bounds, outliers, model classes.
 
 use super::hearing::{Heard, Spans};
 use super::{Identification, Output, Stream};
@@ -6,7 +6,7 @@ use crate::estimator::Estimator;
 use spandrel_bus::{Event, EventKind};
 use spandrel_filter::{NoiseRule, OutlierChange, Step};
 
-/// Subject of the events that concern the whole identification.
+/// Subject of events that concern the whole identification.
 const IDENTIFY: &str = "identify";
 
 impl Identification {
@@ -41,9 +41,9 @@ impl Identification {
         }
     }
 
-    /// Tells when an excitation that should be measured has been silent for long, repeats itself, and is back.
+    /// Reports when a measured excitation becomes silent, gets stuck or returns.
     ///
-    /// One that repeats itself counts as missing: `values` are those of the frame as it came.
+    /// A stuck excitation counts as missing. `values` are the measured values of the frame.
     pub(super) fn hear_excitations(
         &mut self,
         time_ns: i64,
@@ -103,7 +103,10 @@ impl Identification {
         }
     }
 
-    /// Tells when parameters reach their bounds, once until they have kept off them for as long as a gap may be.
+    /// Reports parameters that reach their bounds.
+    ///
+    /// It reports again only after the parameters have stayed off their bounds for longer than the
+    /// longest bridged gap.
     pub(super) fn tell_clipping(&mut self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
         let Some(bridged) = self.stream.map(Stream::bridged_frames) else {
             return;
@@ -160,7 +163,7 @@ impl Identification {
         outputs.push(self.event(time_ns, kind, what, &why));
     }
 
-    /// Tells what changed for a channel, as an event and on its topic.
+    /// Reports a changed screening of a channel, as an event and on its topic.
     pub(super) fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
         let Some(outliers) = self.estimator.outliers() else {
             return;
@@ -196,7 +199,7 @@ impl Identification {
         }
     }
 
-    /// Tells what happened to the model classes, as events and on their topic.
+    /// Reports changes of the model classes, as events and on their topic.
     pub(super) fn tell_classes(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
         let (Some(bank), Some(view)) = (self.estimator.classes(), &mut self.classes) else {
             return;

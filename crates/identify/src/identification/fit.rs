@@ -1,4 +1,5 @@
-//! The verdict on the fit as others read it: the only place that knows the types of the filter and those of the bus.
+//! The published verdict on the fit. This is the only module that knows the types of the filter and
+//! of the bus.
 
 use crate::estimator::Estimator;
 use spandrel_bus::{
@@ -15,7 +16,7 @@ pub(super) struct Judged {
     pub(super) follows_jump: bool,
 }
 
-/// Returns the verdict after the last step; `None` where nobody has measured the fit.
+/// Returns the verdict after the last step. `None` if the fit is not measured.
 pub(super) fn judged(estimator: &Estimator) -> Option<Judged> {
     let fit = estimator.fit();
     Some(Judged {
@@ -25,10 +26,10 @@ pub(super) fn judged(estimator: &Estimator) -> Option<Judged> {
     })
 }
 
-/// How the verdict is displayed.
+/// The display of the verdict.
 #[derive(Debug, Clone)]
 pub(super) struct FitView {
-    /// of each observation row
+    /// Channel of each observation row.
     channels: Vec<Name>,
     displayed: Option<Judged>,
 }
@@ -46,12 +47,12 @@ impl FitView {
         })
     }
 
-    /// Continues after a checkpoint: the verdict of its last frame was displayed then.
+    /// Continues from a checkpoint, whose last verdict has already been displayed.
     pub(super) fn resume(&mut self, estimator: &Estimator) {
         self.displayed = judged(estimator);
     }
 
-    /// Returns the display of the verdict; `None` where nobody judges the fit.
+    /// Returns the display of the verdict. `None` if the fit is not assessed.
     pub(super) fn display(
         &mut self,
         structure: &Name,
@@ -81,7 +82,7 @@ impl FitView {
         })
     }
 
-    /// Returns the display if the verdict is another one than displayed last.
+    /// Returns the display if the verdict differs from the last displayed one.
     pub(super) fn take_change(
         &mut self,
         structure: &Name,
@@ -101,7 +102,7 @@ fn channel_display(name: &Name, fit: &ChannelFit) -> ChannelFitDisplay {
         channel: name.clone(),
         largest_autocorrelation: known(fit.largest_autocorrelation),
         explained_share: known(fit.explained_share),
-        // rounding may leave a correlation a little beyond one
+        // Rounding can make a correlation slightly larger than one.
         excitation_correlation: known(fit.excitation_correlation)
             .map(|correlation| correlation.clamp(-1.0, 1.0)),
         noise_ratio: known(fit.noise_ratio),

@@ -1,30 +1,33 @@
-//! Whether the excitations that should be measured are.
+//! Detection of silent and stuck excitation sensors.
 
 use serde::{Deserialize, Serialize};
 
-/// How many frames on end mean something.
+/// Thresholds for consecutive frames.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Spans {
-    /// An excitation without samples for so long is silent, and one that is back is trusted after as long.
+    /// Number of frames without samples after which an excitation is silent, and of frames with
+    /// samples after which it is trusted again.
     pub(super) long: u64,
-    /// A sample that has repeated itself so often comes of a sensor that is stuck.
+    /// Number of repetitions after which a sensor counts as stuck.
     pub(super) stuck: u64,
 }
 
-/// Whether samples of an excitation that should be measured come, and measure something.
+/// The state of a measured excitation: whether its samples arrive and change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Hearing {
-    /// zero is a measurement, however often it comes
+    /// Whether repeated zeros are valid measurements.
     may_rest: bool,
-    /// one has ever come
+    /// Whether any sample has arrived.
     known: bool,
-    /// frames without one on end, and frames with one on end
+    /// Number of consecutive frames without a sample.
     silent: u64,
+    /// Number of consecutive frames with a sample.
     heard: u64,
-    /// the last sample, and how often it has repeated itself to the bit while the structure moved
+    /// The last sample.
     last: f64,
+    /// Number of its bit-identical repetitions while the structure moved.
     repeats: u64,
-    /// it has been silent for long or was stuck, and was not yet heard for long again
+    /// Whether the excitation was silent or stuck, and has not been back for long enough.
     lost: bool,
 }
 
@@ -49,9 +52,10 @@ impl Hearing {
         }
     }
 
-    /// Takes the sample of a frame as it came, NaN where there was none, and whether any response has moved.
+    /// Processes the measured sample of a frame, NaN if missing. `moves` states whether any
+    /// response has changed.
     ///
-    /// `None` is an excitation that nobody measures: nothing ever changes for it.
+    /// An unmeasured excitation has the `value` `None` and never changes.
     pub(super) fn take(&mut self, value: Option<f64>, moves: bool, spans: Spans) -> Option<Heard> {
         let value = value?;
         self.count_repeats(value, moves);
@@ -79,7 +83,8 @@ impl Hearing {
 
     fn count_repeats(&mut self, value: f64, moves: bool) {
         if value.is_nan() {
-            return; // a slower node, or a gap: neither a repetition nor a new value
+            // A slower node or a gap is neither a repetition nor a new value.
+            return;
         }
         if value.to_bits() != self.last.to_bits() || (self.may_rest && value == 0.0) {
             self.repeats = 0;
@@ -89,12 +94,15 @@ impl Hearing {
         }
     }
 
-    /// Whether the last sample has repeated itself too often to be one.
+    /// Returns `true` if the last sample has repeated too often to be a measurement.
     pub(super) fn is_stuck(&self, spans: Spans) -> bool {
         self.repeats >= spans.stuck
     }
 
-    /// Before the first sample nobody knows how strong the excitation is; later the filter knows how strong it has been.
+    /// Returns `true` if the strength of the excitation is unknown.
+    ///
+    /// This is the case before the first sample and after a long silence. In a short gap, the
+    /// filter relies on the strength so far.
     pub(super) fn is_silent(&self) -> bool {
         self.lost || (!self.known && self.silent > 0)
     }
@@ -106,7 +114,8 @@ mod tests {
 
     const SPANS: Spans = Spans { long: 10, stuck: 5 };
 
-    /// Takes samples while the structure moves, and returns what changed at which of them.
+    /// Processes samples while the structure moves. Returns the changes and the indices of their
+    /// samples.
     fn changes(
         hearing: &mut Hearing,
         values: impl IntoIterator<Item = f64>,

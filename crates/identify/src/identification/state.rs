@@ -1,4 +1,4 @@
-//! What an identification remembers: all of its state between two inputs.
+//! The checkpoint state of an identification.
 
 use super::hearing::Hearing;
 use super::{Identification, Stream};
@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 use spandrel_bus::{ClassCalibration, TimeGrid};
 use spandrel_filter::{BandLimit, FilterError};
 
-/// The whole state of an identification between two inputs: what a checkpoint holds.
+/// The whole state of an identification between two inputs, as stored in a checkpoint.
 ///
-/// An identification of the same structure file that takes it goes on with the same bits as if it had never stopped.
+/// After restoring it for the same structure file, results are bit-identical to an uninterrupted
+/// run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IdentificationState {
     estimator: EstimatorState,
@@ -26,7 +27,8 @@ pub struct IdentificationState {
 }
 
 impl IdentificationState {
-    /// Version of the layout: raised with every change of a field here or in the states below.
+    /// Version of the layout. Every change of a field here or in the nested states must increase
+    /// it.
     pub const VERSION: u16 = 2;
 }
 
@@ -51,10 +53,11 @@ impl Identification {
         }
     }
 
-    /// Takes the state of a checkpoint.
+    /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// The state does not fit the structure; the identification may then have taken part of it and is of no use.
+    /// Fails if the state does not match the structure. The identification may then be partly
+    /// restored and must not be used.
     pub fn restore(&mut self, state: IdentificationState) -> Result<(), FilterError> {
         let sizes = [
             (
@@ -105,7 +108,8 @@ impl Identification {
         Ok(())
     }
 
-    /// Returns the time of the last frame done, ns since the Unix epoch; `None` before the first.
+    /// Returns the time of the last processed frame, ns since the Unix epoch. `None` before the
+    /// first.
     #[must_use]
     pub fn last_time_ns(&self) -> Option<i64> {
         let stream = self.stream?;
@@ -113,7 +117,7 @@ impl Identification {
         Some(grid.time_ns(stream.next.checked_sub(1)?))
     }
 
-    /// Returns epoch and number of the first frame not yet done; `None` before the first.
+    /// Returns epoch and number of the first frame that is not processed. `None` before the first.
     #[must_use]
     pub fn position(&self) -> Option<(u64, u64)> {
         self.stream.map(|stream| (stream.epoch, stream.next))

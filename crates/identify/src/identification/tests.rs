@@ -7,7 +7,7 @@ fn structure() -> Structure {
     Structure::read(&path).unwrap()
 }
 
-/// Simulated frames of the demo's building in one block.
+/// Returns simulated frames of the demo building in one block.
 fn frames(count: usize) -> FrameBlock {
     let values = structure()
         .simulator(5)
@@ -59,7 +59,7 @@ fn events(outputs: &[Output]) -> Vec<&Event> {
         .collect()
 }
 
-/// Cuts a block at the given lengths, the rest in one.
+/// Cuts a block into the given lengths and a rest.
 fn cut(mut block: FrameBlock, lengths: &[u64]) -> Vec<FrameBlock> {
     let mut blocks = Vec::new();
     for &length in lengths {
@@ -116,7 +116,8 @@ fn parameters_are_displayed_ten_times_a_second_of_measurement() {
 #[test]
 fn diverged_filter_is_restarted_and_says_so() {
     let mut block = frames(300);
-    block.values[200 * 6 + 3] = 1e300; // finite, but no filter survives it
+    // The value is finite, but makes every filter diverge.
+    block.values[200 * 6 + 3] = 1e300;
     let outputs = run(vec![block]);
     let estimates = estimates(&outputs);
     assert!(estimates[200].flags.restarted && !estimates[201].flags.restarted);
@@ -182,7 +183,8 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
     );
 }
 
-/// The estimates of a long gap were more than a message may have where there are some dozens of parameters: it ended the service.
+/// Regression: with some dozens of parameters, the estimates of a long gap exceeded the size limit
+/// of a message, which ended the service.
 #[test]
 fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
@@ -208,7 +210,8 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     assert_eq!(next, 9000);
 }
 
-/// All responses of a block of frames were told before its first estimates, so that a file had them in the rows of those alone.
+/// Regression: all responses of a block preceded its first estimates, so a file contained them in
+/// the wrong rows.
 #[test]
 fn responses_are_told_with_the_estimates_of_their_frames() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
@@ -235,7 +238,8 @@ fn responses_are_told_with_the_estimates_of_their_frames() {
     assert_eq!(lengths.iter().sum::<usize>(), 2 * 8000);
 }
 
-/// All estimates of a gap were in memory at once, 417 MB of 4,096 frames of a structure with 160 parameters.
+/// Regression: all estimates of a gap were in memory at once, 417 MB for 4096 frames of a structure
+/// with 160 parameters.
 #[test]
 fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
     let begun = || {
@@ -334,7 +338,8 @@ fn missing_ground_motion_widens_the_prediction_of_its_step() {
             .iter()
             .all(|estimate| !estimate.flags.restarted && estimate.used_channels == 5)
     );
-    // the filter knows that it does not know: no innovation of that stretch is absurd
+    // The filter includes the unknown excitation in its uncertainty, so no innovation of that
+    // interval is implausible.
     let worst = estimates[500..530]
         .iter()
         .map(|e| e.normalised_innovation_squared)
@@ -364,7 +369,7 @@ fn training_ends_although_the_level_of_an_unmeasured_excitation_stays_uncertain(
     assert_eq!(estimates(&outputs)[8999].flags.phase, Phase::Working);
 }
 
-/// Frames of a changed demo, in one block.
+/// Returns frames of a changed demo in one block.
 fn of_text(change: impl Fn(String) -> String, count: usize) -> (Structure, FrameBlock) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let text = change(std::fs::read_to_string(&path).unwrap());
@@ -387,7 +392,8 @@ fn identified(structure: &Structure, block: FrameBlock) -> Vec<Output> {
 
 #[test]
 fn noise_that_keeps_disagreeing_goes_back_to_training_and_is_told() {
-    // the floors become a hundred times noisier at 40 s; the published rule cannot follow by itself
+    // The floors become a hundred times noisier at 40 s. The published rule cannot follow by
+    // itself.
     let (structure, mut block) = of_text(
         |text| text.replace("[filter]", "[filter]\nnoise-rule = \"published\""),
         12_000,
@@ -425,7 +431,7 @@ fn parameters_at_their_bounds_are_told_once() {
             .any(|event| event.why.contains("storey-2") && event.time_ns > 20_000_000_000),
         "{told:?}"
     );
-    assert!(told.len() <= 3, "{} times", told.len()); // in 40 s, with 10 s of quiet between
+    assert!(told.len() <= 3, "{} times", told.len()); // in 40 s, with 10 s off the bounds
 }
 
 #[test]
@@ -482,7 +488,7 @@ fn ground_channel_that_is_stuck_is_told_within_seconds_and_nothing_is_decided_on
         .filter(|at| phases[*at] != phases[at - 1])
         .collect();
     assert_eq!((phases[0], &turns[..]), (Phase::Working, &[2200][..]));
-    // the motion of the ground is taken as unknown: the building is still identified
+    // The ground motion counts as unknown, but the building is still identified.
     let storeys = &estimates[5999].mean[..5];
     let worst = storeys
         .iter()

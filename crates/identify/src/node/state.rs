@@ -1,4 +1,4 @@
-//! What the worker of a node takes over its own death.
+//! The checkpoint state of a node's worker.
 
 use super::{NodeIdentification, Stream};
 use crate::node_screening::NodeScreening;
@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use spandrel_filter::fusion::LocalState;
 use spandrel_filter::{BandLimit, FilterError};
 
-/// What the worker of a node knows between two inputs: what a checkpoint holds. Samples that wait for an answer are not in it.
+/// The state of a node's worker between two inputs, as stored in a checkpoint. It excludes samples
+/// that wait for feedback.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NodeState {
     epoch: u64,
@@ -19,7 +20,8 @@ pub struct NodeState {
 }
 
 impl NodeState {
-    /// Version of the layout: raised with every change of a field here or in the states below.
+    /// Version of the layout. Every change of a field here or in the nested states must increase
+    /// it.
     pub const VERSION: u16 = 2;
 }
 
@@ -38,10 +40,10 @@ impl NodeIdentification {
         }
     }
 
-    /// Goes on from a checkpoint of another life, before the first input.
+    /// Restores a checkpoint of an earlier run. This must precede the first input.
     ///
     /// # Errors
-    /// The state does not fit the node; the worker is then as it was.
+    /// Fails if the state does not match the node. The worker is then unchanged.
     pub fn restore(&mut self, state: NodeState) -> Result<(), FilterError> {
         let sizes = [
             (

@@ -4,7 +4,7 @@ use std::path::Path;
 
 const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
 
-/// The fourth node at 25 Hz, which tells no motion.
+/// Returns a worker of the fourth node at 25 Hz, without motion in its messages.
 fn worker() -> NodeIdentification {
     let mut text = FILE.to_owned();
     for (line, other) in [
@@ -19,7 +19,7 @@ fn worker() -> NodeIdentification {
     NodeIdentification::new(&structure, 3, 5).unwrap()
 }
 
-/// Samples from number `from` to before `to` of a slow swing, from time 0 on.
+/// Returns samples `from` to before `to` of a slow oscillation that starts at time 0.
 fn samples(from: u64, to: u64, pace: Pace) -> SampleBlock {
     let value = |number: u64| {
         [
@@ -233,7 +233,8 @@ fn answers_of_no_use_change_nothing() {
     assert_eq!(worker.dropped()["stale-feedback"], 3, "a repeat");
 }
 
-/// Broke: the periods of a worker were counted from its first sample, and no two of them ended together.
+/// Regression: each worker counted its periods from its first sample, so periods of different nodes
+/// did not end together.
 #[test]
 fn periods_end_at_whole_seconds_wherever_the_samples_begin() {
     for (from, phase_ns) in [(10, 0), (10, 15_000_000), (24, -15_000_000), (25, 0)] {
@@ -251,7 +252,8 @@ fn periods_end_at_whole_seconds_wherever_the_samples_begin() {
                 .collect::<Vec<_>>(),
             expected.collect::<Vec<_>>()
         );
-        // also what was learnt in a part of a period counts, since the prior that nodes share
+        // Information from a partial period also counts, relative to the prior that all nodes
+        // share.
         let prior = NodeLineage {
             own: 0,
             answers: Vec::new(),
@@ -276,7 +278,7 @@ fn periods_stay_in_step_while_the_clock_of_the_samples_drifts() {
             part.header.time_ns += block as i64 * drift_ns;
             sent.extend(run(&mut worker, [NodeInput::Samples(part)]));
         }
-        // 160 ms in all: four samples
+        // 160 ms in all, which is four samples.
         assert!(
             (3..=4).contains(&worker.dropped()[reason]),
             "{:?}",
@@ -336,7 +338,7 @@ fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
     );
 }
 
-/// Broke: variances alone were asked for, and the whole triangle was sent.
+/// Regression: the full triangle was sent although the file specified variances alone.
 #[test]
 fn variances_alone_are_sent_where_the_file_asks_for_no_more() {
     let asks = "[fusion]\ncovariance = \"variances\"";
@@ -354,7 +356,8 @@ fn variances_alone_are_sent_where_the_file_asks_for_no_more() {
     assert!(spandrel_bus::Message::check(&sent[0]).is_ok());
 }
 
-/// The fourth node at 25 Hz, which screens its samples after two seconds of training.
+/// Returns a worker of the fourth node at 25 Hz, which screens its samples after two seconds of
+/// training.
 fn screening_worker() -> NodeIdentification {
     let text = FILE
         .replace("sampling-rate-hz = 250", "sampling-rate-hz = 25")
@@ -368,12 +371,12 @@ fn screening_worker() -> NodeIdentification {
     NodeIdentification::new(&structure, 3, 5).unwrap()
 }
 
-/// Broke: what the filter of a node rejected was told to nobody.
+/// Regression: samples that the filter of a node rejected were not reported.
 #[test]
 fn rejected_samples_of_a_node_are_told_by_channel_with_its_messages() {
     let mut worker = screening_worker();
     let mut block = samples(0, 1000, Pace::Live);
-    // sample 500 of the second channel is a spike
+    // Sample 500 of the second channel is a spike.
     block.samples[2 * 500 + 1] = 100.0;
     let sent = run(&mut worker, [NodeInput::Samples(block)]);
     assert!(
@@ -415,7 +418,7 @@ fn a_message_says_that_it_is_of_no_samples() {
             .collect::<Vec<_>>(),
         [25, 0, 0, 25]
     );
-    // and so it does of a gap between blocks
+    // The same applies to a gap between blocks.
     let sent = run(
         &mut worker,
         [NodeInput::Samples(samples(150, 175, Pace::Live))],
@@ -428,7 +431,7 @@ fn a_message_says_that_it_is_of_no_samples() {
     );
 }
 
-/// A new life of a worker, from what was written of the one before.
+/// Restores a new run of a worker from the checkpoint of an earlier run.
 fn next_life(before: &NodeIdentification, mut worker: NodeIdentification) -> NodeIdentification {
     let bytes = postcard::to_stdvec(&before.state()).unwrap();
     worker
@@ -490,7 +493,7 @@ fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known()
             (expected.mean, expected.covariance),
             "message {sequence}, to the bit"
         );
-        // a name that the station has only heard of in the life before
+        // The station knows this estimate only from the earlier run.
         assert_eq!(
             told.lineage,
             Some(NodeLineage {
@@ -505,7 +508,7 @@ fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known()
             .collect::<Vec<_>>(),
         [5, 6]
     );
-    // and after an answer it tells what it learns from then on
+    // After feedback, the messages contain newly learnt information.
     run(&mut again, [answer(&told[1])]);
     let next = run(
         &mut again,

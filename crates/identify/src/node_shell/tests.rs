@@ -5,10 +5,11 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-/// Far from the numbers of other tests of this process, which must not die of it.
+/// Far from the sample numbers of other tests in this process, which must not panic.
 const FIRST: u64 = 1_000_000;
 const BLOCK: u64 = 50;
-/// A sensor measures: who begins while it does knows by that which samples are of its own life.
+/// A sensor measures continuously, and a worker that starts meanwhile detects which samples belong
+/// to its own run.
 const BLOCK_EVERY: Duration = Duration::from_millis(20);
 
 struct Lives {
@@ -76,7 +77,7 @@ impl Lives {
         service.unwrap().without(set_aside.clone())
     }
 
-    /// Puts a block after the other until an event has come.
+    /// Publishes blocks until an event has arrived.
     async fn measure_until<T>(&mut self, what: &str, event: impl Future<Output = T>) -> T {
         let mut clock = tokio::time::interval(BLOCK_EVERY);
         let measured = async {
@@ -91,7 +92,7 @@ impl Lives {
         within(what, measured).await
     }
 
-    /// Puts a block of a slow swing, live.
+    /// Publishes a live block of a slow oscillation.
     async fn put(&mut self) {
         let node = &self.structure.nodes()[0];
         let rate_hz = self
@@ -127,7 +128,7 @@ async fn within<T>(what: &str, event: impl Future<Output = T>) -> T {
         .unwrap_or_else(|_| panic!("waited in vain: {what}"))
 }
 
-/// Waits for an estimate that a life of the worker tells of.
+/// Waits for an estimate from this run of the worker.
 async fn estimate_of(local: &Subscription<LocalMessage>, epoch: u64) {
     loop {
         let (_, message) = local.messages().recv_async().await.unwrap();
@@ -159,7 +160,7 @@ fn is_lost(ended: &Result<(), IdentifyError>) -> bool {
     matches!(ended, Err(IdentifyError::ThreadLost { .. }))
 }
 
-/// It ended the process, and did so again with each new one: the samples came again.
+/// Regression: the panic terminated the process, and each restart received the same samples again.
 #[tokio::test(flavor = "multi_thread")]
 async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
     let mut lives = Lives::new().await;
@@ -205,7 +206,7 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
     let told = async { while events.messages().recv_async().await.unwrap().1.what != expected {} };
     within(&expected, told).await;
 
-    // the same samples come again: who does not know of them dies as well
+    // The same samples arrive again and cause a panic in a worker that does not exclude them.
     let ignorant = tokio::spawn(
         lives
             .begin(2, &SetAside::default())

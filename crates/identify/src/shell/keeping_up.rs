@@ -1,4 +1,4 @@
-//! Whether the service keeps up with ingest, told in its status and by events.
+//! Reports in status and events whether the service keeps up with ingest.
 
 use super::IdentifyService;
 use crate::error::IdentifyError;
@@ -7,18 +7,19 @@ use spandrel_bus::{EventKind, Load};
 use std::cmp::Ordering;
 
 impl IdentifyService {
-    /// Compares what is done with what ingest has made; a change of the load is told at once, and `true` returned.
+    /// Compares the progress with that of ingest. If the load has changed, publishes it and returns
+    /// `true`.
     pub(super) async fn look_at_the_load(&mut self) -> Result<bool, IdentifyError> {
         if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
             self.pace = status.pace;
         }
         let (Some(core), Some(made)) = (&self.core, self.made.latest()) else {
-            return Ok(false); // it does nothing yet, or nothing is known of ingest
+            return Ok(false); // this process is paused, or the progress of ingest is unknown
         };
         let behind = match made.header.epoch.cmp(&self.epoch) {
-            Ordering::Less => 0, // said in an earlier life
+            Ordering::Less => 0, // progress of an earlier epoch
             Ordering::Equal => made.done.saturating_sub(core.done()),
-            Ordering::Greater => made.done, // and what is left of the epoch before
+            Ordering::Greater => made.done, // plus the rest of the earlier epoch
         };
         if !self.load.observe(behind, self.pace) {
             return Ok(false);

@@ -1,4 +1,5 @@
-//! Where the service stands among others that identify the same structure: it joins, stands by, takes over, steps back.
+//! The role of the service among others that identify the same structure: it joins, stands by,
+//! takes over or steps back.
 
 use super::{IdentifyService, follow_frames, now_ns, start_of};
 use crate::error::IdentifyError;
@@ -16,10 +17,13 @@ use tokio::task::spawn_blocking;
 use tokio::time::Instant;
 use tracing::{info, warn};
 
-/// Estimates kept for readers that missed some, at most.
+/// Maximum number of estimates kept for subscribers that have missed some.
 pub const ESTIMATES_KEPT: u64 = 32_768;
-/// Those that alert may need, if it is started again, are kept for longer than it should take, and are more than the window of a replay;
-/// what it needs no more stays for other readers, whose links may fail for a while.
+/// Retention of estimates.
+///
+/// Estimates that a restarted alert service may need are kept for longer than its restart should
+/// take. Their number exceeds the window of a replay. Estimates that it no longer needs are kept
+/// for other subscribers, whose links can fail for a while.
 const KEEP: Keep = Keep {
     last: ESTIMATES_KEPT,
     needed: Some(Forget {
@@ -32,17 +36,20 @@ const KEEP: Keep = Keep {
     }),
 };
 
-/// Questions for the state that wait; one more is not heard, and asked again.
+/// Capacity of the queue for state queries. Further queries are dropped, and the standby repeats
+/// them.
 const QUESTIONS_WAITING: usize = 4;
-/// Time for the network to say who leads; whoever is silent for longer is heard of by his claim.
+/// Time limit for replies about the leader. A slower leader is detected later by its claim.
 pub(super) const WHO_LEADS_WITHIN: Duration = Duration::from_millis(500);
-/// Time for the one that leads to give its state.
+/// Time limit for the leader to send its state.
 const STATE_WITHIN: Duration = Duration::from_secs(5);
-/// A process that was not awake for this long may have lost the lead meanwhile: it asks before it puts anything.
+/// Time without activity after which a process may have lost the lead. It then queries the network
+/// before it publishes.
 const ASLEEP: Duration = Duration::from_millis(1500);
 
-/// Refuses a structure whose state does not fit one message: nobody could ever take it over, and who stands by would be told so only
-/// by the log.
+/// Rejects a structure whose state does not fit into one message.
+///
+/// No process could ever take over from it, and only the log of the standby would report that.
 pub(super) fn check_size(
     structure: &Structure,
     core: &Identification,
@@ -51,7 +58,7 @@ pub(super) fn check_size(
 }
 
 fn check_size_of(structure: &str, checkpoint: Vec<u8>) -> Result<(), IdentifyError> {
-    // as large as numbers get
+    // The header has its maximum size.
     let header = Header {
         source: structure.to_owned(),
         epoch: u64::MAX,
@@ -75,12 +82,12 @@ fn check_size_of(structure: &str, checkpoint: Vec<u8>) -> Result<(), IdentifyErr
 }
 
 impl IdentifyService {
-    /// Notes the highest term of which anybody has told.
+    /// Records the highest term that any process has claimed.
     pub(super) fn hear(&mut self, claim: Option<&Claim>) {
         self.heard = self.heard.max(claim.map_or(0, Claim::term));
     }
 
-    /// Goes by who claims to lead: joins, takes over or steps back.
+    /// Acts on the current claims: joins, takes over or steps back.
     pub(super) async fn reconsider(&mut self) -> Result<(), IdentifyError> {
         if !self.has_kept_the_lead().await? {
             return Ok(());
@@ -104,7 +111,7 @@ impl IdentifyService {
         }
     }
 
-    /// Takes what this service remembers itself, to identify from there on.
+    /// Starts identification from the service's own checkpoint.
     pub(super) async fn begin(&mut self) -> Result<(), IdentifyError> {
         let new = || Identification::new(&self.structure, self.id.as_str());
         let core = match &self.memory {
@@ -114,8 +121,8 @@ impl IdentifyService {
         self.stand_by(core, None).await
     }
 
-    /// Asks the one that leads for its state, and identifies the same from there on. Where that fails it is tried again with the next
-    /// status.
+    /// Requests the leader's state and continues in step with the leader. If that fails, the next
+    /// status tick retries.
     async fn join(&mut self, leader: &Claim) -> Result<(), IdentifyError> {
         let failed = match self.bus.ask_for_state(&self.keys, STATE_WITHIN).await? {
             None => "no answer".to_owned(),
@@ -135,10 +142,10 @@ impl IdentifyService {
                 }
             },
         };
-        // out of step: what has been identified here so far is not what that one does
+        // The process is out of step: its own results differ from those of the leader.
         self.leave();
         self.failed_joins += 1;
-        // one that has just taken over may not answer yet
+        // A process that has just taken over might not reply yet.
         if self.failed_joins > 1 && self.failed_joins.is_power_of_two() {
             let (structure, times) = (self.keys.structure().as_str(), self.failed_joins);
             warn!(structure, %leader, why = failed, times, "cannot stand by: no state of the one that leads");
@@ -146,7 +153,7 @@ impl IdentifyService {
         Ok(())
     }
 
-    /// Identifies no more until it has joined anew.
+    /// Pauses identification until the process has joined again.
     pub(super) fn leave(&mut self) {
         self.seat = Seat::Joining;
         self.core = None;
@@ -158,7 +165,8 @@ impl IdentifyService {
         core: Identification,
         in_step_with: Option<Claim>,
     ) -> Result<(), IdentifyError> {
-        let (epoch, first) = core.position().unwrap_or((0, 0)); // without a past: the epoch of the first frames
+        // Without a checkpoint, the epoch is set by the first frames.
+        let (epoch, first) = core.position().unwrap_or((0, 0));
         let stream = NumberedStream {
             key: self.keys.estimates(),
             buffer_key: self.keys.estimates_buffer(),
@@ -182,13 +190,16 @@ impl IdentifyService {
         Ok(())
     }
 
-    /// Leads, if frames can be had: whoever sees neither a leader nor ingest has lost its link, and would only take the lead from one
-    /// that is in its place.
+    /// Takes the lead if frames are available.
+    ///
+    /// A process that sees neither a leader nor ingest has lost its link. It would only displace a
+    /// working leader.
     async fn take_over(&mut self) -> Result<(), IdentifyError> {
         if self.ingest.present().is_empty() {
             return Ok(());
         }
-        // with a link all tokens go, one after the other, and what was heard of them may be behind what they are
+        // When a link fails, the tokens disappear one after the other. The local view of them may
+        // be outdated.
         let ingest = self.keys.all_live(Service::Ingest);
         let (ingest, leader) = tokio::join!(
             self.bus.ask_who_is_there(&ingest, WHO_LEADS_WITHIN),
@@ -197,12 +208,12 @@ impl IdentifyService {
         let leader = leader?;
         self.hear(leader.as_ref());
         if ingest?.is_empty() || leader.is_some() {
-            return Ok(()); // its claim comes, or goes
+            return Ok(()); // the claim will appear or disappear
         }
         self.lead("nobody else leads").await
     }
 
-    /// Claims the lead, and leads unless another one claims more at the same time.
+    /// Claims the lead, and leads unless another process makes a higher claim at the same time.
     pub(super) async fn lead(&mut self, why: &str) -> Result<(), IdentifyError> {
         if !matches!(self.seat, Seat::StandingBy(_)) {
             return Ok(());
@@ -242,7 +253,7 @@ impl IdentifyService {
             in_step_with,
         }) = std::mem::replace(&mut self.seat, Seat::Joining)
         else {
-            return Ok(()); // it was
+            return Ok(()); // checked above
         };
         let estimates = estimates.lead(&self.bus, term).await?;
         let led = self.led.latest();
@@ -255,7 +266,8 @@ impl IdentifyService {
             estimates.put_again(epoch, done).await?;
         }
         if let Some((epoch, done)) = position {
-            // Sources may wait for what was done last before somebody died, and could not say.
+            // A source can be waiting for the last progress, which a failed leader was unable to
+            // publish.
             progress.set(epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
         }
         if let Some(led) = &led {
@@ -282,7 +294,7 @@ impl IdentifyService {
         Ok(())
     }
 
-    /// Another one leads: what this one would put now is refused by its readers.
+    /// Stops publishing because another process leads. Subscribers would reject further messages.
     async fn step_back(&mut self, leader: Claim) -> Result<(), IdentifyError> {
         warn!(structure = self.keys.structure().as_str(), %leader, "superseded: another one leads, this one puts nothing more");
         self.hear(Some(&leader));
@@ -290,7 +302,9 @@ impl IdentifyService {
         self.join(&leader).await
     }
 
-    /// Whether it still leads, of one that did: asked of the network after a time in which it was not awake. True of all others.
+    /// Returns `true` if the process still leads, or did not lead.
+    ///
+    /// A leader queries the network after a time without activity.
     pub(super) async fn has_kept_the_lead(&mut self) -> Result<bool, IdentifyError> {
         let slept = self.awake.elapsed() > ASLEEP;
         self.awake = Instant::now();
@@ -309,7 +323,7 @@ impl IdentifyService {
         }
     }
 
-    /// Gives the state to one that wants to stand by.
+    /// Sends the state to a process that wants to stand by.
     pub(super) fn answer(&self, question: Question) {
         let (Seat::Leading(leading), Some(core)) = (&self.seat, &self.core) else {
             return;
@@ -328,7 +342,8 @@ impl IdentifyService {
             self.keys.state(),
             leading.claim.term(),
         );
-        // Megabytes over a slow link: not on a thread of the runtime, and nobody waits for it.
+        // The state can be megabytes over a slow link. It is therefore sent from a blocking thread,
+        // without waiting.
         spawn_blocking(move || {
             let sealed = identity.seal(&state).map_err(|error| error.to_string());
             let answered = async {

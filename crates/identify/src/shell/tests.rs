@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-/// Far from the numbers of other tests of this process, which must not die of it.
+/// Far from the frame numbers of other tests in this process, which must not panic.
 const FIRST: u64 = 1_000_000;
 const POISON: u64 = FIRST + 333;
 const FRAMES: u64 = 600;
@@ -46,7 +46,7 @@ fn blocks() -> Vec<FrameBlock> {
     (0..).zip(rows.chunks(BLOCK as usize)).map(block).collect()
 }
 
-/// What is estimated where the poisoned frame never came.
+/// Returns the estimates of a run that never receives the poisoned frame.
 fn without_the_frame() -> Vec<String> {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
@@ -82,7 +82,8 @@ fn without_the_frame() -> Vec<String> {
         .collect()
 }
 
-/// Runs the service on frames of which one makes it panic, and returns what a reader of its estimates gets.
+/// Runs the service on frames, one of which causes a panic. Returns the estimates that a subscriber
+/// receives.
 async fn estimates_of_a_service_that_dies(
     remembering: Option<Remembering>,
 ) -> (Vec<(u64, String)>, u64) {

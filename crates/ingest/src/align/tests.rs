@@ -53,7 +53,7 @@ fn feed(alignment: &mut Alignment, blocks: Vec<(usize, SampleBlock)>) -> Vec<Fra
     out
 }
 
-/// Frames come in order, none skipped, and every block could be sent.
+/// Checks that frames are in order without gaps, and that every block is valid for sending.
 fn check(blocks: &[FrameBlock]) {
     for block in blocks {
         block.check().unwrap();
@@ -67,7 +67,7 @@ fn check(blocks: &[FrameBlock]) {
     }
 }
 
-/// Values with -1 for missing, as NaN equals nothing.
+/// Returns the values with -1 for missing samples, because NaN does not equal itself.
 fn values(blocks: &[FrameBlock]) -> Vec<f64> {
     let values = blocks.iter().flat_map(|block| &block.values);
     values.map(|v| if v.is_nan() { -1.0 } else { *v }).collect()
@@ -145,7 +145,8 @@ fn a_lost_node_is_not_waited_for_and_is_taken_back() {
         (0, block(0, T0 + 2 * STEP, &[3.0])),
         (1, block(1, T0 + 2 * STEP, &[30.0])),
     ];
-    // Taken back: the frame of the first sample after the loss may already be closed for node 1 alone.
+    // The node counts again. The frame of the first sample after the loss may already be closed for
+    // node 1 alone.
     assert_eq!(values(&feed(&mut alignment, back)), [3.0, 30.0]);
 }
 
@@ -393,7 +394,7 @@ fn a_node_that_alone_goes_back_is_late() {
     assert_eq!(alignment.counts().late, 1);
 }
 
-// It was left out for as long as its blocks came after the frames were closed without it.
+// Late blocks must not exclude the node even if frames close without it.
 #[test]
 fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come() {
     let mut alignment = alignment(&[1, 1]);
@@ -432,7 +433,7 @@ fn long_outputs_are_split() {
     assert_eq!(values(&out), samples);
 }
 
-/// A node's record cut into blocks: how many samples it has, its clock's offset, samples it lost, and the cuts.
+/// A node's record cut into blocks: the clock offset, which samples are kept, and the cuts.
 #[derive(Clone, Debug)]
 struct Record {
     offset_ns: i64,
@@ -446,7 +447,7 @@ fn record() -> impl Strategy<Value = Record> {
         vec(prop::bool::weighted(0.9), 1..60),
         vec(1usize..7, 60),
     )
-        // Half a step from a frame 1 ns decides; TimeGrid's own tests are about that.
+        // At half a step from a frame, 1 ns decides. The tests of `TimeGrid` cover that case.
         .prop_filter("on the edge", |(offset, ..)| {
             (offset.rem_euclid(STEP) - STEP / 2).abs() > 10
         })
@@ -493,7 +494,7 @@ fn cut(node: usize, record: &Record, one_by_one: bool) -> Vec<SampleBlock> {
     blocks
 }
 
-/// What the buffer of a node gives from a place on.
+/// Returns the blocks that the buffer of a node serves from `place` on.
 fn from_place(blocks: Vec<SampleBlock>, place: NodePlace) -> Vec<SampleBlock> {
     let after = |mut block: SampleBlock| {
         let is_end = block.state == StreamState::Ended;
@@ -560,7 +561,8 @@ proptest! {
             let before = found.len();
             killed.handle(Input::Samples { node, block }, &mut found);
             if found.len() > before {
-                places = killed.places(); // as they are recorded: with frames
+                // Positions are recorded together with frames.
+                places = killed.places();
             }
         }
         let mut next = alignment(&channels);

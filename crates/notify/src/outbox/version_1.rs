@@ -1,7 +1,9 @@
-//! What is remembered of notices as Spandrel 0.1.0 laid it out: a part of version 1 of the checkpoint of notify.
+//! The state of notices in the layout of Spandrel 0.1.0, a part of version 1 of the checkpoint of
+//! notify.
 //!
-//! postcard writes fields in order and without names. So each type here has the fields of 0.1.0 in the order of 0.1.0. Types
-//! that have not changed since are used as they are; whoever changes one of them adds its former layout here.
+//! postcard writes fields in order and without names. Each type here therefore has the fields of
+//! 0.1.0 in the order of 0.1.0. Types without later changes are used directly. Anyone who changes
+//! one of them must add its former layout here.
 
 use serde::Deserialize;
 use spandrel_bus::{AlertState, CredibleInterval, FitReasons, Name};
@@ -20,7 +22,8 @@ impl From<Remembered> for super::Remembered {
             former.last.into_iter().map(Into::into).collect();
         Self {
             keys: former.keys,
-            // Version 1 sent every alert that it took, so that the last one of each parameter is no news.
+            // Version 1 sent every alert that it received, so the last one of each parameter is
+            // known.
             told: last.clone(),
             last,
             waiting: former.waiting.into_iter().map(Into::into).collect(),
@@ -52,7 +55,7 @@ impl From<Undelivered> for super::Undelivered {
     }
 }
 
-/// [`spandrel_bus::AlertMessage`] of version 1. Nobody judged the fit, and no alert was revised.
+/// [`spandrel_bus::AlertMessage`] of version 1, which had no verdict on the fit and no revisions.
 #[derive(Debug, Deserialize)]
 struct AlertMessage {
     structure: Name,

@@ -1,8 +1,15 @@
-//! PEER records (AT2, VT2, DT2): four lines of header, then numbers of one channel.
+//! PEER records (AT2, VT2, DT2): four header lines, then the numbers of one channel.
 //!
-//! Layout: Pacific Earthquake Engineering Research Center, *NGA strong motion database*, file format: title; earthquake,
-//! station and component; quantity and unit; number of points and time step, either `NPTS=  4000, DT= .01000 SEC` or
-//! `4000  0.0100  NPTS, DT`. Then fields 15 wide, mostly five a line.
+//! The header lines are the title; earthquake, station and component; quantity and unit; number of
+//! points and time step. The fourth line has one of two forms:
+//!
+//! - `NPTS=  4000, DT= .01000 SEC`
+//! - `4000  0.0100  NPTS, DT`
+//!
+//! The numbers have fields of 15 characters, mostly five per line.
+//!
+//! Source: Pacific Earthquake Engineering Research Center, *NGA strong motion database*, file
+//! format.
 
 use super::text_lines::{NumberColumns, TextLines, decimal, text_of};
 use crate::fault::Fault;
@@ -11,7 +18,7 @@ use crate::recorded::{RecordedChannel, Segment};
 
 const FIELD_WIDTH: usize = 15;
 
-/// Whether the head of a file is that of a PEER record.
+/// Returns `true` if the head of a file is that of a PEER record.
 pub(crate) fn is_at2(head: &str) -> bool {
     let mut lines = head.lines();
     let title = lines
@@ -23,7 +30,7 @@ pub(crate) fn is_at2(head: &str) -> bool {
             .any(|line| line.to_ascii_uppercase().contains("NPTS"))
 }
 
-/// Reads one channel.
+/// Reads the channel of a file.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let text = text_of(bytes);
     let mut lines = TextLines::new(&text);
@@ -50,7 +57,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
         .unwrap_or_default();
     let unit = unit.trim_end_matches('.').to_ascii_lowercase();
 
-    // Files with other numbers a line are about; the first line of numbers tells how many.
+    // The number of fields per line varies between files, so the first line of numbers determines
+    // it.
     let per_line = lines
         .clone()
         .next()
@@ -68,7 +76,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     Ok(vec![channel.with_unit(unit).with_description(place)])
 }
 
-/// Number of points and time step (s) of either form of the fourth line.
+/// Returns the number of points and the time step (s) from either form of the fourth line.
 fn points_and_step(line: &str) -> Option<(usize, f64)> {
     let upper = line.to_ascii_uppercase();
     let after = |key: &str| {

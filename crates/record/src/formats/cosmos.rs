@@ -1,9 +1,14 @@
-//! COSMOS V0 to V2: channels one after the other, each with text, integers, reals and comments in front of its samples.
+//! COSMOS V0 to V2: a sequence of channels, each with text, integers, reals and comments before its
+//! samples.
 //!
-//! Layout: COSMOS, *Strong motion data format v1.20* (2001). The first line states the number of lines of text; the counts of
-//! integers, reals, comments and samples stand in the lines before them, with their columns as a Fortran format.
-//! Integers: 1 processing stage, 2 unit, 40 year, 41 day of the year, 44 hour, 45 minute, 50 number of the channel
-//! at the station. Reals: 30 second, 62 time step of these samples (ms), 34 that of the recorder (s), which can be another one.
+//! The first line states the number of text lines. The lines before integers, reals, comments and
+//! samples state their counts, and their columns as a Fortran format.
+//!
+//! Integers: 1 processing stage, 2 unit, 40 year, 41 day of the year, 44 hour, 45 minute, 50
+//! channel number at the station. Reals: 30 second, 62 time step of these samples (ms), 34 time
+//! step of the recorder (s), which may differ.
+//!
+//! Source: COSMOS, *Strong motion data format v1.20* (2001).
 
 use super::text_lines::{NumberColumns, TextLines, columns_of, text_of};
 use crate::fault::Fault;
@@ -11,16 +16,17 @@ use crate::rate::rate_from_step;
 use crate::record_time::day_of_year_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
-/// Integer or real that is not known.
+/// Value of an unknown integer or real.
 const UNKNOWN: i64 = -999;
 
-/// Whether the head of a file is that of a COSMOS file.
+/// Returns `true` if the head of a file is that of a COSMOS file.
 pub(crate) fn is_cosmos(head: &str) -> bool {
     let lower = head.lines().next().unwrap_or_default().to_ascii_lowercase();
     lower.contains("(format v") && lower.contains("text lines")
 }
 
-/// Reads all channels, named `channel-N.acceleration` and so on, or by network, station and component.
+/// Reads all channels. Their names are `channel-N.acceleration` and so on, or consist of network,
+/// station and component.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let text = text_of(bytes);
     let mut lines = TextLines::new(&text);
@@ -165,7 +171,7 @@ fn read_channel(
         .with_origin(origin))
 }
 
-/// Reads a line that begins with a number and contains `what`.
+/// Reads a line that starts with a number and contains `what`.
 fn number_before<'a>(lines: &mut TextLines<'a>, what: &str) -> Result<(usize, &'a str), Fault> {
     let line = lines.line("the header")?;
     let number = line
@@ -201,7 +207,7 @@ fn counted(lines: &mut TextLines<'_>, what: &str) -> Result<(usize, NumberColumn
     ))
 }
 
-/// The columns of `format= (8f10.5)`.
+/// Parses the columns of `format= (8f10.5)`.
 fn format_of(lower: &str) -> Option<NumberColumns> {
     let format = lower
         .split_once("format=")?
@@ -267,7 +273,7 @@ mod tests {
             [-1.000023, 1e-6, 2e-6]
         );
         assert_eq!(channels[0].sampling_rate_hz(), Some(200.0));
-        // date -u -d '2018-08-29T02:33:04Z' +%s
+        // Source: `date -u -d '2018-08-29T02:33:04Z' +%s`
         assert_eq!(channels[0].start_ns(), Some(1_535_509_984_400_000_000));
     }
 

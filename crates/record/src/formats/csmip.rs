@@ -1,10 +1,16 @@
-//! CSMIP volume 2: acceleration, velocity and displacement of one or more channels, one after the other.
+//! CSMIP volume 2: a sequence of channels, each with acceleration, velocity and displacement.
 //!
-//! Layout: California Strong Motion Instrumentation Program, *Standard tape format for processed strong-motion data* (Shakal
-//! and Huang 1985, report OSMS 85-03): per channel 25 lines of text, integers and reals, and three blocks, each behind a line
-//! such as `10100 points of accel data equally spaced at 0.010 sec, in cm/sec2. (8f10.5)`, in older files
-//! `3000 POINTS OF ACCEL DATA EQUALLY SPACED AT .020 SEC. (UNITS: CM/SEC/SEC)`. What is read is in the lines of text; the
-//! integers and reals repeat it in fewer digits.
+//! Each channel has 25 lines of text, integers and reals, and three blocks of samples. A line such
+//! as one of these precedes each block, the second one in older files:
+//!
+//! - `10100 points of accel data equally spaced at 0.010 sec, in cm/sec2. (8f10.5)`
+//! - `3000 POINTS OF ACCEL DATA EQUALLY SPACED AT .020 SEC. (UNITS: CM/SEC/SEC)`
+//!
+//! This module reads the lines of text only, because the integers and reals repeat them with fewer
+//! digits.
+//!
+//! Source: California Strong Motion Instrumentation Program, *Standard tape format for processed
+//! strong-motion data* (Shakal and Huang 1985, report OSMS 85-03).
 
 use super::text_lines::{NumberColumns, TextLines, columns_of, decimal, text_of};
 use crate::fault::Fault;
@@ -12,13 +18,13 @@ use crate::rate::rate_from_step;
 use crate::record_time::civil_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
-/// Columns of files that do not state them.
+/// Default columns for files that do not state them.
 const COLUMNS: NumberColumns = NumberColumns {
     per_line: 8,
     width: 10,
 };
 
-/// Whether the head of a file is that of a CSMIP volume 2 file.
+/// Returns `true` if the head of a file is that of a CSMIP volume 2 file.
 pub(crate) fn is_csmip(head: &str) -> bool {
     let lower = head
         .lines()
@@ -29,7 +35,7 @@ pub(crate) fn is_csmip(head: &str) -> bool {
     lower.starts_with("corrected accelerogram")
 }
 
-/// What the lines of text of one channel say.
+/// The content of the text lines of one channel.
 #[derive(Debug, Clone, Default)]
 struct Heading {
     channel: Option<u32>,
@@ -37,7 +43,7 @@ struct Heading {
     start_ns: Option<i64>,
 }
 
-/// Reads all blocks of all channels, named `channel-N.acceleration` and so on.
+/// Reads all blocks of all channels. Their names are `channel-N.acceleration` and so on.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let text = text_of(bytes);
     let mut lines = TextLines::new(&text);
@@ -147,7 +153,7 @@ fn read_block(
 }
 
 impl Heading {
-    /// Takes what a line of text says.
+    /// Parses a line of text.
     fn take(&mut self, line: &str, lower: &str) {
         if let Some((_, rest)) = lower.split_once("start time:")
             && self.start_ns.is_none()
@@ -160,7 +166,7 @@ impl Heading {
                 .split(':')
                 .next()
                 .and_then(|number| number.trim().parse().ok());
-            // older files: the recorder's channel first, and then `(STA CHN:  7)`
+            // Older files state the channel of the recorder first, and then `(STA CHN:  7)`.
             let station = lower
                 .split_once("sta chn:")
                 .and_then(|(_, rest)| rest.split(')').next()?.trim().parse().ok());
@@ -171,7 +177,7 @@ impl Heading {
     }
 }
 
-/// Reads `12/20/22, 10:34: 1.0 UTC`; years of two digits are 1970 to 2069.
+/// Parses `12/20/22, 10:34: 1.0 UTC`. Two-digit years are 1970 to 2069.
 fn start_ns(text: &str) -> Option<i64> {
     let (date, time) = text.split_once(',')?;
     let time = time.split_once("utc").or_else(|| time.split_once("gmt"))?.0;
@@ -238,7 +244,7 @@ mod tests {
             channels[0].samples().collect::<Vec<_>>()[7..],
             [-100.12345, 1.0]
         );
-        // date -u -d '2022-12-20T10:34:01Z' +%s
+        // Source: `date -u -d '2022-12-20T10:34:01Z' +%s`
         assert_eq!(channels[5].start_ns(), Some(1_671_532_441_500_000_000));
         assert_eq!(
             channels[0].description(),

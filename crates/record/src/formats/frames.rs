@@ -1,4 +1,4 @@
-//! The frames of a frame log, as channels of a recording.
+//! Converts the frames of a frame log to channels of a recording.
 
 use std::collections::BTreeMap;
 
@@ -6,18 +6,19 @@ use crate::fault::Fault;
 use crate::frame_log::{StatedLayout, decode_frames, frame_time_ns};
 use crate::recorded::{RecordedChannel, TimeOrigin};
 
-/// Frames of one segment or of several, in the order in which they are read.
+/// Frames of one or more segments, in reading order.
 #[derive(Debug, Default)]
 pub(crate) struct FrameRows {
     names: Vec<String>,
     rate_hz: f64,
     times_ns: Vec<i64>,
-    /// By channel.
+    /// Values by channel.
     columns: Vec<Vec<f64>>,
 }
 
 impl FrameRows {
-    /// Takes what a segment states of its frames; those of all segments must be of the same channels and rate.
+    /// Reads the layout from the metadata of a segment. All segments must have the same channels
+    /// and sampling rate.
     pub(crate) fn take_layout(&mut self, metadata: &BTreeMap<String, String>) -> Result<(), Fault> {
         let stated = StatedLayout::from_metadata(metadata).ok_or_else(|| {
             Fault::of_file(
@@ -45,7 +46,7 @@ impl FrameRows {
         Ok(())
     }
 
-    /// Takes the frames of a message that ends at this byte.
+    /// Decodes the frames of a message that ends at byte `place`.
     pub(crate) fn take(&mut self, place: usize, message: &[u8]) -> Result<(), Fault> {
         let refused = |found: String| {
             Fault::at_byte(
@@ -72,8 +73,10 @@ impl FrameRows {
         Ok(())
     }
 
-    /// The channels, in the order of time, and what a person should know. Of frames closer than half a step the first one
-    /// stays: epochs that overlap measure the same time twice.
+    /// Returns the channels in time order, and remarks for the user.
+    ///
+    /// If two frames are not more than half a step apart, the first one counts. Such frames occur
+    /// when epochs overlap and cover the same time twice.
     pub(crate) fn channels(self) -> (Vec<RecordedChannel>, Vec<String>) {
         let Self {
             names,
@@ -83,7 +86,8 @@ impl FrameRows {
         } = self;
         let half_step_ns = (0.5e9 / rate_hz) as i64;
         let mut order: Vec<usize> = (0..times_ns.len()).collect();
-        order.sort_by_key(|row| times_ns[*row]); // stable
+        // The stable sort keeps the reading order of simultaneous frames.
+        order.sort_by_key(|row| times_ns[*row]);
         let mut last_ns: Option<i64> = None;
         order.retain(|row| {
             let is_apart =

@@ -1,8 +1,12 @@
 //! MATLAB level 5 MAT-files (versions 5 to 7.2), compressed or not.
 //!
-//! Layout: MathWorks, *MAT-File Format* (2019), chapter 1: a header of 128 bytes, then data elements, each with a tag (type and number
-//! of bytes) and padded to eight bytes. No crate is used: those that read structures take the sizes in a file at their word, or panic on
-//! what they do not know. Version 7.3 is HDF5, another format.
+//! A file has a header of 128 bytes, and then data elements. Each element has a tag (type and
+//! number of bytes) and is padded to eight bytes. Version 7.3 is HDF5, which is another format.
+//!
+//! No crate is used. The crates that read structures trust the sizes in a file, or panic on unknown
+//! content.
+//!
+//! Source: MathWorks, *MAT-File Format* (2019), chapter 1.
 
 mod array;
 mod channels;
@@ -15,14 +19,14 @@ use crate::recorded::RecordedChannel;
 use crate::unpacked::UnpackingBudget;
 
 const HEADER_BYTES: usize = 128;
-/// Type of an element that is compressed by zlib.
+/// Type of an element compressed by zlib.
 const COMPRESSED: u32 = 15;
-/// Type of an element that is an array.
+/// Type of an array element.
 const MATRIX: u32 = 14;
-/// Version that the header of a level 5 file states.
+/// Version in the header of a level 5 file.
 const LEVEL_5: u16 = 0x0100;
 
-/// Whether a file begins as MAT-files of level 5 do, or as HDF5 within the header of one.
+/// Returns `true` if a file begins like a level 5 MAT-file, or like HDF5 with such a header.
 pub(crate) fn is_matlab(head: &[u8]) -> bool {
     head.starts_with(b"MATLAB ")
         && head
@@ -72,7 +76,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
                     )
                 })?;
                 if kind == MATRIX {
-                    // places within what was compressed mean nothing to a reader of the file
+                    // Positions in decompressed data are meaningless to the user.
                     let named = Array::read(Bytes::new(data, file.order), 0).map_err(|fault| {
                         Fault::at_byte(
                             start,
@@ -102,10 +106,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     channels::of_variables(&variables)
 }
 
-/// Reads the tag of an element and its data, and steps over what pads it.
+/// Reads the tag and the data of an element, and skips the padding.
 fn tagged<'a>(file: &mut Bytes<'a>) -> Result<(u32, &'a [u8]), Fault> {
     let word = file.u32()?;
-    // a small element has its number of bytes in the upper half of the first word, and its data in the second
+    // In a small element, the upper half of the first word is the number of bytes, and the second
+    // word contains the data.
     if word >> 16 != 0 {
         let (kind, length, start) = (word & 0xffff, (word >> 16) as usize, file.position());
         let data = file.take(4)?;

@@ -1,7 +1,8 @@
-//! MCAP files with JSON messages or the frames of a frame log, through the crate `mcap`.
+//! MCAP files with JSON messages or with the frames of a frame log, read with the crate `mcap`.
 //!
-//! Every number in the messages of a topic is a channel: `topic` if a message has the field `value` alone, `topic.field` otherwise.
-//! The time of a sample is the log time of its message. A file that was cut off by a crash is read up to its last whole chunk.
+//! Every number in the messages of a topic is a channel. Its name is `topic` if messages have only
+//! the field `value`, and `topic.field` otherwise. The time of a sample is the log time of its
+//! message. A file truncated by a crash is read up to its last complete chunk.
 
 use std::collections::BTreeMap;
 
@@ -16,12 +17,12 @@ use crate::frame_log::FRAMES_ENCODING;
 use crate::mcap_record::parse_record;
 use crate::recorded::{RecordedChannel, TimeOrigin};
 
-/// Records and chunks longer than this are refused: a damaged file may claim any length.
+/// Maximum length of records and chunks, in bytes. A damaged file may state any length.
 const LONGEST_RECORD_BYTES: usize = 256 << 20;
-/// Field that is the channel itself.
+/// Name of the field whose channel has the name of the topic.
 pub(crate) const VALUE_FIELD: &str = "value";
 
-/// Keys of the metadata of a channel that this crate writes.
+/// Metadata keys of a channel that this crate writes.
 pub(crate) mod keys {
     pub(crate) const UNIT: &str = "unit";
     pub(crate) const DESCRIPTION: &str = "description";
@@ -30,12 +31,12 @@ pub(crate) mod keys {
     pub(crate) const START_OF_RECORD: &str = "start of the recording";
 }
 
-/// Whether a file begins as MCAP files do.
+/// Returns `true` if a file begins like an MCAP file.
 pub(crate) fn is_mcap(head: &[u8]) -> bool {
     head.starts_with(::mcap::MAGIC)
 }
 
-/// A topic: where its messages come from, and the samples of each number in them.
+/// A topic with its metadata, and the samples of each number in its messages.
 #[derive(Debug, Default)]
 struct Topic {
     name: String,
@@ -44,10 +45,10 @@ struct Topic {
     fields: BTreeMap<String, Vec<(i64, f64)>>,
 }
 
-/// What a person should know of a file without an end.
+/// Remark on a file without an end.
 const CUT_OFF: &str = "the file was cut off: it is read up to its last whole chunk";
 
-/// Reads the frames of a segment of a frame log; also returns what a person should know of the file.
+/// Reads the frames of a frame log segment. Returns remarks for the user.
 pub(crate) fn read_frames(bytes: &[u8], frames: &mut FrameRows) -> Result<Vec<String>, Fault> {
     let mut topics = BTreeMap::new();
     let is_whole = each_record(bytes, |place, record| {
@@ -60,7 +61,7 @@ pub(crate) fn read_frames(bytes: &[u8], frames: &mut FrameRows) -> Result<Vec<St
     })
 }
 
-/// Reads all numbers; also returns what a person should know of the file.
+/// Reads all numbers. Also returns remarks for the user.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), Fault> {
     let mut topics: BTreeMap<u16, Topic> = BTreeMap::new();
     let mut frames = FrameRows::default();
@@ -103,20 +104,21 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), 
     Ok((channels, remarks))
 }
 
-/// Calls `take` with each record and the byte up to which the file was used; returns whether the file has an end.
+/// Calls `take` with each record and the position of the reader in the file. Returns `true` if the
+/// file has an end.
 fn each_record(
     bytes: &[u8],
     mut take: impl FnMut(usize, Record<'_>) -> Result<(), Fault>,
 ) -> Result<bool, Fault> {
     let options = LinearReaderOptions::default()
-        .with_prevalidate_chunk_crcs(true) // no message of a chunk that is damaged, or not whole
+        .with_prevalidate_chunk_crcs(true) // rejects messages of damaged or incomplete chunks
         .with_record_length_limit(LONGEST_RECORD_BYTES);
     let mut reader = LinearReader::new_with_options(options);
     let mut used = 0;
     while let Some(event) = reader.next_event() {
         match event {
             Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                // no more than there is: the length may be a false one
+                // Limit the request to the existing bytes, because the stated length may be wrong.
                 let given = wanted.min(bytes.len() - used);
                 reader
                     .insert(given)
@@ -143,7 +145,7 @@ fn each_record(
     Ok(true)
 }
 
-/// An error of the crate in our form.
+/// Formats an error of the crate `mcap`.
 fn told(error: &McapError) -> String {
     format!("wrong ({error})")
 }
@@ -200,12 +202,13 @@ fn take(
             })?;
             take_numbers(&message, &mut String::new(), time_ns, &mut topic.fields);
         }
-        _ => {} // schemas say what JSON says itself; indices and attachments hold no samples
+        // Schemas add nothing to the JSON itself. Indices and attachments contain no samples.
+        _ => {}
     }
     Ok(())
 }
 
-/// Takes the numbers of a message by the names of their fields.
+/// Collects the numbers of a message by field name.
 fn take_numbers(
     value: &Value,
     path: &mut String,

@@ -1,8 +1,11 @@
 //! miniSEED 2 and 3: records of one channel each, in any order, joined to series.
 //!
-//! Layout: FDSN, *SEED reference manual* v2.4 (2012), chapter 8 and appendix B (Steim compression), and *miniSEED 3* (2023). No crate
-//! is used: those that are no C bindings loop for ever on a blockette that points at itself, read headers of one byte
-//! order only, and leave out the microseconds of blockette 1001.
+//! No crate is used. The crates that are not C bindings loop forever on a blockette that points to
+//! itself. They also read only one byte order of headers, and ignore the microseconds of blockette
+//! 1001.
+//!
+//! Source: FDSN, *SEED reference manual* v2.4 (2012), chapter 8 and appendix B (Steim compression),
+//! and *miniSEED 3* (2023).
 
 mod record;
 mod record2;
@@ -14,12 +17,12 @@ use crate::bytes::Bytes;
 use crate::fault::Fault;
 use crate::recorded::RecordedChannel;
 
-/// Whether a file begins as miniSEED of either version.
+/// Returns `true` if a file begins like miniSEED of either version.
 pub(crate) fn is_mini_seed(head: &[u8]) -> bool {
     record3::is_record(head) || record2::is_record(head)
 }
 
-/// Reads all series; text channels such as logs are left out.
+/// Reads all series. Skips text channels such as logs.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut records = Vec::new();
     let mut start = 0;
@@ -30,7 +33,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
             false => record2::read(rest),
         }
         .map_err(|fault| fault.moved_by(start))?;
-        // a record has at least its header, so that this ends
+        // A record has at least the length of its header, so the loop terminates.
         records.extend(record.map(|record| (start, record)));
         start += length;
     }
@@ -45,7 +48,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
 }
 
-/// Reads values that are not compressed.
+/// Reads uncompressed values.
 fn plain_values<'a>(
     data: &mut Bytes<'a>,
     count: usize,

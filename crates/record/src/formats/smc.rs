@@ -1,9 +1,15 @@
-//! USGS records (SMC): text, integers, reals and comments in front of the numbers of one channel.
+//! USGS records (SMC): text, integers, reals and comments, and then the numbers of one channel.
 //!
-//! Layout: USGS National Strong-Motion Program, *SMC-format data files* (Converse and Brady 1992, appendix): 11 lines of
-//! text, 48 integers (8 of 10 a line, missing = -32768), 50 reals (5 of 15 a line, missing = 1.7e38), comment lines (as many as
-//! integer 16 says), and the samples, 8 of 10 a line. Integer 17 is the number of samples, real 2 the sampling rate in Hz. The date in
-//! the integers is that of the earthquake, to the minute; of the first sample there is none, so that times count from it.
+//! A file has 11 lines of text, 48 integers (8 fields of 10 characters per line, missing = -32768)
+//! and 50 reals (5 fields of 15 characters per line, missing = 1.7e38). Then follow comment lines,
+//! whose number is integer 16, and the samples (8 fields of 10 characters per line). Integer 17 is
+//! the number of samples, and real 2 is the sampling rate in Hz.
+//!
+//! The date in the integers is that of the earthquake, to the minute. The file does not state the
+//! time of the first sample, so times are relative to the first sample.
+//!
+//! Source: USGS National Strong-Motion Program, *SMC-format data files* (Converse and Brady 1992,
+//! appendix).
 
 use super::text_lines::{NumberColumns, TextLines, text_of};
 use crate::fault::Fault;
@@ -12,7 +18,7 @@ use crate::recorded::{RecordedChannel, Segment};
 const TEXT_LINES: usize = 11;
 const INTEGERS: usize = 48;
 const REALS: usize = 50;
-/// Values from here on stand for a missing one, written as 1.7e38.
+/// Smallest value that counts as missing. Files contain 1.7e38.
 const MISSING_REAL: f64 = 1e38;
 const INTEGER_COLUMNS: NumberColumns = NumberColumns {
     per_line: 8,
@@ -27,7 +33,7 @@ const SAMPLE_COLUMNS: NumberColumns = NumberColumns {
     width: 10,
 };
 
-/// Kinds of files with a time series: their number on the first line, name and unit.
+/// Kinds of time series: number in the first line, name and unit.
 const KINDS: [(&str, &str, &str); 4] = [
     ("1", "acceleration", "cm/s2"),
     ("2", "acceleration", "cm/s2"),
@@ -35,7 +41,7 @@ const KINDS: [(&str, &str, &str); 4] = [
     ("4", "displacement", "cm"),
 ];
 
-/// Whether the head of a file is that of an SMC file of any kind, spectra included.
+/// Returns `true` if the head of a file is that of any kind of SMC file, including spectra.
 pub(crate) fn is_smc(head: &str) -> bool {
     let Some(first) = head.lines().next() else {
         return false;
@@ -55,7 +61,7 @@ pub(crate) fn is_smc(head: &str) -> bool {
             .is_some_and(|line| line.starts_with('*'))
 }
 
-/// Reads one channel.
+/// Reads the channel of a file.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let text = text_of(bytes);
     let mut lines = TextLines::new(&text);
@@ -133,7 +139,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
 mod tests {
     use super::*;
 
-    /// A file of eleven samples of 50 Hz with one comment, and this first line.
+    /// Returns a file with the given first line, eleven samples at 50 Hz and one comment.
     fn file(first: &str) -> String {
         let mut integers = [-32768; INTEGERS];
         for (index, value) in [(16, 1), (17, 11)] {

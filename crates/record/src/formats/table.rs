@@ -1,4 +1,4 @@
-//! Text tables read whole, with every column of numbers a channel.
+//! Text tables read as a whole. Every column of numbers is a channel.
 
 use std::path::Path;
 
@@ -9,13 +9,14 @@ use crate::{
     ColumnMapping, CsvReader, ReadOptions, RecordError, RecordReader, TimeSource, TimeUnit,
 };
 
-/// Rate at which rows without times are counted while they are read; it is no statement of the file.
+/// Dummy sampling rate for rows without times. The file does not state it, so the channels do not
+/// receive it.
 const COUNTING_HZ: f64 = 1.0;
 
-/// Reads a table. Columns of text are left out; a unit stands in brackets behind the name: `roof [g]`.
+/// Reads a table. Skips text columns. A unit in brackets follows the name of a column: `roof [g]`.
 ///
-/// The time stands in the column that the options name, else in the first one whose name begins with `time` or is `t`, else
-/// in the first column if that has dates.
+/// The options can name the time column. By default, it is the first column whose name is `t` or
+/// begins with `time`. If there is none, it is the first column if that contains dates.
 pub(crate) fn read(
     bytes: Vec<u8>,
     path: &Path,
@@ -87,7 +88,7 @@ pub(crate) fn read(
     Ok(columns.into_iter().zip(samples).map(channel).collect())
 }
 
-/// Names of the columns, and the fields of the first row.
+/// Returns the names of the columns, and the fields of the first row.
 fn first_lines(bytes: &[u8], layout: &TableLayout) -> (Vec<String>, Vec<String>) {
     let mut lines = bytes[layout.bytes_before.min(bytes.len())..].split(|byte| *byte == b'\n');
     let fields = |line: &[u8]| -> Vec<String> {
@@ -117,7 +118,7 @@ fn first_lines(bytes: &[u8], layout: &TableLayout) -> (Vec<String>, Vec<String>)
     }
 }
 
-/// The unit in brackets at the end of a name.
+/// Returns the unit in brackets at the end of a name, or an empty string.
 pub(crate) fn unit_of(name: &str) -> &str {
     let inner = |open: char, close: char| {
         name.trim_end()
@@ -158,7 +159,7 @@ mod tests {
     fn dates_in_the_first_column_are_the_time() {
         let text = "when,a\n2022-11-04 08:36:24.897,1\n2022-11-04 08:36:24.907,2\n2022-11-04 08:36:24.917,3\n";
         let channels = read_text(text, &ReadOptions::default());
-        // date -u -d '2022-11-04T08:36:24Z' +%s
+        // Source: `date -u -d '2022-11-04T08:36:24Z' +%s`
         assert_eq!(channels[0].start_ns(), Some(1_667_550_984_897_000_000));
         assert_eq!(
             (channels[0].sampling_rate_hz(), channels[0].origin()),

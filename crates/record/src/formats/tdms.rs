@@ -1,8 +1,12 @@
 //! National Instruments TDMS, with DAQmx raw data and scales.
 //!
-//! Layout: National Instruments, *TDMS file format internal structure* (2023): segments, each with a lead-in of 28 bytes, metadata of
-//! its objects (file, groups, channels) and raw data. No crate is used: those there are do not read DAQmx raw data, or
-//! allocate what a damaged file claims.
+//! A file consists of segments. Each segment has a lead-in of 28 bytes, metadata of its objects
+//! (file, groups, channels) and raw data.
+//!
+//! No crate is used. The existing crates do not read DAQmx raw data, or allocate as much memory as
+//! a damaged file states.
+//!
+//! Source: National Instruments, *TDMS file format internal structure* (2023).
 
 mod metadata;
 mod raw;
@@ -18,12 +22,12 @@ use crate::rate::rate_from_step;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
 const LEAD_IN_BYTES: usize = 28;
-/// Offset of a segment whose writer was stopped before its end.
+/// Offset in a segment whose writer was interrupted.
 const UNFINISHED: u64 = u64::MAX;
-/// Seconds from 1904, from which TDMS counts, to 1970.
+/// Seconds from 1904, the epoch of TDMS, to 1970.
 const SECONDS_1904_TO_1970: i64 = 2_082_844_800;
 
-/// Bits of the table of contents of a segment.
+/// Bits in the table of contents of a segment.
 mod contents {
     pub(super) const METADATA: u32 = 1 << 1;
     pub(super) const NEW_OBJECTS: u32 = 1 << 2;
@@ -32,7 +36,7 @@ mod contents {
     pub(super) const BIG_ENDIAN: u32 = 1 << 6;
 }
 
-/// Whether a file begins as TDMS files do.
+/// Returns `true` if a file begins like a TDMS file.
 pub(crate) fn is_tdms(head: &[u8]) -> bool {
     head.starts_with(b"TDSm")
 }
@@ -47,21 +51,23 @@ enum Property {
     Other,
 }
 
-/// A channel, group or file, with what was read of it.
+/// A channel, group or file, with its data.
 #[derive(Debug, Clone, Default)]
 struct Object {
     properties: BTreeMap<String, Property>,
-    /// how its raw data lie in the segments that say nothing new
+    /// Layout of its raw data, for segments that do not state a new one.
     index: Option<Index>,
-    /// samples by scaler: DAQmx channels may have several, others have number 0 alone
+    /// Samples by scaler. DAQmx channels may have several scalers, and other channels have only
+    /// number 0.
     samples: BTreeMap<u32, Vec<f64>>,
     place: usize,
 }
 
-/// Reads all channels with numbers, named `group/channel`.
+/// Reads all channels with numbers. Their names are `group/channel`.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut objects: BTreeMap<String, Object> = BTreeMap::new();
-    let mut order: Vec<String> = Vec::new(); // of the raw data, from segment to segment
+    // The order of the raw data persists from segment to segment.
+    let mut order: Vec<String> = Vec::new();
     let mut start = 0;
     while start < bytes.len() {
         let length = read_segment(&bytes[start..], &mut objects, &mut order)
@@ -149,7 +155,7 @@ fn read_segment(
     Ok(LEAD_IN_BYTES + segment_length)
 }
 
-/// Makes the channel of an object; none of groups, of the file, and of texts.
+/// Creates the channel of an object. Returns `None` for groups, files and text.
 fn channel(
     path: &str,
     objects: &BTreeMap<String, Object>,
@@ -174,7 +180,7 @@ fn channel(
         .map(rate_from_step);
     let offset_ns = (number("wf_start_offset").unwrap_or(0.0) * 1e9).round() as i64;
     let start_ns = match object.properties.get("wf_start_time") {
-        // zero is what LabVIEW writes of a waveform without a date
+        // LabVIEW writes zero for a waveform without a date.
         Some(Property::Time(time_ns)) if *time_ns != -SECONDS_1904_TO_1970 * 1_000_000_000 => {
             Some(*time_ns)
         }
@@ -193,7 +199,7 @@ fn channel(
     ))
 }
 
-/// `group/channel` of `/'group'/'channel'`; a quote within a name is doubled.
+/// Converts `/'group'/'channel'` to `group/channel`. A quote within a name is doubled.
 fn name_of(path: &str) -> Option<String> {
     let inner = path.strip_prefix("/'")?.strip_suffix('\'')?;
     let (group, channel) = inner.split_once("'/'")?;

@@ -1,10 +1,10 @@
-//! Lines of text with numbers in columns of a fixed width, as Fortran programs write them.
+//! Lines of text with numbers in fixed-width columns, as Fortran programs write them.
 
 use std::borrow::Cow;
 
 use crate::fault::Fault;
 
-/// The text of a file: UTF-8, or Latin-1 if it is none.
+/// Decodes a file as UTF-8, or as Latin-1 if it is not valid UTF-8.
 pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
     match std::str::from_utf8(bytes) {
         Ok(text) => Cow::Borrowed(text),
@@ -12,16 +12,16 @@ pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
     }
 }
 
-/// Lines one after the other, counted from 1, without their ends.
+/// An iterator over lines without line endings, numbered from 1.
 #[derive(Debug, Clone)]
 pub(crate) struct TextLines<'a> {
     rest: std::str::Lines<'a>,
     number: u64,
-    /// whether the last line has its end: if not it may be cut off within a number
+    /// Whether the last line has a line ending. Otherwise it may be truncated within a number.
     is_ended: bool,
 }
 
-/// Numbers in columns: how many on a line, how wide each.
+/// The column layout of numbers: fields per line, and characters per field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct NumberColumns {
     pub(crate) per_line: usize,
@@ -37,12 +37,12 @@ impl<'a> TextLines<'a> {
         }
     }
 
-    /// The number of the line read last.
+    /// Returns the number of the line read last.
     pub(crate) fn number(&self) -> u64 {
         self.number
     }
 
-    /// The next line; a fault at the end of the file.
+    /// Returns the next line, or a fault at the end of the file.
     pub(crate) fn line(&mut self, what: &str) -> Result<&'a str, Fault> {
         self.next().ok_or_else(|| {
             Fault::at_line(
@@ -54,7 +54,7 @@ impl<'a> TextLines<'a> {
         })
     }
 
-    /// Reads `count` decimal numbers; every line but the last must be full.
+    /// Reads `count` decimal numbers. Every line except the last must be full.
     pub(crate) fn numbers(
         &mut self,
         columns: NumberColumns,
@@ -64,7 +64,7 @@ impl<'a> TextLines<'a> {
         self.values(columns, count, what, decimals)
     }
 
-    /// Reads `count` whole numbers, which may touch: `36012069` can be two.
+    /// Reads `count` integers. There may be no blanks between them: `36012069` can be two integers.
     pub(crate) fn integers(
         &mut self,
         columns: NumberColumns,
@@ -86,7 +86,8 @@ impl<'a> TextLines<'a> {
         what: &str,
         parse: impl Fn(&str, usize) -> Option<Vec<T>>,
     ) -> Result<Vec<T>, Fault> {
-        let mut values = Vec::new(); // grows with what is there, not with what the header claims
+        // The memory grows with the actual content, not with the count in the header.
+        let mut values = Vec::new();
         while values.len() < count {
             let Some(line) = self.next() else {
                 let found = format!("{} to the end of the file", values.len());
@@ -141,14 +142,14 @@ impl<'a> Iterator for TextLines<'a> {
     }
 }
 
-/// Decimal numbers of a line. Those that stand apart are taken as they stand, whatever their width; those that touch, as in
-/// `-1.5E-2-2.1E-2`, are no number together, and are cut where the width says.
+/// Parses the decimal numbers of a line. Numbers with blanks between them may have any width.
+/// Otherwise, as in `-1.5E-2-2.1E-2`, the line is cut into fields of `width` characters.
 fn decimals(line: &str, width: usize) -> Option<Vec<f64>> {
     let apart: Option<Vec<f64>> = line.split_whitespace().map(decimal).collect();
     apart.or_else(|| fields(line, width)?.into_iter().map(decimal).collect())
 }
 
-/// Cuts a line into fields; blanks are allowed after the last one only.
+/// Cuts a line into fields. Only trailing fields may be blank.
 fn fields(line: &str, width: usize) -> Option<Vec<&str>> {
     let line = line.trim_end();
     if !line.is_ascii() || width == 0 {
@@ -165,7 +166,7 @@ fn fields(line: &str, width: usize) -> Option<Vec<&str>> {
         .collect()
 }
 
-/// A number as Fortran writes it; an exponent may begin with D.
+/// Parses a number in Fortran notation. The exponent may begin with D.
 pub(crate) fn decimal(text: &str) -> Option<f64> {
     let number = match text.contains(['D', 'd']) {
         true => text.replace(['D', 'd'], "E").parse().ok(),
@@ -174,7 +175,7 @@ pub(crate) fn decimal(text: &str) -> Option<f64> {
     number.filter(|number| number.is_finite())
 }
 
-/// Columns from a Fortran format: `8f10.5`, `1E15.6`, `1P5E15.7`.
+/// Parses columns from a Fortran format: `8f10.5`, `1E15.6`, `1P5E15.7`.
 pub(crate) fn columns_of(format: &str) -> Option<NumberColumns> {
     let format = format.trim().to_ascii_lowercase();
     let format = match format.split_once('p') {

@@ -1,10 +1,18 @@
-//! Universal file format, datasets 58 and 58b: functions at nodal degrees of freedom, of which time responses are read.
+//! Universal file format, datasets 58 and 58b: functions at nodal degrees of freedom. Only time
+//! responses are read.
 //!
-//! Layout: University of Cincinnati, Structural Dynamics Research Laboratory, *Universal file formats*, number 58. A dataset
-//! stands between two lines `    -1`; its first line is the number, with `b` and the number of bytes for binary data. Then eleven
-//! lines of text: 1 to 5 identification (3 is the date), 6 function type and degrees of freedom, 7 data type,
-//! number of values, spacing, first abscissa and increment, 8 to 11 axes with type, label and unit. Text data are 13 wide for
-//! single precision, 20 for double.
+//! A dataset is enclosed by two lines `    -1`. Its first line is the dataset number. For binary
+//! data, this line also contains `b` and the number of bytes. Eleven lines of text follow:
+//!
+//! - 1 to 5: identification (3 is the date)
+//! - 6: function type and degrees of freedom
+//! - 7: data type, number of values, spacing, first abscissa and increment
+//! - 8 to 11: axes with type, label and unit
+//!
+//! Text data have fields of 13 characters in single precision, and 20 in double precision.
+//!
+//! Source: University of Cincinnati, Structural Dynamics Research Laboratory, *Universal file
+//! formats*, number 58.
 
 use super::text_lines::{NumberColumns, TextLines, decimal};
 use crate::bytes::{ByteOrder, Bytes, text};
@@ -14,7 +22,8 @@ use crate::record_time::civil_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
 const HEADER_LINES: usize = 11;
-/// Function type of a time response; 0 is any function, a time response if its abscissa is time.
+/// Function type of a time response. Type 0 is a general function, which is a time response if its
+/// abscissa is time.
 const TIME_RESPONSE: i64 = 1;
 /// Axis type of time.
 const TIME_AXIS: i64 = 17;
@@ -22,7 +31,7 @@ const MONTHS: [&str; 12] = [
     "jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec",
 ];
 
-/// Whether a file begins as universal files do.
+/// Returns `true` if a file begins like a universal file.
 pub(crate) fn is_uff(head: &str) -> bool {
     let mut lines = head
         .lines()
@@ -35,7 +44,8 @@ pub(crate) fn is_uff(head: &str) -> bool {
         })
 }
 
-/// Reads all time responses; datasets of other numbers and functions of other types are left out, if there is one.
+/// Reads all time responses. Skips other datasets and functions of other types, but fails if there
+/// is no time response.
 pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut file = Bytes::new(bytes, ByteOrder::Little);
     let mut channels: Vec<RecordedChannel> = Vec::new();
@@ -86,7 +96,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
 }
 
-/// How the numbers of a binary dataset are written.
+/// The format of the numbers in a binary dataset.
 #[derive(Debug, Clone, Copy)]
 struct Binary {
     order: ByteOrder,
@@ -94,7 +104,8 @@ struct Binary {
 }
 
 impl Binary {
-    /// Reads the first line: `58b`, byte order, kind of floating point numbers, lines of text, bytes behind them.
+    /// Parses the first line: `58b`, byte order, floating-point format, number of text lines, and
+    /// number of bytes after them.
     fn of(line: &str, file: &Bytes<'_>) -> Result<Self, Fault> {
         let refused = |what: &str, allowed: &str| {
             Fault::at_byte(file.position(), what, format!("`{}`", line.trim()), allowed)
@@ -119,7 +130,7 @@ impl Binary {
     }
 }
 
-/// What the eleven lines of text say.
+/// The content of the eleven header lines.
 #[derive(Debug, Clone)]
 struct Header {
     name: String,
@@ -135,7 +146,7 @@ struct Header {
     unit: String,
 }
 
-/// Bytes or columns of one number.
+/// The precision of numbers, which determines their bytes or columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Precision {
     Single,
@@ -305,19 +316,20 @@ impl Header {
     }
 }
 
-/// A text that is not blank and not `NONE`.
+/// Returns the trimmed text, or `None` if it is blank or `NONE`.
 fn stated(field: &str) -> Option<String> {
     Some(field.trim())
         .filter(|field| !field.is_empty() && *field != "NONE")
         .map(str::to_owned)
 }
 
-/// Characters `from` to `to` of a line; label and unit may be other than ASCII.
+/// Returns the characters `from` to `to` of a line. Label and unit may contain non-ASCII
+/// characters.
 fn characters(line: &str, from: usize, to: usize) -> String {
     line.chars().skip(from).take(to - from).collect()
 }
 
-/// Label and unit of an axis line: `I10,3I5,2(1X,20A1)`.
+/// Parses label and unit of an axis line: `I10,3I5,2(1X,20A1)`.
 fn axis(line: &str) -> (Option<String>, Option<String>) {
     (
         stated(&characters(line, 26, 46)),
@@ -325,9 +337,10 @@ fn axis(line: &str) -> (Option<String>, Option<String>) {
     )
 }
 
-/// Name from the response: entity, node and direction; else from the label of the ordinate, or the first line.
+/// Returns a name from the response: entity, node and direction. Otherwise returns the label of the
+/// ordinate, or the first header line.
 fn name_of(degrees_of_freedom: &str, label: Option<&str>, first: &str) -> String {
-    // 2(I5,I10),2(1X,10A1,I10,I4)
+    // Fortran format: 2(I5,I10),2(1X,10A1,I10,I4)
     let entity = stated(&characters(degrees_of_freedom, 31, 41));
     let node = characters(degrees_of_freedom, 41, 51)
         .trim()
@@ -364,7 +377,7 @@ fn name_of(degrees_of_freedom: &str, label: Option<&str>, first: &str) -> String
     }
 }
 
-/// Reads `18-Apr-16 13:49:58`, taken as UTC.
+/// Parses `18-Apr-16 13:49:58`, assumed to be UTC.
 fn start_ns(line: &str) -> Option<i64> {
     let (date, time) = line.trim().split_once(' ')?;
     let mut date = date.split('-');
@@ -388,7 +401,7 @@ fn start_ns(line: &str) -> Option<i64> {
     )
 }
 
-/// Abscissae, if they are written, and samples.
+/// Abscissae, if the file contains them, and samples.
 type Values = (Vec<f64>, Vec<f64>);
 
 fn binary_samples(
@@ -406,7 +419,7 @@ fn binary_samples(
             Precision::Double => data.f64(),
         };
         if !header.is_even {
-            // abscissae are single whatever the ordinates are
+            // Abscissae have single precision, regardless of the ordinates.
             abscissae.push(f64::from(
                 data.f32().map_err(|fault| fault.moved_by(start))?,
             ));
@@ -426,7 +439,8 @@ fn text_samples(
     let mut numbers = Vec::new();
     let per_value = if header.is_even { 1 } else { 2 };
     let count = header.count.saturating_mul(per_value);
-    // E13.5 six a line; E20.12 four a line; pairs of E13.5 three a line; E13.5 and E20.12 two pairs a line
+    // E13.5: six per line; E20.12: four per line; pairs of E13.5: three per line; pairs of E13.5
+    // and E20.12: two per line.
     let (widths, per_line): (&[usize], usize) = match (precision, header.is_even) {
         (Precision::Single, true) => (&[13], 6),
         (Precision::Double, true) => (&[20], 4),
@@ -461,7 +475,7 @@ fn text_samples(
     }
 }
 
-/// Numbers of a line: as they stand if they stand apart, else cut where the widths say.
+/// Parses the numbers of a line by blanks, or by widths if there are no blanks between them.
 fn numbers_of_line(line: &str, widths: &[usize], expected: usize) -> Option<Vec<f64>> {
     if let [width] = widths {
         let columns = NumberColumns {
@@ -487,7 +501,7 @@ fn numbers_of_line(line: &str, widths: &[usize], expected: usize) -> Option<Vec<
         })
 }
 
-/// The line behind the data, which must end the dataset.
+/// Reads the line after the data, which must end the dataset.
 fn end_of_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
     loop {
         let at = file.position();
@@ -515,7 +529,7 @@ fn end_of_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
     }
 }
 
-/// Goes behind the line that ends a dataset.
+/// Skips the rest of a dataset, including the line that ends it.
 fn skip_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
     while let Some(line) = next_line(file) {
         if line.trim() == "-1" {
@@ -530,7 +544,7 @@ fn skip_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
     ))
 }
 
-/// The next line as text, without its end; binary data may follow it.
+/// Returns the next line as text, without its ending. Binary data may follow it.
 fn next_line(file: &mut Bytes<'_>) -> Option<String> {
     if file.is_at_end() {
         return None;
@@ -541,7 +555,7 @@ fn next_line(file: &mut Bytes<'_>) -> Option<String> {
         .position(|byte| *byte == b'\n')
         .map_or(rest.len(), |newline| newline + 1);
     let line = file.take(length).ok()?;
-    // the columns count from the start of the line: only its end is taken off
+    // Only the end of the line is trimmed, because columns count from its start.
     let end = line
         .iter()
         .rposition(|byte| !byte.is_ascii_whitespace())

@@ -1,4 +1,4 @@
-//! A chunk of a segment: its frames, checked, and where they stand.
+//! Chunks of a segment: decoding, validation and positions of frames.
 
 use std::borrow::Borrow;
 
@@ -8,49 +8,49 @@ use super::layout::{StatedLayout, TOPIC};
 use super::{LoggedFrames, payload};
 use crate::mcap_record::parse_record;
 
-/// Opcode and length before the body of a record.
+/// Size of opcode and length before the body of a record, in bytes.
 pub(super) const RECORD_HEAD_BYTES: u64 = 9;
-/// Bytes of the body of a chunk that is not compressed, before its records.
+/// Size of the head of an uncompressed chunk, before its records, in bytes.
 pub(super) const CHUNK_HEAD_BYTES: usize = 40;
 
-/// What a chunk holds.
+/// The content of a chunk.
 #[derive(Debug, Default)]
 pub(super) struct ChunkContent {
     pub(super) stated: Option<StatedLayout>,
-    /// Encoding of messages that is not ours: of another version.
+    /// The encoding of the messages if it belongs to another version.
     pub(super) foreign_encoding: Option<String>,
     pub(super) blocks: Vec<LoggedFrames>,
 }
 
-/// Small chunks share an entry of so many bytes of the file: live ones have some 500.
+/// Maximum size of chunks that share an index entry, in bytes. Live chunks have about 500 bytes.
 const SHARED_BYTES: u64 = 8 << 10;
 
-/// Frames of one epoch in one chunk, or in several that follow each other.
+/// An index entry: frames of one epoch in one chunk, or in several consecutive chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Entry {
     pub(super) epoch: u64,
-    /// Number of the first frame.
+    /// Sequence number of the first frame.
     pub(super) first: u64,
-    /// One past the number of the last frame.
+    /// Sequence number after the last frame.
     pub(super) end: u64,
-    /// How many frames there are: fewer than `end - first` after a gap.
+    /// Number of frames, which is less than `end - first` after a gap.
     pub(super) frames: u64,
     /// Whether the epoch ends here.
     pub(super) ended: bool,
-    /// Byte at which the record of the first chunk begins.
+    /// Offset of the record of the first chunk, in bytes.
     pub(super) offset: u64,
-    /// Bytes from there to the end of the record of the last one.
+    /// Length from there to the end of the record of the last chunk, in bytes.
     pub(super) length: u64,
 }
 
-/// Opcode and length of the record that begins here.
+/// Returns opcode and length of the record at the start of `bytes`.
 pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
     let (opcode, rest) = bytes.split_first()?;
     let length = rest.first_chunk::<8>()?;
     Some((*opcode, u64::from_le_bytes(*length)))
 }
 
-/// The content of a chunk from the body of its record; `None` if any bit that matters is not as it was written.
+/// Decodes a chunk from the body of its record. Returns `None` if it is damaged.
 pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
     let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, body) else {
         return None;
@@ -86,8 +86,9 @@ pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
     Some(content)
 }
 
-/// The chunks that are whole: where in these bytes the record of each begins and ends, and what it holds. They are looked for byte by byte,
-/// because a length that is wrong must not hide what follows.
+/// Returns the intact chunks in `bytes`: start and end of the record of each, and its content.
+///
+/// The search proceeds byte by byte, because a damaged length must not hide the chunks after it.
 pub(super) fn whole_chunks(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, ChunkContent)> {
     let mut from = 0;
     std::iter::from_fn(move || {
@@ -114,7 +115,8 @@ pub(super) fn whole_chunks(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, 
     })
 }
 
-/// Appends where the frames of a chunk stand, as far as they are after those of the entries before.
+/// Appends index entries for the frames of a chunk. Skips frames that earlier entries already
+/// contain.
 pub(super) fn append_entries<B: Borrow<LoggedFrames>>(
     entries: &mut Vec<Entry>,
     blocks: &[B],

@@ -1,4 +1,4 @@
-//! The segments of a folder: which there are, and where their frames stand.
+//! The segments of a folder and the indices of their frames.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -9,29 +9,30 @@ use super::scan::{Scan, scan};
 use super::segment::SegmentName;
 use crate::RecordError;
 
-/// Indices of older segments that are kept in memory, the last used ones.
+/// Maximum number of indices of older segments in memory, with the least recently used evicted
+/// first.
 const INDICES_KEPT: usize = 4;
 
-/// What the writer and the readers of a log share.
+/// State shared by the writer and the readers of a log.
 #[derive(Debug)]
 pub(super) struct Folder {
     path: PathBuf,
     segments: Mutex<Segments>,
 }
 
-/// The segments, and the indices of some.
+/// The sizes of all segments, and the indices of some of them.
 #[derive(Debug, Default)]
 pub(super) struct Segments {
     sizes: BTreeMap<SegmentName, u64>,
     bytes: u64,
-    /// The one that is being written, with its index.
+    /// The segment being written, with its index.
     written: Option<(SegmentName, Vec<Entry>)>,
-    /// Indices of others, the last used one last.
+    /// Indices of other segments, with the most recently used one last.
     kept: VecDeque<(SegmentName, Arc<Vec<Entry>>)>,
 }
 
 impl Folder {
-    /// The folder with the segments that its files are, by their names.
+    /// Finds the segments of a folder by their file names.
     pub(super) fn read(path: &Path) -> Result<Self, RecordError> {
         let failed = |source| RecordError::ReadFile {
             path: path.to_owned(),
@@ -58,7 +59,7 @@ impl Folder {
         self.segments.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The segment in which frames of this number or later may be first.
+    /// Returns the first segment that may contain the frame `sequence` or a later one.
     pub(super) fn segment_at(&self, epoch: u64, sequence: u64) -> Option<SegmentName> {
         let sizes = &self.segments().sizes;
         let place = SegmentName { epoch, sequence };
@@ -68,7 +69,7 @@ impl Folder {
             .map(|(name, _)| *name)
     }
 
-    /// The segment after this one.
+    /// Returns the segment after `name`.
     pub(super) fn segment_after(&self, name: SegmentName) -> Option<SegmentName> {
         use std::ops::Bound::{Excluded, Unbounded};
         self.segments()
@@ -82,7 +83,7 @@ impl Folder {
         self.segments().sizes.keys().copied().collect()
     }
 
-    /// Takes from the index of a segment; `None` if the segment is gone or cannot be read.
+    /// Applies `take` to the index of a segment. Returns `None` if the segment has been deleted.
     pub(super) fn with_index<T>(
         &self,
         name: SegmentName,
@@ -102,7 +103,7 @@ impl Folder {
                 return Ok(Some(take(&entries)));
             }
         }
-        // without the lock: the pass takes its time, and the log goes on
+        // Scanning takes time, so the lock is released for the writer.
         let entries = match scan(&name.path(&self.path)) {
             Ok(Scan { entries, .. }) => Arc::new(entries),
             Err(error) if is_gone(&error) => return Ok(None),
@@ -112,7 +113,7 @@ impl Folder {
         Ok(Some(take(&entries)))
     }
 
-    /// Deletes a segment; one that is gone is no error.
+    /// Deletes a segment. It is not an error if the file does not exist.
     pub(super) fn delete(&self, name: SegmentName) -> Result<(), RecordError> {
         let path = name.path(&self.path);
         match std::fs::remove_file(&path) {
@@ -127,7 +128,7 @@ impl Folder {
     }
 }
 
-/// Whether a file is not there any more: retention may delete a segment while it is about to be read.
+/// Returns `true` if a file does not exist. Retention may delete a segment just before it is read.
 pub(super) fn is_gone(error: &RecordError) -> bool {
     matches!(error, RecordError::Open { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
 }
@@ -137,7 +138,7 @@ impl Segments {
         self.bytes
     }
 
-    /// The oldest segments, without the one that is being written.
+    /// Returns all segments except the one being written, oldest first.
     pub(super) fn oldest(&self) -> impl Iterator<Item = SegmentName> {
         let written = self.written.as_ref().map(|(name, _)| *name);
         self.sizes
@@ -161,7 +162,8 @@ impl Segments {
         self.written.take_if(|(written, _)| *written == name);
     }
 
-    /// The index of the segment that is being written, which begins if it is another one.
+    /// Returns the index of the segment being written, and starts a new index if the segment has
+    /// changed.
     pub(super) fn index_of_written(&mut self, name: SegmentName) -> &mut Vec<Entry> {
         if self
             .written
@@ -173,7 +175,7 @@ impl Segments {
         &mut self.written.get_or_insert_with(|| (name, Vec::new())).1
     }
 
-    /// The segment that was written is one of the older ones from now on.
+    /// Moves the segment being written to the older segments.
     pub(super) fn end_written(&mut self) {
         if let Some((name, entries)) = self.written.take() {
             self.keep_index(name, Arc::new(entries));
@@ -190,7 +192,8 @@ impl Segments {
 
     pub(super) fn keep_index(&mut self, name: SegmentName, entries: Arc<Vec<Entry>>) {
         if !self.sizes.contains_key(&name) {
-            return; // deleted meanwhile
+            // The segment has been deleted in the meantime.
+            return;
         }
         self.kept.retain(|(kept, _)| *kept != name);
         self.kept.push_back((name, entries));

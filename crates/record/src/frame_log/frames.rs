@@ -1,87 +1,89 @@
-//! Frames as they are in the log, and what a log is of.
+//! Frames as stored in the log, and the layout of a log.
 
 use crate::RecordError;
 
-/// What a log is of: it is stated in every segment, and a folder holds segments of one layout.
+/// The layout of a log. Every segment states it, and all segments in a folder have the same layout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogLayout {
     /// Name of the structure.
     pub structure: String,
-    /// Names of the channels of a frame, in order.
+    /// Names of the channels, in frame order.
     pub channels: Vec<String>,
-    /// Names of the sensor nodes, in the order of the positions.
+    /// Names of the sensor nodes, in the order of the node positions.
     pub nodes: Vec<String>,
-    /// Frames per second, in Hz.
+    /// Sampling rate of the frames, in Hz.
     pub sampling_rate_hz: f64,
 }
 
-/// How far the stream of a sensor node was used.
+/// The position in the stream of a sensor node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NodePosition {
     /// Epoch of the node.
     pub epoch: u64,
-    /// Number of the next sample.
+    /// Sequence number of the next sample.
     pub sequence: u64,
-    /// Whether the node has said that there is none.
+    /// Whether the node has ended its stream.
     pub ended: bool,
 }
 
 /// Consecutive frames of one epoch.
 ///
-/// Frame j has number `sequence + j`; frame k was measured at `t0_ns + round(k·10⁹/rate)`. Without frames it says only that the
-/// epoch has ended.
+/// Frame j of the block has sequence number `sequence + j`. Frame k of the epoch was measured at
+/// `t0_ns + round(k·10⁹/rate)`. A block without frames only marks the end of the epoch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoggedFrames {
-    /// Id of who made the frames, at most 65535 bytes.
+    /// Id of the source of the frames, at most 65535 bytes.
     pub source: String,
     /// Epoch of the frames.
     pub epoch: u64,
-    /// Number of the first frame here, or of the frame that would follow.
+    /// Sequence number of the first frame, or of the next frame if the block is empty.
     pub sequence: u64,
-    /// Time of frame 0 of the epoch, in ns since 1970, UTC; may be negative.
+    /// Time of frame 0 of the epoch, in ns since 1970, UTC. It may be negative.
     pub t0_ns: i64,
-    /// Frames per second, in Hz.
+    /// Sampling rate of the frames, in Hz.
     pub sampling_rate_hz: f64,
-    /// Values of a frame.
+    /// Number of values per frame.
     pub channels: u16,
-    /// Frame after frame, `NaN` where a sample is missing; the bits are kept, those of a `NaN` too.
+    /// Values frame by frame, `NaN` if missing. Values read back are bit-identical, including
+    /// `NaN`.
     pub values: Vec<f64>,
     /// Whether the epoch ends with these frames.
     pub ended: bool,
-    /// Where the stream of each node stands after these frames, in the order of the layout; may be empty.
+    /// Position in the stream of each node after these frames, in layout order; may be empty.
     pub nodes: Vec<NodePosition>,
 }
 
-/// Frames of one epoch that a log holds.
+/// The frames of one epoch in a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LogSpan {
     /// The epoch.
     pub epoch: u64,
-    /// Number of the first frame kept.
+    /// Sequence number of the first frame in the log.
     pub from: u64,
-    /// One past the number of the last frame kept.
+    /// Sequence number after the last frame in the log.
     pub to: u64,
-    /// How many frames between are not there.
+    /// Number of missing frames in between.
     pub missing: u64,
 }
 
 impl LoggedFrames {
-    /// Number of frames.
+    /// Returns the number of frames.
     pub fn count(&self) -> u64 {
         (self.values.len() / usize::from(self.channels).max(1)) as u64
     }
 
-    /// Number of the frame after the last one.
+    /// Returns the sequence number after the last frame.
     pub fn end(&self) -> u64 {
         self.sequence.saturating_add(self.count())
     }
 
-    /// Time of the first frame, in ns since 1970, UTC.
+    /// Returns the time of the first frame, in ns since 1970, UTC.
     pub fn time_ns(&self) -> i64 {
         self.time_of(self.sequence)
     }
 
-    /// Time of the last frame, or of the first one that would follow, in ns since 1970, UTC.
+    /// Returns the time of the last frame, or of the next frame if the block is empty, in ns since
+    /// 1970, UTC.
     pub(crate) fn last_time_ns(&self) -> i64 {
         self.time_of(self.sequence.saturating_add(self.count().saturating_sub(1)))
     }
@@ -90,7 +92,8 @@ impl LoggedFrames {
         frame_time_ns(self.t0_ns, self.sampling_rate_hz, number)
     }
 
-    /// Drops the frames before this number; node positions stay, as they are those after the last frame.
+    /// Drops the frames before `number`. The node positions remain, because they refer to the end
+    /// of the block.
     pub(super) fn skip_to(&mut self, number: u64) {
         let skipped = number.saturating_sub(self.sequence).min(self.count());
         self.values
@@ -98,7 +101,8 @@ impl LoggedFrames {
         self.sequence += skipped;
     }
 
-    /// Drops all but the first frames; the end of the epoch and the positions of the nodes go with those after.
+    /// Keeps only the first `frames` frames. Drops the end mark and the node positions, which
+    /// belong to the last frame.
     pub(super) fn truncate(&mut self, frames: u64) {
         if frames < self.count() {
             self.values
@@ -108,7 +112,8 @@ impl LoggedFrames {
         }
     }
 
-    /// Appends the frames that follow; gives them back if they do not continue these.
+    /// Appends the frames of `next`, or returns `next` as an error if it does not continue these
+    /// frames.
     pub(super) fn join(&mut self, next: Self) -> Result<(), Self> {
         let follows = !self.ended
             && self.source == next.source
@@ -124,7 +129,7 @@ impl LoggedFrames {
         Ok(())
     }
 
-    /// Checks what the log could not give back as it was.
+    /// Checks that the log can store and return these frames unchanged.
     pub(super) fn check(&self, layout: &LogLayout) -> Result<(), RecordError> {
         let refused = |what: &'static str, found: String, allowed: String| {
             Err(RecordError::NotLoggable {
@@ -185,10 +190,10 @@ impl LoggedFrames {
     }
 }
 
-/// Time of frame `number`, in ns: t0 + round(number·10⁹/rate), saturating.
+/// Returns the time of frame `number`, in ns: t0 + round(number·10⁹/rate), saturating.
 ///
-/// In integers where the rate has whole microhertz, as all rates in use have: the product of a large number is not exact
-/// otherwise.
+/// The calculation uses integers if the rate is a whole number of microhertz, as all rates in use
+/// are. In floating point, the product of a large frame number would be inexact.
 pub(crate) fn frame_time_ns(t0_ns: i64, rate_hz: f64, number: u64) -> i64 {
     /// 10⁹ ns/s times 10⁶ µHz/Hz.
     const NANOSECONDS_MICROHERTZ: i128 = 1_000_000_000_000_000;

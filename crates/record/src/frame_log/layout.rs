@@ -1,4 +1,4 @@
-//! What a segment states of itself: the metadata of its channel.
+//! The layout stated in the channel metadata of each segment.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,11 +14,11 @@ const NODES: &str = "nodes";
 const SAMPLING_RATE: &str = "sampling_rate_hz";
 const BOOT_ID: &str = "boot_id";
 
-/// What the metadata of a channel states.
+/// The content of the channel metadata.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StatedLayout {
     pub(crate) layout: LogLayout,
-    /// Which start of the machine it was written in; empty where that is not known.
+    /// Identifier of the machine boot during which the segment was written; empty if unknown.
     pub(super) boot_id: String,
 }
 
@@ -38,7 +38,7 @@ impl StatedLayout {
             .collect()
     }
 
-    /// `None` if something is missing or is not what it must be.
+    /// Parses the metadata. Returns `None` if an entry is missing or invalid.
     pub(crate) fn from_metadata(metadata: &BTreeMap<String, String>) -> Option<Self> {
         let names = |key: &str| serde_json::from_str::<Vec<String>>(metadata.get(key)?).ok();
         let layout = LogLayout {
@@ -55,7 +55,7 @@ impl StatedLayout {
 }
 
 impl LogLayout {
-    /// Refuses the folder of another layout; `found` is that of the folder.
+    /// Returns an error if `found`, the layout of `folder`, differs from this layout.
     pub(super) fn agree(&self, found: &Self, folder: &Path) -> Result<(), RecordError> {
         let list = |names: &[String]| format!("{names:?}");
         let rate = |layout: &Self| format!("{} Hz", layout.sampling_rate_hz);
@@ -80,7 +80,7 @@ impl LogLayout {
     }
 }
 
-/// Which start of the machine this is; empty where that cannot be told.
+/// Returns the identifier of the current boot, or an empty string if it is unknown.
 pub(super) fn boot_id() -> String {
     std::fs::read_to_string("/proc/sys/kernel/random/boot_id")
         .map(|id| id.trim().to_owned())

@@ -1,4 +1,4 @@
-//! What is noted in the file that is locked while a log is open: how far the log can be trusted after a crash.
+//! The mark in the lock file, which shows after a crash whether the log can be trusted.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::os::unix::fs::FileExt;
@@ -6,21 +6,22 @@ use std::path::{Path, PathBuf};
 
 use crate::RecordError;
 
-/// Name of the file.
+/// Name of the lock file.
 pub(super) const LOCK: &str = "lock";
 
-/// What stands in it.
+/// The content of the lock file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Noted {
-    /// Nothing: an earlier version has written the log, or nobody yet.
+    /// No mark: the log is new, or an earlier version wrote it.
     Nothing,
-    /// It is written, or was when the power went.
+    /// The log is being written, or was when it was interrupted.
     Written,
-    /// It is written, and has all frames that others may know of.
+    /// The log is being written, and contains all published frames.
     Complete,
-    /// It was closed.
+    /// The log was closed.
     Closed,
-    /// It has not all frames that others may know of. A word cut to its first letter says so: a full disk lets a file be cut.
+    /// The log lacks published frames. A word truncated to its first letter represents this state,
+    /// because a file can be truncated even on a full disk.
     Incomplete,
 }
 
@@ -35,7 +36,7 @@ impl Noted {
         match text {
             [] => Self::Nothing,
             [_] => Self::Incomplete,
-            // between two words: it was being written
+            // A mixture of two words results from an interrupted write.
             _ => Self::WORDS
                 .iter()
                 .find(|(_, word)| *word == text)
@@ -44,7 +45,7 @@ impl Noted {
     }
 }
 
-/// The locked file.
+/// The lock file and its current mark.
 #[derive(Debug)]
 pub(super) struct Note {
     file: File,
@@ -53,7 +54,7 @@ pub(super) struct Note {
 }
 
 impl Note {
-    /// Locks a folder, and reads what was noted last.
+    /// Locks a folder, and reads the last mark.
     pub(super) fn lock(folder: &Path) -> Result<Self, RecordError> {
         let path = folder.join(LOCK);
         let failed = |source| RecordError::WriteLog {
@@ -85,7 +86,7 @@ impl Note {
         })
     }
 
-    /// Whether all frames that others may know of are in the log; none where that was not noted.
+    /// Returns whether the log contains all published frames, or `None` if that is unknown.
     pub(super) fn is_complete(&self) -> Option<bool> {
         match self.noted {
             Noted::Nothing | Noted::Written => None,
@@ -94,12 +95,13 @@ impl Note {
         }
     }
 
-    /// Whether a log whose segments are in order may have been closed. An earlier version did not note that it was.
+    /// Returns `true` if the log may have been closed, provided that its segments are in order. An
+    /// earlier version left no mark.
     pub(super) fn allows_closed(&self) -> bool {
         matches!(self.noted, Noted::Nothing | Noted::Closed)
     }
 
-    /// The log is going to be written.
+    /// Marks the log as being written, if it is marked as closed or has no mark.
     pub(super) fn written(&mut self) -> Result<(), RecordError> {
         match self.allows_closed() {
             true => self.note(Noted::Written),
@@ -115,7 +117,7 @@ impl Note {
         })
     }
 
-    /// The log is closed; what it lacks, it lacks.
+    /// Marks the log as closed, unless it is incomplete.
     pub(super) fn closed(&mut self) -> Result<(), RecordError> {
         match self.noted {
             Noted::Incomplete => Ok(()),

@@ -1,4 +1,4 @@
-//! What a folder holds when its log is opened, and what must be mended.
+//! Determines the state of a log when it is opened, and repairs it.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use super::segment::{SegmentName, mend, set_aside};
 use super::{OpenedLog, payload};
 use crate::RecordError;
 
-/// Reads the newest segment in which there is something, checks that it is of this layout, and mends its end.
+/// Reads the newest segment that contains frames, checks its layout, and repairs its end.
 pub(super) fn newest(folder: &Folder, stated: &StatedLayout) -> Result<OpenedLog, RecordError> {
     let mut opened = OpenedLog {
         last: None,
@@ -56,7 +56,7 @@ pub(super) fn newest(folder: &Folder, stated: &StatedLayout) -> Result<OpenedLog
         }
         if last.is_none() {
             match found.bytes < payload::SCHEMA.len() as u64 {
-                // cut off before its first frame
+                // The segment was cut off before its first frame.
                 true => {
                     opened.torn_bytes += found.bytes;
                     folder.delete(name)?;
@@ -89,7 +89,7 @@ pub(super) fn newest(folder: &Folder, stated: &StatedLayout) -> Result<OpenedLog
     }
 }
 
-/// Time of the first frame of a segment, in ns; `None` if it cannot be read.
+/// Returns the time of the first frame of a segment, in ns, or `None` if it cannot be read.
 pub(super) fn start_ns(folder: &Folder, name: SegmentName) -> Option<i64> {
     start_of(&name.path(folder.path())).ok()?
 }

@@ -1,14 +1,14 @@
-//! The message of a segment: a block of frames, to bytes and back.
+//! Encodes and decodes the message of a segment: a block of frames.
 
 use super::{LoggedFrames, NodePosition};
 
-/// Name of the layout in the schema of a segment.
+/// Name of the message schema.
 pub(crate) const SCHEMA_NAME: &str = "spandrel.frames";
-/// How the schema is written: text for people.
+/// Encoding of the schema: text for readers.
 pub(super) const SCHEMA_ENCODING: &str = "text/plain";
-/// How messages are written; another layout gets another name.
+/// Encoding of messages. Another layout requires another name.
 pub(crate) const MESSAGE_ENCODING: &str = "spandrel.frames.v1";
-/// What a message is, in words.
+/// Description of the message layout.
 pub(super) const SCHEMA: &str = "\
 Consecutive frames of one epoch: one value per channel and frame. All numbers are little-endian.
 
@@ -31,10 +31,11 @@ Frame k was measured at the time of frame 0 + round(k * 10^9 / rate) ns. The log
 frame, or 0 before 1970. The metadata of the channel names structure, channels and nodes, in this order.
 ";
 
-/// Bytes before the source.
+/// Size of the head before the source, in bytes.
 const HEAD_BYTES: usize = 44;
 
-/// Puts the message of these frames into `bytes`, which it empties; counts were checked to fit.
+/// Encodes frames as a message into `bytes`, replacing its content. The counts must have been
+/// checked.
 pub(super) fn encode_to(frames: &LoggedFrames, bytes: &mut Vec<u8>) {
     bytes.clear();
     bytes.reserve(
@@ -58,7 +59,7 @@ pub(super) fn encode_to(frames: &LoggedFrames, bytes: &mut Vec<u8>) {
     bytes.extend(frames.values.iter().flat_map(|value| value.to_le_bytes()));
 }
 
-/// The frames of a message; `None` if it is none.
+/// Decodes the frames of a message. Returns `None` if the message is invalid.
 pub(crate) fn decode(bytes: &[u8]) -> Option<LoggedFrames> {
     let mut rest = bytes;
     let epoch = u64::from_le_bytes(take(&mut rest)?);
@@ -116,7 +117,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Option<LoggedFrames> {
     })
 }
 
-/// The next bytes of a message.
+/// Takes the next `N` bytes of a message.
 fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
     let (first, after) = rest.split_first_chunk::<N>()?;
     *rest = after;

@@ -1,4 +1,4 @@
-//! Frames by their number, from the segments of a folder.
+//! Reads frames by sequence number from the segments of a folder.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,12 +11,13 @@ use super::segment::SegmentName;
 use super::{LogSpan, LoggedFrames};
 use crate::RecordError;
 
-/// Read from a file at once, if a single chunk is not longer.
+/// Maximum number of bytes read at once, unless a single chunk is longer.
 const READ_BYTES: u64 = 1 << 20;
-/// Read at once even if fewer bytes of values are wanted: what stands around them is not known before.
+/// Minimum number of bytes read at once, because the overhead around the values is not known in
+/// advance.
 const LEAST_READ_BYTES: u64 = 4096;
 
-/// Reads a frame log, also while it is written.
+/// A reader of a frame log, which may still be written.
 #[derive(Debug, Clone)]
 pub struct FrameLogReader {
     folder: Arc<Folder>,
@@ -27,15 +28,19 @@ impl FrameLogReader {
         Self { folder }
     }
 
-    /// Frames of an epoch from number `after` on, joined to up to `limit` frames and `bytes` bytes of values, at least to one
-    /// frame; they stop at a gap and at the end of the epoch.
+    /// Reads frames of an epoch from number `after` on.
     ///
-    /// If `after` is missing or no longer kept: from the next frame that is there on, which the number tells. `None` if there is
-    /// nothing at or after it. Where the epoch is known to end at `after`, the answer has no frames, and `ended`: whoever has all
-    /// frames learns that there are no more. Node positions are those after the last frame, or none where a block was cut.
+    /// Joins consecutive blocks, up to `limit` frames and `bytes` bytes of values, but at least one
+    /// frame. The result ends at a gap and at the end of the epoch. If frame `after` is missing or
+    /// has been deleted, the result starts at the next existing frame. Node positions refer to the
+    /// last frame; they are empty if the last block was truncated.
+    ///
+    /// If the epoch ends at `after`, the result has no frames and `ended` is `true`. A client with
+    /// all frames thus detects the end of the epoch. Returns `None` if the log contains nothing at
+    /// or after `after`.
     ///
     /// # Errors
-    /// A segment cannot be opened or read. A damaged chunk is no error but a gap.
+    /// A segment cannot be opened or read. A damaged chunk counts as a gap, not as an error.
     pub fn read(
         &self,
         epoch: u64,
@@ -61,7 +66,7 @@ impl FrameLogReader {
                 if !self.read_group(name, &entries, &mut reading)? {
                     return Ok(reading.joined);
                 }
-                // what could not be read must not be asked for again
+                // Chunks that could not be read must not be requested again.
                 reading.next = reading.next.max(last.end);
                 if reading.next == before {
                     break;
@@ -72,7 +77,7 @@ impl FrameLogReader {
         Ok(reading.joined)
     }
 
-    /// Reads the chunks of some entries, which follow each other; whether more is wanted.
+    /// Reads the chunks of consecutive entries. Returns `true` if more frames are required.
     fn read_group(
         &self,
         name: SegmentName,
@@ -112,8 +117,8 @@ impl FrameLogReader {
         Ok(true)
     }
 
-    /// The epoch that follows this one in the log, or the lowest one; `None` if there is none, or if the segment in question
-    /// cannot be read.
+    /// Returns the next epoch in the log after `epoch`, or the lowest one for `None`. Skips
+    /// segments that cannot be read. Returns `None` if there is no such epoch.
     pub fn next_epoch(&self, epoch: Option<u64>) -> Option<u64> {
         let lowest = match epoch {
             Some(epoch) => epoch.checked_add(1)?,
@@ -141,8 +146,8 @@ impl FrameLogReader {
         None
     }
 
-    /// Which frames of which epochs the log holds, by the order of epochs. It reads all segments that have not been read yet, and
-    /// leaves out those that cannot be read.
+    /// Returns the frames of each epoch in the log, in order of epochs. Scans all segments without
+    /// an index in memory, and skips those that cannot be read.
     pub fn spans(&self) -> Vec<LogSpan> {
         let mut spans: BTreeMap<u64, LogSpan> = BTreeMap::new();
         for name in self.folder.names() {
@@ -163,7 +168,7 @@ impl FrameLogReader {
                     to: first,
                     missing: 0,
                 });
-                // what is missing between the entries, and within this one
+                // Count the frames missing between the entries and within this entry.
                 span.missing += first.saturating_sub(span.to) + (end - first - frames);
                 span.to = end;
             }
@@ -172,7 +177,7 @@ impl FrameLogReader {
     }
 }
 
-/// Frames that are being joined.
+/// The state of a read operation, which joins frames.
 struct Reading {
     epoch: u64,
     next: u64,
@@ -182,7 +187,8 @@ struct Reading {
 }
 
 impl Reading {
-    /// The next entries to be read together: as many as are wanted, but no more bytes than are read at once.
+    /// Returns the next entries to read together: as many as required, within the maximum number of
+    /// bytes read at once.
     fn group(&self, entries: &[Entry]) -> Vec<Entry> {
         let is_before = |entry: &Entry| {
             let has_passed = entry.end < self.next || (entry.end == self.next && !entry.ended);
@@ -210,7 +216,7 @@ impl Reading {
         group
     }
 
-    /// Takes a block; whether more is wanted.
+    /// Appends the matching frames of a block. Returns `true` if more frames are required.
     fn take(&mut self, mut block: LoggedFrames) -> bool {
         let says_nothing = block.end() < self.next || (block.end() == self.next && !block.ended);
         if block.epoch != self.epoch || says_nothing {

@@ -1,8 +1,11 @@
-//! What a segment is made of, as bytes: its beginning, its chunks, and its end with an index.
+//! The MCAP records of a segment: its beginning, its chunks, and its end with an index.
 //!
-//! The fields are those of the crate `mcap`. Its own writer holds the index of all chunks until the file ends, some 300 bytes each, which
-//! is a megabyte of a structure that puts live samples in blocks of 50 ms; here the index is read from the file when that ends. Layouts:
-//! <https://mcap.dev/spec>.
+//! The records are those of the crate `mcap`. This module does not use the writer of that crate,
+//! because it keeps the index of all chunks in memory, about 300 bytes per chunk. For live samples
+//! in blocks of 50 ms, this amounts to a megabyte per structure. This module reads the index from
+//! the file when the segment ends.
+//!
+//! Source: <https://mcap.dev/spec>.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -20,16 +23,16 @@ use super::chunk::{CHUNK_HEAD_BYTES, RECORD_HEAD_BYTES, record_head};
 use super::layout::{StatedLayout, TOPIC};
 use super::{LoggedFrames, payload};
 
-/// The only schema and the only channel of a segment.
+/// Ids of the only schema and the only channel of a segment.
 const SCHEMA: u16 = 1;
 const CHANNEL: u16 = 1;
-/// Read or written at once.
+/// Number of bytes read or written at once.
 const BUFFER_BYTES: usize = 64 << 10;
-/// Bytes of a message index before its entries, and of each.
+/// Size of the head of a message index, and of each entry, in bytes.
 const INDEX_HEAD_BYTES: u64 = 6;
 const INDEX_ENTRY_BYTES: u64 = 16;
 
-/// Appends a record with the body that `body` appends.
+/// Appends a record whose body `body` appends.
 fn put(out: &mut Vec<u8>, opcode: u8, body: impl FnOnce(&mut Vec<u8>) -> Result<()>) -> Result<()> {
     out.push(opcode);
     let length_at = out.len();
@@ -93,8 +96,11 @@ fn put_channel(out: &mut Vec<u8>, stated: &StatedLayout) -> Result<()> {
     put(out, op::CHANNEL, |out| put_fields(out, &channel))
 }
 
-/// Appends a chunk of blocks, not compressed, because noise in the last bits of the samples does not compress and small chunks even less;
-/// and the index of its messages, of which the first has number `sequence`. The first chunk of a segment is `stated`.
+/// Appends a chunk of blocks and the message index. `sequence` is the number of the first message.
+///
+/// The chunk is not compressed, because noise in the last bits of samples does not compress, and
+/// small chunks compress even less. The first chunk of a segment contains schema and channel, so it
+/// requires `stated`.
 pub(super) fn put_chunk(
     out: &mut Vec<u8>,
     stated: Option<&StatedLayout>,
@@ -155,8 +161,10 @@ pub(super) fn put_chunk(
     })
 }
 
-/// Writes the end of a segment behind its `bytes` bytes: the index of the chunks, which are read from it, and the footer. Returns the
-/// length of the file.
+/// Writes the end of a segment after its `bytes` bytes: the index of the chunks, which it reads
+/// from the file, and the footer.
+///
+/// Returns the length of the file.
 pub(super) fn write_end(
     path: &Path,
     file: &File,
@@ -164,7 +172,7 @@ pub(super) fn write_end(
     stated: &StatedLayout,
 ) -> Result<u64> {
     let mut out = Vec::with_capacity(2 * BUFFER_BYTES);
-    // no checksum of the data: each chunk has its own
+    // The data needs no checksum, because each chunk has its own.
     put(&mut out, op::DATA_END, |out| {
         put_fields(
             out,
@@ -224,7 +232,7 @@ pub(super) fn write_end(
             put_fields(out, &offset)
         })?;
     }
-    // the checksum of the summary is also of what stands before it in the footer
+    // The checksum of the summary includes the part of the footer before the checksum itself.
     put(&mut end.out, op::FOOTER, |out| {
         put_fields(
             out,
@@ -244,12 +252,12 @@ pub(super) fn write_end(
     Ok(end.place)
 }
 
-/// The end of a segment as it is written.
+/// The state of writing the end of a segment.
 struct End<'a> {
     file: &'a File,
-    /// Of the summary so far.
+    /// Checksum of the summary so far.
     crc: crc32fast::Hasher,
-    /// Bytes of the file so far.
+    /// Length of the file so far, in bytes.
     place: u64,
     out: Vec<u8>,
     offsets: Vec<SummaryOffset>,
@@ -266,7 +274,7 @@ impl End<'_> {
         Ok(())
     }
 
-    /// Writes records of one kind.
+    /// Writes a group of records of one kind.
     fn group(
         &mut self,
         group_opcode: u8,
@@ -284,7 +292,8 @@ impl End<'_> {
     }
 }
 
-/// Goes over the chunks of a file of `bytes` bytes that was written here: the entry of each in the index, and its messages.
+/// Calls `take` for each chunk of a file of `bytes` bytes that this module wrote, with its index
+/// entry and number of messages.
 fn each_chunk(
     path: &Path,
     bytes: u64,

@@ -1,4 +1,4 @@
-//! What a segment on disk holds, by one pass over it.
+//! Determines the content of a segment on disk in one pass.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -15,41 +15,41 @@ use super::layout::StatedLayout;
 use crate::RecordError;
 use crate::mcap_record::parse_record;
 
-/// Bytes of the records after the data: opcode, length and body of each.
+/// Size of the records after the data, in bytes: opcode, length and body of each.
 const DATA_END_BYTES: u64 = RECORD_HEAD_BYTES + 4;
 const FOOTER_BYTES: u64 = RECORD_HEAD_BYTES + 20;
 const MAGIC_BYTES: u64 = mcap::MAGIC.len() as u64;
-/// Read at once.
+/// Number of bytes read at once.
 const BUFFER_BYTES: usize = 1 << 20;
 
-/// How a segment ends.
+/// The end of a segment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum SegmentEnd {
-    /// With index and footer: it was closed.
+    /// An end with index and footer: the segment was closed.
     InOrder,
-    /// With a footer alone: it was mended, or cut back.
+    /// An end with a footer but no index: the segment was repaired or cut back.
     Mended,
-    /// Without: its writer died.
+    /// No end: the writer terminated abnormally.
     Torn,
 }
 
-/// What a segment holds.
+/// The content of a segment.
 #[derive(Debug)]
 pub(super) struct Scan {
-    /// Bytes of the file.
+    /// Size of the file, in bytes.
     pub(super) bytes: u64,
     pub(super) stated: Option<StatedLayout>,
-    /// Encoding of its messages where that is of another version.
+    /// The encoding of the messages if it belongs to another version.
     pub(super) foreign_encoding: Option<String>,
     pub(super) entries: Vec<Entry>,
-    /// The last block that is whole.
+    /// The last intact block.
     pub(super) last: Option<LoggedFrames>,
-    /// Where the last whole chunk ends, its message index included.
+    /// Offset of the end of the last intact chunk, including its message index.
     pub(super) whole: u64,
     pub(super) end: SegmentEnd,
 }
 
-/// Reads a segment from its beginning. Chunks that are not whole are passed over, those behind them are found again.
+/// Reads a segment from its beginning. Skips damaged chunks and finds the intact ones after them.
 pub(super) fn scan(path: &Path) -> Result<Scan, RecordError> {
     let file = File::open(path).map_err(|source| RecordError::Open {
         path: path.to_owned(),
@@ -80,7 +80,8 @@ pub(super) fn scan(path: &Path) -> Result<Scan, RecordError> {
     })
 }
 
-/// Time of the first frame of a segment, in ns; `None` if its first chunk is not whole.
+/// Returns the time of the first frame of a segment, in ns. Returns `None` if its first chunk is
+/// damaged.
 pub(super) fn start_of(path: &Path) -> std::io::Result<Option<i64>> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
@@ -106,15 +107,15 @@ pub(super) fn start_of(path: &Path) -> std::io::Result<Option<i64>> {
     Ok(None)
 }
 
-/// The bytes that end a file without an index: end of data, footer, magic.
+/// Returns the bytes that end a file without an index: data end, footer and magic.
 pub(super) fn mended_end() -> Vec<u8> {
     let mut bytes = Vec::new();
     bytes.push(op::DATA_END);
     bytes.extend(4_u64.to_le_bytes());
-    bytes.extend([0; 4]); // no checksum of the data: each chunk has its own
+    bytes.extend([0; 4]); // no checksum of the data, because each chunk has its own
     bytes.push(op::FOOTER);
     bytes.extend(20_u64.to_le_bytes());
-    bytes.extend([0; 20]); // no summary, no offsets, no checksum of it
+    bytes.extend([0; 20]); // no summary, no offsets, no checksum
     bytes.extend(mcap::MAGIC);
     bytes
 }
@@ -135,7 +136,8 @@ impl Pass<'_> {
             let after = place + RECORD_HEAD_BYTES + length;
             match opcode {
                 op::CHUNK => {
-                    self.body.resize(length as usize, 0); // no more than the file has
+                    // The length is at most the size of the file.
+                    self.body.resize(length as usize, 0);
                     self.reader.read_exact(&mut self.body)?;
                     match chunk_content(&self.body) {
                         Some(content) => found.take(content, place, after),
@@ -149,7 +151,7 @@ impl Pass<'_> {
                 op::MESSAGE_INDEX | op::HEADER => {
                     self.body.resize(length as usize, 0);
                     self.reader.read_exact(&mut self.body)?;
-                    // without a checksum: a length that is wrong would lead past chunks
+                    // These records have no checksum, and a wrong length would skip chunks.
                     if !is_as_long_as_stated(opcode, &self.body) {
                         return self.behind(place + 1, found);
                     }
@@ -167,7 +169,8 @@ impl Pass<'_> {
         }
     }
 
-    /// Looks for whole chunks behind a damaged place, byte by byte: a length that is wrong must not hide what follows.
+    /// Searches for intact chunks after a damaged position, byte by byte, because a damaged length
+    /// must not hide the chunks after it.
     fn behind(&mut self, place: u64, mut found: Scan) -> std::io::Result<Scan> {
         let rest = self.at(place, self.bytes.saturating_sub(place))?;
         for (start, end, content) in whole_chunks(&rest) {
@@ -182,7 +185,7 @@ impl Pass<'_> {
         Ok(found)
     }
 
-    /// How the file ends, told by its last bytes.
+    /// Determines the end of the file from its last bytes.
     fn end(&mut self) -> std::io::Result<SegmentEnd> {
         let tail_bytes = FOOTER_BYTES + MAGIC_BYTES;
         let Some(footer_at) = self.bytes.checked_sub(tail_bytes) else {
@@ -212,7 +215,8 @@ impl Pass<'_> {
         Ok(if is_there { end } else { SegmentEnd::Torn })
     }
 
-    /// Opcode and length of the record at this byte, if it is whole; the reader is left at its body.
+    /// Returns opcode and length of the record at `place`, or `None` if it is incomplete. The
+    /// reader is then at the body of the record.
     fn head(&mut self, place: u64) -> std::io::Result<Option<(u8, u64)>> {
         let Some(most) = self.bytes.checked_sub(place + RECORD_HEAD_BYTES) else {
             return Ok(None);
@@ -222,16 +226,17 @@ impl Pass<'_> {
         Ok(record_head(&head).filter(|(_, length)| *length <= most))
     }
 
-    /// Bytes from this place on; the reader is left behind them.
+    /// Returns the bytes at `place`. The reader is then at the byte after them.
     fn at(&mut self, place: u64, length: u64) -> std::io::Result<Vec<u8>> {
         self.reader.seek(SeekFrom::Start(place))?;
-        let mut bytes = vec![0; length as usize]; // no more than the file has
+        // The length is at most the size of the file.
+        let mut bytes = vec![0; length as usize];
         self.reader.read_exact(&mut bytes)?;
         Ok(bytes)
     }
 }
 
-/// Whether a message index or a header has the length that its own counts say.
+/// Returns `true` if a message index or a header has the length that its own counts imply.
 fn is_as_long_as_stated(opcode: u8, body: &[u8]) -> bool {
     let stated = match parse_record(opcode, body) {
         Ok(Record::MessageIndex(index)) => 6 + 16 * index.records.len(),
@@ -241,7 +246,7 @@ fn is_as_long_as_stated(opcode: u8, body: &[u8]) -> bool {
     stated == body.len()
 }
 
-/// The body of a record of this length, if it is there whole.
+/// Returns the body of a record with the given length, or `None` if it is incomplete.
 fn record_body(record: &[u8], length: u64) -> Option<&[u8]> {
     let length = usize::try_from(length).ok()?;
     record.get(RECORD_HEAD_BYTES as usize..)?.get(..length)

@@ -1,4 +1,4 @@
-//! The segment that is being written.
+//! The segment that is being written, and the names of segments.
 
 use std::borrow::Cow;
 use std::fs::{File, OpenOptions};
@@ -13,7 +13,8 @@ use super::records::{put_begin, put_chunk, write_end};
 use super::scan::mended_end;
 use crate::RecordError;
 
-/// What a segment is named after: epoch and number of its first frame. Segments are in the order of their names.
+/// The name of a segment: epoch and sequence number of its first frame. The order of names is the
+/// order of segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SegmentName {
     pub(super) epoch: u64,
@@ -22,7 +23,7 @@ pub(super) struct SegmentName {
 
 const PREFIX: &str = "frames-";
 const SUFFIX: &str = ".mcap";
-/// What is behind the name of a segment that could not be read.
+/// Extension appended to the name of an unreadable segment.
 const SET_ASIDE: &str = "unreadable";
 
 impl SegmentName {
@@ -58,7 +59,7 @@ impl SegmentName {
     }
 }
 
-/// Gives a segment that cannot be read another name, so that it is neither read again nor lost.
+/// Renames an unreadable segment, so that it is neither read again nor lost. Returns its new path.
 pub(super) fn set_aside(path: &Path) -> Result<PathBuf, RecordError> {
     let mut aside = PathBuf::from(format!("{}.{SET_ASIDE}", path.display()));
     let mut again = 1;
@@ -73,7 +74,8 @@ pub(super) fn set_aside(path: &Path) -> Result<PathBuf, RecordError> {
     Ok(aside)
 }
 
-/// Cuts a segment behind its last whole chunk, and ends it so that any reader of MCAP opens it.
+/// Cuts a segment after its last intact chunk, and ends it so that any MCAP reader can open it.
+/// Returns the new length.
 pub(super) fn mend(path: &Path, whole: u64) -> Result<u64, RecordError> {
     let failed = |source| RecordError::WriteLog {
         path: path.to_owned(),
@@ -84,14 +86,16 @@ pub(super) fn mend(path: &Path, whole: u64) -> Result<u64, RecordError> {
     mended.map_err(failed)
 }
 
-/// Cuts the file to `whole` bytes and ends it there; returns its length. An end that does not fit on the disk is left out.
+/// Cuts the file to `whole` bytes and writes the end. Returns the new length. If the end does not
+/// fit on the disk, it is omitted.
 fn end_at(file: &mut File, whole: u64) -> std::io::Result<u64> {
     file.set_len(whole)?;
     file.seek(SeekFrom::Start(whole))?;
     let end = mended_end();
     match file.write_all(&end) {
         Ok(()) => Ok(whole + end.len() as u64),
-        Err(_) => file.set_len(whole).map(|()| whole), // it can be read without, and is mended when the log is opened
+        // The segment is readable without an end, and the next opening of the log repairs it.
+        Err(_) => file.set_len(whole).map(|()| whole),
     }
 }
 
@@ -102,13 +106,14 @@ pub(super) struct OpenSegment {
     file: Arc<File>,
     messages: u32,
     chunks: u32,
-    /// Bytes in the file: up to the end of its last chunk.
+    /// Length of the file up to the end of its last chunk, in bytes.
     bytes: u64,
 }
 
 impl OpenSegment {
-    /// Creates the file, empty: its beginning goes out with its first chunk. A file of this name that is there holds nothing
-    /// that could be read, and is set aside.
+    /// Creates an empty file. The first append writes the beginning together with the first chunk.
+    ///
+    /// An existing file of this name contains nothing readable and is renamed.
     pub(super) fn create(folder: &Path, name: SegmentName) -> Result<Self, RecordError> {
         let path = name.path(folder);
         let create = || OpenOptions::new().write(true).create_new(true).open(&path);
@@ -153,7 +158,8 @@ impl OpenSegment {
         self.chunks
     }
 
-    /// Writes a chunk; returns where its record begins, and its length. After an error the segment must be cut back.
+    /// Writes a chunk, and returns offset and length of its record. After an error, the caller must
+    /// cut the segment back.
     pub(super) fn append(
         &mut self,
         blocks: &[Cow<'_, LoggedFrames>],
@@ -164,7 +170,8 @@ impl OpenSegment {
             source,
         };
         let is_first = self.chunks == 0;
-        let mut out = Vec::new(); // a chunk goes to the file in one piece
+        // A single write passes the whole chunk to the file.
+        let mut out = Vec::new();
         if is_first {
             put_begin(&mut out).map_err(refused)?;
         }
@@ -180,7 +187,8 @@ impl OpenSegment {
         Ok((offset, length))
     }
 
-    /// Writes index and footer; returns the length of the file. What does not fit is cut off again.
+    /// Writes index and footer, and returns the length of the file. After an error, the incomplete
+    /// end is removed.
     pub(super) fn finish(self, stated: &StatedLayout) -> Result<u64, RecordError> {
         match write_end(&self.path, &self.file, self.bytes, stated) {
             Ok(bytes) => Ok(bytes),
@@ -192,7 +200,8 @@ impl OpenSegment {
         }
     }
 
-    /// Cuts the file behind its last whole chunk and ends it there; one without a chunk is removed. Returns its length.
+    /// Cuts the file after its last complete chunk and ends it. Removes a file without chunks.
+    /// Returns the new length.
     pub(super) fn cut_back(self) -> Result<u64, RecordError> {
         let Self {
             path,

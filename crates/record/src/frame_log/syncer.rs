@@ -1,4 +1,4 @@
-//! From the operating system to the disk itself, on a thread that may wait for it.
+//! Syncs the frame log to disk, on a thread that may block.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::RecordError;
 
-/// Brings what was appended to a frame log to the disk itself.
+/// A handle that syncs appended data of a frame log to disk.
 #[derive(Debug, Clone)]
 pub struct LogSyncer {
     shared: Arc<Shared>,
@@ -16,7 +16,7 @@ pub struct LogSyncer {
 struct Shared {
     folder: PathBuf,
     unsynced: Mutex<Unsynced>,
-    /// Held while the disk is waited for: who returns must not have overtaken another.
+    /// Lock held during a sync. A second call must not return before the first one has finished.
     turn: Mutex<()>,
 }
 
@@ -38,11 +38,12 @@ impl LogSyncer {
         }
     }
 
-    /// Waits until everything that was appended before this call is on the disk; returns at once if it is there already.
+    /// Waits until all data appended before this call is synced to disk. Returns immediately if it
+    /// already is.
     ///
     /// # Errors
-    /// The disk refuses; the files are tried again at the next call. What it refused may be lost all the same: some operating
-    /// systems report such an error once.
+    /// Syncing failed. The next call retries the files. The data may still be lost, because some
+    /// operating systems report such an error only once.
     pub fn sync(&self) -> Result<(), RecordError> {
         let _turn = self
             .shared
@@ -81,12 +82,12 @@ impl LogSyncer {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Something was written to this file.
+    /// Records that a file has unsynced data.
     pub(super) fn written(&self, path: &Path, file: &Arc<File>) {
         self.unsynced().add(path, file);
     }
 
-    /// There is a file that was not there before.
+    /// Records that the folder has a new file.
     pub(super) fn created(&self) {
         self.unsynced().has_new_file = true;
     }
@@ -100,7 +101,7 @@ impl Unsynced {
     }
 }
 
-/// Brings the names of new files to the disk.
+/// Syncs the entries of a folder to disk, so that new file names persist.
 pub(super) fn sync_folder(folder: &Path) -> Result<(), RecordError> {
     let synced = File::open(folder).and_then(|folder| folder.sync_all());
     synced.map_err(|source| RecordError::WriteLog {

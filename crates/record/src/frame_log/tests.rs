@@ -1,4 +1,4 @@
-//! The frame log, through what it offers; the tests of one subject stand in one file.
+//! Tests of the frame log through its public interface. Each file covers one subject.
 
 mod crash;
 mod layout;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use super::*;
 
-/// Channels of the frames here.
+/// Number of channels of the test frames.
 const CHANNELS: u16 = 3;
 const T0_NS: i64 = 1_700_000_000_000_000_000;
 
@@ -25,7 +25,7 @@ fn layout() -> LogLayout {
     }
 }
 
-/// Frames whose every value tells epoch, frame and channel.
+/// Returns frames whose values encode epoch, frame and channel.
 fn frames(epoch: u64, from: u64, count: u64) -> LoggedFrames {
     let value =
         |frame: u64, channel: u16| epoch as f64 * 1e9 + frame as f64 + f64::from(channel) / 8.0;
@@ -55,7 +55,7 @@ fn frames(epoch: u64, from: u64, count: u64) -> LoggedFrames {
     }
 }
 
-/// A folder in memory where there is one: thousands of logs are opened and mended here.
+/// Returns a folder in memory if possible, because these tests open and repair thousands of logs.
 fn quick_folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm")
         .or_else(|_| tempfile::tempdir())
@@ -77,7 +77,7 @@ fn open_with(folder: &Path, settings: LogSettings) -> FrameLog {
     FrameLog::open(folder, layout(), settings).unwrap().0
 }
 
-/// Segments of one append each.
+/// Returns settings with one append per segment.
 fn short_segments() -> LogSettings {
     LogSettings {
         segment_bytes: 1,
@@ -96,7 +96,7 @@ fn segments(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// All frames of an epoch as number and values, from answers of at most `limit` frames.
+/// Returns all frames of an epoch as numbers and values, read in parts of at most `limit` frames.
 fn all_frames(reader: &FrameLogReader, epoch: u64, limit: u64) -> Vec<(u64, Vec<u64>)> {
     let mut found = Vec::new();
     let mut after = 0;
@@ -116,7 +116,7 @@ fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-/// Number and values of all frames of blocks.
+/// Returns number and values of all frames in `blocks`.
 fn rows_of(blocks: &[LoggedFrames]) -> Vec<(u64, Vec<u64>)> {
     let rows = |block: &LoggedFrames| {
         let rows: Vec<Vec<u64>> = block
@@ -424,7 +424,7 @@ fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
         ),
     ];
     for (block, expected) in refused {
-        // behind one that could be logged, where the order allows it
+        // The block follows a valid one if the order permits that.
         let blocks = if block.epoch == 6 {
             vec![frames(6, 0, 5), block]
         } else {

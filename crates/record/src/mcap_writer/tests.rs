@@ -18,7 +18,8 @@ fn sample(place: usize, step: i64) -> f64 {
     (step as f64 * 0.1 + place as f64).sin()
 }
 
-/// Writes samples of two channels and returns the file without a proper end if it is `killed`.
+/// Writes samples of two channels, and returns the file. If `is_killed`, the file has no proper
+/// end.
 fn written(steps: i64, is_killed: bool) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("out.mcap");
@@ -31,7 +32,8 @@ fn written(steps: i64, is_killed: bool) -> Vec<u8> {
         }
     }
     match is_killed {
-        true => std::mem::forget(writer), // as after kill -9: nothing is dropped, nothing flushed
+        // Like after `kill -9`, nothing is dropped or flushed.
+        true => std::mem::forget(writer),
         false => writer.finish().unwrap(),
     }
     std::fs::read(&path).unwrap()
@@ -46,7 +48,8 @@ fn read(bytes: &[u8]) -> Result<RecordedFile, RecordError> {
 
 #[test]
 fn killed_writer_loses_its_last_chunk_alone() {
-    // 5000 steps of two channels: two chunks of 4096 messages are whole, 1808 messages are lost
+    // 5000 steps of two channels: two chunks of 4096 messages are complete, and 1808 messages are
+    // lost.
     let file = read(&written(5000, true)).unwrap();
     for (place, channel) in file.channels().iter().enumerate() {
         let samples: Vec<f64> = channel.samples().collect();
@@ -68,7 +71,7 @@ fn killed_writer_loses_its_last_chunk_alone() {
 fn file_cut_anywhere_is_read_up_to_its_last_whole_chunk() {
     let whole = written(10_000, false);
     let mut lengths = Vec::new();
-    // at every byte of the beginning and the end, and at many between
+    // Cut at every byte of the beginning and the end, and at many bytes in between.
     let places = (0..600)
         .chain((600..whole.len() - 600).step_by(499))
         .chain(whole.len() - 600..whole.len());
@@ -165,6 +168,6 @@ fn infinite_values_and_times_before_1970_are_refused() {
         writer.write(2, 0, 1.0),
         Err(RecordError::NotWritable { .. })
     ));
-    writer.write(0, 0, f64::NAN).unwrap(); // missing: no message
+    writer.write(0, 0, f64::NAN).unwrap(); // a missing sample is not a message
     writer.finish().unwrap();
 }

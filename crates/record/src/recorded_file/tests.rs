@@ -147,7 +147,7 @@ fn compressed_table_is_read_by_rows_and_whole() {
 #[test]
 fn zipped_and_resampled_tables_are_read_as_the_table_itself() {
     let folder = tempfile::tempdir().unwrap();
-    // a mapping names the column as it is called
+    // The mapping contains the exact name of the column.
     let table = TABLE.replace("roof", "roof [g]");
     let (plain, zipped) = (
         folder.path().join("hall.csv"),
@@ -225,7 +225,7 @@ fn declared_rate_is_for_channels_without_one() {
     ));
 }
 
-/// Beginnings that tell a format, so that arbitrary bytes reach its reader.
+/// File beginnings that identify a format, so that arbitrary bytes reach its reader.
 const BEGINNINGS: [&[u8]; 12] = [
     b"",
     b"MS\x03",
@@ -248,7 +248,8 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..400),
         is_text in any::<bool>(),
     ) {
-        // of all bytes few make text: digits, points and lines reach further into readers of text
+        // Arbitrary bytes are rarely text. Digits, dots and line breaks reach further into text
+        // readers.
         let letters = b"0123456789 .-+eE,\n";
         let bytes: Vec<u8> = match is_text {
             true => bytes.iter().map(|byte| letters[usize::from(*byte) % letters.len()]).collect(),

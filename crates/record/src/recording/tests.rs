@@ -17,7 +17,8 @@ fn all_rows(recording: &mut Recording) -> Vec<(i64, Vec<f64>)> {
     rows
 }
 
-/// `count` rows at `rate_hz` with times of `digits` digits; channel `a` is the row number, `b` is 1.
+/// Returns `count` rows at `rate_hz` with times of `digits` digits. Channel `a` is the row number,
+/// and `b` is 1.
 fn regular_text(rate_hz: f64, count: usize, digits: usize) -> String {
     let rows = (0..count).map(|row| format!("{:.digits$},{row},1\n", row as f64 / rate_hz));
     std::iter::once("time,a,b\n".to_owned())
@@ -27,7 +28,8 @@ fn regular_text(rate_hz: f64, count: usize, digits: usize) -> String {
 
 #[test]
 fn rounded_times_give_the_declared_rate() {
-    // 120 Hz to µs as in the shake table records, to ms as loggers print it; two rows are enough for µs.
+    // 120 Hz to µs as in the shake table records, and to ms as loggers print it. Two rows suffice
+    // for µs.
     for (count, digits) in [(5000, 6), (5000, 3), (2, 6)] {
         let recording = recording(&regular_text(120.0, count, digits), OffsetRemoval::Keep);
         assert_eq!(
@@ -88,7 +90,8 @@ fn mean_of_the_first_seconds_is_removed_from_the_whole_channel() {
     let rows = all_rows(&mut recording);
     let a: Vec<f64> = rows.iter().map(|(_, values)| values[0]).collect();
     assert_eq!(a, [-1.0, 1.0, 8.0, 18.0]);
-    assert_eq!(rows[3].1[1], 8.0); // no sample of b in the span: unchanged
+    // The span contains no sample of `b`, so its values are unchanged.
+    assert_eq!(rows[3].1[1], 8.0);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `spandrel baseline`: the sound values of the parameters, learnt from recordings.
+//! `spandrel baseline`: learns the baseline values of the parameters from recordings.
 
 use super::{counted, print, refuse_overwriting};
 use crate::cli::BaselineArguments;
@@ -11,14 +11,15 @@ use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Reference, Structure};
 use std::fmt::Write as _;
 
-/// Largest share of the frames of a recording in which the data may contradict the model. Beyond it, hardly more than the first
-/// moments remain, in which the filter has not found out yet.
+/// Largest share of the frames of a recording in which the data may contradict the model.
+///
+/// Beyond it, little more than the start remains, where the filter has not detected the contradiction.
 const LARGEST_CONTRADICTED: f64 = 0.95;
 
-/// Identifies each recording from its start and writes mean and spread of each parameter.
+/// Identifies each recording from its start and writes the mean and scatter of each parameter.
 ///
 /// # Errors
-/// When a file is wrong or has nothing to learn from.
+/// A file is not valid, or a recording is too short to learn from.
 pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     let inputs = std::iter::once(&arguments.structure).chain(&arguments.record);
     refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
@@ -98,13 +99,13 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     print(&(left_out + &report(&structure, &baseline)))
 }
 
-/// What the baseline holds, and which losses the rules can raise against it.
+/// Returns the contents of the baseline and the losses that the rules can detect with it, as text.
 fn report(structure: &Structure, baseline: &Baseline) -> String {
     let recordings = counted(baseline.records(), "recording", "recordings");
-    let mut text = format!("sound values of {} from {recordings}\n", structure.name());
+    let mut text = format!("baseline of {} from {recordings}\n", structure.name());
     for (index, parameter) in structure.parameters().iter().enumerate() {
         let name = parameter.name();
-        // writing to a String does not fail
+        // Writing to a string cannot fail.
         let _ = match (baseline.claim(name), baseline.parameter(name)) {
             (Some(Ok(reference)), _) => {
                 let support = reference.scatter().map_or(
@@ -138,7 +139,8 @@ fn report(structure: &Structure, baseline: &Baseline) -> String {
     text
 }
 
-/// From which loss on each rule that learns its reference can raise a parameter, in words.
+/// Returns the smallest loss that each rule with a learnt reference can raise for a parameter, in
+/// words.
 fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<String> {
     let Some(parameter) = structure.parameters().get(index) else {
         return Vec::new();
@@ -157,9 +159,9 @@ fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<Strin
         match reference.largest_credible(rule.loss, rule.credibility) {
             Some(estimate) => {
                 let loss = 100.0 * (1.0 - estimate / reference.mean());
-                format!("{asked}: raised from a loss of {loss:.0} % on")
+                format!("{asked}: raised for a loss of at least {loss:.0} %")
             }
-            None => format!("{asked}: never raised, because these records are too few"),
+            None => format!("{asked}: never raised, because there are too few records"),
         }
     };
     learning

@@ -1,4 +1,4 @@
-//! `spandrel bench`: how many structures this machine can watch, and how late it is.
+//! `spandrel bench`: measures how many structures this machine can monitor, and with what latency.
 
 use super::print;
 use super::simulate::{Simulation, simulate};
@@ -18,45 +18,48 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use tokio::task::JoinSet;
 
-/// The structure without another one: five storeys, six channels, 100 Hz.
+/// The default structure: five storeys, six channels, 100 Hz.
 const BUILT_IN: &str = include_str!("../../../../docs/examples/demo.toml");
 const BUILT_IN_NAME: &str = "docs/examples/demo.toml";
 
-/// Blocks that wait to be timed.
+/// Queue length for blocks that await timing.
 const BLOCKS_WAITING: usize = 1 << 17;
-/// Time for all to start before the first sample is measured.
+/// Time for all services to start before the first sample is measured.
 const HEAD_START: Duration = Duration::from_secs(3);
-/// What is not counted at the beginning: the noise levels are learnt, buffers grow.
+/// Time at the start that is not counted, because the noise levels are being learnt and buffers
+/// grow.
 const WARM_UP: Duration = Duration::from_secs(5);
-/// Latency (s) above which the machine counts as overrun: several blocks of 50 ms behind.
+/// Latency above which the machine counts as overloaded (s). It equals several blocks of 50 ms.
 const SUSTAINED_P99_S: f64 = 0.5;
 
-/// One measurement.
+/// Result of one measurement.
 #[derive(Clone, Debug, Serialize)]
 struct Load {
     structures: usize,
     seconds: f64,
-    /// From the time of the last frame of a block to its estimates (s): p50, p99, p99.9.
+    /// Latency from the last frame of a block to its estimates (s): p50, p99, p99.9.
     estimate_latency_s: [f64; 3],
-    /// To the word of the alert service that it has decided (s).
+    /// Latency from the last frame of a block to the progress message of the alert service (s):
+    /// p50, p99, p99.9.
     alert_latency_s: [f64; 3],
-    /// Estimates heard over those that there should be.
+    /// Received estimates divided by expected estimates.
     complete: f64,
-    /// Share of one core for all of it, sensors included.
+    /// Processor time of everything, including the sensors, as a multiple of one core.
     cores: f64,
-    /// Milliseconds of processor time per structure and second.
+    /// Processor time per structure and second (ms).
     cpu_ms_per_structure: f64,
-    /// Of the processor time, by threads: those of the filters, of the services with their serialisation, and of Zenoh.
+    /// Share of the processor time by group of threads: filters, services with serialisation, and
+    /// Zenoh.
     share: BTreeMap<&'static str, f64>,
     resident_mb: f64,
     resident_mb_per_structure: f64,
     sustained: bool,
 }
 
-/// Measures, once or up to the largest number that is sustained.
+/// Runs one measurement, or several up to the largest sustained number of structures.
 ///
 /// # Errors
-/// When a structure is wrong, or a service fails.
+/// A structure is not valid, or a service fails.
 pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
     let text = match &arguments.structure {
         Some(path) => {
@@ -81,7 +84,7 @@ pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
     } else {
         let (mut good, mut bad) = (0, None);
         let mut next = arguments.structures;
-        // doubled until it is too much, then halved between; to a tenth
+        // Doubles the number until overload, then bisects to a tenth.
         while bad.is_none_or(|bad| bad > good + (good / 10).max(1)) {
             let load = tell(measure(&text, &path, arguments, next)?, arguments)?;
             if load.sustained {
@@ -117,7 +120,7 @@ fn tell(load: Load, arguments: &BenchArguments) -> Result<Load, AppError> {
     } else {
         "overrun"
     };
-    // writing to a String does not fail
+    // Writing to a string cannot fail.
     let _ = writeln!(text, "{verdict}");
     let _ = writeln!(
         text,
@@ -127,7 +130,7 @@ fn tell(load: Load, arguments: &BenchArguments) -> Result<Load, AppError> {
     let _ = writeln!(text, "  block to alert       {}", ms(load.alert_latency_s));
     let _ = writeln!(
         text,
-        "  estimates heard      {:.2} %",
+        "  estimates received   {:.2} %",
         100.0 * load.complete
     );
     let per_structure = load.cpu_ms_per_structure;
@@ -151,9 +154,9 @@ fn tell(load: Load, arguments: &BenchArguments) -> Result<Load, AppError> {
     Ok(load)
 }
 
-/// So many structures of one kind, each with a name of its own.
+/// Returns `count` copies of a structure, each with its own name.
 fn named(text: &str, path: &Path, count: usize) -> Result<Vec<(Structure, String)>, AppError> {
-    // mistakes are told with the lines of the file itself
+    // Checks the original first, so that an error refers to the lines of the file.
     Structure::parse(text, path)?;
     let wrong = |error: &dyn std::fmt::Display| AppError::Io {
         what: format!("{}: cannot be copied", path.display()),
@@ -185,7 +188,7 @@ fn measure(
     let duration = Duration::from_secs_f64(arguments.duration.max(1.0));
     if !arguments.apart {
         return block_on(async {
-            // nobody else is to be disturbed, and nobody to disturb
+            // A port of its own, so that the measurement neither affects nor meets other systems.
             let bus = BusConfig {
                 listen: vec!["tcp/127.0.0.1:0".to_owned()],
                 ..BusConfig::default()
@@ -219,14 +222,14 @@ fn measure(
         source,
     };
     std::fs::create_dir_all(&folder)
-        .map_err(|source| in_folder("cannot make the folder", source))?;
+        .map_err(|source| in_folder("cannot create the folder", source))?;
     let result = measure_apart(&settings, structures, duration, &folder);
-    // files of a second are no loss
+    // The temporary files may remain.
     let _ = std::fs::remove_dir_all(&folder);
     result
 }
 
-/// The services in a process of their own.
+/// Measures with the services in a separate process.
 fn measure_apart(
     settings: &Settings,
     structures: Vec<(Structure, String)>,
@@ -298,7 +301,7 @@ fn measure_apart(
     })
 }
 
-/// A process that ends with this.
+/// A child process that is killed when this value is dropped.
 struct Started(Child);
 
 impl Started {
@@ -314,7 +317,7 @@ impl Started {
                 Ok(count) => said.push_str(&String::from_utf8_lossy(&buffer[..count])),
             }
         }
-        // what it says from now on nobody reads, and it must not wait for that
+        // Drains the pipe, so that the child never blocks on its log.
         std::thread::spawn(move || std::io::copy(&mut errors, &mut std::io::sink()));
         Ok(())
     }
@@ -322,7 +325,7 @@ impl Started {
 
 impl Drop for Started {
     fn drop(&mut self) {
-        // it may have ended already
+        // The process may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -343,7 +346,7 @@ fn watched(
     structures.into_iter().map(one).collect()
 }
 
-/// Lets sensors measure, and times what comes of it.
+/// Runs the sensors and measures the resulting latencies.
 async fn time(
     bus: &Bus,
     watched: &[Watched],
@@ -420,7 +423,7 @@ async fn time(
                 }
             }
             Ok((key, progress)) = decided.messages().recv_async() => {
-                // it is repeated while nothing happens
+                // Ignores repetitions, which the service publishes while nothing changes.
                 let is_new = done.insert(key, progress.done) != Some(progress.done);
                 if is_new && is_counted(progress.header.time_ns) {
                     alerted.push(late(progress.header.time_ns));
@@ -466,13 +469,13 @@ async fn time(
     })
 }
 
-/// Time of the last frame of a block (ns since the Unix epoch, UTC).
+/// Returns the time of the last frame of a block (ns since the Unix epoch, UTC).
 fn last_ns(block: &EstimateBlock) -> i64 {
     let steps = block.estimates.len().saturating_sub(1) as f64 / block.sampling_rate_hz;
     block.header.time_ns.saturating_add((steps * 1e9) as i64)
 }
 
-/// p50, p99 and p99.9; the largest where there are fewer.
+/// Returns p50, p99 and p99.9, or the maximum if there are too few values.
 fn quantiles(values: &mut [f64]) -> [f64; 3] {
     values.sort_by(f64::total_cmp);
     [0.5, 0.99, 0.999].map(|level| {
@@ -481,15 +484,15 @@ fn quantiles(values: &mut [f64]) -> [f64; 3] {
     })
 }
 
-/// What a process has used.
+/// Resources that a process has used.
 struct Usage {
-    /// By group of threads (s).
+    /// Processor time by group of threads (s).
     cpu_s: BTreeMap<&'static str, f64>,
     resident_mb: f64,
 }
 
 impl Usage {
-    /// From `/proc`; elsewhere than on Linux nothing is known.
+    /// Reads the usage from `/proc`. It is zero on systems other than Linux.
     fn now(process: u32) -> Self {
         let mut cpu_s: BTreeMap<&'static str, f64> = BTreeMap::new();
         for task in std::fs::read_dir(format!("/proc/{process}/task"))
@@ -513,7 +516,7 @@ impl Usage {
     }
 }
 
-/// Time on a processor (s) as `schedstat` has it: the first number, in ns.
+/// Returns the processor time from `schedstat` (s), which is its first number (ns).
 fn cpu_seconds(schedstat: &str) -> f64 {
     let first = schedstat
         .split_whitespace()
@@ -522,7 +525,7 @@ fn cpu_seconds(schedstat: &str) -> f64 {
     first.unwrap_or(0.0) / 1e9
 }
 
-/// What a thread is for, by its name.
+/// Returns the group of a thread from its name.
 fn group(name: &str) -> &'static str {
     match name.split('-').next() {
         Some("filter") => "filters",

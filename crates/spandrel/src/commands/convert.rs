@@ -1,14 +1,14 @@
-//! `spandrel convert`: a recording in another format, at another rate if that is asked for.
+//! `spandrel convert`: converts a recording to another format, and to another rate on request.
 
 use super::{counted, in_place_of, print, refuse_overwriting};
 use crate::cli::ConvertArguments;
 use crate::error::AppError;
 use spandrel_record::{OutputFormat, RecordedFile};
 
-/// Reads a recording and writes it as CSV or MCAP, in SI units where its own are known.
+/// Reads a recording and writes it as CSV or MCAP, in SI units if its units are known.
 ///
 /// # Errors
-/// When the recording is wrong, or cannot be written in that format.
+/// The recording is not valid or cannot be written in that format.
 pub fn run(arguments: &ConvertArguments) -> Result<(), AppError> {
     refuse_overwriting(&arguments.output, [arguments.record.as_path()])?;
     OutputFormat::of(&arguments.output)?;

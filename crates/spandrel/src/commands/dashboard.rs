@@ -1,4 +1,4 @@
-//! `spandrel dashboard`: the web page of a running system.
+//! `spandrel dashboard`: serves the web page of a running system.
 
 use super::run::serve_page;
 use super::watch::joining_by_default;
@@ -16,7 +16,8 @@ use tracing::info;
 /// Serves the page until Ctrl-C or SIGTERM.
 ///
 /// # Errors
-/// When the configuration or a structure is wrong, nobody answers on the bus, or the address is taken.
+/// The configuration or a structure is not valid, no process replies on the bus, or the address is
+/// in use.
 pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.service.bus)?;
     let watched = read_structures(&settings, &arguments.service.structures)?;

@@ -1,4 +1,5 @@
-//! `spandrel demo`: the whole path in one process, with a building that is damaged on the way.
+//! `spandrel demo`: runs the whole chain in one process, with a building that is damaged in the
+//! course of the record.
 
 use super::print;
 use super::run::serve_page;
@@ -17,26 +18,27 @@ use spandrel_structure::Structure;
 use std::io::IsTerminal;
 use std::path::Path;
 
-/// The built-in structure: it is an example of the documentation, too.
+/// The built-in structure, which is also an example of the documentation.
 const BUILT_IN: &str = include_str!("../../../../docs/examples/demo.toml");
 
-/// Name under which mistakes of the built-in structure would be told.
+/// File name for error messages about the built-in structure.
 const BUILT_IN_NAME: &str = "docs/examples/demo.toml";
 
-/// The same where nodes identify for themselves.
+/// The built-in structure with distributed identification.
 const DISTRIBUTED: &str = include_str!("../../../../docs/examples/demo-distributed.toml");
 const DISTRIBUTED_NAME: &str = "docs/examples/demo-distributed.toml";
 
-/// Alert messages that wait for the collector; far more than a demo makes.
+/// Queue length for alert messages, far above the number in a demo.
 const ALERTS_WAITING: usize = 4096;
 
-/// Messages on nodes and their channels that wait for the collector, which takes them with each block of estimates.
+/// Queue length for messages of nodes and their channels. The collector reads them with each block
+/// of estimates.
 const NODES_WAITING: usize = 1 << 14;
 
-/// Runs the demo and prints what came of it.
+/// Runs the demo and prints its result.
 ///
 /// # Errors
-/// When the bus cannot be joined or a service fails.
+/// The bus cannot be joined, or a service fails.
 pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.bus)?;
     let structure = match &arguments.structure {
@@ -87,8 +89,11 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         if let (Ok(Some(_)), Some(address)) = (&finished, address)
             && (arguments.stay || (shown && !arguments.json))
         {
-            told =
-                told.and_then(|()| print(&format!("the page stays at {address} until Ctrl-C\n")));
+            told = told.and_then(|()| {
+                print(&format!(
+                    "the page remains available at {address} until Ctrl-C\n"
+                ))
+            });
             let failed = tokio::select! {
                 failed = running.failed() => failed,
                 () = interrupted() => Ok(()),
@@ -101,7 +106,7 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     })
 }
 
-/// Prints what came of it; nothing when it was stopped on the way.
+/// Prints the result, or nothing if the demo was stopped early.
 fn tell(
     finished: &Result<Option<Summary>, AppError>,
     arguments: &DemoArguments,
@@ -113,13 +118,14 @@ fn tell(
     }
 }
 
-/// The view on a terminal, and where the page is.
+/// The view on a terminal, and the address of the page.
 #[derive(Debug, Clone, Copy)]
 struct Shown<'p> {
     page: Option<&'p str>,
 }
 
-/// Simulates, and collects until the last estimate and its alerts have come; nothing when the person quits before.
+/// Simulates and collects until the last estimate and its alerts have arrived. Returns `None` if
+/// the user quits earlier.
 async fn show_and_collect(
     bus: &Bus,
     watched: &Watched,
@@ -130,7 +136,7 @@ async fn show_and_collect(
         structure, keys, ..
     } = watched;
     let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
-    let no_bar = indicatif::ProgressBar::hidden(); // the view shows what there is to see
+    let no_bar = indicatif::ProgressBar::hidden(); // the view already shows the progress
     let simulation = Simulation {
         speed: arguments.speed.into(),
         seed: arguments.seed,
@@ -147,13 +153,13 @@ async fn show_and_collect(
     };
     let (done, ended) = tokio::sync::oneshot::channel::<()>();
     let view = super::watch::show(bus, keys.root(), Some(structure.name()), page, async {
-        let _ = ended.await; // also when the simulation failed
+        let _ = ended.await; // even if the simulation failed
     });
     tokio::pin!(view);
     tokio::select! {
         result = both => {
             drop(done);
-            view.await?; // gives the terminal back
+            view.await?; // restores the terminal
             result
         }
         quit = &mut view => quit.map(|()| None),
@@ -181,7 +187,8 @@ async fn collect(
     };
     let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await?;
     let mut collector = Collector::new(structure);
-    // the alert service decides on the same estimates; how often it did is not on the bus
+    // The alert service decides on the same estimates but does not publish the number of decided
+    // frames.
     let mut watch = Watch::new(structure, None)?;
     loop {
         tokio::select! {
@@ -216,7 +223,7 @@ async fn collect(
     Ok(collector.finish())
 }
 
-/// What is said of nodes that identify for themselves.
+/// Subscriptions to messages about nodes in distributed identification.
 struct NodeNews {
     nodes: Subscription<NodeDisplay>,
     outliers: Subscription<OutlierDisplay>,
@@ -232,7 +239,7 @@ impl NodeNews {
         })
     }
 
-    /// Collects what has come, and tells events of nodes at once where nothing else shows them.
+    /// Collects the messages received, and prints events of nodes if there is no view.
     fn gather(&self, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
         self.nodes
             .messages()
@@ -258,7 +265,7 @@ impl NodeNews {
     }
 }
 
-/// Collects an alert, and tells it at once where nothing else shows it.
+/// Collects an alert, and prints it if there is no view.
 fn tell_alert(
     message: &AlertMessage,
     collector: &mut Collector,

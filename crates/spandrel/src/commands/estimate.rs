@@ -1,4 +1,4 @@
-//! `spandrel estimate`: identification of a recording without a bus.
+//! `spandrel estimate`: identifies a recording without a bus.
 
 use super::{print, progress, refuse_overwriting};
 use crate::cli::{EstimateArguments, FilterChoice};
@@ -13,13 +13,13 @@ use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::Structure;
 use tracing::warn;
 
-/// With more states and parameters, thousands of particles are too few.
+/// Number of states and parameters above which thousands of particles do not suffice.
 const MOST_STATES: usize = 10;
 
-/// Identifies the recording, writes the estimates if asked, and prints the summary.
+/// Identifies the recording, writes the estimates on request, and prints the summary.
 ///
 /// # Errors
-/// When a file is wrong or cannot be written.
+/// A file is not valid or cannot be written.
 pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     if let Some(output) = &arguments.output {
         let inputs = [
@@ -106,7 +106,7 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     })
 }
 
-/// Makes the filter that is asked for.
+/// Creates the requested filter.
 fn identification(
     structure: &Structure,
     arguments: &EstimateArguments,
@@ -125,14 +125,16 @@ fn identification(
         FilterChoice::Particle => {
             if structure.has_classes() || structure.screens_outliers() {
                 warn!(
-                    "particles take all parameters singly and every sample: [classes] and [outliers] are not used"
+                    "the particle filter identifies each parameter separately and uses every \
+                     sample; ignoring [classes] and [outliers]"
                 );
             }
             let states = 2 * structure.degrees_of_freedom().len() + structure.parameters().len();
             if states > MOST_STATES {
                 warn!(
-                    "{states} states and parameters: the particles needed grow exponentially with them, and with too few the \
-                     intervals are much too narrow; compare several --seed, and see docs/theory/particle-filter.md"
+                    "{states} states and parameters: the required number of particles grows \
+                     exponentially with them, and with too few particles the intervals are much \
+                     too narrow; compare several --seed, and see docs/theory/particle-filter.md"
                 );
             }
             let plan = arguments.particle.plan();
@@ -142,7 +144,8 @@ fn identification(
     }
 }
 
-/// Returns what is written of each frame: parameters, responses, and then the identified noise levels.
+/// Returns the column names of the output: parameters, responses, and then the identified noise
+/// levels.
 fn columns(structure: &Structure, identification: &Identification) -> Vec<String> {
     let parameters = structure
         .parameters()
@@ -152,7 +155,7 @@ fn columns(structure: &Structure, identification: &Identification) -> Vec<String
         .estimated_responses()
         .iter()
         .map(|response| response.name().to_owned());
-    // a level may have the name of a parameter
+    // A level can have the same name as a parameter.
     let levels = identification
         .noise_names()
         .iter()
@@ -166,7 +169,7 @@ fn write(
     responses: &[Vec<(f64, f64)>],
 ) -> Result<(), AppError> {
     let Some(grid) = block.grid() else {
-        return Ok(()); // our own blocks have one
+        return Ok(()); // blocks of this process always have a grid
     };
     for (index, (number, estimate)) in block.iter().enumerate() {
         let std = |variance: f64| variance.max(0.0).sqrt();

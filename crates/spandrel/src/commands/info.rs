@@ -1,14 +1,14 @@
-//! `spandrel info`: what a recording holds.
+//! `spandrel info`: describes a recording.
 
 use super::print;
 use crate::cli::InfoArguments;
 use crate::error::AppError;
 use spandrel_record::{RecordedFile, RecordingSummary};
 
-/// Reads a recording and prints its channels, span, gaps, statistics and the peaks of their spectra.
+/// Reads a recording and prints its channels, time span, gaps, statistics and spectral peaks.
 ///
 /// # Errors
-/// When the recording is wrong.
+/// The recording is not valid.
 pub fn run(arguments: &InfoArguments) -> Result<(), AppError> {
     let file = RecordedFile::read(&arguments.record, &arguments.reading.options())?;
     let summary = RecordingSummary::of(&file);

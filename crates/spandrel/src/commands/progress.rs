@@ -1,9 +1,10 @@
-//! Progress bars, when standard error is a terminal.
+//! Progress bars, shown only if standard error is a terminal.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 
-/// Makes a bar that shows how much of `length` steps is done, for a group of bars on standard error.
+/// Creates a bar for `length` steps that shows the completed share. It belongs to a group of bars
+/// on standard error.
 pub fn share_bar(length: u64) -> ProgressBar {
     let bar = ProgressBar::new(length);
     match ProgressStyle::with_template("{msg:32} {bar:40} {percent:>3} % {eta}") {
@@ -12,7 +13,7 @@ pub fn share_bar(length: u64) -> ProgressBar {
     }
 }
 
-/// Makes a bar of `length` steps; hidden when standard error is no terminal.
+/// Creates a bar of `length` steps. It is hidden if standard error is not a terminal.
 pub fn bar(what: &'static str, length: Option<u64>) -> ProgressBar {
     let target = match std::io::stderr().is_terminal() {
         true => ProgressDrawTarget::stderr_with_hz(5),

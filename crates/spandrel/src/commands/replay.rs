@@ -1,4 +1,4 @@
-//! `spandrel replay`: a recording to the bus, as its sensor nodes would send it.
+//! `spandrel replay`: publishes a recording on the bus as its sensor nodes would.
 
 use super::{counted, print, progress};
 use crate::cli::ReplayArguments;
@@ -13,10 +13,10 @@ use spandrel_sensor::{
 };
 use spandrel_structure::Structure;
 
-/// Replays until the end of the recording, or Ctrl-C.
+/// Replays until the end of the recording, or until Ctrl-C.
 ///
 /// # Errors
-/// When a file is wrong, or the bus cannot be joined.
+/// A file is not valid, or the bus cannot be joined.
 pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
     let recording = open_record(&structure, &arguments.record)?;

@@ -1,4 +1,4 @@
-//! `spandrel router`: a Zenoh router from the configuration file of `zenohd`.
+//! `spandrel router`: runs a Zenoh router from a configuration file of `zenohd`.
 
 use super::print;
 use crate::cli::RouterArguments;
@@ -10,7 +10,7 @@ use tracing::{info, warn};
 /// Routes until Ctrl-C or SIGTERM.
 ///
 /// # Errors
-/// When the file is wrong, lets others in without a certificate, or an endpoint is taken.
+/// The file is not valid, it admits others without a certificate, or an endpoint is in use.
 pub fn run(arguments: &RouterArguments) -> Result<(), AppError> {
     block_on(async {
         let (bus, listen) = Bus::open_router(&arguments.file).await?;
@@ -18,9 +18,10 @@ pub fn run(arguments: &RouterArguments) -> Result<(), AppError> {
         print(&format!("router: {}\n", listen.join(" ")))?;
         info!(file = %arguments.file.display(), "ready");
         interrupted.await;
-        // a router that tries to reach another one, and does not, cannot be closed in time; nothing is lost with it
+        // A router that is still trying to reach another router cannot be closed in time. This
+        // loses no data.
         if let Err(error) = bus.close().await {
-            warn!(%error, "not all links were closed in order");
+            warn!(%error, "some links were not closed properly");
         }
         Ok(())
     })

@@ -1,4 +1,5 @@
-//! `spandrel run`, `ingest`, `identify`, `fuse`, `alert`, `history` and `notify`: services until they are stopped.
+//! `spandrel run`, `ingest`, `identify`, `fuse`, `alert`, `history` and `notify`: run services
+//! until stopped.
 
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
@@ -16,11 +17,13 @@ use spandrel_identify::Precedence;
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
 
-/// Time (s) without a sign of life after which a process that may lead is taken for gone: the rest of the 3 s within which another one
-/// leads is for that.
+/// Lease of a process that may lead (s). After this time without a sign of life, others consider it
+/// failed.
+///
+/// A takeover must complete within 3 s. The remaining time is for the takeover itself.
 const STANDBY_LEASE_S: f64 = 2.0;
 
-/// Which services a process runs.
+/// Set of services that a process runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Services {
     ingest: bool,
@@ -52,38 +55,38 @@ impl Services {
         notify: true,
         dashboard: true,
     };
-    /// The alignment only.
+    /// Only ingest.
     pub const INGEST: Self = Self {
         ingest: true,
         ..Self::NONE
     };
-    /// The identification only.
+    /// Only identification.
     pub const IDENTIFY: Self = Self {
         identify: true,
         ..Self::NONE
     };
-    /// The central station only.
+    /// Only the central station.
     pub const FUSE: Self = Self {
         fuse: true,
         ..Self::NONE
     };
-    /// The alerts only.
+    /// Only the alert service.
     pub const ALERT: Self = Self {
         alert: true,
         ..Self::NONE
     };
-    /// The history only.
+    /// Only the history.
     pub const HISTORY: Self = Self {
         history: true,
         ..Self::NONE
     };
-    /// The notices only.
+    /// Only notifications.
     pub const NOTIFY: Self = Self {
         notify: true,
         ..Self::NONE
     };
 
-    /// The subcommand that runs them.
+    /// Returns the subcommand that runs these services.
     fn name(self) -> &'static str {
         let alone = [
             (Self::INGEST, "ingest"),
@@ -103,7 +106,7 @@ impl Services {
 /// Runs services without a page until Ctrl-C or SIGTERM.
 ///
 /// # Errors
-/// As [`run`].
+/// The same as for [`run`].
 pub fn one(
     arguments: &ServiceArguments,
     services: Services,
@@ -112,7 +115,7 @@ pub fn one(
     run(arguments, services, share, &PageArguments::default())
 }
 
-/// What configuration and structure files ask for.
+/// Requirements of the configuration and the structure files.
 struct Plan {
     settings: Settings,
     watched: Vec<Watched>,
@@ -184,7 +187,7 @@ impl Plan {
         })
     }
 
-    /// Refuses a certificate that does not allow what the services have to do.
+    /// Rejects a certificate that does not grant the rights that the services need.
     async fn check_role(
         &self,
         bus: &Bus,
@@ -229,7 +232,8 @@ impl Plan {
         check(bus, &self.settings.bus, &work).await
     }
 
-    /// Starts downstream first: whoever has a reader when it starts needs to repeat nothing.
+    /// Starts the services, receivers first, so that no service has to repeat messages for a late
+    /// reader.
     async fn start(
         &self,
         bus: &Bus,
@@ -281,10 +285,11 @@ impl Plan {
     }
 }
 
-/// Runs the services until Ctrl-C or SIGTERM; SIGHUP has them begin anew with what configuration and structure files say then.
+/// Runs the services until Ctrl-C or SIGTERM. SIGHUP rereads the configuration and structure files
+/// and restarts the services.
 ///
 /// # Errors
-/// When the configuration or a structure is wrong, the bus cannot be joined, or a service fails.
+/// The configuration or a structure is not valid, the bus cannot be joined, or a service fails.
 pub fn run(
     arguments: &ServiceArguments,
     services: Services,
@@ -319,7 +324,7 @@ pub fn run(
                     stopped?;
                     if next.settings.bus != plan.settings.bus {
                         warn!(
-                            "settings of the bus have changed: they count from the next start of the process on"
+                            "bus settings changed; they apply from the next start of the process"
                         );
                     }
                     plan = *next;
@@ -331,16 +336,17 @@ pub fn run(
     })
 }
 
-/// Why services were stopped.
+/// Reason why the services were stopped.
 enum Ended {
     Done(Result<(), AppError>),
     Anew(Box<Plan>),
 }
 
-/// Starts the dashboard, prints where its page is, and opens it if asked to. Returns the address of the page.
+/// Starts the dashboard, prints the address of its page, and opens it on request. Returns the
+/// address.
 ///
 /// # Errors
-/// When the address cannot be listened on, or the bus is closed.
+/// The process cannot listen on the address, or the bus is closed.
 pub async fn serve_page(
     running: &mut Running,
     bus: &Bus,
@@ -364,7 +370,7 @@ pub async fn serve_page(
     Ok(page)
 }
 
-/// Asks the desktop to show a page; where there is none, the printed address has to do.
+/// Opens a page in the browser of the desktop. Without a desktop, only the printed address remains.
 fn open_in_browser(page: &str) {
     let opener = if cfg!(target_os = "macos") {
         "open"
@@ -379,6 +385,6 @@ fn open_in_browser(page: &str) {
         .stderr(quiet())
         .spawn();
     if let Err(error) = opened {
-        warn!(opener, page, %error, "no browser can be opened");
+        warn!(opener, page, %error, "cannot open a browser");
     }
 }

@@ -1,4 +1,4 @@
-//! `spandrel simulate`: a simulated structure, to the bus or to a file.
+//! `spandrel simulate`: simulates a structure, on the bus or to a file.
 
 use super::{counted, in_place_of, print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
@@ -17,13 +17,13 @@ use spandrel_structure::Structure;
 use std::convert::Infallible;
 use std::path::Path;
 
-/// Length of a record (s) when none is asked for.
+/// Default length of a record in a file (s).
 const DEFAULT_RECORD_S: f64 = 120.0;
 
-/// Simulates until the time asked for is over, or Ctrl-C.
+/// Simulates for the requested time, or until Ctrl-C.
 ///
 /// # Errors
-/// When a file is wrong or cannot be written, or the bus cannot be joined.
+/// A file is not valid or cannot be written, or the bus cannot be joined.
 pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
     let seed = arguments.seed.unwrap_or(structure.simulation().seed());
@@ -89,26 +89,29 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     })
 }
 
-/// What a simulation on the bus is told.
+/// Settings of a simulation on the bus.
 #[derive(Debug)]
 pub struct Simulation {
-    /// How fast.
+    /// Speed of the simulation.
     pub speed: Speed,
     /// Seed of excitation and noise.
     pub seed: u64,
-    /// Number of frames, or without end.
+    /// Number of frames. `None` means unlimited.
     pub frames: Option<u64>,
-    /// Time of the first frame, ns since the Unix epoch, UTC.
+    /// Time of the first frame (ns since the Unix epoch, UTC).
     pub start_ns: i64,
-    /// The nodes that it is, by place in the file, in that order.
+    /// Indices of the simulated nodes in the structure file, in that order.
     pub nodes: Vec<usize>,
 }
 
-/// Sends a simulation to the bus as its sensor nodes would, and waits until alert has decided on all of it; a live one waits
-/// for nobody, and leaves out what is over. Returns the number of frames that were sent.
+/// Publishes a simulation on the bus as its sensor nodes would, and returns the number of frames
+/// sent.
+///
+/// It waits until alert has decided on all frames. A live simulation waits for no service and skips
+/// samples whose time has passed.
 ///
 /// # Errors
-/// When the bus is closed underneath.
+/// The bus is closed.
 pub async fn simulate(
     bus: &Bus,
     structure: &Structure,
@@ -160,7 +163,7 @@ pub async fn simulate(
     Ok(service.run(rows, std::future::pending()).await?)
 }
 
-/// Returns the channels of some nodes, as a row of all has them.
+/// Returns the channels of some nodes, as indices into a row of all nodes.
 fn channels_of(structure: &Structure, nodes: &[usize]) -> Vec<usize> {
     let of_node = structure
         .nodes()
@@ -174,7 +177,8 @@ fn channels_of(structure: &Structure, nodes: &[usize]) -> Vec<usize> {
         .collect()
 }
 
-/// Returns whether a node, by its place in the file, is one of these; without any, all are.
+/// Returns a predicate for node indices in the structure file. It is true for nodes with these
+/// names, or for all nodes if there are no names.
 fn wanted<'a>(
     structure: &'a Structure,
     names: &'a [String],
@@ -200,7 +204,7 @@ fn wanted<'a>(
     Ok(is_wanted)
 }
 
-/// Returns the services that the samples of a structure wait for.
+/// Returns the services whose progress the samples of a structure wait for.
 pub fn readers(structure: &Structure) -> Vec<Service> {
     match structure.fusion() {
         Some(_) => vec![Service::Fuse],

@@ -1,4 +1,5 @@
-//! `spandrel site`: the authority of a site, certificates for its parties, and the file of its router.
+//! `spandrel site`: creates the authority of a site, certificates for its parties, and the
+//! configuration of its router.
 
 use super::{counted, print};
 use crate::cli::{SiteCommand, SiteRouterArguments};
@@ -11,13 +12,13 @@ use spandrel_structure::Structure;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// File of the router in the folder of a site.
+/// File name of the router's configuration in the folder of a site.
 const ROUTER_FILE: &str = "router.json5";
 
-/// Carries out a command on the folder of a site.
+/// Runs a command on the folder of a site.
 ///
 /// # Errors
-/// When something is there already, a name or file is wrong, or a file cannot be written.
+/// A file already exists, a name or file is not valid, or a file cannot be written.
 pub fn run(command: SiteCommand) -> Result<(), AppError> {
     match command {
         SiteCommand::Create {
@@ -30,9 +31,7 @@ pub fn run(command: SiteCommand) -> Result<(), AppError> {
             let (_, authority) =
                 SiteFolder::create(&folder, name.as_str(), days, existing(replace))?;
             print(&told(&authority))?;
-            print(
-                "keep the key of the authority off the machines that are connected to each other\n",
-            )
+            print("keep the key of the authority on a machine outside the site network\n")
         }
         SiteCommand::Issue {
             folder,
@@ -71,13 +70,14 @@ fn told(issued: &Issued) -> String {
         expires,
     } = issued;
     format!(
-        "{}, {}: until {expires}\n",
+        "{}, {}: valid until {expires}\n",
         certificate.display(),
         key.display()
     )
 }
 
-/// The nodes of a structure: as sensors, and as workers where they identify for themselves.
+/// Returns the parties of a structure's nodes: sensors, and also workers in distributed
+/// identification.
 fn nodes_of(structure: &Structure) -> Result<Vec<Party>, AppError> {
     let roles: &[Role] = if structure.fusion().is_some() {
         &[Role::Sensor, Role::NodeWorker]
@@ -122,7 +122,10 @@ fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
     let folder = match &arguments.installed_in {
         Some(folder) => folder.clone(),
         None => std::path::absolute(&arguments.folder).map_err(|source| AppError::Io {
-            what: format!("{}: has no absolute path", arguments.folder.display()),
+            what: format!(
+                "{}: cannot determine the absolute path",
+                arguments.folder.display()
+            ),
             source,
         })?,
     };
@@ -154,7 +157,8 @@ fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
     print(&summary(&output, &parties, &structures)?)
 }
 
-/// Refuses certificates of structures and nodes that there are not: a slip of the pen would be found out by silence only.
+/// Rejects certificates of unknown structures and nodes. A misspelt name would otherwise only cause
+/// silence.
 fn check_names(parties: &[Party], structures: &[Structure]) -> Result<(), AppError> {
     for party in parties {
         let Some(name) = party.structure() else {
@@ -210,7 +214,7 @@ fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result
             .map(|party| party.common_name())
             .collect();
         if !missing.is_empty() && parties.iter().find(is_a_gateway).is_none() {
-            // writing to a String does not fail
+            // Writing to a string cannot fail.
             let _ = writeln!(
                 text,
                 "without a certificate: {} (spandrel site nodes issues them)",
@@ -218,5 +222,5 @@ fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result
             );
         }
     }
-    Ok(text + "a router that runs takes it when it is started again\n")
+    Ok(text + "restart a running router to apply the file\n")
 }

@@ -1,4 +1,4 @@
-//! `spandrel token`: a token for the web page.
+//! `spandrel token`: creates a token for the web page.
 
 use super::print;
 use crate::cli::{TokenArguments, TokenRole};
@@ -7,10 +7,10 @@ use spandrel_bus::Name;
 use spandrel_dashboard::{PageRole, Tokens};
 use tracing::info;
 
-/// Makes a token, prints it, and keeps its hash.
+/// Creates a token, prints it, and stores its hash.
 ///
 /// # Errors
-/// When the name has one, or the file cannot be read or written.
+/// The name already has a token, or the file cannot be read or written.
 pub fn run(arguments: &TokenArguments) -> Result<(), AppError> {
     let role = match arguments.role {
         TokenRole::Viewer => PageRole::Viewer,
@@ -18,6 +18,6 @@ pub fn run(arguments: &TokenArguments) -> Result<(), AppError> {
     };
     let name = Name::new(&*arguments.name)?;
     let secret = Tokens::issue(&arguments.file, name, role, arguments.replace)?;
-    info!(file = %arguments.file.display(), "kept as a hash; a page that runs takes it when it is started again");
+    info!(file = %arguments.file.display(), "stored the hash of the token; restart a running page to apply it");
     print(&format!("{secret}\n"))
 }

@@ -1,4 +1,4 @@
-//! `spandrel validate`: published examples against published figures.
+//! `spandrel validate`: compares results for published examples with the published figures.
 
 use super::{print, progress};
 use crate::cli::ValidateArguments;
@@ -11,13 +11,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// Steps of a bar: a share of a case is shown to a thousandth.
+/// Number of steps of a bar, so that it shows the progress of a case to a thousandth.
 const STEPS: u64 = 1000;
 
 /// Runs the cases and prints their figures.
 ///
 /// # Errors
-/// When a case is unknown, a report cannot be written, or a figure is not what is required.
+/// A case is unknown, a report cannot be written, or a figure does not meet its requirement.
 pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
     if arguments.list {
         return list();
@@ -58,7 +58,8 @@ pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
     }
 }
 
-/// Identifies the records of real structures and prints a row for each condition, as soon as it is known.
+/// Identifies the records of real structures and prints each row as soon as its condition is
+/// complete.
 fn records(folder: &Path, json: bool) -> Result<(), AppError> {
     let mut printed = Ok(());
     let rows = real_records(folder, |row| {
@@ -79,7 +80,7 @@ fn records(folder: &Path, json: bool) -> Result<(), AppError> {
     }
 }
 
-/// Returns each seed that was asked for once, in the order of the command line.
+/// Returns the requested seeds without duplicates, in the order of the command line.
 fn seeds(arguments: &ValidateArguments) -> Vec<u64> {
     if let Some(range) = arguments.seeds {
         return range.iter().collect();
@@ -107,13 +108,13 @@ fn list() -> Result<(), AppError> {
         ..
     } in cases()
     {
-        // writing to a String does not fail
+        // Writing to a string cannot fail.
         let _ = writeln!(text, "{name:<widest$}  {title} ({source})");
     }
     print(&text)
 }
 
-/// One JSON object a line, each a figure; a run without outcome is one with an error.
+/// Returns one line of JSON per figure. A failed run has one line with an error.
 fn lines(report: &Report) -> String {
     let mut text = String::new();
     for case in &report.cases {
@@ -131,7 +132,9 @@ fn lines(report: &Report) -> String {
     text
 }
 
-/// Tells outcomes of this program from those of another: its version, and size and date of its file.
+/// Returns a mark that identifies this program: its version, and the size and date of its file.
+///
+/// The mark separates its stored outcomes from those of another program.
 fn program_mark() -> String {
     let file = std::env::current_exe().and_then(|path| path.metadata());
     let changed = file.as_ref().ok().and_then(|file| file.modified().ok());
@@ -145,7 +148,7 @@ fn program_mark() -> String {
     )
 }
 
-/// One bar for each run that is under way.
+/// One bar for each run in progress.
 #[derive(Default)]
 struct Bars {
     all: MultiProgress,
@@ -181,10 +184,10 @@ impl Watch for Bars {
         }
         match result {
             Ok(_) if kept => {
-                tracing::info!(case = case.name, seed, "taken from the report's directory")
+                tracing::info!(case = case.name, seed, "reused from the report directory")
             }
             Ok(_) => tracing::info!(case = case.name, seed, "done"),
-            Err(error) => tracing::warn!(case = case.name, seed, %error, "has no outcome"),
+            Err(error) => tracing::warn!(case = case.name, seed, %error, "run failed"),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! `spandrel watch`: parameters and alerts of a running system, in this terminal.
+//! `spandrel watch`: shows parameters and alerts of a running system in this terminal.
 
 use crate::cli::WatchArguments;
 use crate::error::AppError;
@@ -8,10 +8,10 @@ use crate::settings::Settings;
 use crate::watch::{self, Around};
 use spandrel_bus::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode, Name};
 
-/// Shows one structure, or all, until the person quits or the process is told to stop.
+/// Shows one structure, or all, until the user quits or a signal stops the process.
 ///
 /// # Errors
-/// When the configuration is wrong, or nobody answers on the bus.
+/// The configuration is not valid, or no process replies on the bus.
 pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
     let bus = joining_by_default(Settings::load(&arguments.bus)?.bus);
     let root = Name::new(&*bus.root)?;
@@ -35,10 +35,11 @@ pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
     })
 }
 
-/// Shows the view on a bus that is open already, and where the web page is, until `stop` or until the person quits.
+/// Shows the view on an open bus, with the address of the web page, until `stop` or until the user
+/// quits.
 ///
 /// # Errors
-/// When the structure has no name of a key, the session is closed or the terminal is gone.
+/// The structure's name is not valid in a key, the session is closed, or the terminal has failed.
 pub async fn show(
     bus: &Bus,
     root: &Name,
@@ -54,7 +55,10 @@ pub async fn show(
     watch::show(bus, root, structure.as_ref(), around, stop).await
 }
 
-/// A view alone is no system: unless told otherwise it joins the one on this machine.
+/// Returns a configuration that connects to the system on this machine, unless the configuration
+/// specifies an endpoint.
+///
+/// A view alone is useful only with a running system.
 pub fn joining_by_default(bus: BusConfig) -> BusConfig {
     let nothing_said = bus.listen.is_empty() && bus.connect.is_empty() && bus.config_file.is_none();
     if !nothing_said {

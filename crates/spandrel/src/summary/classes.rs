@@ -1,22 +1,22 @@
-//! The model classes of a recording: how they stand at the end, and what they went through.
+//! The model classes of a recording: their final state and their changes.
 
 use serde::Serialize;
 use spandrel_bus::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
 
-/// How the model classes stand.
+/// State of the model classes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ClassSummary {
-    /// The most plausible class at the end.
+    /// Most plausible class at the end.
     pub leading: String,
-    /// The classes that compete at the end, in the order of the file.
+    /// Competing classes at the end, in file order.
     pub classes: Vec<ClassPlausibility>,
-    /// The classes that led for long enough to be believed, in order; the first does from the start.
+    /// Classes that led long enough to be believed, in order. The first class leads from the start.
     pub leads: Vec<Lead>,
     /// Calibrations of the nominal model, in order.
     pub calibrations: Vec<Calibration>,
 }
 
-/// A class that came to be believed.
+/// A class that became the believed class.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Lead {
     /// Measurement time since the first frame (s).
@@ -29,13 +29,13 @@ pub struct Lead {
 pub struct Calibration {
     /// Measurement time since the first frame (s).
     pub time_s: f64,
-    /// The class whose estimates became the nominal model.
+    /// Class whose estimates became the nominal model.
     pub class: String,
-    /// By which share the stiffness of what it singles out was changed.
+    /// Relative change of the stiffness that the class singles out.
     pub change: f64,
 }
 
-/// Collects what is said of the model classes.
+/// Collects messages about the model classes.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ClassCollector {
     last: Option<ModelClassDisplay>,
@@ -44,7 +44,8 @@ pub(super) struct ClassCollector {
 }
 
 impl ClassCollector {
-    /// Takes what is said at one frame; every calibration and every lead is said at its frame.
+    /// Processes the message of one frame. Every calibration and every change of the lead appears
+    /// at its frame.
     pub(super) fn take(&mut self, display: &ModelClassDisplay) {
         if self
             .leads
@@ -61,7 +62,7 @@ impl ClassCollector {
         self.last = Some(display.clone());
     }
 
-    /// Returns the summary of a record that begins at `t0_ns`; `None` where nothing was said.
+    /// Returns the summary of a record that starts at `t0_ns`, or `None` if there were no messages.
     pub(super) fn finish(self, t0_ns: i64) -> Option<ClassSummary> {
         let time_s = |time_ns: i64| time_ns.saturating_sub(t0_ns) as f64 / 1e9;
         let calibrations = self.calibrations.into_iter().map(

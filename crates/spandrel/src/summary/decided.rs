@@ -1,4 +1,4 @@
-//! For how much of the time alerts were decided.
+//! Share of the time in which alerts were decided.
 
 use super::fit::percent;
 use serde::Serialize;
@@ -9,14 +9,14 @@ use std::collections::BTreeMap;
 /// Shares of the frames of one parameter since its reference was known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DecidedSummary {
-    /// Share of the frames that were decided on.
+    /// Share of decided frames.
     pub share: f64,
-    /// Share of the frames that were not, by reason; reasons without a frame are left out.
+    /// Share of undecided frames by reason, without reasons that have no frame.
     pub undecided: BTreeMap<UndecidedBecause, f64>,
 }
 
 impl DecidedSummary {
-    /// Takes the frames of a parameter; `None` before its reference was known.
+    /// Returns the shares of a parameter, or `None` if its reference never became known.
     pub(super) fn of(frames: &DecidedFrames) -> Option<Self> {
         let share = frames.share()?;
         let of_all = |count: u64| count as f64 / frames.frames() as f64;
@@ -27,13 +27,14 @@ impl DecidedSummary {
         Some(Self { share, undecided })
     }
 
-    /// The shares in words: `decided 98.2 % of the time; undecided 1.8 %: the data contradict the model`.
+    /// Returns the shares in words: `decided 98.2 % of the time; undecided 1.8 %: the data
+    /// contradict the model`.
     pub(super) fn words(&self) -> String {
         Self::words_of(std::slice::from_ref(self)).unwrap_or_default()
     }
 
-    /// The shares of several parameters with the same reasons in words, the lowest and the highest of each; `None` where
-    /// reasons differ.
+    /// Returns the lowest and highest shares of several parameters with the same reasons, in words.
+    /// Returns `None` if the reasons differ.
     pub(super) fn words_of(all: &[Self]) -> Option<String> {
         let first = all.first()?;
         if !all
@@ -59,7 +60,7 @@ impl DecidedSummary {
     }
 }
 
-/// The lowest and the highest share: `93.7 to 97.3 %`.
+/// Returns the lowest and the highest share: `93.7 to 97.3 %`.
 fn range(shares: impl Iterator<Item = f64>) -> String {
     let (low, high) = shares.fold((1.0, 0.0), |(low, high): (f64, f64), share| {
         (low.min(share), high.max(share))
@@ -89,7 +90,7 @@ mod tests {
         assert_eq!(
             summary.words(),
             "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: the estimate or its \
-             reference is too uncertain to show twice the loss of the rule"
+             reference is too uncertain to reveal even twice the loss of the rule"
         );
         assert_eq!(DecidedSummary::of(&DecidedFrames::default()), None);
     }
@@ -105,7 +106,8 @@ mod tests {
         assert_eq!(
             DecidedSummary::words_of(&alike).as_deref(),
             Some(
-                "decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter still learns its noise levels"
+                "decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter is still \
+                 learning its noise levels"
             )
         );
         let differing = [

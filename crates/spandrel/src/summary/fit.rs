@@ -1,21 +1,21 @@
-//! The verdict on the fit: at the end, and how it was on the way.
+//! The verdict on the fit, at the end and over the whole run.
 
 use serde::Serialize;
 use spandrel_bus::{EstimateFlags, FitReasons, FitVerdict, fit_in_words};
 use std::collections::BTreeMap;
 
-/// The verdict on the fit at the end of a run.
+/// Verdict on the fit at the end of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FitSummary {
-    /// The verdict after the last frame.
+    /// Verdict after the last frame.
     pub verdict: FitVerdict,
-    /// Why it is not supported.
+    /// Reasons why the fit is not supported.
     pub reasons: FitReasons,
-    /// Share of the frames with each verdict; verdicts without a frame are left out.
+    /// Share of the frames with each verdict, without verdicts that have no frame.
     pub shares: BTreeMap<FitVerdict, f64>,
 }
 
-/// Collects verdicts frame by frame.
+/// Collects the verdict of each frame.
 #[derive(Debug, Clone, Default)]
 pub(super) struct FitCollector {
     last: Option<(FitVerdict, FitReasons)>,
@@ -46,14 +46,17 @@ impl FitCollector {
 }
 
 impl FitSummary {
-    /// Says that the estimates have no meaning, where the data contradict the model at the end. The reasons are on the line of
-    /// the verdict.
+    /// Returns the warning that the estimates have no meaning, if the data contradict the model at
+    /// the end.
+    ///
+    /// The line of the verdict states the reasons.
     pub(super) fn warning(&self) -> Option<String> {
         let is_contradicted = self.verdict == FitVerdict::Contradicted;
         is_contradicted.then(|| format!("{}; the estimates have no meaning", self.verdict.words()))
     }
 
-    /// The verdict with its reasons, and the share of each: `doubtful at the end (…); supported 90 % of the time`.
+    /// Returns the verdict with its reasons and the share of each verdict: `doubtful at the end
+    /// (…); supported 90 % of the time`.
     pub(super) fn words(&self) -> String {
         let shares = self
             .shares
@@ -69,7 +72,9 @@ impl FitSummary {
     }
 }
 
-/// A share in per cent with one decimal, without one where it is whole; what is less than nothing and all is no 0 and 100 %.
+/// Formats a share in per cent with one decimal, or with none if it is whole.
+///
+/// A share above 0 never reads as 0 %, and a share below 1 never as 100 %.
 pub(super) fn percent(share: f64) -> String {
     let text = format!("{:.1}", 100.0 * share);
     match text.as_str() {
@@ -114,8 +119,8 @@ mod tests {
         let summary = collector.finish().unwrap();
         assert_eq!(
             summary.words(),
-            "contradicted at the end (the data contradict the model: the noise found is much larger than the noise \
-             stated); supported 75 %, contradicted 25 % of the time"
+            "contradicted at the end (the data contradict the model: the estimated noise is much \
+             larger than the stated noise); supported 75 %, contradicted 25 % of the time"
         );
         let warning = "the data contradict the model; the estimates have no meaning";
         assert_eq!(summary.warning().as_deref(), Some(warning));

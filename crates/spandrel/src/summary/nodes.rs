@@ -1,53 +1,54 @@
-//! What became of nodes that identify for themselves.
+//! Summary of distributed nodes.
 
 use serde::Serialize;
 use spandrel_bus::{NodeDisplay, NodeHealth, OutlierDisplay};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
-/// What became of one node in the eyes of the station.
+/// Summary of one node, as seen by the station.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NodeSummary {
-    /// The node.
+    /// Name of the node.
     pub node: String,
-    /// How it stood in the last fusion.
+    /// State in the last fusion.
     pub state: NodeHealth,
-    /// Fusions that it was judged in.
+    /// Number of fusions in which the node was judged.
     pub fusions: u64,
-    /// Fusions in which it was left out because it disagreed with the others.
+    /// Number of fusions that excluded the node because it disagreed with the others.
     pub excluded: u64,
-    /// Measurement time since the first fusion from which on it was left out to the end (s).
+    /// Start of the exclusion that lasts to the end, in measurement time since the first fusion
+    /// (s).
     pub excluded_since_s: Option<f64>,
-    /// Spans of fusions without anything of it that could be fused.
+    /// Spans of fusions without usable messages of the node.
     pub silent: Vec<Silence>,
-    /// Samples of its channels that its filter rejected; 0 where outliers are not screened.
+    /// Number of rejected samples of its channels. 0 if outliers are not screened.
     pub rejected: u64,
-    /// The same, of each channel that lost some.
+    /// Number of rejected samples of each channel with any.
     pub rejected_by_channel: BTreeMap<String, u64>,
 }
 
-/// A span without a node, in measurement time since the first fusion (s).
+/// A span without messages of a node, in measurement time since the first fusion (s).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Silence {
-    /// The first fusion without it.
+    /// First fusion without the node.
     pub from_s: f64,
-    /// The first one with it again; none if it stayed silent.
+    /// First fusion with the node again. `None` if it stayed silent.
     pub until_s: Option<f64>,
 }
 
 impl NodeSummary {
-    /// What became of it in words.
+    /// Returns the summary in words.
     pub fn words(&self) -> String {
         let mut words = Vec::new();
         match (self.excluded, self.excluded_since_s) {
             (0, _) => {}
             (excluded, None) => words.push(format!(
-                "left out of {excluded} of {} fusions",
+                "excluded from {excluded} of {} fusions",
                 self.fusions
             )),
             (excluded, Some(since_s)) => {
                 words.push(format!(
-                    "left out of {excluded} of {} fusions, at the end since {since_s:.0} s",
+                    "excluded from {excluded} of {} fusions, and at the end since {since_s:.0} s",
                     self.fusions
                 ));
             }
@@ -71,22 +72,22 @@ impl NodeSummary {
             ));
         }
         if words.is_empty() {
-            "heard in all fusions".to_owned()
+            "present in all fusions".to_owned()
         } else {
             words.join("; ")
         }
     }
 }
 
-/// Collects what is said of the nodes.
+/// Collects messages about the nodes.
 #[derive(Debug, Clone)]
 pub(super) struct NodeCollector {
-    /// in the order of the file
+    /// Nodes in file order.
     nodes: Vec<NodeSeen>,
     t0_ns: Option<i64>,
 }
 
-/// One node, by times of measurement (ns).
+/// One node, in measurement time (ns).
 #[derive(Debug, Clone, Default)]
 struct NodeSeen {
     name: String,
@@ -100,7 +101,7 @@ struct NodeSeen {
 }
 
 impl NodeCollector {
-    /// Starts empty; nothing comes where nodes do not identify for themselves.
+    /// Creates an empty collector. It stays empty without distributed identification.
     pub(super) fn new(structure: &Structure) -> Self {
         let nodes = structure.nodes().iter().map(|node| NodeSeen {
             name: node.name().to_owned(),
@@ -117,7 +118,7 @@ impl NodeCollector {
         }
     }
 
-    /// Takes how a node stands after a fusion.
+    /// Processes the state of a node after a fusion.
     pub(super) fn take_node(&mut self, display: &NodeDisplay) {
         self.t0_ns.get_or_insert(display.time_ns);
         let name = display.node.as_str();
@@ -125,7 +126,7 @@ impl NodeCollector {
             return;
         };
         if display.state == NodeHealth::Ended {
-            return; // that comes to all nodes
+            return; // happens to all nodes
         }
         seen.state = Some(display.state);
         seen.fusions += 1;
@@ -139,7 +140,7 @@ impl NodeCollector {
         }
     }
 
-    /// Takes how the screening of a channel stands.
+    /// Processes the screening of a channel.
     pub(super) fn take_outliers(&mut self, display: &OutlierDisplay) {
         let channel = display.channel.as_str();
         let has_it = |seen: &&mut NodeSeen| seen.channels.iter().any(|own| own == channel);
@@ -153,7 +154,7 @@ impl NodeCollector {
         }
     }
 
-    /// Returns the summary, of nodes that were heard of.
+    /// Returns the summary of the nodes with at least one message.
     pub(super) fn finish(self) -> Vec<NodeSummary> {
         let t0_ns = self.t0_ns.unwrap_or(0);
         let time_s = |time_ns: i64| time_ns.saturating_sub(t0_ns) as f64 / 1e9;

@@ -1,13 +1,13 @@
-//! The adapted noise levels, beside what the structure file states.
+//! The adapted noise levels, compared with the structure file.
 
 use super::Level;
 use serde::Serialize;
 use spandrel_structure::{NoiseSource, Structure};
 
-/// A level found so many times larger (standard deviations) than stated is no matter of the noise.
+/// Ratio of identified to stated standard deviation above which noise is an unlikely cause.
 const SUSPECT: f64 = 5.0;
 
-/// An adapted noise level as the structure file states it.
+/// An adapted noise level as stated in the structure file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StatedLevel {
     pub name: String,
@@ -23,13 +23,13 @@ pub struct NoiseLevelSummary {
     /// Mean and standard deviation of the variance (`unit`²).
     #[serde(flatten)]
     pub variance: Level,
-    /// Standard deviation of the noise that was found (`unit`).
+    /// Identified standard deviation of the noise (`unit`).
     pub found_std: f64,
-    /// Standard deviation that the structure file states (`unit`).
+    /// Standard deviation stated in the structure file (`unit`).
     pub stated_std: f64,
-    /// The one as a multiple of the other.
+    /// Identified divided by stated standard deviation.
     pub ratio: f64,
-    /// Unit of its source.
+    /// Unit of the noise source.
     pub unit: &'static str,
 }
 
@@ -49,7 +49,7 @@ impl StatedLevel {
         stated.collect()
     }
 
-    /// Compares with what was found; `variance` as it was estimated (`unit`²).
+    /// Compares the stated level with the estimate of its `variance` (`unit`²).
     pub fn found(&self, variance: Level) -> NoiseLevelSummary {
         let found_std = variance.mean.max(0.0).sqrt();
         NoiseLevelSummary {
@@ -61,13 +61,17 @@ impl StatedLevel {
         }
     }
 
-    /// Says what a level that was found far above the stated one may mean.
+    /// Returns a warning with possible causes if the identified level is far above the stated one.
     pub fn warning(&self, found: &NoiseLevelSummary) -> Option<String> {
         let causes = match self.is_excitation {
             true => {
-                "an excitation stronger than stated, a channel of wrong sign or unit, or a model that does not fit"
+                "an excitation stronger than stated, a channel with a wrong sign or unit, or a \
+                 model that does not fit"
             }
-            false => "a channel swapped, of wrong sign or unit, or a model that does not fit",
+            false => {
+                "a swapped channel, a channel with a wrong sign or unit, or a model that does not \
+                 fit"
+            }
         };
         let Self { name, .. } = self;
         let told = || {
@@ -100,8 +104,8 @@ mod tests {
     #[test]
     fn noise_far_above_the_stated_one_is_warned_of() {
         assert_eq!(floors(0.02), None);
-        let told = "noise of floors is 28 times what the file states: a channel swapped, of wrong sign or unit, or a model \
-                    that does not fit";
+        let told = "noise of floors is 28 times what the file states: a swapped channel, a channel \
+                    with a wrong sign or unit, or a model that does not fit";
         assert_eq!(floors(0.14).as_deref(), Some(told));
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Serialize, Serializer};
 
-/// Values by name, in the order in which they were put; JSON has them as an object in that order.
+/// Values by name in insertion order. In JSON, they are an object in that order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ordered<T>(Vec<(String, T)>);
 
@@ -13,7 +13,7 @@ impl<T> Default for Ordered<T> {
 }
 
 impl<T> Ordered<T> {
-    /// Puts a value at the end; names are unique.
+    /// Appends a value. Names must be unique.
     pub fn push(&mut self, name: String, value: T) {
         self.0.push((name, value));
     }

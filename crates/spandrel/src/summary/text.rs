@@ -1,4 +1,4 @@
-//! The summary as people read it.
+//! The summary as text for people.
 
 use crate::commands::counted;
 
@@ -6,14 +6,14 @@ use super::fit::percent;
 use super::{AlertSummary, ClassSummary, DecidedSummary, NoiseLevelSummary, Samples, Summary};
 use std::fmt::{self, Display, Write as _};
 
-/// Classes, leads and calibrations that are listed; JSON has all.
+/// Maximum number of classes, leads and calibrations in the text. JSON contains all.
 const LISTED: usize = 8;
 
 impl Summary {
-    /// Writes the summary for people.
+    /// Returns the summary as text for people.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        // writing to a String does not fail
+        // Writing to a string cannot fail.
         let _ = self.write(&mut text);
         text
     }
@@ -66,7 +66,7 @@ impl Summary {
         }
         if self.alerts.is_empty() {
             text.push_str(match self.ends_undecided {
-                true => "no alert; some are not decided, see the warnings\n",
+                true => "no alert; some parameters are undecided, see the warnings\n",
                 false => "no alert\n",
             });
         }
@@ -81,7 +81,7 @@ impl Summary {
             match loss_at_first(alert) {
                 Some(loss) => writeln!(
                     text,
-                    " (the sentence was revised since; the loss at that time was {})",
+                    " (revised since; the loss at that time was {})",
                     percent(loss)
                 )?,
                 None => writeln!(text)?,
@@ -134,9 +134,9 @@ impl Summary {
     }
 }
 
-/// The loss at the time of an alert whose sentence was revised to another loss.
+/// Returns the loss at the time of an alert, if a revision of the alert states a different loss.
 fn loss_at_first(alert: &AlertSummary) -> Option<f64> {
-    /// A smaller difference is within what both intervals leave open.
+    /// Minimum difference to report. A smaller one is within both intervals.
     const LEAST_DIFFERENCE: f64 = 0.01;
     let is_other =
         alert.revisions > 0 && (alert.loss - alert.loss_at_first).abs() >= LEAST_DIFFERENCE;
@@ -160,7 +160,7 @@ fn write_classes(summary: &ClassSummary, text: &mut String) -> fmt::Result {
         "  class {leading} leads; plausibilities: {}",
         listed(plausibilities, "less plausible")
     )?;
-    // the latest are what people look for
+    // The latest first, because they are the most relevant.
     let leads = leads
         .iter()
         .rev()
@@ -188,12 +188,12 @@ fn write_classes(summary: &ClassSummary, text: &mut String) -> fmt::Result {
     )
 }
 
-/// Writes the first of several things, and how many more there are.
+/// Lists the first items and the number of further ones.
 fn listed(things: impl ExactSizeIterator<Item = impl Display>, others: &str) -> String {
     let more = things.len().saturating_sub(LISTED);
     let mut text = String::new();
     for (index, thing) in things.take(LISTED).enumerate() {
-        // writing to a String does not fail
+        // Writing to a string cannot fail.
         let _ = write!(text, "{}{thing}", if index == 0 { "" } else { ", " });
     }
     if more > 0 {
@@ -202,7 +202,7 @@ fn listed(things: impl ExactSizeIterator<Item = impl Display>, others: &str) -> 
     text
 }
 
-/// Writes a plausibility; those near 0 and 1 are told apart from impossible and certain.
+/// Formats a plausibility. Values near 0 and 1 do not read as impossible or certain.
 fn plausibility(value: f64) -> String {
     match value {
         small if small < 0.001 => "below 0.001".to_owned(),

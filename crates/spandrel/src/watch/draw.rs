@@ -1,4 +1,4 @@
-//! The whole screen: structures, alerts, events, and the line for keys.
+//! The whole screen: structures, alerts, events, and the line of keys.
 
 use super::form::{Field, Form};
 use super::heard::StructureHeard;
@@ -13,16 +13,16 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Clear, Padding, Paragraph};
 use spandrel_bus::Name;
 
-/// Smaller windows show that they are too small.
+/// Minimum size of the window. A smaller one only shows that it is too small.
 const SMALLEST: (u16, u16) = (40, 12);
-/// Lines that the lists keep whatever there is to show above them, their titles included.
+/// Minimum heights of the lists, including their titles.
 const ALERTS_AT_LEAST: u16 = 4;
 const EVENTS_AT_LEAST: u16 = 2;
-/// Lines of a panel beyond its content: its borders.
+/// Number of lines of a panel that its borders take.
 const BORDERS: u16 = 2;
-/// A panel with less than this has no row of a parameter.
+/// Minimum height of a panel with a parameter row.
 const PANEL_AT_LEAST: u16 = 7;
-/// Columns of a panel beyond its content: borders and a space at each side.
+/// Number of columns of a panel that its borders take, with a space on each side.
 const MARGINS: u16 = 4;
 
 const KEYS: &str = "q quit   Tab structure   ↑↓ alert   a acknowledge   ? help";
@@ -30,27 +30,27 @@ const KEYS: &str = "q quit   Tab structure   ↑↓ alert   a acknowledge   ? he
 const HELP: &str = "\
 Tab, ← →      next or previous structure
 ↑ ↓           next or previous alert
-PgUp, PgDn    parameters that there is no room for
+PgUp, PgDn    scroll the parameters
 a             acknowledge the chosen alert: name and note
 q, Esc        quit
 
 ━━●━━  estimate with its 95 % interval, ratio to nominal
-┊ ╋    below it a loss is worth an alert
-│      what a loss is counted from
-▁▄█    the last minutes on the axis of the bars
+┊ ╋    threshold of the alert
+│      reference of the loss
+▁▄█    the last minutes, on the axis of the bars
 
-–             no rule has decided on it yet
-stale         the alert service that said so is gone
-learning      the sound value is being learnt
-normal        no loss with the credibility asked for
-pending       a loss, not yet for as long as asked for
-raised        a loss, for as long as asked for
+–             no decision yet
+stale         the alert service is gone
+learning      the reference is being learnt
+normal        no loss with the required credibility
+pending       a loss, but not yet for the required time
+raised        a loss for the required time
 acknowledged  raised, and someone has seen it
 cleared       was raised, the loss is gone
 
 ● ○ ✕ ■       a node is alive, silent, excluded, ended";
 
-/// Draws everything.
+/// Draws the whole screen.
 pub fn draw(view: &View, frame: &mut Frame<'_>) {
     let area = frame.area();
     if area.width < SMALLEST.0 || area.height < SMALLEST.1 {
@@ -68,7 +68,7 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
         Mode::Help => {
             draw_help(frame, main);
             frame.render_widget(
-                Line::from("any key goes on, q quits").style(Modifier::DIM),
+                Line::from("any key to continue, q to quit").style(Modifier::DIM),
                 last,
             );
         }
@@ -123,8 +123,10 @@ fn draw_main(view: &View, frame: &mut Frame<'_>, area: Rect) {
     draw_lists(view, frame, rest);
 }
 
-/// Gives each panel its height: all of it where there is room, otherwise all to the chosen one and a line to the others;
-/// 0 to those that there is no room for.
+/// Returns the height of each panel.
+///
+/// If there is room, every panel has its full height. Otherwise the selected panel takes the room
+/// and the others have one line. Panels without room have height 0.
 fn share_out(room: u16, wanted: &[u16], selected: usize) -> Vec<u16> {
     let total: u32 = wanted.iter().map(|height| u32::from(*height)).sum();
     if total <= u32::from(room) {
@@ -138,7 +140,7 @@ fn share_out(room: u16, wanted: &[u16], selected: usize) -> Vec<u16> {
         .min(lines_for_others);
     heights[selected] = own.min(room - kept);
     let mut left = room - heights[selected];
-    // those next to the chosen one first, so that Tab leads to what is seen
+    // Neighbours of the selected panel first, so that Tab selects a visible panel.
     let mut others: Vec<usize> = (0..wanted.len())
         .filter(|index| *index != selected)
         .collect();
@@ -150,7 +152,7 @@ fn share_out(room: u16, wanted: &[u16], selected: usize) -> Vec<u16> {
     heights
 }
 
-/// Whether a panel is the one that the keys are about.
+/// Whether the keys apply to a panel.
 #[derive(Debug, Clone, Copy)]
 enum Choice {
     Only,
@@ -272,7 +274,7 @@ fn draw_form(frame: &mut Frame<'_>, area: Rect, structure: &Name, parameter: &Na
     if line.width() + hint.len() <= usize::from(area.width) {
         line.push_span(Span::styled(hint, Modifier::DIM));
     }
-    // a long note is seen where it is being typed: at its end
+    // Right-aligned, so that the end of a long note is visible while typing.
     let line = if line.width() > usize::from(area.width) {
         line.right_aligned()
     } else {

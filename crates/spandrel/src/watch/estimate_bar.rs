@@ -1,12 +1,14 @@
-//! An estimate with its interval as a bar, and its last minutes as a row of blocks, both on one axis.
+//! An estimate with its interval as a bar, and its last minutes as a row of blocks on the same
+//! axis.
 
 use spandrel_bus::{AlertMessage, ParameterDisplay};
 
-/// The axis goes no further (ratios to nominal): beyond that only the number counts.
+/// Limits of the axis (ratios to nominal). Beyond them, only the number is meaningful.
 const FURTHEST: (f64, f64) = (0.0, 2.0);
-/// The axis starts and ends on multiples of this, so that it does not move with each value.
+/// The ends of the axis are multiples of this value, so that the axis does not move with each
+/// value.
 const GRID: f64 = 0.05;
-/// Room beyond the outermost value.
+/// Margin beyond the outermost value.
 const MARGIN: f64 = 0.01;
 
 const MEAN: char = '●';
@@ -16,25 +18,26 @@ const LIMIT_IN_INTERVAL: char = '╋';
 const REFERENCE: char = '│';
 const LEVELS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// The range of ratios that bars and trends of one structure share.
+/// Range of ratios that the bars and trends of one structure share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axis {
     low: f64,
     high: f64,
 }
 
-/// Where the parts of a bar stand (ratios to nominal).
+/// Positions of the parts of a bar (ratios to nominal).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Marks {
     mean: f64,
     interval: (f64, f64),
-    /// Below it a loss is worth an alert.
+    /// Ratio below which the loss exceeds the threshold of the alert rule.
     limit: f64,
     reference: f64,
 }
 
 impl Marks {
-    /// Takes limit and reference from the alert where it knows them: it may have learnt its reference.
+    /// Creates the marks. Limit and reference come from the alert if it knows them, because it may
+    /// have learnt its reference.
     pub fn new(display: &ParameterDisplay, alert: Option<&AlertMessage>) -> Self {
         let learnt = alert.and_then(|alert| Some((alert.reference?, alert.rule_loss)));
         let (reference, loss) = learnt.unwrap_or((display.reference, display.loss));
@@ -46,14 +49,14 @@ impl Marks {
         }
     }
 
-    /// The values that an axis must hold.
+    /// Returns the values that the axis must include.
     pub fn extent(&self) -> [f64; 4] {
         [self.interval.0, self.interval.1, self.limit, self.reference]
     }
 }
 
 impl Axis {
-    /// The axis that holds `values`, ends on the grid, and is never empty.
+    /// Returns the axis that includes `values`. Its ends are on the grid, and it is never empty.
     pub fn around(values: impl Iterator<Item = f64>) -> Self {
         let (least, most) = FURTHEST;
         let within = |value: f64| value.clamp(least, most);
@@ -66,22 +69,22 @@ impl Axis {
         }
     }
 
-    /// The ends as text.
+    /// Returns the ends as text.
     pub fn labels(self) -> (String, String) {
         (format!("{:.2}", self.low), format!("{:.2}", self.high))
     }
 
-    /// Where a value stands, 0 to 1.
+    /// Returns the position of a value on the axis, from 0 to 1.
     fn fraction(self, value: f64) -> f64 {
         ((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0)
     }
 
-    /// Which of `width` cells a value is in.
+    /// Returns the index of a value's cell among `width` cells.
     fn cell(self, value: f64, width: usize) -> usize {
         ((self.fraction(value) * width as f64) as usize).min(width.saturating_sub(1))
     }
 
-    /// Draws an estimate into `width` characters.
+    /// Draws an estimate with `width` characters.
     pub fn bar(self, width: usize, marks: &Marks) -> String {
         if width == 0 {
             return String::new();
@@ -105,7 +108,7 @@ impl Axis {
         cells.into_iter().collect()
     }
 
-    /// Draws values, newest at the right, into `width` characters.
+    /// Draws values with `width` characters, the newest at the right.
     pub fn trend(self, width: usize, values: impl Iterator<Item = Option<f64>>) -> String {
         let block = |value: f64| {
             LEVELS[((self.fraction(value) * LEVELS.len() as f64) as usize).min(LEVELS.len() - 1)]
@@ -137,7 +140,8 @@ mod tests {
 
     #[test]
     fn bar_shows_mean_interval_limit_and_reference_in_their_places() {
-        // 40 cells of 0.01: mean 0.905 in cell 10, interval in 7 to 13, limit 0.945 in 14, reference 1.005 in 20
+        // 40 cells of 0.01: mean 0.905 in cell 10, interval in 7 to 13, limit 0.945 in 14,
+        // reference 1.005 in 20.
         let expected = format!("{}━━━●━━━┊     │{}", " ".repeat(7), " ".repeat(19));
         assert_eq!(AXIS.bar(40, &marks(0.905, 0.03)), expected);
     }

@@ -1,12 +1,12 @@
-//! The line in which a person acknowledges an alert: who, and a note.
+//! The input line for acknowledging an alert, with a name and a note.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
-/// Longest name and longest note, in characters.
+/// Maximum lengths of the name and the note (characters).
 const LONGEST_NAME: usize = 100;
 const LONGEST_NOTE: usize = 200;
 
-/// The two fields and where the cursor is.
+/// The two fields and the selected field.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Form {
     pub who: String,
@@ -22,19 +22,19 @@ pub enum Field {
     Note,
 }
 
-/// What a key did to the form.
+/// Effect of a key on the form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Typed {
-    /// It goes on.
+    /// Input continues.
     On,
-    /// Sent; `who` is not empty.
+    /// The form is complete; `who` is not empty.
     Done,
-    /// Given up.
+    /// The user cancelled.
     Cancelled,
 }
 
 impl Form {
-    /// Starts with a name, and then with the note.
+    /// Creates a form with a name. The note is selected unless the name is empty.
     pub fn new(who: String) -> Self {
         let field = if who.is_empty() {
             Field::Who
@@ -48,7 +48,7 @@ impl Form {
         }
     }
 
-    /// Takes a key.
+    /// Processes a key.
     pub fn key(&mut self, key: KeyEvent) -> Typed {
         let is_control = key.modifiers.contains(KeyModifiers::CONTROL);
         match key.code {
@@ -78,7 +78,7 @@ impl Form {
         Typed::On
     }
 
-    /// The field that is being typed.
+    /// Returns the text of the selected field.
     fn text(&mut self) -> &mut String {
         match self.field {
             Field::Who => &mut self.who,

@@ -1,4 +1,4 @@
-//! What has been heard on the bus, as far as people look at it: messages in, a picture of the system out.
+//! State of the view from the messages on the bus.
 
 use super::natural_name::NaturalName;
 use super::trail::Trail;
@@ -10,21 +10,21 @@ use spandrel_bus::{
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Most structures shown; what others say is counted and left out.
+/// Maximum number of structures. Messages of further structures are counted and dropped.
 const MOST_STRUCTURES: usize = 256;
-/// Most instances of services and sensor nodes of one structure.
+/// Maximum number of service instances and sensor nodes of one structure.
 const MOST_INSTANCES: usize = MAX_CHANNELS;
-/// Events kept, of all structures together; the oldest make room.
+/// Maximum number of events of all structures together. A further event replaces the oldest.
 const EVENTS_KEPT: usize = 100;
-/// Messages of a node over which its traffic is averaged.
+/// Number of messages of a node over which its traffic is averaged.
 const TRAFFIC_OVER: usize = 10;
-/// After this silence data are stale: display topics come at 10 Hz, statuses at 1 Hz.
+/// Silence after which data is stale. Display topics are published at 10 Hz, the status at 1 Hz.
 const STALE_AFTER: Duration = Duration::from_secs(3);
 
-/// What the picture reacts to.
+/// An input of the state.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
-    /// The time since some fixed moment: what follows is heard then.
+    /// Time since a fixed moment. Later inputs are received at this time.
     Now(Duration),
     Parameter(ParameterDisplay),
     Noise(NoiseDisplay),
@@ -33,15 +33,15 @@ pub enum Input {
     Fit(FitDisplay),
     /// The alert of a parameter has changed.
     Alert(AlertMessage),
-    /// An alert as it stood when somebody was asked for it.
+    /// The state of an alert in reply to a query.
     StandingAlert(AlertMessage),
     Event(Event),
     Status(Status),
-    /// How far the ingest of a structure has come.
+    /// Progress of ingest of a structure.
     Ingested(Name, Progress),
-    /// Everybody who is there now.
+    /// All instances that are present.
     Present(BTreeSet<Instance>),
-    /// A message whose key says something else than its content.
+    /// A message whose content contradicts its key.
     Misplaced,
 }
 
@@ -53,62 +53,62 @@ pub struct Instance {
     pub id: Name,
 }
 
-/// Everything heard so far.
+/// State from all messages so far.
 #[derive(Debug, Clone, Default)]
 pub struct Heard {
     now: Duration,
     structures: BTreeMap<NaturalName, StructureHeard>,
-    /// Newest first.
+    /// Events, newest first.
     events: VecDeque<Event>,
     left_out: u64,
 }
 
-/// What has been heard of one structure.
+/// State of one structure.
 #[derive(Debug, Clone, Default)]
 pub struct StructureHeard {
     pub parameters: BTreeMap<NaturalName, ParameterHeard>,
     pub noise: BTreeMap<NaturalName, NoiseDisplay>,
-    /// How the model classes stand; `None` where there is one model, or nothing was heard of them.
+    /// State of the model classes. `None` if there is a single model or no message has arrived.
     pub classes: Option<ModelClassDisplay>,
-    /// The verdict on the fit; `None` before it was heard, and where nobody judges it.
+    /// Verdict on the fit. `None` before the first message, and if no service judges it.
     pub fit: Option<FitDisplay>,
-    /// Nodes that identify for themselves, in the eyes of their station.
+    /// Distributed nodes, as their station reports them.
     pub nodes: BTreeMap<NaturalName, NodeHeard>,
     pub alerts: BTreeMap<NaturalName, AlertMessage>,
-    /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
+    /// Alerts whose service has disappeared, and which no other service has confirmed yet.
     stale_alerts: BTreeSet<NaturalName>,
     pub instances: BTreeMap<(Service, Name), InstanceHeard>,
-    /// Measurement time (ns) of the newest value.
+    /// Measurement time of the newest value (ns).
     pub time_ns: Option<i64>,
     arrivals: Arrivals,
 }
 
-/// The last value of a parameter, and how it got there.
+/// Last value of a parameter, and its recent values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterHeard {
     pub display: ParameterDisplay,
     pub trail: Trail,
 }
 
-/// How a node stands, and its traffic of late.
+/// State of a node, and its recent traffic.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeHeard {
-    /// Never empty; the last one is the latest.
+    /// Recent messages, oldest first. Never empty.
     lately: VecDeque<NodeDisplay>,
 }
 
-/// Where a value comes from.
+/// Origin of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
-    /// From sensors, or from a simulation of now.
+    /// From sensors, or from a live simulation.
     Measured,
-    /// From a record or a simulation with times of its own.
+    /// From a record or a simulation with its own times.
     Replayed,
-    /// From the recording, which is read again after a restart.
+    /// From the recording, replayed after a restart.
     ReadAgain,
 }
 
-/// What an instance says of itself, and whether it is there.
+/// Presence and last status of an instance.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct InstanceHeard {
     pub is_present: bool,
@@ -117,7 +117,7 @@ pub struct InstanceHeard {
 }
 
 impl Heard {
-    /// Takes one input; what it changes in alerts is added to `changes`.
+    /// Processes one input and appends the resulting changes of alerts to `changes`.
     pub fn handle(&mut self, input: Input, changes: &mut Vec<AlertMessage>) {
         match input {
             Input::Now(now) => self.now = now,
@@ -125,7 +125,8 @@ impl Heard {
             Input::Noise(display) => self.take_noise(display),
             Input::Alert(alert) => self.take_alert(alert, changes),
             Input::StandingAlert(alert) => {
-                // what came by itself meanwhile is at least as new, unless it is that of an earlier life
+                // A change received by subscription is at least as new, unless it comes from an
+                // earlier run.
                 let known = self
                     .structure(&alert.structure)
                     .and_then(|structure| structure.alert(&alert.parameter));
@@ -218,7 +219,8 @@ impl Heard {
         structure.noise.insert(name, display);
     }
 
-    /// Keeps an event; of what comes again and again in normal work only the latest, so that a sensor that failed stays in sight.
+    /// Stores an event. For kinds that recur in normal operation, it keeps only the latest, so that
+    /// a failed sensor stays visible.
     fn take_event(&mut self, event: Event) {
         if matches!(event.kind, EventKind::LeadingClass | EventKind::Calibration) {
             let is_outdone = |kept: &Event| {
@@ -243,7 +245,7 @@ impl Heard {
         structure.stale_alerts.remove(&name);
         let known = structure.alerts.get(&name);
         if known != Some(&alert) {
-            // that all is well is no news of what nothing was known of
+            // A normal state is not a change if the alert was unknown.
             if known.is_some() || alert.state != AlertState::Normal {
                 changes.push(alert.clone());
             }
@@ -317,7 +319,7 @@ impl Heard {
             }
         }
         for structure in self.structures.values_mut() {
-            // a node or service that went and never said how it does leaves no trace
+            // Removes instances that disappeared without ever publishing a status.
             structure
                 .instances
                 .retain(|_, instance| instance.is_present || instance.status.is_some());
@@ -326,7 +328,7 @@ impl Heard {
             .retain(|_, structure| !structure.is_silent());
     }
 
-    /// Returns the structure, made known if there is room; counts what is left out.
+    /// Returns the structure, which is created if there is room. Counts dropped messages.
     fn structure_mut(&mut self, name: &Name) -> Option<&mut StructureHeard> {
         let key = NaturalName(name.clone());
         if !has_room(&self.structures, &key, MOST_STRUCTURES) {
@@ -336,24 +338,24 @@ impl Heard {
         Some(self.structures.entry(key).or_default())
     }
 
-    /// The structures heard of, in the order of their names.
+    /// Returns the known structures, in the order of their names.
     pub fn structures(&self) -> impl ExactSizeIterator<Item = (&Name, &StructureHeard)> {
         self.structures
             .iter()
             .map(|(name, structure)| (&name.0, structure))
     }
 
-    /// One structure.
+    /// Returns one structure.
     pub fn structure(&self, name: &Name) -> Option<&StructureHeard> {
         self.structures.get(&NaturalName(name.clone()))
     }
 
-    /// The last events, newest first.
+    /// Returns the last events, newest first.
     pub fn events(&self) -> impl ExactSizeIterator<Item = &Event> {
         self.events.iter()
     }
 
-    /// The alerts that people should know of, newest first: all but the normal ones and those being learnt.
+    /// Returns the alerts that are neither normal nor learning, newest first.
     pub fn open_alerts(&self) -> Vec<&AlertMessage> {
         let all = self
             .structures
@@ -364,19 +366,23 @@ impl Heard {
         open
     }
 
-    /// Whether the service that told an alert has gone, and no other has said how it stands.
+    /// Returns `true` if the service of an alert has disappeared and no other service has confirmed
+    /// the alert.
     pub fn is_stale(&self, alert: &AlertMessage) -> bool {
         self.structure(&alert.structure)
             .is_some_and(|structure| structure.is_stale(&alert.parameter))
     }
 
-    /// How long nothing was measured, once that is too long; `None` also before the first value that was not read again from the
-    /// recording.
+    /// Returns the time since the last live data, if the data is stale.
+    ///
+    /// Returns `None` also before the first live value. Values replayed from the recording do not
+    /// count.
     pub fn silence_of_data(&self, structure: &StructureHeard) -> Option<Duration> {
         self.silence_since(structure.arrivals.heard()?)
     }
 
-    /// How long a service has not said how it does, once that is too long; `None` also if it never did.
+    /// Returns the time since the last status of a service, if the status is stale. Returns `None`
+    /// also without any status.
     pub fn silence_of_status(&self, instance: &InstanceHeard) -> Option<Duration> {
         instance.status.as_ref()?;
         self.silence_since(instance.status_heard)
@@ -387,19 +393,19 @@ impl Heard {
         (silence > STALE_AFTER).then_some(silence)
     }
 
-    /// The time last told.
+    /// Returns the time of the last [`Input::Now`].
     pub fn now(&self) -> Duration {
         self.now
     }
 
-    /// Messages that could not be shown: on a wrong key, or more than there is room for.
+    /// Returns the number of dropped messages. They had a wrong key, or there was no room.
     pub fn left_out(&self) -> u64 {
         self.left_out
     }
 }
 
 impl StructureHeard {
-    /// Whether nobody is there, and nothing was ever heard.
+    /// Returns `true` if no instance is present and no data has ever arrived.
     fn is_silent(&self) -> bool {
         let Self {
             parameters,
@@ -422,7 +428,7 @@ impl StructureHeard {
             .any(|((one, _), instance)| *one == service && instance.is_present)
     }
 
-    /// Where the last value comes from.
+    /// Returns the origin of the last value.
     pub fn origin(&self) -> Origin {
         if self.arrivals.is_from_the_recording() {
             Origin::ReadAgain
@@ -433,12 +439,14 @@ impl StructureHeard {
         }
     }
 
-    /// Whether the service that told the alert of a parameter has gone, and no other has said how it stands.
+    /// Returns `true` if the service of a parameter's alert has disappeared and no other service
+    /// has confirmed the alert.
     pub fn is_stale(&self, parameter: &Name) -> bool {
         self.stale_alerts.contains(&NaturalName(parameter.clone()))
     }
 
-    /// Whether what is measured is of a record or a simulation, whose times are their own.
+    /// Returns `true` if the data comes from a record or a simulation, whose times are independent
+    /// of the wall clock.
     pub fn is_replayed(&self) -> bool {
         let Some(time_ns) = self.time_ns else {
             return false;
@@ -446,7 +454,8 @@ impl StructureHeard {
         is_without_date(time_ns) || self.pace() == Some(Pace::Replayed)
     }
 
-    /// Whether a lag behind the clock says something: of samples that are known to come as they are measured.
+    /// Returns `true` if a lag behind the wall clock is meaningful, because the samples are known
+    /// to be live.
     pub fn has_lag(&self) -> bool {
         self.pace() == Some(Pace::Live) && !self.is_replayed()
     }
@@ -459,7 +468,7 @@ impl StructureHeard {
         )
     }
 
-    /// What the newest value of a parameter says of the loss that its alert is about.
+    /// Returns the loss of an alert's parameter by its newest value, in words.
     pub fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
         alert.loss_by(
             &self
@@ -469,7 +478,7 @@ impl StructureHeard {
         )
     }
 
-    /// The alert of a parameter.
+    /// Returns the alert of a parameter.
     pub fn alert(&self, parameter: &Name) -> Option<&AlertMessage> {
         self.alerts.get(&NaturalName(parameter.clone()))
     }
@@ -477,7 +486,7 @@ impl StructureHeard {
 
 impl NodeHeard {
     fn take(&mut self, display: NodeDisplay) {
-        // a station that was started again counts from zero, and its clock may have been set
+        // A restarted station counts from zero, and its clock may have been set.
         let goes_on = |last: &NodeDisplay| {
             last.time_ns < display.time_ns
                 && last.bytes_received <= display.bytes_received
@@ -492,12 +501,13 @@ impl NodeHeard {
         self.lately.push_back(display);
     }
 
-    /// How it stands.
+    /// Returns the latest state.
     pub fn display(&self) -> &NodeDisplay {
         &self.lately[self.lately.len() - 1]
     }
 
-    /// Payload per second that the station gets of it and sends to it, of late; none after one message.
+    /// Returns the recent payload per second from the node to the station and back, or `None` after
+    /// a single message.
     pub fn bytes_per_s(&self) -> Option<(f64, f64)> {
         let (first, last) = (self.lately.front()?, self.lately.back()?);
         let seconds = last.time_ns.saturating_sub(first.time_ns) as f64 * 1e-9;
@@ -515,7 +525,7 @@ fn has_room<K: Ord, V>(map: &BTreeMap<K, V>, key: &K, most: usize) -> bool {
     map.len() < most || map.contains_key(key)
 }
 
-/// Whether people should know of an alert in this state.
+/// Returns `true` if an alert in this state needs attention.
 fn is_open(state: AlertState) -> bool {
     match state {
         AlertState::Pending

@@ -1,23 +1,25 @@
-//! Standard error for the log, held back while the screen is taken: a log line would stand across it.
+//! Standard error for the log, buffered while a screen is shown. Log lines would otherwise corrupt
+//! the screen.
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tracing_subscriber::fmt::MakeWriter;
 
-/// Bytes held back at most; of more the first are lost, and that is said.
+/// Maximum size of the buffer (bytes). If it is full, the oldest lines are dropped, and a message
+/// reports this.
 const MOST_HELD: usize = 64 * 1024;
 
-/// What is held back; `None` while nothing is to be.
+/// Buffer for log lines. `None` while standard error is not buffered.
 static HELD: Mutex<Option<Held>> = Mutex::new(None);
 
-/// Lines that wait for the terminal.
+/// Log lines that wait for the terminal.
 #[derive(Debug, Default)]
 struct Held {
     bytes: Vec<u8>,
     lost: usize,
 }
 
-/// Writes to standard error, or holds back what is written while a screen is shown.
+/// A writer to standard error that buffers its output while a screen is shown.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct HeldStderr;
 
@@ -48,7 +50,7 @@ impl Held {
         self.bytes.extend_from_slice(bytes);
         if self.bytes.len() > MOST_HELD {
             let surplus = self.bytes.len() - MOST_HELD;
-            // whole lines go
+            // Drops whole lines.
             let end = self.bytes[surplus..].iter().position(|byte| *byte == b'\n');
             let gone = end.map_or(self.bytes.len(), |end| surplus + end + 1);
             self.bytes.drain(..gone);
@@ -57,12 +59,12 @@ impl Held {
     }
 }
 
-/// Holds back the log until dropped.
+/// Buffers the log until dropped.
 #[derive(Debug)]
 pub struct HeldBack(());
 
 impl HeldBack {
-    /// Starts to hold back what would go to a terminal; a log that goes to a file goes on.
+    /// Starts buffering if standard error is a terminal. A log that goes to a file continues.
     pub fn start() -> Self {
         if io::stderr().is_terminal() {
             held().get_or_insert_default();
@@ -75,7 +77,7 @@ impl Drop for HeldBack {
     fn drop(&mut self) {
         if let Some(held) = held().take() {
             let mut stderr = io::stderr().lock();
-            // a terminal that is gone cannot be told
+            // If the terminal has closed, no report is possible.
             if held.lost > 0 {
                 let _ = writeln!(stderr, "… {} bytes of the log are lost", held.lost);
             }
@@ -85,7 +87,7 @@ impl Drop for HeldBack {
 }
 
 fn held() -> MutexGuard<'static, Option<Held>> {
-    // nothing that panics runs under this lock
+    // No code that holds this lock panics.
     HELD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

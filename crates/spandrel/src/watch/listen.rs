@@ -1,4 +1,4 @@
-//! Listens on the bus, and hands over what has come.
+//! Subscribes to the bus and collects the messages.
 
 use super::heard::{Input, Instance};
 use super::topics::{KeyExpressions, OnTopic, ingested, input, instance};
@@ -12,13 +12,15 @@ use std::time::Duration;
 use tokio::task::JoinSet;
 use tracing::warn;
 
-/// Values that wait for the next redraw; more push out the oldest, which are counted.
+/// Queue length for values until the next redraw. New values overwrite the oldest, which are
+/// counted.
 const VALUES_WAITING: usize = 8192;
-/// Alerts and events that wait; there are few, and none must be missed.
+/// Queue length for alerts and events. They are rare, and none must be lost.
 const ALERTS_WAITING: usize = 8192;
-/// Statuses, model classes and words of ingest that wait: a few a second of each structure.
+/// Queue length for statuses, model classes and progress of ingest. Each structure publishes a few
+/// of them per second.
 const STATUSES_WAITING: usize = 1024;
-/// How long the alert services may take to say how the alerts stand.
+/// Time limit for the alert services to reply with their current alerts.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
 /// The subscriptions of a view.
@@ -38,12 +40,12 @@ pub struct Listening {
     ingested: Subscription<Progress>,
     live: Vec<LiveWatch>,
     present: BTreeSet<Instance>,
-    /// Questions how the alerts stand that are not answered yet.
+    /// Pending queries for the current alerts.
     asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
 }
 
 impl Listening {
-    /// Subscribes, and asks for the last alerts.
+    /// Subscribes, and queries the current alerts.
     ///
     /// # Errors
     /// The session is closed.
@@ -92,18 +94,18 @@ impl Listening {
         Ok(listening)
     }
 
-    /// Asks how the alerts stand; the answer comes with what is gathered later.
+    /// Queries the current alerts. A later call of `gather` collects the reply.
     fn ask(&mut self) {
         let (bus, alerts) = (self.bus.clone(), self.expressions.alerts.clone());
         self.asked
             .spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
     }
 
-    /// Returns what has come since the last time.
+    /// Returns all messages since the last call.
     pub fn gather(&mut self) -> Vec<Input> {
         let mut inputs = Vec::new();
         self.gather_present(&mut inputs);
-        // before the values: it says which of them are read again from the recording
+        // Before the values, because it determines which of them are replayed from the recording.
         let words = self.ingested.messages();
         let words = words.try_iter().take(words.len());
         inputs.extend(words.map(|(key, progress)| ingested(&self.root, &key, progress)));
@@ -122,8 +124,8 @@ impl Listening {
                         .into_iter()
                         .map(|(key, alert)| standing(&self.root, &key, alert)),
                 ),
-                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
-                Err(error) => warn!(%error, "question for the last alerts is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
+                Err(error) => warn!(%error, "query for recent alerts failed"),
             }
         }
         inputs
@@ -136,7 +138,7 @@ impl Listening {
         if present == self.present {
             return;
         }
-        // one that has come back, or that was reached again, may stand otherwise than we know
+        // A service that restarted or reconnected may have a different state.
         let has_new_alert_service = present
             .difference(&self.present)
             .any(|instance| instance.service == Service::Alert);
@@ -147,7 +149,7 @@ impl Listening {
         inputs.push(Input::Present(present));
     }
 
-    /// How many messages newer ones have pushed out before they were gathered.
+    /// Returns the number of messages that were overwritten before a call of `gather`.
     pub fn overwritten(&self) -> u64 {
         let refused = [
             self.parameters.refused(),
@@ -170,7 +172,7 @@ fn drain<M: OnTopic + Send + 'static>(
     inputs: &mut Vec<Input>,
 ) {
     let messages = subscription.messages();
-    // what comes meanwhile waits: a source at full speed must not keep us here
+    // Leaves later messages in the queue. A source at full speed would otherwise prolong this call.
     inputs.extend(
         messages
             .try_iter()

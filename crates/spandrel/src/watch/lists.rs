@@ -10,10 +10,10 @@ use spandrel_bus::{AlertMessage, Event, Name};
 
 /// Width of the mark and of `acknowledged`, the longest state.
 const BEFORE_SENTENCE: usize = 2 + 12 + 2;
-/// Indent of what continues an event.
+/// Indentation of the continuation lines of an event.
 const EVENT_INDENT: usize = 2;
 
-/// Whether it has to be said which structure something is about.
+/// Whether entries must name their structure.
 #[derive(Debug, Clone, Copy)]
 enum Structures {
     One,
@@ -37,14 +37,14 @@ impl Structures {
     }
 }
 
-/// How many alerts are in which state.
+/// Returns the title of the alert list, with the number of alerts in each state.
 pub fn alerts_title(heard: &Heard) -> Line<'static> {
     let mut line = Line::from(Span::styled("alerts", Modifier::BOLD));
     line.extend(state_counts(heard.open_alerts().into_iter()));
     line
 }
 
-/// The open alerts, newest first, so that the chosen one is seen.
+/// Returns the lines of the open alerts, newest first, such that the selected alert is visible.
 pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static>> {
     let alerts = view.heard.open_alerts();
     let Some(selected) = view.selected_alert_index(&alerts) else {
@@ -76,7 +76,7 @@ fn alert_entry(
     width: usize,
 ) -> Vec<Line<'static>> {
     let stale = if heard.is_stale(alert) {
-        "stale, the alert service that said so is gone: "
+        "stale (the alert service is gone): "
     } else {
         ""
     };
@@ -90,7 +90,7 @@ fn alert_entry(
         state_style(alert.state),
     );
     let mut lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
-    // the sentence stays that of the change
+    // The sentence describes the time of the change, so add the current loss.
     if let Some(now) = heard
         .structure(&alert.structure)
         .and_then(|structure| structure.present_loss(alert))
@@ -114,7 +114,7 @@ fn alert_entry(
     with_head.collect()
 }
 
-/// Shows that an entry is the chosen one.
+/// Marks an entry as selected.
 fn mark(entry: &mut [Line<'static>]) {
     if let Some(margin) = entry.first_mut().and_then(|line| line.spans.first_mut()) {
         *margin = Span::raw("▶ ");
@@ -124,7 +124,7 @@ fn mark(entry: &mut [Line<'static>]) {
     }
 }
 
-/// The last events, newest first.
+/// Returns the lines of the last events, newest first.
 pub fn event_lines(heard: &Heard, width: usize) -> Vec<Line<'static>> {
     let structures = Structures::of(heard);
     let lines: Vec<Line<'static>> = heard

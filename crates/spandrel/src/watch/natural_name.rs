@@ -1,9 +1,9 @@
-//! Orders names as people do: `storey-2` before `storey-10`.
+//! Natural order of names: `storey-2` before `storey-10`.
 
 use spandrel_bus::Name;
 use std::cmp::Ordering;
 
-/// A name that is ordered by its words and numbers.
+/// A name ordered by its words and numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NaturalName(pub Name);
 
@@ -11,7 +11,7 @@ impl Ord for NaturalName {
     fn cmp(&self, other: &Self) -> Ordering {
         let (a, b) = (self.0.as_str(), other.0.as_str());
         let parts = pieces(a).map(Piece::new).cmp(pieces(b).map(Piece::new));
-        parts.then_with(|| a.cmp(b)) // `storey-02` and `storey-2` are two names
+        parts.then_with(|| a.cmp(b)) // distinguishes `storey-02` and `storey-2`
     }
 }
 
@@ -21,10 +21,10 @@ impl PartialOrd for NaturalName {
     }
 }
 
-/// A run of digits, or of anything else.
+/// A run of digits, or of other characters.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 enum Piece<'n> {
-    /// Digits without leading zeros; of two numbers the shorter is the smaller.
+    /// Digits without leading zeros, after their count. The shorter of two numbers is smaller.
     Number(usize, &'n str),
     Word(&'n str),
 }

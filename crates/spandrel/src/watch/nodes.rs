@@ -1,4 +1,4 @@
-//! Nodes that identify for themselves, as a line each: how the station sees them and what they cost the network.
+//! Lines for distributed nodes: their state by the station, and their network traffic.
 
 use super::heard::NodeHeard;
 use super::wording::time;
@@ -6,7 +6,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{Name, NodeDisplay, NodeHealth};
 
-/// States, those that people should look into first.
+/// States, the most urgent first.
 const ORDER: [NodeHealth; 4] = [
     NodeHealth::Excluded,
     NodeHealth::Silent,
@@ -23,7 +23,7 @@ fn word(state: NodeHealth) -> &'static str {
     }
 }
 
-/// A sign that tells the states apart without colours.
+/// Returns a sign that distinguishes the states without colours.
 fn sign(state: NodeHealth) -> &'static str {
     match state {
         NodeHealth::Used => "●",
@@ -42,7 +42,7 @@ fn style(state: NodeHealth) -> Style {
     }
 }
 
-/// `alive`, `silent since TIME`, `excluded since TIME` or `ended`.
+/// Returns `alive`, `silent since TIME`, `excluded since TIME` or `ended`.
 fn state(display: &NodeDisplay) -> String {
     let since_ns = match display.state {
         NodeHealth::Silent => display.silent_since_ns,
@@ -56,7 +56,10 @@ fn state(display: &NodeDisplay) -> String {
     )
 }
 
-/// `distance 2.1 of 5.4`: of what is regular, and what a node counts that is discounted; without a detector there is no distance.
+/// Returns the distance and its limit, such as `distance 2.1 of 5.4`, with the weight of a
+/// discounted node.
+///
+/// Without a detector there is no distance.
 fn distance(display: &NodeDisplay) -> String {
     let distance = match (display.distance, display.distance_limit) {
         (Some(distance), Some(limit)) => format!("distance {distance:.1} of {limit:.1}"),
@@ -72,7 +75,7 @@ fn distance(display: &NodeDisplay) -> String {
     }
 }
 
-/// Payload per second, from the node and to it, as the station counts it.
+/// Returns the payload per second from and to the node, as counted by the station.
 fn rates(heard: &NodeHeard) -> String {
     match heard.bytes_per_s() {
         Some((from, to)) => format!("{from:.0} B/s from it, {to:.0} B/s to it"),
@@ -80,7 +83,7 @@ fn rates(heard: &NodeHeard) -> String {
     }
 }
 
-/// One node on a line of its own: `TIME node STRUCTURE/NODE STATE, DISTANCE, RATES`.
+/// Returns the plain line of a node: `TIME node STRUCTURE/NODE STATE, DISTANCE, RATES`.
 pub fn plain_line(structure: &Name, heard: &NodeHeard) -> String {
     let display = heard.display();
     let NodeDisplay { node, time_ns, .. } = display;
@@ -93,7 +96,10 @@ pub fn plain_line(structure: &Name, heard: &NodeHeard) -> String {
     )
 }
 
-/// The nodes of a panel: how many are in which state, then one on each line, those in trouble first; nothing without nodes.
+/// Returns the lines of the nodes in a panel.
+///
+/// The first line counts the nodes in each state. Each further line is one node, the most urgent
+/// first. There are no lines without nodes.
 pub fn panel_lines<'h>(nodes: impl Iterator<Item = &'h NodeHeard>) -> Vec<Line<'static>> {
     let mut nodes: Vec<&NodeHeard> = nodes.collect();
     if nodes.is_empty() {

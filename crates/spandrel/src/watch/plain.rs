@@ -1,5 +1,7 @@
-//! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure
-//! and, by [`plain_line`](super::nodes::plain_line), one per node that identifies for itself.
+//! The view as plain lines, for pipes, scripts and logs.
+//!
+//! There is one line per change of an alert, and one line per second and structure. Each
+//! distributed node has a line from [`plain_line`](super::nodes::plain_line).
 
 use super::heard::{Heard, Origin, StructureHeard};
 use super::structure_panel::{fit_words, leading_class};
@@ -7,7 +9,7 @@ use super::wording::{duration, estimate, lag, nothing_measured, printable, time}
 use spandrel_bus::{AlertMessage, Load, Name, Service};
 use std::fmt::Write as _;
 
-/// One change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
+/// Returns the line for a change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
 pub fn alert_line(alert: &AlertMessage) -> String {
     let AlertMessage {
         structure,
@@ -25,7 +27,8 @@ pub fn alert_line(alert: &AlertMessage) -> String {
     )
 }
 
-/// How one structure is: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG, …`.
+/// Returns the line of a structure: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG,
+/// …`.
 pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) -> String {
     let Some(time_ns) = structure.time_ns else {
         return format!(
@@ -82,7 +85,7 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     )
 }
 
-/// How the alerts stand of which somebody has told without any value having come: `: PARAMETER STATE, …`.
+/// Returns the states of alerts for which no value has arrived: `: PARAMETER STATE, …`.
 fn alerts(structure: &StructureHeard) -> String {
     let states = structure.alerts.iter().map(|(parameter, alert)| {
         let stale = if structure.is_stale(&parameter.0) {
@@ -105,7 +108,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
             continue;
         }
         let separator = if text.is_empty() { "; " } else { ", " };
-        // writing to a String does not fail
+        // Writing to a string cannot fail.
         let _ = write!(text, "{separator}{}/{id}", service.as_str());
         let Some(status) = &instance.status else {
             continue;
@@ -208,7 +211,7 @@ mod tests {
         );
     }
 
-    /// Broke: for some seconds after a restart these passed for measured now.
+    /// Regression test: for some seconds after a restart, these values counted as newly measured.
     #[test]
     fn values_that_are_read_again_from_the_recording_say_so() {
         let known = Input::Ingested(name("tower"), progress(7, 60));
@@ -240,7 +243,7 @@ mod tests {
         let told = line(&heard([present(&[(Service::Alert, "a")]), raised]));
         assert_eq!(
             told,
-            "tower no data since this began to watch: storey-2 raised; alert/a"
+            "tower no data since this view was started: storey-2 raised; alert/a"
         );
     }
 
@@ -254,7 +257,7 @@ mod tests {
         let told = line(&tower);
         assert!(
             told.contains(
-                "; class storey-2 leads with 98.2 %, baseline before it, 3 calibrations; ingest/a"
+                "; class storey-2 leads with 98.2 %, previously baseline, 3 calibrations; ingest/a"
             ),
             "{told}"
         );

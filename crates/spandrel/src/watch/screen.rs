@@ -1,4 +1,4 @@
-//! The terminal as a screen: taken, drawn on, read for keys, and given back whatever happens.
+//! The terminal as a screen with keys. It is always restored, even after an error.
 
 use super::draw::draw;
 use super::held_stderr::HeldBack;
@@ -10,36 +10,37 @@ use std::io;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Keys that wait; nobody types more between two redraws.
+/// Queue length for keys, more than anyone types between two redraws.
 const KEYS_WAITING: usize = 64;
-/// How soon the thread that reads keys notices that nobody wants them any more.
+/// Interval at which the key reader checks whether it must end.
 const KEY_PATIENCE: Duration = Duration::from_millis(50);
 
-/// A terminal that shows a view until this is dropped.
+/// A terminal that shows a view until dropped.
 pub struct Screen {
     keys: Option<flume::Receiver<io::Result<Event>>>,
     reader: Option<JoinHandle<()>>,
-    // dropped in this order: the cursor comes back, then the screen of before, then what was held back
+    // Fields drop in this order: the cursor reappears, then the previous screen, then the buffered
+    // log.
     terminal: DefaultTerminal,
     _taken: TakenTerminal,
     _held: HeldBack,
 }
 
-/// Gives the terminal back when dropped, also when it was taken in part only.
+/// Restores the terminal when dropped, even if it was only partly initialised.
 struct TakenTerminal;
 
 impl Drop for TakenTerminal {
     fn drop(&mut self) {
-        // there is nobody left to tell, and nothing else to try
+        // An error here can be neither reported nor handled.
         let _ = ratatui::try_restore();
     }
 }
 
 impl Screen {
-    /// Takes the terminal.
+    /// Initialises the terminal.
     ///
     /// # Errors
-    /// It is none, or does not let itself be taken.
+    /// Standard output is not a terminal, or it cannot be initialised.
     pub fn open() -> Result<Self, AppError> {
         let cannot = |what: &str| {
             let what = what.to_owned();
@@ -62,10 +63,10 @@ impl Screen {
         })
     }
 
-    /// Waits for a key, or a change of the size.
+    /// Waits for a key or a change of the window size.
     ///
     /// # Errors
-    /// The terminal is gone.
+    /// The terminal has failed.
     pub async fn event(&self) -> Result<Event, AppError> {
         let gone = || io::Error::from(io::ErrorKind::BrokenPipe);
         let read = match &self.keys {
@@ -78,12 +79,12 @@ impl Screen {
         })
     }
 
-    /// Draws.
+    /// Draws the view.
     ///
     /// # Errors
-    /// The terminal is gone.
+    /// The terminal has failed.
     pub fn draw(&mut self, view: &View) -> Result<(), AppError> {
-        // a terminal that is slow, or stopped with Ctrl-S, holds up this thread
+        // A slow terminal, or one stopped with Ctrl-S, blocks this thread.
         let drawn =
             tokio::task::block_in_place(|| self.terminal.draw(|frame| draw(view, frame)).map(drop));
         drawn.map_err(|source| AppError::Io {
@@ -95,16 +96,16 @@ impl Screen {
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        // first nobody reads the terminal any more, then it is given back
+        // Stop reading the terminal before it is restored.
         self.keys = None;
         if let Some(reader) = self.reader.take() {
-            // a reader that panicked has told so itself
+            // A panicked reader has already printed its message.
             let _ = reader.join();
         }
     }
 }
 
-/// Hands over keys until nobody wants them, or the terminal is gone.
+/// Sends keys until the receiver is dropped or the terminal fails.
 fn read_keys(keys: &flume::Sender<io::Result<Event>>) {
     while !keys.is_disconnected() {
         let read = match event::poll(KEY_PATIENCE) {

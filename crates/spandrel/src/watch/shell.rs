@@ -1,4 +1,4 @@
-//! Joins the view to bus and terminal.
+//! Connects the view to the bus and the terminal.
 
 use super::heard::{Heard, Input};
 use super::listen::Listening;
@@ -14,17 +14,17 @@ use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::time::MissedTickBehavior;
 
-/// How often the screen is drawn, and lines are looked for: the display rate.
+/// Interval at which the screen is redrawn and lines are checked, equal to the display rate.
 const REDRAW_EVERY: Duration = Duration::from_millis(100);
-/// How often a line says how a structure is.
+/// Interval between the lines of a structure.
 const LINE_EVERY: Duration = Duration::from_secs(1);
 
-/// Shows one structure, or all below the root, until `stop` or until the person quits.
+/// Shows one structure, or all below the root, until `stop` or until the user quits.
 ///
-/// On a terminal it is a screen with keys, otherwise lines on standard output.
+/// On a terminal it shows a screen with keys, otherwise it prints lines to standard output.
 ///
 /// # Errors
-/// The session is closed, or the terminal is gone.
+/// The session is closed, or the terminal has failed.
 pub async fn show(
     bus: &Bus,
     root: &Name,
@@ -98,7 +98,7 @@ async fn show_screen(
     }
 }
 
-/// What is offered as the name of who acknowledges.
+/// Returns the default name for acknowledgements.
 fn user() -> String {
     std::env::var("USER").unwrap_or_default()
 }
@@ -157,11 +157,11 @@ async fn print_lines(
     }
 }
 
-/// Whoever reads standard output.
+/// Whether standard output still has a reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reader {
     There,
-    /// As in `| head`: no error, but nothing more to do.
+    /// The reader has closed the pipe, as with `| head`. This is not an error but ends the output.
     Gone,
 }
 
@@ -181,7 +181,7 @@ fn print(lines: &[String]) -> Result<Reader, AppError> {
     }
 }
 
-/// Time since the view was opened: what staleness is measured on.
+/// Time since the view was opened, on which staleness is measured.
 struct Clock(Instant);
 
 impl Clock {
@@ -215,7 +215,7 @@ mod tests {
     use super::*;
     use spandrel_bus::BusConfig;
 
-    /// Ends a hang; nothing here takes a second.
+    /// Only ends a hang; no test takes a second.
     const DEADLINE: Duration = Duration::from_secs(30);
 
     #[tokio::test(flavor = "multi_thread")]

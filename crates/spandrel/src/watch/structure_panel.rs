@@ -16,36 +16,36 @@ use spandrel_bus::{
     Standing,
 };
 
-/// Between columns.
+/// Gap between columns.
 const GAP: &str = "  ";
-/// Longest name that is shown in full.
+/// Maximum length of a name that is shown in full.
 const LONGEST_NAME: usize = 20;
 /// Width of `acknowledged`, the longest state.
 const STATE: usize = 12;
 /// Widths of `0.858 ± 0.011` and `0.836 to 0.880`.
 const ESTIMATE: usize = 13;
 const INTERVAL: usize = 14;
-/// From this width on there is room for a trend and the interval in numbers.
+/// Minimum width for showing a trend and the interval in numbers.
 const WIDE: usize = 110;
-/// Rows of parameters that are worth more than services.
+/// Number of parameter rows with precedence over the services.
 const ROWS_AT_LEAST: usize = 4;
-/// A bar narrower than this says nothing.
+/// Minimum width of a bar.
 const NARROWEST_BAR: usize = 8;
 
-/// What stands in the panel of one structure.
+/// Contents of the panel of one structure.
 pub struct StructurePanel {
     pub title: Line<'static>,
-    /// At the right of the title: the measurement time, or that it stands still.
+    /// Measurement time at the right of the title, or a note that the data is stale.
     pub time: Line<'static>,
     header: Line<'static>,
     rows: Vec<Line<'static>>,
-    /// Noise levels, model classes, services, and nodes that identify for themselves.
+    /// Noise levels, model classes, services and distributed nodes.
     footer: Vec<Line<'static>>,
-    /// What stands in the place of rows where there are none.
+    /// Text instead of the rows if there are none.
     nothing_measured: Line<'static>,
 }
 
-/// Widths of the columns; 0 is a column that there is no room for.
+/// Widths of the columns. A column with width 0 is hidden.
 #[derive(Debug, Clone, Copy)]
 struct Columns {
     name: usize,
@@ -56,7 +56,7 @@ struct Columns {
 }
 
 impl StructurePanel {
-    /// Prepares everything for lines of `width` characters.
+    /// Prepares the contents for lines of `width` characters.
     pub fn new(heard: &Heard, name: &Name, structure: &StructureHeard, width: usize) -> Self {
         let all_marks = structure
             .parameters
@@ -93,12 +93,12 @@ impl StructurePanel {
         }
     }
 
-    /// Lines that the panel would like to have, borders not counted.
+    /// Returns the preferred number of lines, without borders.
     pub fn len(&self) -> usize {
         1 + self.rows.len() + self.footer.len()
     }
 
-    /// The lines that fit into `height`, starting with row `first` where not all do.
+    /// Returns the lines that fit into `height`. If not all rows fit, it starts with row `first`.
     pub fn into_lines(self, height: usize, first: usize) -> Vec<Line<'static>> {
         let Self {
             header,
@@ -107,7 +107,7 @@ impl StructurePanel {
             nothing_measured,
             ..
         } = self;
-        // in a small window parameters come before services
+        // In a small window, parameters have precedence over services.
         footer.truncate(height.saturating_sub(1 + rows.len().min(ROWS_AT_LEAST)));
         let room = height.saturating_sub(1 + footer.len());
         let mut lines = vec![header];
@@ -127,16 +127,16 @@ impl StructurePanel {
     }
 }
 
-/// What is known of the alert of a parameter.
+/// Known state of a parameter's alert.
 #[derive(Debug, Clone, Copy)]
 enum AlertCell<'a> {
     Unheard,
-    /// What was heard is that of a service that has gone.
+    /// The service of the alert has disappeared.
     Stale,
     Of(&'a AlertMessage),
 }
 
-/// What the column of losses says: one loss for all in its header, or one in each row.
+/// Contents of the loss column: one loss for all parameters in the header, or one in each row.
 struct Losses {
     common: Option<f64>,
     width: usize,
@@ -279,7 +279,7 @@ fn row(
     Line::from_iter(spans.into_iter().flatten())
 }
 
-/// A name in the width that there is for names.
+/// Shortens a name to the width of the name column.
 fn shortened(name: &str) -> String {
     if name.len() <= LONGEST_NAME {
         return name.to_owned();
@@ -378,12 +378,12 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
     lines
 }
 
-/// The verdict on the fit: `doubtful: the innovations are correlated over time`.
+/// Returns the verdict on the fit: `doubtful: the innovations are correlated over time`.
 pub fn fit_words(display: &FitDisplay) -> String {
     format!("{}: {}", display.verdict.as_str(), display.words())
 }
 
-/// The class that leads with its plausibility, and which one is believed where that is another one.
+/// Returns the leading class with its plausibility, and the believed class if it differs.
 pub fn leading_class(display: &ModelClassDisplay) -> String {
     let ModelClassDisplay {
         leading,
@@ -402,7 +402,7 @@ pub fn leading_class(display: &ModelClassDisplay) -> String {
         probability(plausibility, None)
     );
     if believed != leading {
-        text.push_str(&format!(", {} before it", printable(believed)));
+        text.push_str(&format!(", previously {}", printable(believed)));
     }
     match calibrations {
         0 => {}
@@ -412,7 +412,7 @@ pub fn leading_class(display: &ModelClassDisplay) -> String {
     text
 }
 
-/// The standard deviation of a noise source, as the structure file states it; the message carries the variance.
+/// Formats the standard deviation of a noise source. The message contains its variance.
 fn noise_level(level: &NoiseDisplay) -> String {
     let NoiseDisplay {
         name, mean, std, ..
@@ -437,8 +437,9 @@ fn service_item(
     let mut text = who;
     if let Some(status) = &instance.status {
         match status.lag_s {
-            None => text.push_str(" waits for data"),
-            Some(_) if !structure.has_lag() => {} // the times are those of a record, or nobody has said whose they are
+            None => text.push_str(" waiting for data"),
+            // the times are those of a record, or no service has published their origin
+            Some(_) if !structure.has_lag() => {}
             Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
         }
         if let Some(load) = status.load.filter(|load| *load != Load::Normal) {
@@ -449,8 +450,8 @@ fn service_item(
             ));
         }
         match status.state {
-            None | Some(Standing::Leading) => {} // as it should be
-            Some(Standing::StandingBy) => text.push_str(", stands by"),
+            None | Some(Standing::Leading) => {} // normal operation
+            Some(Standing::StandingBy) => text.push_str(", standby"),
             Some(Standing::Joining) => text.push_str(", joining"),
         }
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {

@@ -9,14 +9,14 @@ use spandrel_bus::{
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// Measurement time of the messages unless a test says otherwise: 2024-02-29 12:00:00 UTC.
+/// Default measurement time of the messages: 2024-02-29 12:00:00 UTC.
 pub const TIME_NS: i64 = 1_709_208_000_000_000_000;
 
 pub fn name(text: &str) -> Name {
     Name::new(text).unwrap()
 }
 
-/// A parameter of `tower` at `second` after [`TIME_NS`].
+/// Returns a parameter of `tower` at `second` after [`TIME_NS`].
 pub fn parameter(parameter: &str, second: i64, mean: f64, std: f64) -> ParameterDisplay {
     ParameterDisplay {
         structure: name("tower"),
@@ -45,7 +45,7 @@ pub fn noise(noise: &str, mean: f64, std: f64) -> NoiseDisplay {
     }
 }
 
-/// The alert of a parameter of `tower`, changed at `second` after [`TIME_NS`].
+/// Returns the alert of a parameter of `tower`, changed at `second` after [`TIME_NS`].
 pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
     AlertMessage {
         structure: name("tower"),
@@ -80,7 +80,8 @@ pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
     }
 }
 
-/// A node of `tower` at `second` after [`TIME_NS`], which sends 500 bytes a second and is sent 100.
+/// Returns a node of `tower` at `second` after [`TIME_NS`]. It sends 500 bytes per second and
+/// receives 100.
 pub fn node(node: &str, second: i64, state: NodeHealth) -> NodeDisplay {
     let time_ns = TIME_NS + second * 1_000_000_000;
     NodeDisplay {
@@ -137,7 +138,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
     }
 }
 
-/// That ingest has done the frames of an epoch up to `second` after [`TIME_NS`].
+/// Returns the progress of ingest in an epoch up to `second` after [`TIME_NS`].
 pub fn progress(epoch: u64, second: i64) -> Progress {
     let header = Header {
         source: "a".to_owned(),
@@ -152,7 +153,7 @@ pub fn progress(epoch: u64, second: i64) -> Progress {
     }
 }
 
-/// A class of `tower` that leads and is not yet believed.
+/// Returns a class of `tower` that leads and is not yet believed.
 pub fn classes(leading: &str, plausibility: f64, calibrations: u64) -> ModelClassDisplay {
     let class = |class: &str, plausibility| ClassPlausibility {
         class: class.to_owned(),
@@ -181,7 +182,7 @@ pub fn present(instances: &[(Service, &str)]) -> Input {
     Input::Present(instances.iter().map(instance).collect::<BTreeSet<_>>())
 }
 
-/// Everything that was heard, at 0 s.
+/// Returns the state after these inputs, received at 0 s.
 pub fn heard(inputs: impl IntoIterator<Item = Input>) -> Heard {
     let mut heard = Heard::default();
     for input in inputs {
@@ -194,7 +195,7 @@ pub fn at(second: u64) -> Input {
     Input::Now(Duration::from_secs(second))
 }
 
-/// Five storeys of which the second has lost stiffness, with services and events.
+/// Returns a tower of five storeys with services and events. The second storey has lost stiffness.
 pub fn damaged_tower() -> Heard {
     let services = [
         (Service::Ingest, "a"),

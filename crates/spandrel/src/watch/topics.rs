@@ -1,4 +1,4 @@
-//! What is listened to: the key expressions of one structure or of all, and what a message says of its own key.
+//! Key expressions of one structure or of all, and the comparison of messages with their keys.
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
@@ -6,7 +6,7 @@ use spandrel_bus::{
     NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Topic, parse_key,
 };
 
-/// The key expressions of what people look at.
+/// Key expressions of the data for display.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeyExpressions {
     pub parameters: String,
@@ -22,12 +22,12 @@ pub struct KeyExpressions {
 }
 
 impl KeyExpressions {
-    /// Those of one structure, or of all below the root.
+    /// Returns the key expressions of one structure, or of all below the root.
     ///
     /// # Errors
-    /// Never in practice: the structure that stands for all has a valid name.
+    /// None in practice, because the placeholder for all structures is a valid name.
     pub fn new(root: &Name, structure: Option<&Name>) -> Result<Self, NameError> {
-        /// Any name will do: it is replaced in each key expression.
+        /// Placeholder for any structure, which `*` replaces in each key expression.
         const ANY: &str = "any";
         let keys = match structure {
             Some(structure) => Keys::new(root.clone(), structure.clone()),
@@ -55,7 +55,7 @@ impl KeyExpressions {
     }
 }
 
-/// A message that says which structure and topic it is about, as its key does.
+/// A message that contains its structure and topic, like its key.
 pub trait OnTopic: Message {
     fn topic(&self) -> Option<(&Name, Topic)>;
     fn into_input(self) -> Input;
@@ -144,7 +144,8 @@ impl OnTopic for Status {
     }
 }
 
-/// A received message as an input; [`Input::Misplaced`] if its key says something else than its content.
+/// Converts a received message to an input, or to [`Input::Misplaced`] if its content contradicts
+/// its key.
 pub fn input<M: OnTopic>(root: &Name, key: &str, message: M) -> Input {
     let of_key = parse_key(root, key);
     let is_in_place = message.topic().is_some_and(|(structure, topic)| {
@@ -159,7 +160,7 @@ pub fn input<M: OnTopic>(root: &Name, key: &str, message: M) -> Input {
     }
 }
 
-/// How far the ingest of a structure has come: a progress message does not say whose it is, its key does.
+/// Converts a progress message of ingest to an input. Only its key names the structure.
 pub fn ingested(root: &Name, key: &str, progress: Progress) -> Input {
     match parse_key(root, key) {
         Some((structure, Topic::Progress(Service::Ingest))) => Input::Ingested(structure, progress),
@@ -167,7 +168,7 @@ pub fn ingested(root: &Name, key: &str, progress: Progress) -> Input {
     }
 }
 
-/// Who a liveliness token stands for.
+/// Returns the instance that a liveliness token represents.
 pub fn instance(root: &Name, key: &str) -> Option<Instance> {
     match parse_key(root, key)? {
         (structure, Topic::Live(service, id)) => Some(Instance {

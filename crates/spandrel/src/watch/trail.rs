@@ -1,10 +1,10 @@
-//! The last minutes of one parameter, thinned out to what a line of text can show.
+//! The last minutes of one parameter, reduced to the resolution of a line of text.
 
 use std::collections::VecDeque;
 
-/// Measurement time (ns) that one entry stands for: 2 s.
+/// Measurement time of one entry (ns), 2 s.
 const STEP_NS: i64 = 2_000_000_000;
-/// Entries kept: three minutes.
+/// Maximum number of entries, three minutes.
 const LONGEST: usize = 90;
 
 /// Means over steps of measurement time, oldest first.
@@ -15,7 +15,7 @@ pub struct Trail {
     steps: VecDeque<Step>,
 }
 
-/// The values of one step; none where nothing was heard.
+/// Values of one step. A step without values has count 0.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Step {
     sum: f64,
@@ -23,7 +23,8 @@ struct Step {
 }
 
 impl Trail {
-    /// Takes a value (ratio to nominal) at `time_ns`. A time before the trail, or long after it, starts a new one.
+    /// Adds a value (ratio to nominal) at `time_ns`. A time before the trail, or long after it,
+    /// starts a new trail.
     pub fn push(&mut self, time_ns: i64, value: f64) {
         let number = time_ns.div_euclid(STEP_NS);
         let back = usize::try_from(self.newest.saturating_sub(number)).unwrap_or(0);
@@ -46,7 +47,8 @@ impl Trail {
         }
     }
 
-    /// Returns the means of the last `count` steps, oldest first; shorter while the trail is.
+    /// Returns the means of the last `count` steps, oldest first. There are fewer if the trail is
+    /// shorter.
     pub fn last(&self, count: usize) -> impl Iterator<Item = Option<f64>> {
         let skipped = self.steps.len().saturating_sub(count);
         self.steps
@@ -55,7 +57,7 @@ impl Trail {
             .map(|step| (step.count > 0).then(|| step.sum / f64::from(step.count)))
     }
 
-    /// Returns the measurement time (s) that `count` steps stand for, the whole trail at most.
+    /// Returns the measurement time of `count` steps (s), at most that of the whole trail.
     pub fn span_s(count: usize) -> f64 {
         count.min(LONGEST) as f64 * STEP_NS as f64 * 1e-9
     }

@@ -1,4 +1,4 @@
-//! What the person in front of the screen has chosen: keys in, actions out.
+//! The choices of the user at the screen. Keys are the input, and actions are the output.
 
 use super::form::{Form, Typed};
 use super::heard::{Heard, StructureHeard};
@@ -6,42 +6,42 @@ use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use spandrel_bus::{AlertMessage, AlertState, Name};
 use std::time::Duration;
 
-/// How long a notice stands in the last line.
+/// Time for which a notice is shown in the last line.
 const NOTICE_FOR: Duration = Duration::from_secs(8);
-/// Time for the alert service to take an acknowledgement.
+/// Time limit for the alert service to accept an acknowledgement.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
-/// Parameters that a page key moves by.
+/// Number of parameters per page key.
 const PAGE: usize = 5;
 
-/// What has been heard, and what of it is being looked at.
+/// The received state, and the user's choices.
 #[derive(Debug, Clone, Default)]
 pub struct View {
     pub heard: Heard,
-    /// Where it is listened, in words, for as long as nothing is heard.
+    /// Description of the subscribed part of the bus, shown until a message arrives.
     place: String,
     around: Around,
     mode: Mode,
-    /// By name, so that a new structure or alert does not move the choice.
+    /// Selection by name, so that a new structure or alert does not move it.
     structure: Option<Name>,
     alert: Option<(Name, Name)>,
     first_parameter: usize,
     notice: Option<Notice>,
-    /// Who acknowledged last; offered for the next time.
+    /// Name of the last acknowledgement, the default for the next one.
     who: String,
     overwritten: u64,
     sent: Option<Sent>,
 }
 
-/// What a view is told when it is opened.
+/// Surroundings of a view, fixed when it is opened.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Around {
-    /// The address of the web page, if there is one.
+    /// Address of the web page, if there is one.
     pub page: Option<String>,
-    /// Why an acknowledgement would be dropped on its way, if it would be.
+    /// Reason why a router would drop an acknowledgement, if it would.
     pub cannot_acknowledge: Option<String>,
 }
 
-/// An acknowledgement that the alert service has not answered yet: it does so by the next state of the alert.
+/// An acknowledgement without confirmation. The next state of the alert confirms it.
 #[derive(Debug, Clone)]
 struct Sent {
     structure: Name,
@@ -51,7 +51,7 @@ struct Sent {
     until: Duration,
 }
 
-/// What the keys mean.
+/// Meaning of the keys.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Mode {
     #[default]
@@ -64,7 +64,7 @@ pub enum Mode {
     },
 }
 
-/// What the person asks for.
+/// Request of the user.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
     Quit,
@@ -90,7 +90,8 @@ enum Step {
 }
 
 impl View {
-    /// Starts with nothing heard at `place`; `who` is offered as the name for acknowledgements.
+    /// Creates a view of `place` without any messages. `who` is the default name for
+    /// acknowledgements.
     pub fn new(place: String, around: Around, who: String) -> Self {
         Self {
             place,
@@ -100,12 +101,12 @@ impl View {
         }
     }
 
-    /// Where it is listened, in words.
+    /// Returns the description of the subscribed part of the bus.
     pub fn place(&self) -> &str {
         &self.place
     }
 
-    /// Takes a key; returns what it asks for.
+    /// Processes a key and returns the resulting action.
     pub fn key(&mut self, key: KeyEvent) -> Option<Action> {
         if key.modifiers.contains(KeyModifiers::CONTROL) && key.code == KeyCode::Char('c') {
             return Some(Action::Quit);
@@ -179,25 +180,23 @@ impl View {
 
     fn acknowledge(&mut self) {
         let Some(alert) = self.selected_alert() else {
-            self.notify("there is no alert to acknowledge".to_owned());
+            self.notify("no alert to acknowledge".to_owned());
             return;
         };
         let (structure, parameter) = (alert.structure.clone(), alert.parameter.clone());
         if self.heard.is_stale(alert) {
             self.notify(format!(
-                "the alert service of {structure}/{parameter} is gone, nobody would hear it"
+                "cannot acknowledge {structure}/{parameter}: its alert service is gone"
             ));
             return;
         }
         if let Some(why) = &self.around.cannot_acknowledge {
-            self.notify(format!("not possible: {why}"));
+            self.notify(format!("cannot acknowledge: {why}"));
             return;
         }
         match alert.state {
             AlertState::Unconfirmed if !alert.is_unseen() => {
-                self.notify(format!(
-                    "{structure}/{parameter} is acknowledged, there is nothing to acknowledge"
-                ));
+                self.notify(format!("{structure}/{parameter} is already acknowledged"));
             }
             AlertState::Raised
             | AlertState::Unconfirmed
@@ -215,13 +214,13 @@ impl View {
             | AlertState::Undecided => {
                 let state = alert.state.as_str();
                 self.notify(format!(
-                    "{structure}/{parameter} is {state}, there is nothing to acknowledge"
+                    "{structure}/{parameter} is {state}; nothing to acknowledge"
                 ));
             }
         }
     }
 
-    /// Shows a text in the last line for a while.
+    /// Shows a text in the last line for a limited time.
     pub fn notify(&mut self, text: String) {
         self.notice = Some(Notice {
             text,
@@ -229,7 +228,7 @@ impl View {
         });
     }
 
-    /// Takes that an acknowledgement was sent, and says so until it is taken.
+    /// Records that an acknowledgement was sent, and shows this until it is accepted.
     pub fn sent(&mut self, structure: Name, parameter: Name) {
         let alert = self
             .heard
@@ -248,7 +247,8 @@ impl View {
         });
     }
 
-    /// Says whether an acknowledgement was taken, once that is known or nobody has answered for too long.
+    /// Reports whether an acknowledgement was accepted, as soon as this is known or the time limit
+    /// has passed.
     pub fn look_for_answer(&mut self) {
         let Some(Sent {
             structure,
@@ -274,7 +274,8 @@ impl View {
             Some(_) | None if self.heard.now() < *until => return,
             Some(_) | None => {
                 format!(
-                    "nobody took the acknowledgement of {structure}/{parameter}; is the alert service there?"
+                    "no reply to the acknowledgement of {structure}/{parameter}; is the alert \
+                     service running?"
                 )
             }
         };
@@ -282,27 +283,27 @@ impl View {
         self.notify(told);
     }
 
-    /// The address of the web page, if there is one.
+    /// Returns the address of the web page, if there is one.
     pub fn page(&self) -> Option<&str> {
         self.around.page.as_deref()
     }
 
-    /// Takes how many messages have been pushed out by newer ones before they were shown.
+    /// Sets the number of messages that were overwritten before they were shown.
     pub fn set_overwritten(&mut self, overwritten: u64) {
         self.overwritten = overwritten;
     }
 
-    /// Messages that were pushed out by newer ones before they were shown.
+    /// Returns the number of messages that were overwritten before they were shown.
     pub fn overwritten(&self) -> u64 {
         self.overwritten
     }
 
-    /// What the keys mean now.
+    /// Returns the current meaning of the keys.
     pub fn mode(&self) -> &Mode {
         &self.mode
     }
 
-    /// The notice that stands now.
+    /// Returns the current notice.
     pub fn notice(&self) -> Option<&str> {
         let notice = self
             .notice
@@ -311,7 +312,7 @@ impl View {
         notice.map(|notice| notice.text.as_str())
     }
 
-    /// The structure that is looked at: the first one until another is chosen.
+    /// Returns the selected structure, by default the first.
     pub fn selected_structure(&self) -> Option<(&Name, &StructureHeard)> {
         let chosen = self.structure.as_ref();
         let named = self
@@ -321,19 +322,19 @@ impl View {
         named.or_else(|| self.heard.structures().next())
     }
 
-    /// First row of parameters that is shown of the selected structure.
+    /// Returns the index of the first visible parameter row of the selected structure.
     pub fn first_parameter(&self) -> usize {
         self.first_parameter
     }
 
-    /// The alert that is chosen: the newest one until another is chosen.
+    /// Returns the selected alert, by default the newest.
     pub fn selected_alert(&self) -> Option<&AlertMessage> {
         let alerts = self.heard.open_alerts();
         self.selected_alert_index(&alerts)
             .map(|index| alerts[index])
     }
 
-    /// Where the chosen alert stands among `alerts`, which are the open ones.
+    /// Returns the index of the selected alert in `alerts`, the open alerts.
     pub fn selected_alert_index(&self, alerts: &[&AlertMessage]) -> Option<usize> {
         let chosen = self.alert.as_ref();
         let is_chosen = |alert: &&AlertMessage| {
@@ -347,7 +348,7 @@ impl View {
 }
 
 impl Step {
-    /// The next index; after the last comes the first.
+    /// Returns the next index, with wrap-around.
     fn around(self, at: Option<usize>, len: usize) -> Option<usize> {
         let at = at.filter(|_| len > 0)?;
         Some(match self {
@@ -356,7 +357,7 @@ impl Step {
         })
     }
 
-    /// The next index; at an end it stays.
+    /// Returns the next index, without wrap-around.
     fn within(self, at: Option<usize>, len: usize) -> Option<usize> {
         let at = at.filter(|_| len > 0)?;
         Some(match self {
@@ -447,7 +448,7 @@ mod tests {
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(
             view.notice(),
-            Some("tower/storey-2 is acknowledged, there is nothing to acknowledge")
+            Some("tower/storey-2 is acknowledged; nothing to acknowledge")
         );
     }
 
@@ -459,7 +460,7 @@ mod tests {
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(
             view.notice(),
-            Some("the alert service of tower/storey-2 is gone, nobody would hear it")
+            Some("cannot acknowledge tower/storey-2: its alert service is gone")
         );
     }
 
@@ -477,10 +478,11 @@ mod tests {
         };
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
-        assert_eq!(view.notice().unwrap(), format!("not possible: {why}"));
+        assert_eq!(view.notice().unwrap(), format!("cannot acknowledge: {why}"));
     }
 
-    /// Broke: one that nobody took was told as sent, and no more was heard of it.
+    /// Regression test: an acknowledgement that no service accepted was reported as sent, without
+    /// any later notice.
     #[test]
     fn an_acknowledgement_is_told_as_taken_or_not() {
         let sent = || {
@@ -504,7 +506,8 @@ mod tests {
         let mut lost = sent();
         lost.heard.handle(at(105), &mut Vec::new());
         lost.look_for_answer();
-        let told = "nobody took the acknowledgement of tower/storey-2; is the alert service there?";
+        let told =
+            "no reply to the acknowledgement of tower/storey-2; is the alert service running?";
         assert_eq!(lost.notice(), Some(told));
     }
 
@@ -512,7 +515,7 @@ mod tests {
     fn a_notice_goes_after_a_while() {
         let mut view = view(heard([at(100)]));
         press(&mut view, [KeyCode::Char('a')]);
-        assert_eq!(view.notice(), Some("there is no alert to acknowledge"));
+        assert_eq!(view.notice(), Some("no alert to acknowledge"));
         view.heard.handle(at(109), &mut Vec::new());
         assert_eq!(view.notice(), None);
     }

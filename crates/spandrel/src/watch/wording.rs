@@ -1,4 +1,4 @@
-//! Numbers, times and states as people read them.
+//! Numbers, times and states as text for people.
 
 use super::heard::StructureHeard;
 use jiff::Timestamp;
@@ -7,7 +7,7 @@ use ratatui::text::Span;
 use spandrel_bus::{AlertMessage, AlertState, RoundedProbability};
 use std::time::Duration;
 
-/// The colour of a state; the word says the same.
+/// Returns the colour of a state. The word shows the same information without colour.
 pub fn state_style(state: AlertState) -> Style {
     match state {
         AlertState::Learning => Style::new().fg(Color::Cyan),
@@ -22,7 +22,8 @@ pub fn state_style(state: AlertState) -> Style {
     }
 }
 
-/// How many alerts are in which state, as parts of a title; normal ones are not worth a word.
+/// Returns the number of alerts in each state, as parts of a title. Normal and learning alerts are
+/// omitted.
 pub fn state_counts<'a>(
     alerts: impl Iterator<Item = &'a AlertMessage> + Clone,
 ) -> Vec<Span<'static>> {
@@ -45,32 +46,33 @@ pub fn state_counts<'a>(
     spans
 }
 
-/// What there is to say before there is anything.
+/// Returns the text for a view without any messages.
 pub fn nothing_heard(place: &str) -> String {
-    format!("nothing heard yet {place}: neither a service nor a sensor is there")
+    format!("no messages yet {place}: no service or sensor is running")
 }
 
-/// Mean and standard deviation: `0.858 ± 0.011`.
+/// Formats a mean and standard deviation: `0.858 ± 0.011`.
 pub fn estimate(mean: f64, std: f64) -> String {
     format!("{mean:.3} ± {std:.3}")
 }
 
-/// A probability in per cent that never reads as certainty, with the digits that tell on which side of the one asked for it lies.
+/// Formats a probability in per cent, never as certainty. It has enough digits to show on which
+/// side of `asked` it is.
 pub fn probability(value: f64, asked: Option<f64>) -> String {
     RoundedProbability::new(value, asked.as_slice()).percent()
 }
 
-/// A share in per cent, with a decimal only where it needs one.
+/// Formats a share in per cent, with a decimal only if needed.
 pub fn share(value: f64) -> String {
     let text = format!("{:.1}", value * 100.0);
     format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
 }
 
-/// Three significant digits.
+/// Formats a value with three significant digits.
 pub fn significant(value: f64) -> String {
-    /// Below this leading zeros are harder to count than an exponent.
+    /// Values below this limit are more legible with an exponent than with leading zeros.
     const SMALL: f64 = 1e-3;
-    /// Above this digits are harder to count than an exponent.
+    /// Values above this limit are more legible with an exponent than with many digits.
     const LARGE: f64 = 1e6;
     if value == 0.0 {
         return "0".to_owned();
@@ -82,7 +84,7 @@ pub fn significant(value: f64) -> String {
     format!("{value:.*}", usize::try_from(decimals).unwrap_or(0))
 }
 
-/// A span of time in the unit that suits it: `12 s`, `5 min`.
+/// Formats a time span in a suitable unit: `12 s`, `5 min`.
 pub fn duration(span: Duration) -> String {
     seconds(span.as_secs_f64())
 }
@@ -95,7 +97,7 @@ fn seconds(span_s: f64) -> String {
         (60.0, "min"),
         (1.0, "s"),
     ];
-    /// Two of a unit, so that 90 s are not told as 1 min.
+    /// Minimum multiple of a unit, so that 90 s do not become 1 min.
     const FROM: f64 = 2.0;
     let fitting = UNITS
         .into_iter()
@@ -106,7 +108,7 @@ fn seconds(span_s: f64) -> String {
     }
 }
 
-/// How far behind the clock something is: `lag 0.12 s`; a simulation that outruns the clock is `12 s ahead`.
+/// Formats the lag behind the clock: `lag 0.12 s`. A simulation ahead of the clock is `12 s ahead`.
 pub fn lag(lag_s: f64) -> String {
     if lag_s < 0.0 {
         format!("{} ahead", seconds(-lag_s))
@@ -115,9 +117,10 @@ pub fn lag(lag_s: f64) -> String {
     }
 }
 
-/// A measurement time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
+/// Formats a measurement time: in seconds for a record that starts at 0, otherwise as a date in
+/// UTC.
 pub fn time(time_ns: i64) -> String {
-    /// Three years: no record from 0 is longer, and no clock is so far behind.
+    /// Three years. No record from 0 is longer, and no clock is wrong by so much.
     const RECORD_NS: u64 = 100_000_000_000_000_000;
     match Timestamp::from_nanosecond(i128::from(time_ns)) {
         Ok(calendar) if time_ns.unsigned_abs() >= RECORD_NS => {
@@ -127,19 +130,21 @@ pub fn time(time_ns: i64) -> String {
     }
 }
 
-/// The text on one line, without what would steer a terminal: messages come from anywhere.
+/// Returns the text on one line without control characters, because messages can come from any
+/// publisher.
 pub fn printable(text: &str) -> String {
     text.chars()
         .map(|letter| if letter.is_control() { ' ' } else { letter })
         .collect()
 }
 
-/// Says that no value has come; where alerts stand, values came before this was opened.
+/// Returns the text for a structure without values. If it has alerts, there were values before this
+/// view was opened.
 pub fn nothing_measured(structure: &StructureHeard) -> &'static str {
     if structure.alerts.is_empty() {
         "no data yet"
     } else {
-        "no data since this began to watch"
+        "no data since this view was started"
     }
 }
 

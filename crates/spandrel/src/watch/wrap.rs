@@ -1,11 +1,11 @@
-//! Breaks text and lists of short items into lines that fit.
+//! Breaks text and lists of short items into lines.
 
 use ratatui::text::{Line, Span};
 
-/// Between items that flow.
+/// Separator between items.
 const SEPARATOR: &str = " · ";
 
-/// Breaks a text between words; a word longer than a line is cut.
+/// Breaks a text between words. A word longer than a line is split.
 pub fn wrap(text: &str, width: usize) -> Vec<String> {
     let width = width.max(1);
     let mut lines = vec![String::new()];
@@ -36,7 +36,8 @@ pub fn wrap(text: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// Bytes of the longest beginning that fits `width`; at least one character, so that it goes on.
+/// Returns the length in bytes of the longest prefix that fits `width`, at least one character to
+/// guarantee progress.
 fn fitting(text: &str, width: usize) -> usize {
     let ends = text
         .char_indices()
@@ -46,7 +47,7 @@ fn fitting(text: &str, width: usize) -> usize {
     ends.take_while(fits).last().unwrap_or(first)
 }
 
-/// Lays out items one after the other below a label; an item is never broken.
+/// Arranges items after a label. No item is split.
 pub fn flow(label: &str, items: Vec<Span<'static>>, width: usize) -> Vec<Line<'static>> {
     let indent = Span::raw(label).width();
     let mut lines = vec![Line::from(label.to_owned())];

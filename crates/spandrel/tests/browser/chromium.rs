@@ -1,4 +1,4 @@
-//! Drives a headless Chromium by its DevTools protocol.
+//! Controls a headless Chromium with its DevTools protocol.
 
 use base64::Engine;
 use futures_util::{SinkExt, StreamExt};
@@ -13,9 +13,9 @@ use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 
 /// Only ends a hang.
 const DEADLINE: Duration = Duration::from_secs(90);
-/// How often a condition in the page is looked at.
+/// Interval at which a condition in the page is checked.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Names of the program, the distribution's first.
+/// Names of the program, those of distributions first.
 const NAMES: [&str; 4] = [
     "chromium",
     "chromium-browser",
@@ -23,12 +23,12 @@ const NAMES: [&str; 4] = [
     "google-chrome-stable",
 ];
 
-/// One page of a browser that ends with it.
+/// One page of a browser. Dropping it ends the browser.
 pub struct Browser {
     process: Child,
     socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
     calls: u64,
-    /// What the page complained about.
+    /// Errors and warnings of the page.
     complaints: Vec<String>,
     _profile: tempfile::TempDir,
     screenshots: PathBuf,
@@ -36,13 +36,13 @@ pub struct Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // one that has ended already needs no more
+        // The process may have ended already.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
 }
 
-/// Where Chromium is, if it is installed.
+/// Returns the path of Chromium, if it is installed.
 pub fn installed() -> Option<PathBuf> {
     let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH")?).collect();
     NAMES
@@ -56,7 +56,7 @@ impl Browser {
     pub async fn start(program: &Path, screenshots: PathBuf) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let mut command = Command::new(program);
-        // root, as in a container, has no sandbox of its own to give
+        // Chromium cannot use its sandbox as root, as in a container.
         command.args([
             "--headless",
             "--no-sandbox",
@@ -74,7 +74,7 @@ impl Browser {
             .unwrap();
         let (told, address) = std::sync::mpsc::channel();
         let lines = BufReader::new(process.stderr.take().unwrap()).lines();
-        // reads on to the end, so that the browser never waits for its log
+        // Reads the log to its end, so that the browser never blocks on it.
         std::thread::spawn(move || {
             for line in lines.map_while(Result::ok) {
                 if let Some((_, rest)) = line.split_once("DevTools listening on ws://") {
@@ -109,7 +109,7 @@ impl Browser {
         browser
     }
 
-    /// Calls the protocol and returns the result.
+    /// Calls a method of the protocol and returns its result.
     pub async fn call(&mut self, method: &str, parameters: Value) -> Value {
         self.calls += 1;
         let id = self.calls;
@@ -145,12 +145,12 @@ impl Browser {
         self.complaints.push(complaint);
     }
 
-    /// What the page complained about so far; forgotten then.
+    /// Returns and clears the errors and warnings of the page.
     pub fn complaints(&mut self) -> Vec<String> {
         std::mem::take(&mut self.complaints)
     }
 
-    /// Goes to an address.
+    /// Opens an address.
     pub async fn open(&mut self, address: &str) {
         self.call("Page.navigate", json!({"url": address})).await;
     }
@@ -171,7 +171,7 @@ impl Browser {
     /// Waits until an expression is true in the page.
     pub async fn wait(&mut self, what: &str, expression: &str) {
         let end = tokio::time::Instant::now() + DEADLINE;
-        // while a page is being left there is nothing to evaluate in
+        // During navigation, the page cannot evaluate the expression.
         let guarded = format!(
             "(() => {{ try {{ return Boolean({expression}) }} catch {{ return false }} }})()"
         );
@@ -195,13 +195,13 @@ impl Browser {
         self.call("Emulation.setDeviceMetricsOverride", size).await;
     }
 
-    /// Prefers `light` or `dark`.
+    /// Sets the preferred colour scheme, `light` or `dark`.
     pub async fn prefer(&mut self, scheme: &str) {
         let features = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
         self.call("Emulation.setEmulatedMedia", features).await;
     }
 
-    /// Types a text where the keyboard is.
+    /// Types a text into the focused element.
     pub async fn write(&mut self, text: &str) {
         self.call("Input.insertText", json!({"text": text})).await;
     }
@@ -227,7 +227,7 @@ impl Browser {
         }
     }
 
-    /// Keeps what is seen as a file.
+    /// Saves a screenshot.
     pub async fn screenshot(&mut self, name: &str) {
         let shot = self
             .call("Page.captureScreenshot", json!({"format": "png"}))
@@ -239,13 +239,13 @@ impl Browser {
     }
 }
 
-/// The body of an answer to a plain request.
+/// Returns the body of the response to a GET request.
 async fn get(address: &str, path: &str) -> String {
     let mut socket = TcpStream::connect(address).await.unwrap();
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     socket.write_all(request.as_bytes()).await.unwrap();
     let mut bytes = Vec::new();
-    // the DevTools keep the connection open: the length tells the end
+    // The DevTools keep the connection open, so the length determines the end.
     loop {
         let text = String::from_utf8_lossy(&bytes).into_owned();
         if let Some((head, body)) = text.split_once("\r\n\r\n") {

@@ -1,5 +1,5 @@
-//! Where things stand on the page: words of marks, names in the drawing, columns of a table; and that it says at once that it is
-//! connected.
+//! Tests of the layout of the page: labels of marks, names in the drawing, and columns of a table.
+//! Another test checks that the page shows its connection immediately.
 
 use super::{Program, browser, free_address};
 use serde_json::Value;
@@ -14,7 +14,7 @@ fn example(name: &str) -> String {
         .to_owned()
 }
 
-/// A demo of a structure that stays, without what it prints.
+/// Starts a demo that keeps running, without its output.
 fn demo(arguments: &[&str]) -> Program {
     let endpoint = format!("tcp/{}", free_address());
     let settings = [
@@ -29,7 +29,7 @@ fn demo(arguments: &[&str]) -> Program {
     Program::start(&[&["demo"], arguments, &settings].concat())
 }
 
-/// Broke: a red "connecting …" stood for a second over data that had just come.
+/// Regression test: a red "connecting …" was shown for a second although data had just arrived.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_says_that_it_is_connected_with_the_first_message() {
     let Some(mut browser) = browser().await else {
@@ -50,7 +50,7 @@ async fn the_page_says_that_it_is_connected_with_the_first_message() {
     assert_eq!(browser.evaluate(told).await, true);
 }
 
-/// Broke: words stood at the line of another mark, or on the curve.
+/// Regression test: labels were at the line of another mark, or on the curve.
 #[tokio::test(flavor = "multi_thread")]
 async fn words_of_marks_stand_at_their_own_lines() {
     let Some(mut browser) = browser().await else {
@@ -59,10 +59,10 @@ async fn words_of_marks_stand_at_their_own_lines() {
     let demo = demo(&[]);
     browser.open(&demo.page).await;
     for moments in [
-        "[52, 50]",         // raised, and pending 5 s before
+        "[52, 50]",         // raised, and pending 5 s earlier
         "[97, 96]",         // the same at the newest data
         "[50, 50]",         // at the same time
-        "[60, 62, 58, 99]", // seen and over soon after
+        "[60, 62, 58, 99]", // acknowledged and cleared soon after
     ] {
         let script = format!(
             "(async () => {{
@@ -76,7 +76,8 @@ async fn words_of_marks_stand_at_their_own_lines() {
     }
 }
 
-/// Checks that the words of marks on 400 px stand beside their own lines, on no other line and on no other word.
+/// Checks the labels of marks on 400 px. Each must be beside its own line, and on no other line or
+/// label.
 fn check_words(flags: &[Value], moments: &str) {
     const GAP: f64 = 4.0;
     let number = |flag: &Value, key: &str| flag[key].as_f64().unwrap();
@@ -93,7 +94,7 @@ fn check_words(flags: &[Value], moments: &str) {
         );
         assert!(from >= 0.0 && to <= 400.0, "outside, {moments}: {word}");
         for other in flags.iter().filter(|other| !std::ptr::eq(*other, word)) {
-            // a line goes up to its word, and not at all beyond the plot where it has none
+            // A line extends up to its label. Without a label, it ends at the plot.
             let is_crossed =
                 number(other, "row") >= row && (from..to).contains(&number(other, "at"));
             assert!(
@@ -111,7 +112,7 @@ fn check_words(flags: &[Value], moments: &str) {
     }
 }
 
-/// Broke: storey 1 was in alarm, and a strip of five pixels without a name.
+/// Regression test: storey 1 was in alarm, but was a strip of five pixels without a name.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_small_part_that_has_probably_lost_has_its_name_beside_the_drawing() {
     let Some(mut browser) = browser().await else {
@@ -168,7 +169,7 @@ async fn a_small_part_that_has_probably_lost_has_its_name_beside_the_drawing() {
     );
 }
 
-/// Broke: beside the drawing the table was cut off, and had to be scrolled aside.
+/// Regression test: the table beside the drawing was cut off and required horizontal scrolling.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_table_of_parts_fits_on_a_small_screen() {
     let Some(mut browser) = browser().await else {

@@ -1,5 +1,7 @@
-//! The page in a real browser: the damage of the demo is seen, the alert is acknowledged, a lost connection heals, and a
-//! phone can show it. What was seen is kept in `target/screenshots`.
+//! Tests of the page in a real browser.
+//!
+//! The damage of the demo is visible, the alert can be acknowledged, a lost connection is restored,
+//! and the page fits a phone. The tests save screenshots in `target/screenshots`.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,14 +21,14 @@ use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// A program that ends with its test.
+/// A program that is killed when its test ends.
 struct Program {
     child: Child,
     page: String,
 }
 
 impl Program {
-    /// Starts a subcommand and reads where its page is.
+    /// Starts a subcommand and reads the address of its page.
     fn start(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
         let mut child = command
@@ -40,7 +42,7 @@ impl Program {
             .next()
             .expect("a line that says where the page is")
             .unwrap();
-        // reads on to the end, so that the program never waits for its reader
+        // Reads the output to its end, so that the program never blocks on it.
         std::thread::spawn(move || lines.for_each(drop));
         let page = line
             .strip_prefix("page: ")
@@ -52,7 +54,7 @@ impl Program {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // one that has ended already needs no more
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -66,7 +68,8 @@ fn free_address() -> String {
         .to_string()
 }
 
-/// The browser, or none with a word on why; a failure where everything is required.
+/// Starts the browser. Without Chromium it returns `None` with a message, or fails if all tests are
+/// required.
 async fn browser() -> Option<Browser> {
     let Some(program) = chromium::installed() else {
         let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
@@ -183,7 +186,7 @@ async fn a_page_with_tokens_asks_for_one() {
     );
 }
 
-/// Broke: nothing on the page told which node was silent, left out or well.
+/// Regression test: the page did not show which node was silent, excluded or alive.
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_that_identify_for_themselves_are_in_a_table() {
     let Some(mut browser) = browser().await else {
@@ -211,7 +214,8 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
             "document.querySelector('table.nodes tr[data-node={node}]')?.children[{column}].textContent ?? ''"
         )
     };
-    // its samples are lost from 30 to 45 s; those of floor 20 are off all the time
+    // The samples of floor 8 are missing from 30 to 45 s. Those of floor 20 have a permanent
+    // offset.
     browser
         .wait(
             "a node that is silent",
@@ -238,7 +242,7 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
         .evaluate("[...document.querySelectorAll('table.nodes th[scope=col]')].length")
         .await;
     assert_eq!(heads, 7);
-    // names were broken at their hyphens, and lines of different nodes looked the same
+    // Names must not break at hyphens, and the lines of different nodes must look different.
     let in_one_line = "(name) => { const text = document.createRange(); text.selectNodeContents(name); return text.getClientRects().length === 1; }";
     let names =
         format!("[...document.querySelectorAll('table.nodes th[scope=row]')].every({in_one_line})");
@@ -291,7 +295,7 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
     );
 }
 
-/// Broke: its plots and files had dates of 1970.
+/// Regression test: the plots and files of a record without dates showed dates in 1970.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_record_without_dates_is_plotted_by_its_own_time() {
     let Some(mut browser) = browser().await else {
@@ -349,7 +353,7 @@ async fn a_record_without_dates_is_plotted_by_its_own_time() {
     let file = "(async () => (await (await fetch('/api/structures/demo/history?series=parameter/storey-2&format=csv')).text()).split('\\n')[1])()";
     let row = browser.evaluate(file).await;
     assert!(row.as_str().unwrap().starts_with("0"), "{row}");
-    // the words of the axis are drawn, so that they are asked of what writes them
+    // The axis is drawn on a canvas, so the test calls the function that formats its labels.
     let words = "(async () => { const { recordTime } = await import('/words.js'); return [0, 59.9996, 90, 3725.25].map((time) => recordTime(time, time % 1 ? 2 : 0)); })()";
     assert_eq!(
         browser.evaluate(words).await,
@@ -362,7 +366,7 @@ async fn a_record_without_dates_is_plotted_by_its_own_time() {
     );
 }
 
-/// What is plotted only where the structure file asks for it.
+/// Plots that require additional tables in the structure file.
 #[tokio::test(flavor = "multi_thread")]
 async fn model_classes_and_rejected_samples_are_plotted() {
     let Some(mut browser) = browser().await else {
@@ -408,14 +412,15 @@ async fn model_classes_and_rejected_samples_are_plotted() {
 
     browser.resize(1280, 900).await;
     browser.open(&format!("{}#/structure/demo", run.page)).await;
-    // plots are filled when they are on the screen
+    // A plot is filled only while it is visible.
     let shown = |group: &str| {
         format!(
             "!document.querySelector('#group-{group}').hidden && (document.querySelector('#group-{group}').scrollIntoView(), true)"
         )
     };
     browser.wait("classes", &shown("classes")).await;
-    // storey 2 is damaged alone: what takes the three lower ones as one explains it worse
+    // Only storey 2 is damaged. A class that groups the three lower storeys explains this less
+    // well.
     let readout = "document.querySelector('#plot-classes .readout').textContent";
     browser
         .wait(
@@ -451,7 +456,8 @@ fn tool(arguments: &[&str]) {
     );
 }
 
-/// Runs the services of a structure and their page, with nothing kept; where to connect to.
+/// Runs the services of a structure with their page and without persistent state. Returns the
+/// program and its endpoint.
 fn run_in(folder: &Path, structure: &str) -> (Program, String) {
     let configuration = folder.join("spandrel.toml");
     std::fs::write(
@@ -476,7 +482,7 @@ fn run_in(folder: &Path, structure: &str) -> (Program, String) {
     (Program::start(&run), endpoint)
 }
 
-/// The one in TypeScript, without its types.
+/// Tests the TypeScript example without its types.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_subscriber_of_the_docs_hears_parameters() {
     let Some(mut browser) = browser().await else {
@@ -606,7 +612,7 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
         .await;
     browser.screenshot("structure-dark").await;
     browser.prefer("light").await;
-    // innovations and noise levels have plots, and lie below
+    // Innovations and noise levels have plots further down the page.
     browser
         .evaluate("document.querySelector('#group-innovations').scrollIntoView()")
         .await;
@@ -623,7 +629,7 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
         )
         .await;
     browser.screenshot("structure-plots").await;
-    // another span is asked for and kept
+    // The page fetches another span and keeps it.
     browser
         .evaluate("[...document.querySelectorAll('.ranges button')].find((b) => b.textContent === '1 min').click()")
         .await;
@@ -650,7 +656,7 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
     );
 }
 
-/// One crosshair for all plots, and the keys that move it and the span.
+/// Checks the shared crosshair of all plots, and the keys that move it and the span.
 async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
     let readout = |plot: &str| {
         format!("document.querySelector('#plot-{plot} .readout').textContent.slice(0, 8)")
@@ -710,7 +716,7 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
 }
 
 async fn what_is_seen_is_a_picture_to_take_away(browser: &mut Browser) {
-    // what the button saves, kept on its way
+    // Intercepts the file that the button saves.
     let picture = "(async () => { \
         const original = URL.createObjectURL; \
         let name = null; \
@@ -804,7 +810,7 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
         )
         .await;
     browser.screenshot("alerts-acknowledged").await;
-    // the link leads to the moment
+    // The link leads to the time of the alert.
     browser
         .evaluate("document.querySelector('.alert[data-state=acknowledged] .actions a').click()")
         .await;
@@ -873,14 +879,14 @@ async fn a_lost_connection_heals(browser: &mut Browser, endpoint: &str) {
     browser.screenshot("healed").await;
 }
 
-/// What the page costs at one moment.
+/// Resource use of the page at one moment.
 #[derive(Debug, Clone, Copy)]
 struct Cost {
-    /// Memory of its scripts once what is unused was given back (MB).
+    /// Memory of the scripts after garbage collection (MB).
     heap_mb: f64,
-    /// Elements of the document.
+    /// Number of elements of the document.
     nodes: f64,
-    /// Processor time of its main thread since the start (s).
+    /// Processor time of the main thread since the start (s).
     worked_s: f64,
 }
 
@@ -911,7 +917,7 @@ async fn cost(browser: &mut Browser) -> Cost {
 #[ignore = "takes 20 minutes"]
 async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rate() {
     const MINUTES: usize = 20;
-    // until then the span of ten minutes fills, and with it the plots
+    // Until this minute, the span of ten minutes and its plots fill up.
     const SETTLED: usize = 4;
     let Some(mut browser) = browser().await else {
         return;
@@ -947,7 +953,7 @@ async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rat
         .await;
     let mut costs = vec![cost(&mut browser).await];
     for minute in 1..=MINUTES {
-        // this measures time, and waits for nothing else
+        // This test measures time, so it must sleep.
         tokio::time::sleep(std::time::Duration::from_secs(60)).await;
         costs.push(cost(&mut browser).await);
         let (before, now) = (costs[minute - 1], costs[minute]);
@@ -963,7 +969,7 @@ async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rat
     let (early, late) = (SETTLED..SETTLED + 4, MINUTES - 3..MINUTES + 1);
     let [heap_early, heap_late] =
         [early.clone(), late.clone()].map(|range| mean(range, |cost| cost.heap_mb));
-    // a leak of one point of each series per message would be some 100 MB
+    // A leak of one point per series and message would be about 100 MB.
     assert!(
         heap_late < heap_early + 3.0,
         "heap from {heap_early:.1} to {heap_late:.1} MB"

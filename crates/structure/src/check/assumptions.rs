@@ -1,4 +1,6 @@
-//! What the promises of a check rest on: levels, colours and damping that nobody measured, and what no check can know.
+//! Assumptions behind the results of a check.
+//!
+//! These are unmeasured levels, excitation colours and damping, and facts that no check can verify.
 
 use super::finding::{Finding, Shift};
 use crate::parameter::Scales;
@@ -6,10 +8,11 @@ use crate::structure::Structure;
 use serde::Serialize;
 use std::fmt;
 
-/// A stated level or damping may be wrong by this factor, either way.
+/// Factor by which a stated level or damping may be wrong, in either direction.
 const WRONG_BY: f64 = 2.0;
 
-/// What a check cannot know of a structure; its promises hold if the file is right about it.
+/// A fact that a check cannot verify. The results of the check hold only if the file is right about
+/// it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Assumption {
@@ -17,11 +20,11 @@ pub enum Assumption {
     Masses,
     /// Some damping is neither identified nor stated to be known.
     Damping,
-    /// Parts are joined as the model says, and move linearly.
+    /// The parts are joined as in the model and respond linearly.
     Connections,
-    /// The ground does not give way.
+    /// The foundation does not move relative to the ground.
     Soil,
-    /// Sensors are where the file has them, and point where it says.
+    /// The sensors have the positions and directions given in the file.
     SensorPositions,
     /// Stiffness does not change with temperature.
     Temperature,
@@ -43,7 +46,7 @@ impl fmt::Display for Assumption {
 }
 
 impl Structure {
-    /// Returns what no check can know of this structure.
+    /// Returns the facts about this structure that no check can verify.
     pub(super) fn assumptions(&self) -> Vec<Assumption> {
         let scaled = |parameter: &crate::Parameter| match &parameter.scales {
             Scales::Mass(dofs) => dofs.len(),
@@ -64,7 +67,7 @@ impl Structure {
         first.into_iter().flatten().chain(rest).collect()
     }
 
-    /// Returns what the estimates rest on, with figures.
+    /// Returns findings on the assumptions behind the estimates, with figures.
     pub(super) fn assumption_findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
         if self.parameters.is_empty() {
@@ -102,7 +105,8 @@ impl Structure {
         findings
     }
 
-    /// Returns the shift of each parameter if the truth is the stated value over and times the factor.
+    /// Returns the shift of each parameter if the true value is the stated value divided by, or
+    /// multiplied by, the factor.
     fn both(&self, shifts: impl Fn(f64) -> Option<Vec<f64>>) -> Option<Vec<Shift>> {
         let [under, over] = [shifts(1.0 / WRONG_BY)?, shifts(WRONG_BY)?];
         let shift = |((parameter, under), over): ((&crate::Parameter, &f64), &f64)| Shift {

@@ -1,4 +1,4 @@
-//! Judges the design itself: periods, masses, stiffnesses, levels and noises that no structure has.
+//! Finds implausible periods, masses, stiffnesses, levels and noise in the design.
 
 use super::finding::Finding;
 use crate::excitation::Action;
@@ -8,24 +8,27 @@ use crate::structure::Structure;
 use spandrel_filter::InputHold;
 use std::f64::consts::PI;
 
-/// Fundamental period of a building over its number of storeys (s): measured ones have 0.05 to 0.2 s, after which the first
-/// codes of practice estimated 0.1 s. The limits are two to five times as wide.
+/// Plausible fundamental period of a building per storey (s).
+///
+/// Measured buildings have 0.05 to 0.2 s, from which early codes of practice estimated 0.1 s. The
+/// limits are two to five times as wide.
 const PERIOD_PER_STOREY_S: (f64, f64) = (0.02, 1.0);
-/// What is off by a unit is off by this: kg for t, N/m for kN/m.
+/// Factor of a typical unit mistake: t instead of kg, kN/m instead of N/m.
 const UNIT: f64 = 1000.0;
-/// Storeys of one building differ by less than this.
+/// Ratio that the storeys of one building do not reach.
 const UNEQUAL: f64 = 100.0;
-/// A lighter floor (kg) is that of a bench model.
+/// Mass (kg) below which a floor belongs to a bench model.
 const LIGHT_KG: f64 = 1000.0;
-/// Standard deviations of the acceleration of a ground (m/s²): from what the best sensors see to twice gravity.
+/// Plausible standard deviations of ground acceleration (m/s²): from the resolution of the best
+/// sensors to twice gravity.
 const GROUND: (f64, f64) = (1e-6, 20.0);
-/// Share of the motion, weighted by the noise of the sensors, that counts as the band that is recorded.
+/// Share of the motion, weighted by sensor noise, that defines the recorded band.
 const BAND: f64 = 0.95;
-/// A hold that changes the excitation by this share shows in stiffness and damping.
+/// Relative change of the excitation by the hold that affects stiffness and damping estimates.
 const HOLD_ERROR: f64 = 0.05;
 
 impl Structure {
-    /// Returns what is implausible about the design.
+    /// Returns the implausible properties of the design.
     pub(super) fn design_findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
         findings.extend(self.implausible_period());
@@ -50,7 +53,7 @@ impl Structure {
         if !self.is_shear_building() || plausible(period_s) {
             return None;
         }
-        // a period goes with the root of mass over stiffness
+        // The period is proportional to the square root of mass over stiffness.
         let cause = if plausible(period_s * UNIT.sqrt()) {
             Some("masses in tonnes would do that: they are in kg here")
         } else if plausible(period_s / UNIT.sqrt()) {
@@ -121,7 +124,7 @@ impl Structure {
             .collect()
     }
 
-    /// Compares the noise of each channel with the motion (`signal`, standard deviations) that it is to show.
+    /// Finds channels whose noise exceeds the expected motion (`signal`, standard deviations).
     fn weak_signals(&self, signal: &[f64]) -> Vec<Finding> {
         let responses =
             self.observations()
@@ -166,10 +169,11 @@ impl Structure {
         level.map_or(0.0, |level| self.expected_level_std(level))
     }
 
-    /// Tells what the hold does to a measured excitation at the upper end of the recorded band (Hz).
+    /// Reports the effect of the hold on a measured excitation at the upper end of the recorded
+    /// band (Hz).
     ///
-    /// Held over a step Δt it is late by half of one and weaker by sinc(*f* Δt); running straight it is not late, and weaker
-    /// by sinc²(*f* Δt).
+    /// An excitation held over a step Δt is late by half a step and weaker by sinc(*f* Δt). A
+    /// linearly interpolated excitation is not late, but weaker by sinc²(*f* Δt).
     fn hold_that_matters(&self, band_hz: f64) -> Option<Finding> {
         self.excitations
             .iter()

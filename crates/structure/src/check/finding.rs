@@ -1,4 +1,4 @@
-//! What a check has to say, as data and as sentences.
+//! Findings of a check, as data and as sentences.
 
 use super::{IdentificationReport, ModeReport, TimeStepReport};
 use crate::structure::Structure;
@@ -6,35 +6,37 @@ use serde::Serialize;
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use std::fmt;
 
-/// Two quantities with a correlation beyond this cannot be told apart.
+/// Correlation above which two quantities cannot be distinguished.
 const CONFOUNDED: f64 = 0.98;
-/// A parameter whose deviation does not fall below this share of its prior is not identified.
+/// A parameter is not identified if its standard deviation stays above this share of its prior.
 const INFORMED: f64 = 0.5;
-/// A level 10 % off may shift a parameter by this much before it is worth a note: the size of a small damage.
+/// Smallest shift worth a note if a level is 10 % off: the size of a small damage.
 const NOTABLE_SHIFT: f64 = 0.02;
-/// A filter that needs more memories than this to forget an error has counted data that taught it nothing.
+/// Number of memories within which the filter must forget an error.
+///
+/// If it needs more, it has counted data that contained no information.
 const SLOW: f64 = 2.0;
-/// An adapted level that moves this much faster than its half-life runs after single gusts and shocks.
+/// Ratio to its half-life rate above which an adapted level follows single gusts and shocks.
 const HASTY: f64 = 5.0;
 
-/// How serious a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
-    /// The file asks for what these sensors cannot give.
+    /// The file requests something that these sensors cannot provide.
     Warning,
-    /// The file can be used; this is what its results rest on.
+    /// The file is usable; the finding names an assumption behind its results.
     Note,
 }
 
-/// How far one parameter is off (ratio to nominal) where something else is not what the file says.
+/// Error of one parameter (ratio to nominal) caused by a wrong value of another quantity.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Shift {
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: String,
-    /// If the truth is the stated value over the factor.
+    /// Shift if the true value is the stated value divided by the factor.
     pub if_less: f64,
-    /// If the truth is the stated value times the factor.
+    /// Shift if the true value is the stated value times the factor.
     pub if_more: f64,
 }
 
@@ -42,13 +44,14 @@ pub struct Shift {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Finding {
-    /// A mode is neither damped nor observed: no filter settles.
+    /// A mode is neither damped nor observed, so no filter converges.
     NotObservable,
-    /// The data say little of a parameter.
+    /// The data contain little information about a parameter.
     Uninformed {
-        /// The parameter.
+        /// Name of the parameter.
         parameter: String,
-        /// Its expected standard deviation after the duration, a share of the prior one.
+        /// Expected standard deviation after the duration, as a share of the prior standard
+        /// deviation.
         ratio: f64,
     },
     /// Two parameters have the same effect on these sensors.
@@ -57,136 +60,138 @@ pub enum Finding {
         first: String,
         /// The second parameter.
         second: String,
-        /// Their correlation.
+        /// Correlation of the two parameters.
         correlation: f64,
     },
-    /// A change of a parameter looks like a change of a noise level to these sensors.
+    /// These sensors cannot distinguish a change of a parameter from a change of a noise level.
     LevelConfounded {
-        /// The parameter.
+        /// Name of the parameter.
         parameter: String,
-        /// The noise level.
+        /// Name of the noise level.
         level: String,
-        /// Their correlation, were the level unknown.
+        /// Correlation of the two, if the level is unknown.
         correlation: f64,
         /// Shift of the parameter if the level is stated 10 % too high.
         shift: f64,
-        /// The file asks to adapt the level.
+        /// `true` if the file requests adaptation of the level.
         adapted: bool,
     },
-    /// The filter will be surer of a parameter than it should be, and slow to correct it.
+    /// The filter will report too small a standard deviation for a parameter and correct errors
+    /// slowly.
     SlowToSettle {
-        /// The parameter.
+        /// Name of the parameter.
         parameter: String,
         /// Time (s) in which an error falls to a third.
         settling_s: f64,
-        /// Time (s) that the memory of the filter would need.
+        /// Time (s) expected from the memory of the filter.
         memory_s: f64,
     },
-    /// An adapted noise level will run after every burst.
+    /// An adapted noise level will follow every burst.
     HastyLevel {
-        /// The noise level.
+        /// Name of the noise level.
         level: String,
-        /// How many times faster than its half-life it moves.
+        /// Ratio of its rate to the rate that its half-life implies.
         haste: f64,
     },
-    /// The data are limited to a band, which the analysis does not know of.
+    /// The data are limited to a band, which the analysis does not take into account.
     BandLimited {
         /// Corner frequency (Hz).
         frequency_hz: f64,
     },
-    /// Modes of the model vibrate faster than the samples can show.
+    /// Some modes of the model are above half the sampling rate.
     AliasedModes {
-        /// How many.
+        /// Number of modes above half the sampling rate.
         modes: usize,
-        /// Of so many.
+        /// Number of all modes.
         of: usize,
         /// Half the sampling rate (Hz).
         nyquist_hz: f64,
     },
-    /// The highest frequency of the model is so high that each time step is cut.
+    /// The highest frequency of the model requires substeps in each time step.
     SubstepsNeeded {
-        /// Substeps of each step.
+        /// Number of substeps in each step.
         substeps: usize,
         /// Highest natural frequency of the model (Hz).
         highest_frequency_hz: f64,
     },
-    /// A parameter cannot be told from the level and the colour of what nobody measures.
+    /// A parameter cannot be distinguished from the level and the colour of an unmeasured
+    /// excitation.
     RestsOnExcitation {
-        /// The parameter.
+        /// Name of the parameter.
         parameter: String,
-        /// The unmeasured excitations.
+        /// Names of the unmeasured excitations.
         excitations: String,
         /// Standard deviation of its error (ratio to nominal).
         error: f64,
     },
     /// The level of an unmeasured excitation is stated and not identified.
     LevelAssumed {
-        /// The level.
+        /// Name of the level.
         level: String,
-        /// By which factor it may be wrong.
+        /// Factor by which the level may be wrong.
         factor: f64,
-        /// What that does to each parameter.
+        /// Effect of such an error on each parameter.
         shifts: Vec<Shift>,
     },
     /// Damping is neither identified nor stated to be known.
     DampingAssumed {
-        /// By which factor it may be wrong.
+        /// Factor by which the damping may be wrong.
         factor: f64,
-        /// What that does to each parameter.
+        /// Effect of such an error on each parameter.
         shifts: Vec<Shift>,
     },
-    /// The way in which a measured excitation runs between frames changes what reaches the model.
+    /// The hold of a measured excitation between frames changes the input of the model.
     HoldMatters {
         /// Upper end of the recorded band (Hz).
         frequency_hz: f64,
-        /// Share of the excitation that is lost there.
+        /// Share of the excitation lost at that frequency.
         loss: f64,
-        /// By how much it is late (s).
+        /// Delay of the excitation (s).
         delay_s: f64,
-        /// Both together, a share of the excitation.
+        /// Combined effect of loss and delay, as a share of the excitation.
         error: f64,
     },
-    /// No building of so many storeys has such a period.
+    /// The period is implausible for a building with this number of storeys.
     ImplausiblePeriod {
-        /// Storeys.
+        /// Number of storeys.
         storeys: usize,
         /// Fundamental period as designed (s).
         period_s: f64,
-        /// From where to where it would be plausible (s).
+        /// Plausible range (s).
         expected_s: (f64, f64),
-        /// A wrong unit that explains it.
+        /// Unit mistake that explains the period, if any.
         cause: Option<String>,
     },
-    /// Two neighbouring storeys differ as if one were in another unit.
+    /// The values of two neighbouring storeys differ so much that one may be in a wrong unit.
     UnequalStoreys {
         /// `mass` or `stiffness`.
         what: String,
         /// The lower storey (from 1).
         lower: usize,
-        /// How many times as large the larger one is.
+        /// Ratio of the larger to the smaller value.
         ratio: f64,
     },
     /// The floors are too light for a building.
     LightFloors {
-        /// The heaviest (kg).
+        /// Mass of the heaviest floor (kg).
         heaviest_kg: f64,
     },
-    /// No ground moves so little or so much.
+    /// The stated ground motion is implausibly weak or strong.
     ImplausibleLevel {
-        /// The excitation.
+        /// Name of the excitation.
         excitation: String,
-        /// Its stated standard deviation (m/s²).
+        /// Stated standard deviation (m/s²).
         std: f64,
     },
     /// A sensor shows more noise than motion.
     NoiseAboveSignal {
-        /// The channel.
+        /// Name of the channel.
         channel: String,
-        /// Standard deviation of its noise.
+        /// Standard deviation of the noise.
         noise: f64,
-        /// Standard deviation of the motion that it is to show.
+        /// Standard deviation of the expected motion.
         signal: f64,
-        /// Unit of both.
+        /// Unit of both standard deviations.
         unit: String,
     },
     /// Particles are fast enough for the sampling rate.
@@ -205,22 +210,22 @@ pub enum Finding {
     },
     /// The state is too large for the number of particles.
     ParticlesTooFew {
-        /// States and parameters.
+        /// Number of states and parameters.
         states: usize,
         /// Number of particles.
         particles: usize,
     },
-    /// The modes that nodes send of the motion leave out too much of it.
+    /// The modes that nodes send omit too much of the motion.
     ModesMissMass {
-        /// Modes that are sent.
+        /// Number of modes that nodes send.
         modes: usize,
-        /// Share of the mass, set going by the excitation, that they miss.
+        /// Share of the mass excited by the excitation that these modes omit.
         missed: f64,
     },
 }
 
 impl Finding {
-    /// Returns how serious it is.
+    /// Returns the severity of the finding.
     #[must_use]
     pub fn severity(&self) -> Severity {
         match self {
@@ -448,10 +453,10 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Shifts that a sentence names.
+/// Maximum number of shifts in a sentence.
 const NAMED_SHIFTS: usize = 5;
 
-/// Names the parameters that move most, in their order.
+/// Writes the parameters with the largest shifts, in state order.
 fn write_shifts(f: &mut fmt::Formatter<'_>, shifts: &[Shift]) -> fmt::Result {
     let largest = |shift: &Shift| shift.if_less.abs().max(shift.if_more.abs());
     let mut sizes: Vec<f64> = shifts.iter().map(largest).collect();
@@ -563,7 +568,7 @@ fn of_identification(structure: &Structure, report: &IdentificationReport) -> Ve
                 report.correlations[index][parameters.len() + level_index],
                 parameter.shifts[level_index],
             );
-            // what an unmeasured excitation spoils is told with its colour
+            // `RestsOnExcitation` covers the unmeasured excitations, together with their colour.
             let told = structure.is_unknown(level_index);
             if !told && (correlation.abs() > CONFOUNDED || shift.abs() > NOTABLE_SHIFT) {
                 findings.push(Finding::LevelConfounded {
@@ -575,7 +580,7 @@ fn of_identification(structure: &Structure, report: &IdentificationReport) -> Ve
                 });
             }
         }
-        // what is not informed does not settle anyway
+        // A parameter without information does not settle in any case.
         let slow = parameter.settling_s > SLOW * report.memory_s;
         if slow && ratio <= INFORMED {
             findings.push(Finding::SlowToSettle {

@@ -1,4 +1,4 @@
-//! From information to standard deviations, correlations and the pace of the filter.
+//! Converts information to standard deviations, correlations and the settling time of the filter.
 
 use super::{IdentificationReport, NoiseLevelReport, ParameterReport};
 use crate::information::Information;
@@ -6,17 +6,18 @@ use crate::structure::Structure;
 use nalgebra::DMatrix;
 use spandrel_filter::FadingFactor;
 
-/// Standard deviation of the logarithm of a noise variance that nothing is known of: a factor of e¹⁰ either way.
+/// Standard deviation of the logarithm of an unknown noise variance: a factor of e¹⁰ either way.
 const VAGUE: f64 = 10.0;
 
-/// Priors are widened by this for correlations, so that these show what the data say and not what was believed.
+/// Factor on the prior standard deviations for correlations, so that the data dominate the priors.
 const WIDE: f64 = 10.0;
 
-/// An error that takes more memories than this to decay is never forgotten.
+/// Number of memories above which the decay time of an error counts as infinite.
 const NEVER: f64 = 100.0;
 
-/// Returns the time in which an error decays (frames), infinite where it does not: the linearised equations may also give a
-/// negative one.
+/// Returns the decay time of an error (frames), or infinity if it is negative or too long.
+///
+/// The linearised equations can give a negative time.
 fn decaying(frames: f64, memory_frames: f64) -> f64 {
     if (0.0..=NEVER * memory_frames).contains(&frames) {
         frames
@@ -26,16 +27,16 @@ fn decaying(frames: f64, memory_frames: f64) -> f64 {
 }
 
 impl Structure {
-    /// Turns information into standard deviations; `None` if it cannot be inverted.
+    /// Converts information to standard deviations; `None` if it cannot be inverted.
     pub(super) fn identification(
         &self,
         information: &Information,
         frames: u64,
     ) -> Option<IdentificationReport> {
         let settings = self.filter_settings().ok()?;
-        // Σ λ⁻ᵏ over the frames before this one
+        // Σ λ⁻ᵏ over the frames before the current frame
         let noise_memory_frames = 1.0 / (settings.noise_settings.fading - 1.0);
-        // without parameters only the levels are forgotten
+        // Without parameters, only the noise levels have a fading memory.
         let memory_frames = match settings.fading {
             FadingFactor::NONE => noise_memory_frames,
             fading => 1.0 / (fading.value() - 1.0),
@@ -56,7 +57,8 @@ impl Structure {
             self.settling(information, &unknown, memory_frames, noise_memory_frames)?;
         let step_s = self.step_s();
         let shifts = |parameter: usize| {
-            // θ̂ moves by −P I_{θ,ln ψ} when ln ψ is stated too high; 10 % in deviation is 2 ln 1.1 in ln ψ
+            // θ̂ moves by −P I_{θ,ln ψ} if ln ψ is stated too high. An error of 10 % in the
+            // standard deviation is 2 ln 1.1 in ln ψ.
             let shift = |level| {
                 let pull = held.column(level).rows(0, theta) * frames as f64;
                 -known.column(parameter).dot(&pull) * 2.0 * 1.1_f64.ln()
@@ -84,7 +86,7 @@ impl Structure {
                 .map(|(level, index)| NoiseLevelReport {
                     name: level.name.clone(),
                     adapted: level.adapted,
-                    // the deviation is the square root of the variance
+                    // The standard deviation is the square root of the variance.
                     relative_std_after: 0.5 * joint[(index, index)].sqrt(),
                     haste: information.pull[(index, index)] / counted[(index, index)],
                 });
@@ -102,9 +104,10 @@ impl Structure {
         })
     }
 
-    /// Returns the covariance of the `unknown` quantities after `frames` frames, priors `widened` times included.
+    /// Returns the covariance of the `unknown` quantities after `frames` frames.
     ///
-    /// Noise levels start with a vague prior: adapting forgets where they started.
+    /// The priors of the parameters count with `widened` times their standard deviation. Noise
+    /// levels have a vague prior, because adaptation forgets the initial level.
     fn covariance(
         &self,
         information: &DMatrix<f64>,
@@ -122,7 +125,7 @@ impl Structure {
                 .map_or(VAGUE, |parameter| widened * parameter.std());
             precision[(entry, entry)] += 1.0 / (std * std);
         }
-        // scaled to a unit diagonal: parameters and levels differ by orders of magnitude
+        // Scaled to a unit diagonal, because parameters and levels differ by orders of magnitude.
         let scale = precision.diagonal().map(|entry| 1.0 / entry.sqrt());
         let scaled = DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| {
             precision[(i, j)] * scale[i] * scale[j]
@@ -135,10 +138,12 @@ impl Structure {
         }))
     }
 
-    /// Returns the diagonal of `G⁻¹` (frames) over the `unknown` quantities: an error of theirs falls as `exp(−k G)`.
+    /// Returns the diagonal of `G⁻¹` (frames) over the `unknown` quantities.
     ///
-    /// `G = J⁻¹ F` divided by the memory of each (frames): the filter moves by what pulls it over what it counts. Its prior
-    /// counts too, because the variance is bounded. Infinite where nothing pulls; what nothing pulls does not move the others.
+    /// An error of these quantities decays as `exp(−k G)`. `G = J⁻¹ F` divided by the memory of
+    /// each quantity (frames): `F` is the information that moves the filter, `J` the information it
+    /// counts. The prior is part of `J`, because the variance is bounded. The result is infinite
+    /// for a quantity without any pull; such a quantity does not affect the other quantities.
     fn settling(
         &self,
         information: &Information,

@@ -1,22 +1,25 @@
-//! How long a step of the particles takes, from the size of the state and the number of particles.
+//! Time that a step of the particle filter takes, from the size of the state and the number of
+//! particles.
 
 use super::{Finding, TimeStepReport};
 use crate::settings::ParticleKeys;
 use crate::structure::Structure;
 use spandrel_filter::{ImportanceDensity, ProcessModel};
 
-/// With more states and parameters, thousands of particles are too few.
+/// Maximum number of states and parameters for which thousands of particles suffice.
 const MOST_STATES: usize = 10;
-/// Share of the time between two frames that a step may take: the services need the rest.
+/// Maximum share of the frame interval for a step; the services need the rest.
 const MOST_OF_A_STEP: f64 = 0.5;
-/// Measured time of one particle (s) in a step, on one core of 2.5 GHz: what every particle costs with either density, and
-/// each number that a term of the series computes. Four examples agree with it to 15 %.
+/// Measured time (s) of one particle in a step with the prior density, on one 2.5 GHz core.
+///
+/// The three constants cover the cost of a particle with either density and the cost of each number
+/// in a series term. Four examples agree with the sum to 15 %.
 const PER_PARTICLE_PRIOR_S: f64 = 1.8e-6;
 const PER_PARTICLE_OPTIMAL_S: f64 = 5e-6;
 const PER_NUMBER_S: f64 = 6e-9;
 
 impl Structure {
-    /// Returns whether particles are fast enough, and whether there are enough of them; nothing without particles.
+    /// Reports whether the particles are fast enough and numerous enough; empty without particles.
     pub(super) fn particle_findings(&self, time_step: &TimeStepReport) -> Vec<Finding> {
         let Some(keys) = self.particles() else {
             return Vec::new();
@@ -36,12 +39,14 @@ impl Structure {
         findings
     }
 
-    /// Estimates the time of a step (s) on one core from the number of particles, the size of the state and the terms of the
-    /// series; other machines differ by a factor of two or three.
+    /// Estimates the time of a step (s) on one core.
+    ///
+    /// It depends on the number of particles, the size of the state and the terms of the series.
+    /// Other machines differ by a factor of two or three.
     fn particle_step_s(&self, keys: &ParticleKeys, time_step: &TimeStepReport) -> f64 {
         let (per_particle_s, columns) = match keys.density {
             ImportanceDensity::Prior => (PER_PARTICLE_PRIOR_S, 1),
-            // the motion again, the excitations and the parameters, for the Jacobian of the frame
+            // The motion twice, the excitations and the parameters, for the Jacobian of the frame.
             ImportanceDensity::Optimal => (
                 PER_PARTICLE_OPTIMAL_S,
                 2 + self.excitation_channels().len() + self.parameters().len(),

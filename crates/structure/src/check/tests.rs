@@ -1,4 +1,4 @@
-//! The analysis against closed forms, and the cases that it must warn of.
+//! Tests of the analysis against closed forms, and of its warnings.
 
 use super::*;
 use std::path::Path;
@@ -14,8 +14,9 @@ fn parse(text: &str) -> Structure {
 const DEMO: &str = include_str!("../../../../docs/examples/demo.toml");
 const OUTPUT_ONLY: &str = include_str!("../../../../docs/examples/output-only.toml");
 
-/// One mass `m = 2` kg on a spring `k = 200` N/m, `C = α M`, pushed by unknown white noise; an almost perfect sensor
-/// sees its velocity.
+/// One mass `m = 2` kg on a spring `k = 200` N/m with `C = α M`, excited by unknown white noise.
+///
+/// An almost perfect sensor measures its velocity.
 const OSCILLATOR: &str = r#"
 [structure]
 name = "oscillator"
@@ -46,28 +47,31 @@ unit = "m/s"
 noise-std = 1e-7
 "#;
 
-/// With the motion known, each frame is one equation `m ẍ + c ẋ + k x = f` for `k`, so that `I = (k σ_x/σ_f)²`; and white
-/// samples give `σ_x² = σ_f² Δt / (2 c k)`, hence `I = k Δt / (2 c)` per frame.
+/// If the motion is known, each frame is one equation `m ẍ + c ẋ + k x = f` for `k`, so
+/// `I = (k σ_x/σ_f)²`. White samples give `σ_x² = σ_f² Δt / (2 c k)`, hence `I = k Δt / (2 c)` per
+/// frame.
 #[test]
 fn a_perfect_sensor_holds_the_information_of_the_equation_of_motion() {
     let information = Information::expected(&parse(OSCILLATOR), 400_000, 1).unwrap();
     let expected = 200.0 / 400.0 / (2.0 * 0.8 * 2.0);
     let found = information.held[(0, 0)];
-    // σ_x² over 1000 s: the energy has a correlation time 1/α, hence a relative deviation √(2/(α T)) = 5 %; three of them
+    // σ_x² over 1000 s: the energy has the correlation time 1/α, hence the relative standard
+    // deviation √(2/(α T)) = 5 %. The tolerance is three of them.
     assert!(
         (found / expected - 1.0).abs() < 0.15,
         "{found} instead of {expected}"
     );
-    // with a perfect sensor nothing of the gain depends on the stiffness: the filter uses all that there is
+    // With a perfect sensor, the gain does not depend on the stiffness, so the filter uses all the
+    // information.
     assert!((information.counted[(0, 0)] / found - 1.0).abs() < 1e-3);
     assert!((information.pull[(0, 0)] / found - 1.0).abs() < 1e-3);
 }
 
-/// A level known from `N` perfect samples has the relative deviation `1/√(2N)`.
+/// A level known from `N` perfect samples has the relative standard deviation `1/√(2N)`.
 #[test]
 fn a_level_seen_directly_is_known_as_a_variance_of_samples() {
     let information = Information::expected(&parse(OSCILLATOR), 4000, 1).unwrap();
-    // ½ per frame in the logarithm of the variance
+    // ½ per frame for the logarithm of the variance.
     assert!(
         (information.held[(1, 1)] - 0.5).abs() < 0.01,
         "{}",
@@ -87,7 +91,8 @@ fn the_demo_is_identifiable() {
             parameter.name,
             parameter.std_after
         );
-        // it reports what it knows, and forgets as its memory says: λ = 2^(2/1000) at 100 Hz, 10 ms/(λ − 1) = 7.2 s
+        // The reported deviation equals the steady one, and the filter forgets with its memory:
+        // λ = 2^(2/1000) at 100 Hz, 10 ms/(λ − 1) = 7.2 s.
         assert!((parameter.std_reported / parameter.std_steady - 1.0).abs() < 0.01);
         assert!(
             (parameter.settling_s - 7.21).abs() < 0.1,
@@ -97,7 +102,7 @@ fn the_demo_is_identifiable() {
     }
 }
 
-/// More data by a factor of four halve the deviation, once the prior is forgotten.
+/// Four times as many data halve the standard deviation, once the prior is forgotten.
 #[test]
 fn deviations_fall_with_the_root_of_the_duration() {
     let demo = parse(DEMO);
@@ -133,7 +138,8 @@ fn without_a_sensor_at_the_ground_storey_1_rests_on_the_level_of_the_motion() {
     assert_eq!(finding.severity(), Severity::Warning);
 }
 
-/// The running filter was found off by −0.35 and +0.38 in storey 1 when the level of this building was stated wrong by two.
+/// A run of the filter on this building had errors of −0.35 and +0.38 in storey 1 when the stated
+/// level was wrong by a factor of two.
 #[test]
 fn a_level_that_is_fixed_is_warned_of_with_what_a_wrong_one_does() {
     let report = parse(&OUTPUT_ONLY.replace("level-factor = 3 ", "adapt = false #")).check(20.0, 1);
@@ -142,7 +148,7 @@ fn a_level_that_is_fixed_is_warned_of_with_what_a_wrong_one_does() {
         _ => None,
     });
     let shifts = shifts.unwrap_or_else(|| panic!("{:?}", report.findings));
-    // the same motion of the floors by less motion of the ground takes a stiffer storey
+    // If a weaker ground motion causes the same floor motion, the storey must be stiffer.
     assert!(
         shifts[0].if_less < -0.2 && shifts[0].if_more > 0.2,
         "{:?}",
@@ -171,7 +177,7 @@ fn what_the_file_says_to_be_known_spoils_nothing() {
     );
 }
 
-/// The demo as it was before damping was identified.
+/// Returns the demo without identified damping.
 fn with_fixed_damping() -> String {
     let (before, after) = DEMO
         .split_once("[[parameter]]\nname = \"damping\"")
@@ -203,7 +209,7 @@ fn damping_that_is_fixed_is_warned_of_unless_it_is_said_to_be_known() {
     );
 }
 
-/// A measured record that is held is late by half a step, whatever the file of a simulation says.
+/// A held measured record is late by half a step, regardless of the simulated hold.
 #[test]
 fn a_hold_that_reaches_into_the_band_is_warned_of() {
     let found = |text: &str| {
@@ -230,7 +236,7 @@ fn a_hold_that_reaches_into_the_band_is_warned_of() {
         (1.0..8.0).contains(&frequency_hz) && delay_s == 0.005,
         "{frequency_hz} Hz, {delay_s} s"
     );
-    // to first order the phase by which it is late
+    // To first order, the error is the phase of the delay.
     assert!(
         (error / (PI * frequency_hz / 100.0) - 1.0).abs() < 0.1,
         "{error} at {frequency_hz} Hz"
@@ -309,7 +315,7 @@ fn a_filter_that_adapts_the_level_of_an_unmeasured_ground_motion_is_slow() {
     assert!(report.findings.iter().any(settles), "{:?}", report.findings);
 }
 
-/// Two parameters on springs that act in parallel between the same two points have the same effect.
+/// Two parameters on parallel springs between the same two points have the same effect.
 #[test]
 fn springs_in_parallel_cannot_be_told_apart() {
     let folder = tempfile::tempdir().unwrap();
@@ -335,7 +341,7 @@ fn springs_in_parallel_cannot_be_told_apart() {
         "{:?}",
         report.findings
     );
-    // only the sum is known: each keeps 1/√2 of its prior
+    // Only the sum is known, so each keeps 1/√2 of its prior standard deviation.
     let ratio = report.identification.unwrap().parameters[0].std_after / 0.2;
     assert!((ratio - 0.5_f64.sqrt()).abs() < 0.01, "{ratio}");
 }
@@ -368,7 +374,7 @@ fn a_model_faster_than_the_sampling_needs_substeps() {
     );
 }
 
-/// `Σ ∂ln ω/∂θ = ½` over all storeys: twice the stiffness everywhere is √2 of every frequency.
+/// `Σ ∂ln ω/∂θ = ½` over all storeys, because twice the stiffness multiplies every frequency by √2.
 #[test]
 fn frequencies_share_their_sensitivity_among_the_storeys() {
     for mode in parse(DEMO).check(1.0, 1).modes {
@@ -386,12 +392,13 @@ fn the_same_seed_gives_the_same_report() {
 
 #[test]
 fn dynamic_sensitivity_is_the_information_of_one_frame() {
-    // with the parameter alone unknown and no prior, its deviation after N frames is 0.01 / (sensitivity √N)
+    // With the parameter alone unknown and no prior, its standard deviation after N frames is
+    // 0.01 / (sensitivity √N).
     let text = DEMO.replace("std = 0.2", "std = 1000.0");
     let report = parse(&text).check(20.0, 1).identification.unwrap();
     for parameter in &report.parameters {
         let alone = 0.01 / (parameter.dynamic_sensitivity * 2000.0_f64.sqrt());
-        // other unknowns can only add to it
+        // Other unknowns can only increase the standard deviation.
         assert!(
             alone <= parameter.std_after * 1.001,
             "{}: {alone} > {}",
@@ -407,7 +414,8 @@ fn dynamic_sensitivity_is_the_information_of_one_frame() {
     }
 }
 
-/// Small motions inform the stiffness of hysteretic springs and nothing of how they yield.
+/// Small motions contain information about the stiffness of hysteretic springs, but not about their
+/// yielding.
 #[test]
 fn hysteresis_is_checked_by_its_small_motions() {
     let structure = parse(include_str!("../../../../docs/examples/bouc-wen-five.toml"));
@@ -440,7 +448,7 @@ fn hysteresis_is_checked_by_its_small_motions() {
     for name in ["mu", "kappa", "eta"] {
         assert!(uninformed.contains(&name), "{uninformed:?}");
     }
-    // all stiffnesses together: ∂ln f/∂θ adds up to one half
+    // For all stiffnesses together, ∂ln f/∂θ adds up to one half.
     let sum: f64 = report.modes[0].sensitivity[..5].iter().sum();
     assert!((sum - 0.5).abs() < 1e-12, "{sum}");
 }
@@ -454,7 +462,7 @@ fn modes_above_half_the_sampling_rate_are_a_note() {
             .find(|finding| matches!(finding, Finding::AliasedModes { .. }))
     };
     assert_eq!(found(DEMO), None);
-    // the demo reaches 6.7 Hz: at 8 Hz one could not know it from 1.3 Hz
+    // The demo reaches 6.7 Hz. At a sampling rate of 8 Hz this is an alias of 1.3 Hz.
     let slow = DEMO.replace("sampling-rate-hz = 100", "sampling-rate-hz = 8");
     let Some(Finding::AliasedModes {
         modes,
@@ -487,7 +495,7 @@ fn time_in_which_an_error_decays_is_positive_or_infinite() {
 
 #[test]
 fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
-    // of the bridge the seventh mode carries two thirds
+    // The seventh mode of the bridge carries two thirds of the mass.
     let bridge = include_str!("../../../../docs/examples/two-pier-bridge.toml");
     let (start, end) = (
         bridge.find("[fusion]").unwrap(),
@@ -516,14 +524,17 @@ fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
         modes == 1 && (0.31..0.34).contains(&share) && severity == Severity::Warning,
         "{share}"
     );
-    // of the first eight, modes 7 and 4 carry 0.677 and 0.214; the first six by frequency carry 0.232
+    // Of the first eight modes, 7 and 4 carry 0.677 and 0.214; the first six by frequency carry
+    // 0.232.
     let (modes, share, _) = missed("modes = 2").expect("a warning");
     assert!(modes == 2 && (0.10..0.12).contains(&share), "{share}");
     assert_eq!(missed("modes = 6"), None);
 }
 
-/// Half the samples of a sensor without others hold as much as all of them with twice the variance: the report of a structure of which
-/// every node is slower than the frames is that of one whose frames are as slow, but for what is lost between the samples.
+/// Half the samples of a sensor contain as much information as all samples with twice the variance.
+///
+/// If every node is slower than the frames, the report equals that of a structure with equally slow
+/// frames, except for the information lost between samples.
 #[test]
 fn slower_nodes_are_counted_by_what_they_measure() {
     let settling = |text: &str| {
@@ -546,7 +557,7 @@ fn slower_nodes_are_counted_by_what_they_measure() {
     assert_eq!(slower.matches("sampling-rate-hz = 100").count(), 5);
     let (all, half) = (settling(&at_200), settling(&slower));
     for (all, half) in all.iter().zip(&half) {
-        // √2 where white noise of the sensors is all that hides the parameters
+        // The ratio is √2 if white sensor noise is the only source of uncertainty.
         assert!((1.05..1.5).contains(&(half / all)), "{half} for {all}");
     }
 }
@@ -554,7 +565,7 @@ fn slower_nodes_are_counted_by_what_they_measure() {
 const PARTICLES: &str = include_str!("../../../../docs/examples/hysteretic-particles.toml");
 const DASHPOTS: &str = include_str!("../../../../docs/examples/dashpot-building.toml");
 
-/// Findings on particles alone.
+/// Returns only the findings on particles.
 fn of_particles(text: &str) -> Vec<Finding> {
     let mut findings = parse(text).check(1.0, 1).findings;
     findings.retain(|finding| {
@@ -580,7 +591,7 @@ fn a_small_state_is_fast_enough_for_particles_and_a_large_one_is_warned_of() {
     else {
         panic!("{found:?}")
     };
-    // measured: 0.8 to 1.1 ms
+    // Measured: 0.8 to 1.1 ms.
     assert!((0.5e-3..2e-3).contains(&needed_s), "{needed_s}");
     let found =
         of_particles(&DASHPOTS.replace("half-life-s = 1", "half-life-s = 1\nkind = \"particle\""));
@@ -594,7 +605,7 @@ fn a_small_state_is_fast_enough_for_particles_and_a_large_one_is_warned_of() {
     else {
         panic!("{found:?}")
     };
-    // measured: 25 µs a particle
+    // Measured: 25 µs per particle.
     assert!((0.025..0.1).contains(&needed_s), "{needed_s}");
     assert_eq!(of_particles(DASHPOTS), []);
 }

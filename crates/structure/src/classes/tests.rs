@@ -10,7 +10,8 @@ fn example(name: &str) -> Structure {
     Structure::read(&path).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// A class whose components were calibrated is the full model at the products of factors and multipliers.
+/// Asserts that a class with calibrated components equals the full model at the products of factors
+/// and multipliers.
 #[track_caller]
 fn assert_class_is_full_model(name: &str, grouping: &[&[usize]]) {
     let structure = example(name);

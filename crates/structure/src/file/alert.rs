@@ -10,23 +10,29 @@ use toml::Spanned;
 
 const CREDIBILITY: f64 = 0.99;
 const SUSTAIN_S: f64 = 5.0;
-/// An alert ends when the loss is as likely as not: well below the credibility that raised it, so that it does not flap.
+/// Default probability below which an alert ends: the loss is as likely as not.
+///
+/// It is well below the credibility that raises an alert, so that the alert does not flap.
 const CLEAR_CREDIBILITY: f64 = 0.5;
 
-/// A reference is learnt for so many half-lives of the filter: what it started from counts for an eighth then.
+/// Learning time of a reference in half-lives of the filter.
+///
+/// After that time the initial state has a weight of one eighth.
 const LEARN_HALF_LIVES: f64 = 3.0;
-/// And for so many fundamental periods: a motion of the first mode has some ten independent amplitudes in them.
+/// Minimum learning time in fundamental periods.
+///
+/// The motion of the first mode has about ten independent amplitudes in that time.
 const LEARN_PERIODS: f64 = 30.0;
 
-/// What the rules refer to.
+/// Objects to which the rules refer.
 pub(super) struct Context<'c> {
-    /// Names in state order, and whether each scales a stiffness; `None` if some could not be read.
+    /// Names in state order, each with `true` for a stiffness; `None` if some could not be read.
     pub(super) parameters: Option<&'c [(&'c str, bool)]>,
-    /// How long (s) a reference is learnt where the file does not say so.
+    /// Default learning time (s) of a reference.
     pub(super) learn_s: f64,
 }
 
-/// Returns how long (s) a reference is learnt where the file does not say so.
+/// Returns the default learning time (s) of a reference.
 pub(super) fn learning_s(half_life_s: f64, system: &LinearSystem) -> f64 {
     let modes = Modes::of(system, &vec![1.0; system.substructures.len()]);
     let first = modes
@@ -89,7 +95,7 @@ fn read_alert(mut section: Section<'_>, context: &Context<'_>) -> Option<AlertRu
     })
 }
 
-/// Reads which parameters are watched: a list, all, or those that scale a stiffness.
+/// Reads the watched parameters: a list, all, or all that scale a stiffness.
 fn read_watched(
     section: &mut Section<'_>,
     parameters: Option<&[(&str, bool)]>,
@@ -144,10 +150,10 @@ fn read_watched(
     found.into_iter().collect()
 }
 
-/// What a reference may say.
+/// Allowed values of `reference`.
 const REFERENCE_RULE: &str = "must be { learn-s = … }, { design-std = … } or { mean = …, std = … }";
 
-/// Reads `reference`: a table that says how it is learnt or what it is.
+/// Reads `reference`, a table with the learning time or the values of the reference.
 fn read_reference(
     section: &mut Section<'_>,
     watched: Option<usize>,
@@ -200,7 +206,7 @@ fn read_reference(
     reference
 }
 
-/// Reads a reference that is the design: 1, to within a stated deviation.
+/// Reads a design reference: the mean 1 with a stated standard deviation.
 fn read_design(mut table: Section<'_>, watched: usize) -> Option<Reference> {
     let std = table.number_for_each("design-std", Allowed::RATIO_DEVIATION, watched);
     for other in ["learn-s", "mean", "std"] {

@@ -1,4 +1,5 @@
-//! Reads the kinds `shear-building` and `bouc-wen` of `[model]`: floors joined by storeys, linear or hysteretic.
+//! Reads the kinds `shear-building` and `bouc-wen` of `[model]`: floors joined by linear or
+//! hysteretic storeys.
 
 use super::check_unique;
 use crate::diagnostics::counted;
@@ -28,7 +29,7 @@ pub(super) fn read_chain(section: &mut Section<'_>) -> Option<LinearSystem> {
     })
 }
 
-/// Reads floors and storeys whose force depends on their path.
+/// Reads floors and hysteretic storeys.
 pub(super) fn read_hysteretic_chain(section: &mut Section<'_>) -> Option<LinearSystem> {
     let chain = read_chain(section);
     let drive = section
@@ -61,7 +62,7 @@ pub(super) fn read_hysteretic_chain(section: &mut Section<'_>) -> Option<LinearS
     })
 }
 
-/// Reads the groups of storeys; a storey in none of them is one of its own.
+/// Reads the groups of storeys. A storey without a group becomes a separate group.
 fn read_groups(
     section: &Section<'_>,
     tables: Vec<Section<'_>>,
@@ -143,7 +144,7 @@ fn read_group(mut section: Section<'_>, storeys: usize) -> Option<(Spanned<Strin
     ))
 }
 
-/// Keys of a building of which each storey is given by itself, and of one of equal storeys.
+/// Keys of a building with individual values per storey. `EQUAL` holds the keys for equal storeys.
 const SINGLE: [&str; 2] = ["masses-kg", "stiffnesses-n-per-m"];
 const EQUAL: [&str; 4] = [
     "storeys",

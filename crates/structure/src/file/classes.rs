@@ -1,4 +1,4 @@
-//! Reads `[classes]`: which models of the structure are compared.
+//! Reads `[classes]`, the model classes to compare.
 
 use super::{check_unique, find_name, parameter::ParameterRead, read_time};
 use crate::classes::ClassesPlan;
@@ -26,17 +26,21 @@ const RULES: [(&str, PersistenceRule); 2] = [
     ("consecutive", PersistenceRule::Consecutive),
 ];
 
-/// More classes than this would each get a filter, and a message that shows them all grows with them.
+/// Maximum number of classes. Each class gets a filter, and the message that shows them all grows
+/// with their number.
 const MOST_CLASSES: usize = 100;
 
-/// Steps of a persistence: four times as many leads are remembered.
+/// Allowed number of steps of a persistence. The bank stores four times as many leading classes.
 const PERSISTENCE: RangeInclusive<usize> = 1..=ClassesPlan::MOST_PERSISTENCE_STEPS;
 
-/// Of two substructures each stands against the other: one alone is the other one alone.
+/// Minimum number of substructures. With two, singling out one is the same as singling out the
+/// other.
 const LEAST_SUBSTRUCTURES: usize = 3;
 
-/// Reads `[classes]`; without the table there is one model. `parameters` are those of the file, if all could be read, and
-/// `rate_hz` is the structure's.
+/// Reads `[classes]`; without the table there is one model.
+///
+/// `parameters` are those of the file, or `None` if some could not be read. `rate_hz` is the
+/// sampling rate of the structure.
 pub(super) fn read_classes(
     section: Option<Section<'_>>,
     parameters: Option<&[ParameterRead]>,
@@ -126,14 +130,14 @@ fn read_reset_std(section: &mut Section<'_>, kind: Option<Kind>) -> f64 {
     reset_std
 }
 
-/// Reports a mistake of a `[[classes.class]]`, or of all of them.
+/// Reports a mistake in one `[[classes.class]]`, or in all of them.
 fn report(section: &Section<'_>, span: Range<usize>, found: String, allowed: &str) {
     section
         .diagnostics()
         .report(span, section.key("class"), found, allowed);
 }
 
-/// A `[[classes.class]]`: its name and the components of its groups.
+/// A `[[classes.class]]` table: its name and the components of its groups.
 struct Class {
     name: Spanned<String>,
     groups: Vec<Vec<Spanned<usize>>>,
@@ -196,7 +200,7 @@ fn read_class(
     })
 }
 
-/// Finds the components of each group; a group without any and a component in two are mistakes.
+/// Finds the components of each group; reports empty groups and components that occur twice.
 fn read_groups(
     section: &Section<'_>,
     key: &str,
@@ -286,7 +290,7 @@ fn make_plan(
             }
         }
         Kind::SelfCalibrating if classes.is_empty() => {
-            // of two components, one alone is the other one alone
+            // With two components, singling out one is the same as singling out the other.
             let singled_out = if count == 2 { 1 } else { count };
             names = components
                 .iter()
@@ -309,7 +313,8 @@ fn make_plan(
     Some((names, plan))
 }
 
-/// Makes the partition of each class; two that are alike would take turns for ever.
+/// Creates the partition of each class. Identical partitions are a mistake, because their classes
+/// would alternate indefinitely.
 fn make_groupings(
     section: &Section<'_>,
     kind: Kind,
@@ -349,7 +354,7 @@ fn make_groupings(
     right.then_some(groupings)
 }
 
-/// Makes the partition into substructures, each with components of its own.
+/// Creates the partition into substructures, each with separate components.
 fn make_hierarchy(
     section: &Section<'_>,
     components: &[&str],

@@ -22,13 +22,14 @@ const DAMPING_KINDS: [(&str, DampingKind); 3] = [
     ("matrix", DampingKind::Matrix),
 ];
 
-/// The damping, and whether the file says that it is known.
+/// The damping, and whether the file states that it is known.
 pub(super) struct DampingRead {
     pub(super) damping: Damping,
     pub(super) is_known: bool,
 }
 
-/// Reads `[damping]`; a ratio is turned into `α` and `β` with the modes of `system` as designed.
+/// Reads `[damping]`; converts a damping ratio to `α` and `β` with the modes of `system` as
+/// designed.
 pub(super) fn read_damping(
     mut section: Section<'_>,
     system: Option<&LinearSystem>,
@@ -76,7 +77,7 @@ fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Op
     rayleigh_of_ratio(system?, ratio?.into_inner(), modes)
 }
 
-/// Reads the two modes (from 1) that have the damping ratio; the first two unless the file says otherwise.
+/// Reads the two modes (from 1) that have the damping ratio; by default the first two.
 fn read_modes(section: &mut Section<'_>, len: usize) -> Option<[usize; 2]> {
     let Some(modes) = section.numbers("modes", Allowed::POSITIVE) else {
         return (!section.contains("modes")).then_some([1, 2.min(len)]);
@@ -97,22 +98,23 @@ fn read_modes(section: &mut Section<'_>, len: usize) -> Option<[usize; 2]> {
     }
 }
 
-/// Returns `α = 2ζ ω_i ω_j / (ω_i + ω_j)`, `β = 2ζ / (ω_i + ω_j)`, which give both modes (from 1) the ratio `ζ`.
+/// Returns `α = 2ζ ω_i ω_j / (ω_i + ω_j)` and `β = 2ζ / (ω_i + ω_j)`.
 ///
-/// For a single degree of freedom both modes are the same one, and each term takes half of the damping.
+/// They give both modes (from 1) the damping ratio `ζ`. With a single degree of freedom, both modes
+/// are the same, and each term contributes half of the damping.
 fn rayleigh_of_ratio(system: &LinearSystem, ratio: f64, modes: [usize; 2]) -> Option<Damping> {
     let solved = Modes::new(system.mass.to_dense(), system.nominal_stiffness())?;
     let [first, second] = modes.map(|mode| solved.angular_frequencies.get(mode - 1).copied());
     let (first, second) = (first?, second?);
     let beta_s = 2.0 * ratio / (first + second);
-    // β K is that of the springs, ω² that of small motions
+    // β K uses the stiffness of the springs, ω² the stiffness against small motions.
     Some(Damping::Rayleigh {
         alpha_per_s: beta_s * first * second,
         beta_s: beta_s * system.initial_slope(),
     })
 }
 
-/// Reads a dashpot beside each storey of a chain, those of a group together.
+/// Reads one dashpot per storey of a chain; the storeys of a group share a substructure.
 fn read_dashpots(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
     let key = "coefficients-n-s-per-m";
     let Some(system) = system else {

@@ -25,22 +25,22 @@ const KINDS: [(&str, Kind); 3] = [
     ("force-field", Kind::ForceField),
 ];
 
-/// What the excitations refer to.
+/// Objects to which the excitations refer.
 pub(super) struct Context<'c> {
-    /// The structure's rate (Hz), which a spectral intensity needs.
+    /// Sampling rate of the structure (Hz), required to convert a spectral intensity.
     pub(super) rate_hz: Option<f64>,
     pub(super) system: Option<&'c LinearSystem>,
-    /// `None` when some channel could not be read: then names are not looked up.
+    /// `None` if some channel could not be read; channel names are then not resolved.
     pub(super) channels: Option<&'c [ChannelRead]>,
 }
 
-/// An excitation, and its name where the file has it.
+/// An excitation, with the position of its name in the file.
 pub(super) struct ExcitationRead {
     pub(super) excitation: Excitation,
     pub(super) name: Spanned<String>,
 }
 
-/// Reads every `[[excitation]]`; returns also how many are declared.
+/// Reads every `[[excitation]]`; also returns the number of declared excitations.
 pub(super) fn read_excitations(
     file: &mut Section<'_>,
     context: &Context<'_>,
@@ -117,7 +117,7 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
     Some(ExcitationRead { excitation, name })
 }
 
-/// What is known of a level.
+/// Stated knowledge of a level.
 #[derive(Clone, Copy)]
 struct Level {
     adapt: Option<bool>,
@@ -125,7 +125,9 @@ struct Level {
 }
 
 impl Level {
-    /// Makes an excitation; its level is adapted if nobody measures it, unless the file says otherwise.
+    /// Creates an excitation.
+    ///
+    /// By default, the filter adapts the level if no channel measures the excitation.
     fn of(self, name: &str, action: Action, std: f64, measured: Option<Measured>) -> Excitation {
         let adapts = self
             .adapt
@@ -156,7 +158,8 @@ fn read_level(section: &mut Section<'_>) -> Level {
     Level { adapt, factor }
 }
 
-/// Reads the level of one sample, given as such or as the intensity `S₀` of a white process: `σ² = 2π S₀ / Δt`.
+/// Reads the standard deviation of one sample: `std`, or the spectral intensity `S₀` of a white
+/// process with `σ² = 2π S₀ / Δt`.
 fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
     let std = section.number("std", Allowed::DEVIATION);
     let intensity = section.number("spectral-intensity", Allowed::DEVIATION);
@@ -179,7 +182,8 @@ fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
         .or_else(|| intensity.and_then(of_intensity))
 }
 
-/// Reads how a ground motion moves the structure: its direction in a model with geometry, or an influence vector.
+/// Reads the effect of a ground motion: its direction in a model with geometry, or an influence
+/// vector.
 fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Action> {
     let Some(direction) = section.text("direction") else {
         let geometry = system.is_some_and(|system| !system.ground_directions.is_empty());
@@ -219,7 +223,7 @@ fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Opti
     })
 }
 
-/// Reads the influence vector `ι` of a ground motion: a list, a file, or all ones.
+/// Reads the influence vector `ι` of a ground motion: a list, a file, or all ones by default.
 fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Action> {
     let key = "influence";
     let (span, influence) = if section.is_text(key) {
@@ -311,7 +315,7 @@ fn read_measured(
     }
 }
 
-/// A channel that measures an excitation must belong to one, and to one only.
+/// Checks that each channel that measures an excitation belongs to exactly one excitation.
 fn check_each_channel_is_used_once(
     file: &Section<'_>,
     channels: &[ChannelRead],

@@ -1,4 +1,4 @@
-//! Reads `[filter]`, `[band-limit]` and `[ingest]`: settings with a default each.
+//! Reads the optional tables `[filter]`, `[band-limit]` and `[ingest]`.
 
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::section::{Allowed, Section};
@@ -17,7 +17,7 @@ const INPUT_HOLDS: [(&str, InputHold); 2] = [
     ("first-order", InputHold::First),
 ];
 
-/// What identifies.
+/// Kind of filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Kalman,
@@ -31,34 +31,37 @@ const DENSITIES: [(&str, ImportanceDensity); 2] = [
     ("prior", ImportanceDensity::Prior),
 ];
 
-/// Keys of `[filter]` that are of use with particles only.
+/// Keys of `[filter]` that apply only to particles.
 const OF_PARTICLES: [&str; 4] = ["particles", "density", "drift", "warm-up-s"];
 
-/// More particles than this do not fit into memory.
+/// Maximum number of particles, limited by memory.
 const MOST_PARTICLES: usize = 10_000_000;
 
-/// A shorter half-life forgets everything before it could tell anything.
+/// Minimum half-life in steps; a shorter half-life forgets the data before they contain
+/// information.
 const LEAST_HALF_LIFE_STEPS: f64 = 10.0;
 
-/// What the filter follows besides the motion and the noise levels.
+/// Quantities that the filter estimates besides the noise levels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Follows {
-    /// Parameters too.
+    /// Motion and parameters.
     Parameters,
-    /// Nothing: it is a linear filter for a linear structure.
+    /// The motion alone: a linear filter for a linear structure.
     MotionAlone,
 }
 
-/// Whether a channel measures an excitation.
+/// Measured quantities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Measures {
-    /// Yes: a record of it runs from sample to sample.
+    /// An excitation. Its record is interpolated between samples.
     Excitation,
-    /// No: what is not measured is white noise, and held.
+    /// Responses only. An unmeasured excitation is white noise and held over a step.
     ResponsesAlone,
 }
 
-/// Reads `[filter]`; a missing table is one without keys. `rate_hz` is the structure's.
+/// Reads `[filter]`; a missing table is equivalent to an empty one.
+///
+/// `rate_hz` is the sampling rate of the structure.
 pub(super) fn read_filter(
     section: Option<Section<'_>>,
     rate_hz: Option<f64>,
@@ -79,7 +82,7 @@ pub(super) fn read_filter(
     if let Some(rule) = section.choice("noise-rule", &NOISE_RULES) {
         plan.noise_rule = rule.into_inner();
     }
-    // one memory for both unless the file has two, as in the source
+    // One memory for both, unless the file specifies two, as in the source.
     plan.noise_half_life_s =
         read_half_life(&mut section, "noise-half-life-s", rate_hz).unwrap_or(plan.half_life_s);
     plan.noise_prior_std =
@@ -144,7 +147,9 @@ fn read_particles(section: &mut Section<'_>) -> Option<ParticleKeys> {
     Some(keys)
 }
 
-/// Reports what particles cannot do: they take every sample and all parameters, in one filter.
+/// Reports settings that particles do not support.
+///
+/// The particle filter uses every sample and estimates all parameters in one filter.
 pub(super) fn check_particles(
     file: &Section<'_>,
     plan: &FilterPlan,
@@ -179,7 +184,7 @@ pub(super) fn check_particles(
     }
 }
 
-/// Reads a half-life (s) of at least some time steps.
+/// Reads a half-life (s) and checks its minimum number of time steps.
 fn read_half_life(
     section: &mut Section<'_>,
     key: &'static str,
@@ -198,10 +203,13 @@ fn read_half_life(
     Some(half_life.into_inner())
 }
 
-/// Orders of the band limit: pairs of poles, and more of them delay and ring without filtering better.
+/// Allowed orders of the band limit.
+///
+/// Orders are even, because the poles come in pairs. A higher order adds delay and ringing, but
+/// filters no better.
 const ORDERS: [usize; 4] = [2, 4, 6, 8];
 
-/// Reads `[band-limit]`, if there is one.
+/// Reads `[band-limit]`, if present.
 pub(super) fn read_band_limit(
     section: Option<Section<'_>>,
     rate_hz: Option<f64>,
@@ -245,7 +253,7 @@ fn read_order(section: &mut Section<'_>) -> usize {
     order.into_inner()
 }
 
-/// Reads `[ingest]`; `rate_hz` is the structure's.
+/// Reads `[ingest]`; `rate_hz` is the sampling rate of the structure.
 pub(super) fn read_ingest(
     section: Option<Section<'_>>,
     rate_hz: Option<f64>,

@@ -1,4 +1,5 @@
-//! Reads the kind `force-field` of `[[excitation]]`: forces that grow and fade together, such as wind on all floors.
+//! Reads the kind `force-field` of `[[excitation]]`: forces that grow and fade together, such as
+//! wind on all floors.
 
 use super::matrices::read_symmetric;
 use super::node::degree_of_freedom;
@@ -8,7 +9,7 @@ use crate::section::{Allowed, Section};
 use nalgebra::{Cholesky, DMatrix};
 use toml::Spanned;
 
-/// The keys of a field besides those of every excitation.
+/// Keys of a field in addition to the keys of every excitation.
 pub(super) const KEYS: [&str; 8] = [
     "dofs",
     "mean",
@@ -20,10 +21,10 @@ pub(super) const KEYS: [&str; 8] = [
     "covariance",
 ];
 
-/// What says how the forces scatter when no file does.
+/// Keys that define the covariance of the forces if no file does.
 const FORMULA_KEYS: [&str; 4] = ["std", "intensity", "correlation-length", "positions"];
 
-/// Reads the field but for its level.
+/// Reads the field, except for its level.
 pub(super) fn read_force_field(
     section: &mut Section<'_>,
     system: Option<&LinearSystem>,
@@ -79,7 +80,7 @@ pub(super) fn read_force_field(
     })
 }
 
-/// Reads where the forces act: `"all"`, or a list without repetition.
+/// Reads the degrees of freedom of the forces: `"all"`, or a list without duplicates.
 fn read_dofs(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Vec<usize>> {
     let rule = "must be \"all\" or a list of degrees of freedom, each once";
     if section.is_text("dofs") {
@@ -114,7 +115,7 @@ fn read_dofs(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
     Some(dofs)
 }
 
-/// Reads the standard deviation of each force (N) at level 1, given as such or as a share of the mean.
+/// Reads the standard deviation of each force (N) at level 1, in newtons or as a share of the mean.
 fn read_deviations(
     section: &mut Section<'_>,
     len: usize,
@@ -155,7 +156,7 @@ fn read_deviations(
     )
 }
 
-/// Reads `R = exp(−|h_i − h_j|/H)` (N_f × N_f), the identity where the forces are independent.
+/// Reads `R = exp(−|h_i − h_j|/H)` (N_f × N_f), or the identity for independent forces.
 fn read_correlation(section: &mut Section<'_>, len: usize) -> Option<DMatrix<f64>> {
     let length = section.number("correlation-length", Allowed::POSITIVE);
     let positions = section.numbers("positions", Allowed::ANY);

@@ -1,4 +1,5 @@
-//! Reads `identification` of `[structure]` and `[fusion]`: whether and how nodes identify for themselves.
+//! Reads `identification` of `[structure]`, and `[fusion]`: the settings of distributed
+//! identification.
 
 use crate::fusion_plan::{FusionPlan, MotionPlan};
 use crate::node::Node;
@@ -8,7 +9,7 @@ use spandrel_filter::fusion::{
 };
 use toml::Spanned;
 
-/// Words for whether identification is distributed.
+/// Values of `identification`: `true` if identification is distributed.
 pub(super) const IDENTIFICATIONS: [(&str, bool); 2] =
     [("centralized", false), ("distributed", true)];
 
@@ -48,7 +49,7 @@ const MOTIONS: [(&str, Motion); 4] = [
     ("samples", Motion::Samples),
 ];
 
-/// Instants of a fusion period at which nodes tell one another samples, unless the file says otherwise.
+/// Default number of sample instants that nodes exchange in a fusion period.
 const SAMPLES: usize = 10;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -69,10 +70,12 @@ const WEIGHTINGS: [(&str, Weighting); 2] = [
     ("graded", Weighting::Graded),
 ];
 
-/// Fusions per second unless the file says otherwise.
+/// Default rate of fusions (Hz).
 const RATE_HZ: f64 = 1.0;
 
-/// Stricter than the source: the node beside a damage knows of it first, and should not be left out for that.
+/// Default test of the nodes, stricter than the source.
+///
+/// The node beside a damage detects it first, and should not be excluded for that.
 const DETECTOR: GlobalDetector = GlobalDetector {
     screening: 0.999,
     exclusion: 0.5,
@@ -81,10 +84,13 @@ const DETECTOR: GlobalDetector = GlobalDetector {
     weighting: Weighting::AllOrNothing,
 };
 
-/// Periods after which a message is too old: Huang & Yuen (2023), chapter 7.
+/// Default age (fusion periods) above which a message is stale: Huang & Yuen (2023), chapter 7.
 const STALE_PERIODS: f64 = 3.0;
 
-/// Reads `[fusion]` of a structure whose identification is `distributed`; its nodes as read, its rate and classes.
+/// Reads `[fusion]` of a structure with distributed identification.
+///
+/// The tuple contains the sampling rate of the structure, its nodes, and whether it has model
+/// classes.
 pub(super) fn read_fusion(
     section: Option<Section<'_>>,
     distributed: Option<&Spanned<bool>>,
@@ -280,7 +286,7 @@ pub(super) fn read_fusion(
     Some(plan)
 }
 
-/// Reads how the station tests the nodes; what the chosen test does not read must not be given.
+/// Reads the station's test of the nodes. Keys that the chosen test does not use are mistakes.
 fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
     let detector = section
         .choice("detector", &DETECTORS)
@@ -333,7 +339,7 @@ fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
     })
 }
 
-/// A node sends after a whole number of its samples; returns whether it does.
+/// Checks that each node sends after a whole number of its samples; returns `true` if all do.
 fn check_rate(
     section: &Section<'_>,
     given: Option<&Spanned<f64>>,

@@ -1,4 +1,5 @@
-//! Reads the kind `matrices` of `[model]`: what a finite element program exports, in Matrix Market files.
+//! Reads the kind `matrices` of `[model]`: exports of a finite element program as Matrix Market
+//! files.
 
 use super::check_unique;
 use crate::diagnostics::counted;
@@ -12,14 +13,14 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 
-/// A matrix read from a file, with the place in the structure file that names it.
+/// A matrix read from a file, with the position of its name in the structure file.
 pub(super) struct Named {
     pub(super) key: String,
     pub(super) span: Range<usize>,
     pub(super) matrix: CsrMatrix<f64>,
 }
 
-/// Returns where a file named in the structure file lies: relative to it.
+/// Returns the path of a file named in the structure file, relative to the structure file.
 pub(super) fn beside(section: &Section<'_>, file: &str) -> PathBuf {
     section
         .diagnostics()
@@ -138,7 +139,7 @@ pub(super) fn read_symmetric(
     }
 }
 
-/// Takes a diagonal mass matrix as lumped masses; any other must have a Cholesky factor.
+/// Converts a diagonal mass matrix to lumped masses; factorises any other matrix.
 fn check_mass(section: &Section<'_>, named: Named) -> Option<Mass> {
     let Named { key, span, matrix } = named;
     let refuse = |found: String| {

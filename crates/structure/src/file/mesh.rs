@@ -10,7 +10,7 @@ use crate::{frame, truss};
 use nalgebra::Vector3;
 use toml::Spanned;
 
-/// What the members of a mesh are.
+/// Kind of the members of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum MeshKind {
     Frame,
@@ -23,7 +23,7 @@ pub(super) const MASS_FORMS: [(&str, MassForm); 2] = [
 ];
 
 impl MeshKind {
-    /// What is usual: beams by their shape functions, bars by halves.
+    /// Returns the usual form: shape functions for beams, halves for bars.
     fn default_mass(self) -> MassForm {
         match self {
             Self::Frame => MassForm::Consistent,
@@ -47,12 +47,12 @@ impl MeshKind {
     }
 }
 
-/// Nodes by name, in the order in which the file brings them.
+/// Nodes by name, in the order of their appearance in the file.
 #[derive(Default)]
 struct Places {
     names: Vec<String>,
     at: Vec<Vector3<f64>>,
-    /// Coordinates of each node, 0 before the first.
+    /// Number of coordinates of each node, 0 before the first node.
     dimension: usize,
 }
 
@@ -86,7 +86,7 @@ pub(super) fn read_mesh(section: &mut Section<'_>, kind: MeshKind) -> Option<Lin
     }
     let (mut places, sections) = match (places, sections) {
         (Some(places), Some(sections)) => (places, sections),
-        _ => return None, // groups and supports could not be looked up
+        _ => return None, // groups and supports cannot be resolved
     };
     let declared = groups.len();
     let groups: Vec<_> = groups
@@ -172,7 +172,7 @@ fn read_section(
     Some((name?, section))
 }
 
-/// Reads the nodes whose coordinates are given.
+/// Reads the nodes with given coordinates.
 fn read_places(section: &mut Section<'_>, kind: MeshKind) -> Option<Places> {
     let entries = section.entries("nodes");
     section.require(
@@ -257,8 +257,10 @@ fn read_group(
     ))
 }
 
-/// Reads a chain of members. Nodes without coordinates are spaced evenly between the nearest two of the chain that have
-/// them, and have them from then on.
+/// Reads a chain of members.
+///
+/// Nodes without coordinates are spaced evenly between the two nearest nodes of the chain that have
+/// coordinates. Their coordinates are then known to the following chains.
 fn read_path(
     section: &Section<'_>,
     path: &Spanned<Vec<Spanned<NumberOrName>>>,
@@ -319,7 +321,7 @@ fn read_path(
     Some(placed.windows(2).map(|ends| [ends[0], ends[1]]).collect())
 }
 
-/// Tells why a node cannot get its place from a chain.
+/// Returns the reason why a node cannot get its coordinates from a chain, or `None`.
 fn unfit_for_a_place(name: &str, before: &[String]) -> Option<&'static str> {
     if before.iter().any(|other| other == name) {
         return Some("must not pass a node without coordinates twice");
@@ -329,7 +331,7 @@ fn unfit_for_a_place(name: &str, before: &[String]) -> Option<&'static str> {
     )
 }
 
-/// Reads a support into `fixed`; `None` if it has a mistake, or if the nodes are not all known.
+/// Reads a support into `fixed`; `None` if it contains a mistake or some nodes are unknown.
 fn read_support(
     mut section: Section<'_>,
     places: Option<&Places>,
@@ -365,7 +367,7 @@ fn read_support(
     Some(())
 }
 
-/// Checks what no single table can tell: lengths, nodes without members, and the size.
+/// Checks the lengths of members, nodes without members, and the size of the model.
 fn check_members(section: &Section<'_>, mesh: &Mesh) -> Option<()> {
     let report = |key: &str, found: String, allowed: &str| {
         section
@@ -411,7 +413,7 @@ fn check_members(section: &Section<'_>, mesh: &Mesh) -> Option<()> {
     Some(())
 }
 
-/// Sorts the nodes: those with numbers first, by number; the others stay in the order of the file.
+/// Sorts numbered nodes by number. Other nodes follow in file order.
 fn in_natural_order(mut mesh: Mesh) -> Mesh {
     let mut order: Vec<usize> = (0..mesh.nodes.len()).collect();
     order.sort_by_key(|node| mesh.nodes[*node].name.parse::<u64>().unwrap_or(u64::MAX));
@@ -426,7 +428,7 @@ fn in_natural_order(mut mesh: Mesh) -> Mesh {
     mesh
 }
 
-/// Reports a structure that is not held together; passes on one that is.
+/// Reports a structure that can move freely; returns any other structure unchanged.
 pub(super) fn check_held(
     section: &Section<'_>,
     system: Option<LinearSystem>,
@@ -443,7 +445,8 @@ pub(super) fn check_held(
         );
         return None;
     };
-    // to a unit diagonal: forces and moments, short members and long ones differ by orders of magnitude
+    // Scaled to a unit diagonal: forces and moments, and members of different lengths, differ by
+    // orders of magnitude.
     let scale: Vec<f64> = stiffness
         .diagonal()
         .iter()

@@ -1,4 +1,4 @@
-//! Reads `[model]`: the kind, and what it says.
+//! Reads `[model]`: the kind and its keys.
 
 use super::chain::{read_chain, read_hysteretic_chain};
 use super::matrices::read_matrices;
@@ -43,7 +43,8 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
     system
 }
 
-/// Numbers that are finite may still have frequencies that are not.
+/// Checks that all natural frequencies are finite and positive. Finite inputs do not guarantee
+/// this.
 fn check_frequencies(section: &Section<'_>, system: &LinearSystem) -> bool {
     let modes = Modes::new(system.mass.to_dense(), system.nominal_stiffness());
     let sound = |modes: Modes| {

@@ -7,7 +7,7 @@ use crate::node::{Channel, Node, Quantity};
 use crate::section::{Allowed, NumberOrName, Section};
 use toml::Spanned;
 
-/// A channel with what the noise levels need of it.
+/// A channel, with the properties that noise levels need.
 pub(super) struct ChannelRead {
     pub(super) channel: Channel,
     pub(super) name: Spanned<String>,
@@ -15,16 +15,16 @@ pub(super) struct ChannelRead {
     pub(super) adapts_noise: bool,
 }
 
-/// All nodes, and their channels once more in frame order.
+/// All nodes, and all their channels in frame order.
 pub(super) struct NodesRead {
     pub(super) nodes: Vec<Node>,
     pub(super) names: Vec<Spanned<String>>,
     pub(super) channels: Vec<ChannelRead>,
-    /// Some node or channel could not be read: positions in a frame are not to be trusted.
+    /// `true` if some node or channel could not be read; positions in a frame are then unreliable.
     pub(super) incomplete: bool,
 }
 
-/// Reads every `[[node]]`; `rate_hz` is the structure's.
+/// Reads every `[[node]]`; `rate_hz` is the sampling rate of the structure.
 pub(super) fn read_nodes(
     file: &mut Section<'_>,
     rate_hz: Option<f64>,
@@ -81,7 +81,8 @@ pub(super) fn read_nodes(
     read
 }
 
-/// A slower node delivers every second, third, ... frame; nothing else keeps samples on frames.
+/// Checks that a node delivers every first, second, third, ... frame, so that its samples coincide
+/// with frames.
 fn check_rate(section: &Section<'_>, rate_hz: Option<f64>, node_rate_hz: Option<&Spanned<f64>>) {
     let (Some(rate_hz), Some(node_rate_hz)) = (rate_hz, node_rate_hz) else {
         return;
@@ -165,7 +166,7 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
     })
 }
 
-/// Reads which degrees of freedom a channel senses; none if it measures an excitation.
+/// Reads the degrees of freedom that a channel senses; empty if it measures an excitation.
 pub(super) fn read_sensed(
     section: &mut Section<'_>,
     quantity: Quantity,
@@ -216,7 +217,7 @@ pub(super) fn read_sensed(
     }
 }
 
-/// Finds a degree of freedom (from 0) by number (from 1) or name.
+/// Returns the index of a degree of freedom (from 0), given by number (from 1) or name.
 pub(super) fn degree_of_freedom(
     section: &Section<'_>,
     key: &str,

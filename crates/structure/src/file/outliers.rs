@@ -1,13 +1,15 @@
-//! Reads `[outliers]`: whether and how outliers are screened.
+//! Reads `[outliers]`, the settings of outlier screening.
 
 use super::read_time;
 use crate::filter_plan::OutlierPlan;
 use crate::section::{Allowed, Section};
 
-/// Words for the training: whether it is gated.
+/// Values of `training`: `true` if the training is gated.
 const TRAININGS: [(&str, bool); 2] = [("gated", true), ("raw", false)];
 
-/// Reads `[outliers]`; without the table nothing is screened. `rate_hz` is the structure's.
+/// Reads `[outliers]`; without the table nothing is screened.
+///
+/// `rate_hz` is the sampling rate of the structure.
 pub(super) fn read_outliers(
     section: Option<Section<'_>>,
     rate_hz: Option<f64>,

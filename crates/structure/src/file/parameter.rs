@@ -29,20 +29,23 @@ const WHAT: [(&str, What); 9] = [
     ("hysteresis-eta", What::Hysteresis(Constant::Eta)),
 ];
 
-/// Default prior standard deviation of a stiffness or mass factor: drawings and material tests are rarely better.
+/// Default prior standard deviation of a stiffness or mass factor.
+///
+/// Drawings and material tests are rarely more precise.
 const STD: f64 = 0.2;
-/// Default prior standard deviation of a damping factor: damping is a guess until measured.
+/// Default prior standard deviation of a damping factor. Damping is a guess until it is measured.
 const DAMPING_STD: f64 = 0.5;
-/// Default bounds: outside them a factor says that the model is wrong, not that the structure has changed.
+/// Default bounds of a factor. A factor outside them indicates a wrong model, not a change of the
+/// structure.
 const BOUNDS: (f64, f64) = (0.05, 20.0);
 
-/// A parameter, and its name where the file has it.
+/// A parameter, with the position of its name in the file.
 pub(super) struct ParameterRead {
     pub(super) parameter: Parameter,
     pub(super) name: Spanned<String>,
 }
 
-/// Reads every `[[parameter]]`; returns also how many are declared.
+/// Reads every `[[parameter]]`; also returns the number of declared parameters.
 pub(super) fn read_parameters(
     file: &mut Section<'_>,
     system: Option<&LinearSystem>,
@@ -121,7 +124,7 @@ fn read_bounds(section: &mut Section<'_>, mean: f64) -> (f64, f64) {
     }
 }
 
-/// Reads the list of what the parameter scales; an empty list is a mistake.
+/// Reads the list of scaled objects; an empty list is a mistake.
 fn read_of(section: &mut Section<'_>, allowed: &str) -> Option<Spanned<Vec<Spanned<String>>>> {
     let of = section.names("of");
     let of = section.require("of", allowed, of)?;
@@ -190,7 +193,7 @@ fn read_mass(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
     Some(Scales::Mass(found.into_iter().collect::<Option<_>>()?))
 }
 
-/// Reads which dashpots are scaled, or the word `all`.
+/// Reads the scaled dashpots, or the word `all`.
 fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Option<Scales> {
     if section.is_text("of") {
         let word = section.text("of")?;
@@ -224,7 +227,7 @@ fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Opti
     Some(Scales::Dashpots(found.into_iter().collect::<Option<_>>()?))
 }
 
-/// Takes all damping that there is.
+/// Scales all damping of the structure; reports zero damping.
 fn read_all_damping(section: &Section<'_>, damping: &Damping) -> Option<Scales> {
     match damping {
         Damping::Rayleigh {
@@ -292,7 +295,8 @@ fn read_damping_part(
     Some(scales)
 }
 
-/// A factor on a factor could not be told apart: everything is scaled by one parameter at most.
+/// Checks that no other parameter scales the same object, because two factors on one value cannot
+/// be distinguished.
 fn check_scaled_once(
     section: &Section<'_>,
     scales: &Scales,

@@ -8,7 +8,9 @@ use toml::Spanned;
 
 const DEFAULT_TIME_UNIT: &str = RecordMap::TIME_UNITS[0].1;
 
-/// Reads `[record]`; `channels` are in frame order. Without it a record has SI columns named as the channels.
+/// Reads `[record]`; `channels` are in frame order.
+///
+/// Without the table, a record has SI columns with the names of the channels.
 pub(super) fn read_record(
     section: Option<Section<'_>>,
     channels: Option<&[&Channel]>,

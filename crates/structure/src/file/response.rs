@@ -1,4 +1,4 @@
-//! Reads `[[response]]`: displacements and velocities whose estimates are asked for.
+//! Reads `[[response]]`: displacements and velocities to estimate.
 
 use super::check_unique;
 use super::node::read_sensed;
@@ -14,7 +14,9 @@ const QUANTITIES: [(&str, Quantity); 3] = [
     ("strain", Quantity::Strain),
 ];
 
-/// Reads every `[[response]]`; `taken` are the names of the parameters, which stand beside them in a table of estimates.
+/// Reads every `[[response]]`.
+///
+/// `taken` are the names of the parameters, which share the namespace of a table of estimates.
 pub(super) fn read_responses(
     file: &mut Section<'_>,
     system: Option<&LinearSystem>,

@@ -6,7 +6,7 @@ use crate::section::{Allowed, Section};
 use crate::simulation_plan::{Damage, Fault, FaultKind, Modulation, SimulationPlan, SpikeKind};
 use toml::Spanned;
 
-/// Largest seed that a TOML integer holds.
+/// Largest seed that fits into a TOML integer.
 const LARGEST_SEED: usize = i64::MAX as usize;
 
 const SPIKE_KINDS: [(&str, SpikeKind); 2] = [
@@ -17,14 +17,14 @@ const SPIKE_KINDS: [(&str, SpikeKind); 2] = [
 const FAULT_KINDS: [(&str, FaultKind); 2] =
     [("bias", FaultKind::Bias), ("silence", FaultKind::Silence)];
 
-/// What a simulation refers to; `None` where some could not be read.
+/// Objects to which a simulation refers; `None` if some could not be read.
 pub(super) struct Context<'c> {
     pub(super) parameters: Option<&'c [&'c str]>,
     pub(super) nodes: Option<&'c [&'c str]>,
     pub(super) levels: Option<&'c [NoiseLevel]>,
 }
 
-/// Reads `[simulation]`; without it nothing happens to the structure.
+/// Reads `[simulation]`; without the table the simulation has no events.
 pub(super) fn read_simulation(
     section: Option<Section<'_>>,
     context: &Context<'_>,
@@ -101,7 +101,7 @@ pub(super) fn read_simulation(
     plan
 }
 
-/// Reads a table of numbers by node into `numbers`, which has one for each node of the file.
+/// Reads a table of numbers by node into `numbers`, which has one entry per node of the file.
 fn read_by_node(
     section: &mut Section<'_>,
     key: &'static str,

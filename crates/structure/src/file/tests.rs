@@ -1,4 +1,4 @@
-//! Files that must be read, and mistakes that must be found with line, key and text.
+//! Tests of valid files, and of mistakes with line, key and text.
 
 use crate::{Diagnostic, Reference, Structure, StructureError};
 use std::path::Path;
@@ -9,12 +9,13 @@ fn examples() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples"))
 }
 
-/// Reads a text as if it lay beside the examples.
+/// Reads a text as a file in the folder of the examples.
 pub(super) fn read(text: &str) -> Result<Structure, StructureError> {
     Structure::parse(text, &examples().join("tower.toml"))
 }
 
-/// Reads `DEMO` with one piece replaced (every time it occurs) and returns its mistakes as `key: found, allowed`.
+/// Reads `DEMO` with every occurrence of a piece replaced; returns its mistakes as
+/// `key: found, allowed`.
 #[track_caller]
 fn mistakes_after(replaced: &str, by: &str) -> Vec<String> {
     assert!(DEMO.contains(replaced), "the example has no {replaced:?}");
@@ -31,7 +32,7 @@ pub(super) fn mistakes(text: &str) -> Vec<String> {
         .collect()
 }
 
-/// The line (from 1) on which `piece` first stands.
+/// Returns the line (from 1) of the first occurrence of `piece`.
 #[track_caller]
 pub(super) fn line_of(text: &str, piece: &str) -> usize {
     text.lines()
@@ -161,7 +162,7 @@ fn a_record_map_says_how_times_and_rates_become_those_of_the_structure() {
 #[test]
 fn filter_settings_are_in_steps_and_variances() {
     let settings = read(DEMO).unwrap().filter_settings().unwrap();
-    // half-life 10 s at 100 Hz: λ = 2^(2/1000)
+    // Half-life 10 s at 100 Hz: λ = 2^(2/1000).
     assert!((settings.fading.value() - 2f64.powf(0.002)).abs() < 1e-15);
     assert_eq!(settings.prior_std.as_slice()[0], 1e-5);
     assert_eq!(settings.prior_std.as_slice()[5], 1e-4);
@@ -176,7 +177,7 @@ fn filter_settings_are_in_steps_and_variances() {
         settings.noise.parameters[0].pattern,
         nalgebra::DMatrix::identity(5, 5)
     );
-    // ten periods of 1 s; the frequency is solved for, so one step may be lost to rounding
+    // Ten periods of 1 s. The frequency is solved for, so rounding can remove one step.
     assert!((999..=1000).contains(&settings.noise_settings.training_steps));
 }
 
@@ -203,7 +204,8 @@ fn all_mistakes_are_reported_at_once_in_the_order_of_the_file() {
         .replace("at-s = 60", "at-s = \"a minute\"");
     let error = read(&text).unwrap_err();
     let keys: Vec<&str> = error.diagnostics().iter().map(Diagnostic::key).collect();
-    // the substructures are not known while the model has a mistake, so storey-33 has to wait
+    // The substructures are unknown as long as the model has a mistake, so storey-33 is not
+    // reported.
     let expected = [
         "structure.sampling-rate-hz",
         "model.mass-kg",
@@ -556,7 +558,7 @@ unit = "m"
 noise-std = 1e-4
 "#;
 
-    /// Reads `FILE` beside the given matrices.
+    /// Reads `FILE` in a folder with the given matrices.
     fn read_with(
         text: &str,
         mass: &str,
@@ -578,7 +580,7 @@ noise-std = 1e-4
         let [d] = error.diagnostics() else {
             panic!("{error}")
         };
-        // the folder differs from run to run
+        // The folder differs between runs.
         let found = d.found().rsplit('/').next().unwrap().to_owned();
         (d.line(), d.key().to_owned(), found, d.allowed().to_owned())
     }
@@ -587,7 +589,7 @@ noise-std = 1e-4
     fn matrices_are_read_beside_the_file() {
         let structure = read_with(FILE, MASS, LOWER, UPPER).unwrap();
         assert_eq!(structure.system.degrees_of_freedom, ["1", "2"]);
-        // σ² = 2π S₀/Δt, chapter 3, A1
+        // σ² = 2π S₀/Δt, chapter 3, A1.
         assert!(
             (structure.excitations()[0].std().powi(2) - std::f64::consts::TAU * 5e-5 * 100.0).abs()
                 < 1e-12
@@ -798,7 +800,8 @@ fn a_field_of_forces_is_the_published_wind() {
     assert_eq!(structure.excitations()[0].component_len(), 50);
     assert_eq!(structure.excitation_channels().len(), 50);
     let (mean, pattern) = (structure.mean_excitation(), structure.excitation_pattern(0));
-    // Yuen, Liang & Kuok (2013), case 3: 27 718 N at the top; γ² exp(−|h_i − h_j|/H) F_i F_j with 7.5 m of 10 m between
+    // Yuen, Liang & Kuok (2013), case 3: 27 718 N at the top; γ² exp(−|h_i − h_j|/H) F_i F_j at a
+    // distance of 7.5 m with H = 10 m.
     assert!((mean[49] - 27_718.0).abs() < 0.5, "{}", mean[49]);
     let expected = 0.04 * (-0.75_f64).exp() * mean[10] * mean[13];
     assert!(
@@ -814,7 +817,8 @@ fn a_field_of_forces_is_the_published_wind() {
 #[test]
 fn a_structure_under_mean_forces_begins_in_equilibrium() {
     let structure = read(WIND).unwrap();
-    // statically determinate: the shear of the lowest storey is all the wind; 41.9 mm at the top in the source
+    // Statically determinate: the shear of the lowest storey is the total wind force; 41.9 mm at
+    // the top in the source.
     let prior = structure.filter_settings().unwrap().prior_mean;
     let shear = structure.mean_excitation().sum();
     assert!(
@@ -1036,7 +1040,7 @@ fn the_level_of_an_unmeasured_excitation_is_identified_unless_it_is_known() {
             .find(|level| level.name == "ground");
         adapted.map(|level| level.start_std / level.start)
     };
-    // a factor F of the deviation is 2 ln F in the logarithm of the variance
+    // A factor F of the standard deviation is 2 ln F in the logarithm of the variance.
     for (to, factor) in [
         ("#", 3.0_f64),
         ("level-factor = 2 #", 2.0),
@@ -1051,7 +1055,7 @@ fn the_level_of_an_unmeasured_excitation_is_identified_unless_it_is_known() {
         (ground("level-factor = 1 #"), ground("adapt = false #")),
         (None, None)
     );
-    // what is measured has the noise of its channel for a level, and keeps it
+    // The level of a measured excitation is the noise of its channel and is not adapted.
     assert!(!read(DEMO).unwrap().noise_levels()[0].is_adapted());
     assert_eq!(
         mistakes(&output_only.replace("level-factor = 3 ", "adapt = true\nlevel-factor = 1 #"))

@@ -8,7 +8,7 @@ use crate::section::{Allowed, Section};
 use crate::tower::{self, Segment};
 use toml::Spanned;
 
-/// Degrees of freedom of each beam.
+/// Number of degrees of freedom that each beam adds.
 const PER_ELEMENT: usize = 5;
 
 pub(super) fn read_tower(section: &mut Section<'_>) -> Option<LinearSystem> {

@@ -1,30 +1,32 @@
-//! What of the Jacobian depends on the point of linearisation.
+//! The parts of the Jacobian that depend on the point of linearisation.
 
 use super::Fixed;
 use crate::hysteresis::{Drive, Slopes};
 use crate::parameter::Scales;
 use nalgebra::DMatrix;
 
-/// Columns that are multiplied together: the sums of one do not wait for those of another.
+/// Number of columns multiplied together. Their sums are independent, so no sum waits for another.
 const BLOCK: usize = 4;
 
-/// The structure linearised at one state; everything is rewritten in place.
+/// The structure linearised at one state; all values are overwritten in place.
 #[derive(Debug, Clone)]
 pub(super) struct Point {
     /// `x`, or `r` of hysteretic springs (N_d, m).
     pub(super) displacement: Vec<f64>,
     pub(super) velocity: Vec<f64>,
-    /// `w` (N_d), the velocity of floors or springs.
+    /// `w` (N_d), the velocities of floors or springs.
     driving: Vec<f64>,
     /// `ẋ`, or `ṙ` of hysteretic springs (N_d, m/s).
     pub(super) rate: Vec<f64>,
-    /// Derivatives of `ṙ` of each hysteretic spring by its own `w` and `r`.
+    /// Derivatives of `ṙ` of each hysteretic spring with respect to its own `w` and `r`.
     pub(super) slopes: Vec<Slopes>,
-    /// Derivatives of `ṙ` by the parameters that scale a constant of its law: which, and a column (N_d) each.
+    /// Derivatives of `ṙ` with respect to parameters that scale a constant of the law.
+    ///
+    /// Each entry contains the index of the parameter and a column (N_d).
     rate_by_theta: Vec<(usize, Vec<f64>)>,
     /// `θ` (N_θ).
     pub(super) theta: Vec<f64>,
-    /// What depends on `θ` alone has been made: without parameters once.
+    /// `true` if the values that depend only on `θ` are set; without parameters they are set once.
     is_scaled: bool,
     pub(super) alpha_per_s: f64,
     pub(super) beta_s: f64,
@@ -32,7 +34,7 @@ pub(super) struct Point {
     pub(super) stiffness: Vec<f64>,
     /// Values of `C(θ)` (N s/m) of dashpots or a given matrix; empty with Rayleigh damping.
     pub(super) damping: Vec<f64>,
-    /// `1/θ` of the mass of each degree of freedom, 1 where none scales it.
+    /// `1/θ` of the mass of each degree of freedom, 1 if no parameter scales it.
     pub(super) mass_factors_inverse: Vec<f64>,
     /// `−M⁻¹(C ẋ + K x)` (N_d).
     pub(super) restoring: Vec<f64>,
@@ -40,11 +42,11 @@ pub(super) struct Point {
     pub(super) forced: Vec<f64>,
     /// `−ι f` of the known ground motions (N_d).
     pub(super) ground: Vec<f64>,
-    /// `ẍ` (N_d), the sum of the three.
+    /// `ẍ` (N_d), the sum of the preceding three vectors.
     pub(super) acceleration: Vec<f64>,
     /// `∂(−M⁻¹R)/∂θ` (N_d × N_θ).
     pub(super) restoring_by_theta: DMatrix<f64>,
-    /// `W = ∂ẍ/∂θ` (N_d × N_θ): with the forces, whose effect depends on the mass.
+    /// `W = ∂ẍ/∂θ` (N_d × N_θ), including the forces, whose effect depends on the mass.
     pub(super) acceleration_by_theta: DMatrix<f64>,
     /// `x + β w` (N_d).
     stretched: Vec<f64>,
@@ -92,12 +94,12 @@ impl Point {
         }
     }
 
-    /// Tells whether it has been moved before.
+    /// Returns `true` if the point has been linearised at least once.
     pub(super) fn is_scaled(&self) -> bool {
         self.is_scaled
     }
 
-    /// Moves the point to `state` (n) under the known `excitation` (N_f).
+    /// Linearises at `state` (n) under the known `excitation` (N_f).
     pub(super) fn linearise(&mut self, fixed: &Fixed, state: &[f64], excitation: &[f64]) {
         let free = fixed.assembly.len();
         self.displacement.copy_from_slice(&state[..free]);
@@ -142,7 +144,7 @@ impl Point {
         }
     }
 
-    /// Writes `ṙ` and its derivatives, (2.88), or `ẋ`.
+    /// Writes `ṙ` and its derivatives, (2.88); writes `ẋ` for linear springs.
     fn move_springs(&mut self, fixed: &Fixed) {
         let Some(mut law) = fixed.hysteresis else {
             self.rate.copy_from_slice(&self.velocity);
@@ -170,7 +172,10 @@ impl Point {
         }
     }
 
-    /// Replaces `w` in the place of `out` (N_d) by `ṙ` along a column with the parts `r` and `theta`; leaves `ẋ` as it is.
+    /// Replaces `w` in `out` (N_d) by the derivative of `ṙ` along a column with the parts `r` and
+    /// `theta`.
+    ///
+    /// For linear springs, `out` keeps `ẋ`.
     fn differentiate_rate(&self, r: &[f64], theta: &[f64], out: &mut [f64]) {
         for ((entry, slopes), r) in out.iter_mut().zip(&self.slopes).zip(r) {
             *entry = slopes.by_velocity * *entry + slopes.by_displacement * r;
@@ -218,8 +223,10 @@ impl Point {
         }
     }
 
-    /// Writes `∂ẍ/∂θ`, with `∂R/∂θ = K_θ (x + β w)`, `C_θ ẋ`, `M ẋ`, `K w` and their sum for stiffness, dashpots, `α`, `β` and
-    /// all Rayleigh damping.
+    /// Writes `∂ẍ/∂θ`.
+    ///
+    /// `∂R/∂θ` is `K_θ (x + β w)` for stiffness, `C_θ ẋ` for dashpots, `M ẋ` for `α`, `K w` for
+    /// `β`, and the sum of the last two for all Rayleigh damping.
     fn differentiate(&mut self, fixed: &Fixed) {
         let free = self.velocity.len();
         let columns = self
@@ -236,9 +243,9 @@ impl Point {
         {
             let reach = fixed.reach[index].clone();
             for row in reach.clone() {
-                column[row] = 0.0; // mostly two of them: a call of memset would take longer
+                column[row] = 0.0; // mostly two rows: a call of memset would take longer
             }
-            // M⁻¹ M, or a mass itself: nothing to divide by
+            // M⁻¹ M cancels, and a mass parameter already includes the division by the mass.
             let is_divided = !matches!(parameter.scales, Scales::DampingAlpha | Scales::Mass(_));
             match &parameter.scales {
                 Scales::Stiffness(_) => {
@@ -252,7 +259,7 @@ impl Point {
                         damping.mul_scaled_add_to(index, &self.velocity, column);
                     }
                 }
-                Scales::Hysteresis(_) => continue, // moves the rate of r only
+                Scales::Hysteresis(_) => continue, // changes only the rate of r
                 Scales::Damping | Scales::DampingBeta => {
                     fixed
                         .assembly
@@ -265,7 +272,7 @@ impl Point {
                     }
                 }
                 Scales::Mass(dofs) => {
-                    // −M⁻¹R + α ẋ is what depends on the mass, as 1/θ
+                    // The terms proportional to M⁻¹, −M⁻¹R + α ẋ, depend on the mass as 1/θ.
                     for dof in dofs {
                         let by_mass = self.restoring[*dof] + self.alpha_per_s * self.velocity[*dof];
                         column[*dof] = -by_mass * self.mass_factors_inverse[*dof];
@@ -330,7 +337,7 @@ impl Point {
         }
     }
 
-    /// Does so for `C` columns, one after the other in both slices.
+    /// Writes `A_y X` for `C` columns, stored one after the other in both slices.
     fn jacobian_mul_block<const C: usize>(&self, fixed: &Fixed, columns: &[f64], out: &mut [f64]) {
         let (free, len) = (self.velocity.len(), columns.len() / C);
         let mut in_columns = columns.chunks_exact(len);
@@ -345,7 +352,7 @@ impl Point {
             out_theta.fill(0.0);
             (*out_x, *out_v) = (x, v);
         }
-        // the rows of x lend their place to x + β w
+        // The rows of x temporarily hold x + β w.
         for (column, out_x) in columns.iter().zip(&mut out_x) {
             let (x, v) = column.split_at(free);
             fixed.drive_to(&v[..free], out_x);
@@ -395,18 +402,18 @@ impl Point {
     }
 }
 
-/// Returns as many empty slices, to be set.
+/// Returns `C` empty slices as placeholders.
 fn empty<'s, const C: usize>() -> [&'s mut [f64]; C] {
     std::array::from_fn(|_| Default::default())
 }
 
 impl Fixed {
-    /// Writes `w = D ẋ` (N_d): the velocity itself, unless springs answer to their own drift.
+    /// Writes `w = D ẋ` (N_d): the velocities of floors, or the drift rates of springs.
     fn drive_to(&self, velocity: &[f64], out: &mut [f64]) {
         self.drive().drive_to(velocity, out);
     }
 
-    /// Returns what drives the springs: the velocities of floors, where they are not hysteretic.
+    /// Returns the velocity that drives the springs; `Floor` for linear springs.
     pub(super) fn drive(&self) -> Drive {
         self.hysteresis.map_or(Drive::Floor, |law| law.drive)
     }

@@ -1,4 +1,4 @@
-//! The matrix by which a linear structure with Rayleigh damping takes its step.
+//! The matrix for the step of a linear structure with Rayleigh damping.
 
 use super::Fixed;
 use super::point::Point;
@@ -6,22 +6,22 @@ use crate::assembly::Assembly;
 use crate::linear_system::Damping;
 use nalgebra::DMatrix;
 
-/// `G = M⁻¹ K(θ)` (N_d × N_d, 1/s²), rewritten in place.
+/// `G = M⁻¹ K(θ)` (N_d × N_d, 1/s²), overwritten in place.
 #[derive(Debug, Clone)]
 pub(super) struct StiffnessByMass {
     pub(super) matrix: DMatrix<f64>,
-    /// Entries farther than this from the diagonal are zero.
+    /// Distance from the diagonal beyond which all entries are zero.
     pub(super) half_bandwidth: usize,
 }
 
 impl StiffnessByMass {
-    /// Makes room for `G`; `None` where the damping is not proportional or the springs are hysteretic.
+    /// Allocates `G`; `None` if the damping is not proportional or the springs are hysteretic.
     pub(super) fn new(fixed: &Fixed, damping: &Damping) -> Option<Self> {
         if fixed.hysteresis.is_some() || !matches!(damping, Damping::Rayleigh { .. }) {
             return None;
         }
         let free = fixed.assembly.len();
-        // through a mass matrix that is not diagonal everything accelerates everything
+        // With a mass matrix that is not diagonal, every force accelerates every degree of freedom.
         let half_bandwidth = if fixed.mass_factor.is_some() {
             free - 1
         } else {
@@ -42,10 +42,11 @@ impl StiffnessByMass {
             .chunks_exact_mut(free)
             .enumerate()
         {
-            let (places, rows) = fixed.assembly.row(index); // which is the column, because K is symmetric
+            // The row equals the column, because K is symmetric.
+            let (places, rows) = fixed.assembly.row(index);
             let entries = rows.iter().zip(&point.stiffness[places]);
             if fixed.mass_factor.is_none() {
-                // what is outside the pattern has been zero from the start
+                // Entries outside the pattern have been zero since the allocation.
                 for (row, value) in entries {
                     column[*row] =
                         value * fixed.reciprocal_masses[*row] * point.mass_factors_inverse[*row];
@@ -64,7 +65,7 @@ impl StiffnessByMass {
     }
 }
 
-/// Returns how far from the diagonal the pattern reaches.
+/// Returns the maximum distance of the pattern from the diagonal.
 fn half_bandwidth(assembly: &Assembly) -> usize {
     (0..assembly.len())
         .flat_map(|row| {

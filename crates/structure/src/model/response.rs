@@ -1,7 +1,8 @@
-//! What one channel senses of the state, and its row of the observation Jacobian.
+//! The response of one channel to the state, and its row of the observation Jacobian.
 //!
-//! Accelerations follow Huang & Yuen (2023), §2.2: an absolute one is `−M⁻¹R + M⁻¹T f` of the forces alone, because the
-//! ground motion cancels; a relative one has `−ι f` as well; a restoring one is `−M⁻¹R`.
+//! Accelerations follow Huang & Yuen (2023), §2.2. An absolute acceleration is `−M⁻¹R + M⁻¹T f` of
+//! the forces only, because the ground motion cancels. A relative acceleration also has the term
+//! `−ι f`. A restoring acceleration is `−M⁻¹R`.
 
 use super::Fixed;
 use super::point::Point;
@@ -24,27 +25,29 @@ pub(super) enum Response {
 #[derive(Debug, Clone)]
 pub(super) struct Acceleration {
     dof: usize,
-    /// The direct effect of a force counts.
+    /// `true` if the direct effect of forces is included.
     forces: bool,
-    /// The motion of the ground counts.
+    /// `true` if the ground motion is included.
     ground: bool,
-    /// `M⁻¹ e` of the degree of freedom (1/kg), where the mass is not diagonal.
+    /// `M⁻¹ e` of the degree of freedom (1/kg), if the mass matrix is not diagonal.
     by_mass: Option<Vec<f64>>,
-    /// Columns of the entries below.
+    /// Columns of the entries of `stiffness` and `damping`.
     columns: Vec<usize>,
     /// `−M⁻¹ K` (1/s²).
     stiffness: Vec<f64>,
     /// `−M⁻¹ C` of dashpots or a given `C` (1/s); empty otherwise.
     damping: Vec<f64>,
-    /// Parameters that can change it.
+    /// Parameters that can change the acceleration.
     parameters: Vec<usize>,
-    /// Entries of the row of the Jacobian that are not zero: which of the state, and its value. Some come more than once.
+    /// Nonzero entries of the Jacobian row: state index and value. Some indices occur several
+    /// times.
     row: Vec<(usize, f64)>,
 }
 
 impl Response {
     pub(super) fn new(channel: &Channel, fixed: &Fixed, mass: &Mass) -> Self {
-        // a channel of one degree of freedom has exactly one; a measured excitation is no response
+        // A channel of one degree of freedom has exactly one term. A measured excitation is not a
+        // response.
         let dof = channel.sensed.first().map_or(0, |(dof, _)| *dof);
         let acceleration = |forces, ground| {
             Self::Acceleration(Acceleration::new(dof, forces, ground, fixed, mass))
@@ -60,7 +63,7 @@ impl Response {
         }
     }
 
-    /// Scales the row by the parameters of `point`.
+    /// Scales the row by the parameters at `point`.
     pub(super) fn linearise(&mut self, fixed: &Fixed, point: &Point) {
         if let Self::Acceleration(acceleration) = self {
             acceleration.linearise(fixed, point);
@@ -88,7 +91,8 @@ impl Response {
         }
     }
 
-    /// Returns the row of the Jacobian times a column (n) with the parts `x`, `v` (N_d) and `θ`.
+    /// Returns the product of the Jacobian row and a column (n) with the parts `x`, `v` (N_d) and
+    /// `θ`.
     pub(super) fn jacobian_dot(&self, free: usize, column: &[f64]) -> f64 {
         match self {
             Self::Displacement(terms) => terms
@@ -103,7 +107,7 @@ impl Response {
         }
     }
 
-    /// Adds the row of the Jacobian to a vector (n).
+    /// Adds the Jacobian row to a vector (n).
     pub(super) fn add_row_to(&self, free: usize, out: &mut [f64]) {
         match self {
             Self::Displacement(terms) => terms.iter().for_each(|(dof, factor)| out[*dof] += factor),
@@ -199,7 +203,7 @@ impl Acceleration {
                 }
             }
             Some(by_mass) => {
-                // row of M⁻¹K = K times the column of M⁻¹, both symmetric
+                // A row of M⁻¹K is K times a column of M⁻¹, because both are symmetric.
                 fixed
                     .assembly
                     .mul_to(&point.stiffness, by_mass, &mut self.stiffness);
@@ -213,7 +217,7 @@ impl Acceleration {
         self.write_row(fixed, point);
     }
 
-    /// Writes the row of the Jacobian, `−M⁻¹[K, α M + β K D + C]` and `∂/∂θ`.
+    /// Writes the Jacobian row, `−M⁻¹[K, α M + β K D + C]` and `∂/∂θ`.
     fn write_row(&mut self, fixed: &Fixed, point: &Point) {
         let free = fixed.assembly.len();
         let row = &mut self.row;

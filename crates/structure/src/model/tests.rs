@@ -1,4 +1,5 @@
-//! The Jacobian against differences, published frequencies, and two ways to the same structure.
+//! Tests of the Jacobian against differences, of published frequencies, and of equivalent
+//! structures.
 
 use super::*;
 use crate::modes::Modes;
@@ -7,7 +8,8 @@ use std::f64::consts::PI;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Relative agreement of an analytic derivative with a central difference: the difference loses half of the digits.
+/// Relative tolerance between an analytic derivative and a central difference, which loses half of
+/// the digits.
 const DERIVATIVE_TOLERANCE: f64 = 1e-6;
 
 fn parse(text: &str) -> Structure {
@@ -18,12 +20,14 @@ fn parse_at(text: &str, path: &Path) -> Structure {
     Structure::parse(text, path).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// All kinds of channels; degrees of freedom by number, so that every model with at least three can have them.
+/// Returns all kinds of channels, with degrees of freedom by number.
+///
+/// Every model with at least three degrees of freedom can have them.
 fn channels() -> String {
     channels_of(&CHANNELS)
 }
 
-/// Quantity, place and unit; hysteretic models have the first four.
+/// Quantity, position and unit; hysteretic models have the first four.
 const CHANNELS: [(&str, &str, &str); 6] = [
     ("absolute-acceleration", "dof = 1", "m/s2"),
     ("relative-acceleration", "dof = 2", "m/s2"),
@@ -66,7 +70,7 @@ dof = 2
 std = 1
 "#;
 
-/// Three storeys with every kind of parameter, some storeys and masses not scaled.
+/// Returns three storeys with every kind of parameter; no parameter scales some storeys and masses.
 fn shear_building() -> Structure {
     parse(&format!(
         r#"
@@ -108,7 +112,8 @@ const HIGH: &str =
 const DAMPING: &str =
     "%%MatrixMarket matrix coordinate real symmetric\n3 3 4\n1 1 5\n3 1 -2\n2 2 4\n3 3 6\n";
 
-/// The same three degrees of freedom from files, with a mass matrix that is not diagonal and the given damping.
+/// Returns a structure with three degrees of freedom from files, with a full mass matrix and the
+/// given damping.
 fn of_matrices(mass: &str, damping: &str) -> Structure {
     let folder = tempfile::tempdir().unwrap();
     for (name, content) in [
@@ -141,7 +146,7 @@ fn of_matrices(mass: &str, damping: &str) -> Structure {
     parse_at(&text, &path)
 }
 
-/// Three hysteretic springs with every kind of parameter, driven as said.
+/// Returns three hysteretic springs with every kind of parameter and the given drive.
 fn bouc_wen(drive: &str) -> Structure {
     parse(&format!(
         r#"
@@ -189,7 +194,7 @@ fn bouc_wen(drive: &str) -> Structure {
     ))
 }
 
-/// The three storeys with dashpots, two of them scaled.
+/// Returns the three storeys with dashpots, two of them scaled.
 fn dashpots() -> Structure {
     let text = shear_building().text().to_owned();
     let (from, to) = (
@@ -212,7 +217,9 @@ fn dashpots() -> Structure {
     ))
 }
 
-/// One node of a mesh that is free, with its three degrees of freedom: the end of an inclined beam, or the foot of bars.
+/// Returns a mesh with one free node of three degrees of freedom.
+///
+/// The node is the end of an inclined beam, or the common end of bars.
 fn of_members(model: &str) -> Structure {
     parse(&format!(
         r#"
@@ -254,7 +261,7 @@ support = [{ nodes = [2, 3, 4], fixed = ["x", "y", "z"] }]
 const WHOLE_DAMPING: &str =
     "[[parameter]]\nname = \"damping\"\nscales = \"damping\"\nof = \"all\"\n";
 
-/// The same building with one factor for both parts of its damping.
+/// Returns the building with one factor for both parts of its damping.
 fn with_whole_damping(structure: &Structure) -> Structure {
     let text = structure.text();
     let (start, end) = (
@@ -304,7 +311,7 @@ fn examples() -> Vec<(&'static str, Structure)> {
     ]
 }
 
-/// A state with displacements, velocities and parameters off their nominal values.
+/// Returns a state with displacements, velocities, and parameters off their nominal values.
 fn state_of(model: &StructureModel) -> Vec<f64> {
     let physical = model.state_len() - model.parameter_len();
     let entry = |i: usize| {
@@ -319,7 +326,7 @@ fn state_of(model: &StructureModel) -> Vec<f64> {
 
 const EXCITATION: [f64; 3] = [0.7, -3.0, 2.0];
 
-/// Central differences of `function` of the state, a column per entry.
+/// Returns central differences of `function` of the state, one column per entry.
 fn differences(
     state: &[f64],
     rows: usize,
@@ -395,7 +402,7 @@ fn the_observation_jacobian_is_the_derivative_of_the_observation() {
     }
 }
 
-/// Both are linear in the excitation, so that a difference of any size is exact.
+/// Both are linear in the excitation, so a difference of any size is exact.
 #[test]
 fn excitation_matrix_and_feedthrough_are_the_effect_of_the_excitation() {
     for (what, structure) in examples() {
@@ -429,7 +436,8 @@ fn excitation_matrix_and_feedthrough_are_the_effect_of_the_excitation() {
     }
 }
 
-/// ẍ relative to the ground plus the ground's acceleration at that degree of freedom is the absolute acceleration.
+/// The absolute acceleration is the relative acceleration ẍ plus the ground acceleration at that
+/// degree of freedom.
 #[test]
 fn absolute_is_relative_acceleration_plus_the_motion_of_the_ground() {
     let structure = shear_building();
@@ -449,7 +457,8 @@ fn absolute_is_relative_acceleration_plus_the_motion_of_the_ground() {
         (seen[1] - rate[4]).abs() < 1e-12,
         "relative, degree of freedom 2"
     );
-    // no force acts on degree of freedom 3, so that its restoring acceleration is its absolute one; ι = 0.5
+    // No force acts on degree of freedom 3, so its restoring and absolute accelerations are equal;
+    // ι = 0.5.
     assert!(
         (seen[2] - (rate[5] + 0.5 * EXCITATION[0])).abs() < 1e-12,
         "restoring, degree of freedom 3"
@@ -464,7 +473,7 @@ fn ground_motion_alone_has_no_direct_effect_on_absolute_accelerations() {
 
 #[test]
 fn matrices_of_a_shear_building_give_the_same_model() {
-    // storeys of 900, 700, 500 N/m: LOW holds the first two, HIGH the third
+    // Storeys of 900, 700, 500 N/m: LOW contains the first two, HIGH the third.
     let lumped = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 2\n2 2 1.5\n3 3 1\n";
     let dense = lumped.replace("3 3 3\n", "3 3 4\n") + "2 1 0\n";
     let rayleigh = "kind = \"rayleigh\"\nalpha-per-s = 0.3\nbeta-s = 0.004";
@@ -494,7 +503,8 @@ fn matrices_of_a_shear_building_give_the_same_model() {
     assert_close("H", &found.1, &expected.1, 1e-14);
 }
 
-/// Huang & Yuen (2023), §2.3.3: sixty storeys, k/m = 1632 s⁻², printed f₁ = 0.1669 Hz and 1.0 % in modes 1 and 2.
+/// Huang & Yuen (2023), §2.3.3: sixty storeys, k/m = 1632 s⁻²; printed f₁ = 0.1669 Hz and damping
+/// ratios of 1.0 % in modes 1 and 2.
 #[test]
 fn the_published_sixty_storey_building_has_its_frequencies_and_damping() {
     let structure = parse(
@@ -537,14 +547,15 @@ fn the_published_sixty_storey_building_has_its_frequencies_and_damping() {
     let ratios = modes.damping_ratios(&structure.system);
     assert!((frequencies[0] - 0.1669).abs() < 5e-5, "{}", frequencies[0]);
     assert!((frequencies[1] - 0.5007).abs() < 5e-5, "{}", frequencies[1]);
-    // β is printed with two figures, which leaves 1 % of the damping open
+    // β is printed with two figures, which leaves an uncertainty of 1 % in the damping.
     assert!((ratios[0] - 0.0100).abs() < 1e-4, "{}", ratios[0]);
     assert!((ratios[1] - 0.0101).abs() < 1e-4, "{}", ratios[1]);
-    // sample deviation √(2π S₀/Δt), printed as 0.1418 m/s²
+    // Standard deviation of a sample √(2π S₀/Δt), printed as 0.1418 m/s².
     assert!((structure.excitations()[0].std() - 0.1418).abs() < 5e-5);
 }
 
-/// Huang & Yuen (2023), chapter 3: five masses of 1 kg, springs of 5000 N/m, f₁ = 3.203 Hz and 1.00 % in modes 1 and 2.
+/// Huang & Yuen (2023), chapter 3: five masses of 1 kg, springs of 5000 N/m, f₁ = 3.203 Hz, damping
+/// ratios of 1.00 % in modes 1 and 2.
 #[test]
 fn the_published_chain_has_its_frequency() {
     let stiffness = crate::shear_building::ShearBuilding {
@@ -586,7 +597,7 @@ fn a_uniform_building_has_the_frequency_and_damping_it_was_asked_for() {
     );
 }
 
-/// Natural frequencies (Hz) and damping ratios as designed of an example file.
+/// Returns the natural frequencies (Hz) and damping ratios of an example file as designed.
 fn modes_of(text: &str) -> (Vec<f64>, Vec<f64>) {
     let structure = parse(text);
     let modes = structure.nominal_modes().unwrap();
@@ -598,8 +609,8 @@ fn modes_of(text: &str) -> (Vec<f64>, Vec<f64>) {
     (frequencies, modes.damping_ratios(&structure.system))
 }
 
-/// Huang & Yuen (2023), §2.4.6 and §5.6.2: the small motions of both chains, 1 % and 2 % in modes 1 and 2; the second has a
-/// period of 0.494 s.
+/// Huang & Yuen (2023), §2.4.6 and §5.6.2: small motions of both chains, damping ratios of 1 % and
+/// 2 % in modes 1 and 2. The second chain has a period of 0.494 s.
 #[test]
 fn the_published_hysteretic_chains_have_their_frequencies_and_damping() {
     let (frequencies, ratios) =
@@ -624,7 +635,8 @@ fn the_published_hysteretic_chains_have_their_frequencies_and_damping() {
     );
 }
 
-/// `a` multiplies the stiffness of small motions, and with it their frequencies: θ₁/m = 6 s⁻² of the oscillator.
+/// `a` multiplies the stiffness for small motions, and so changes the frequencies: θ₁/m = 6 s⁻² for
+/// the oscillator.
 #[test]
 fn the_oscillator_has_the_frequency_of_its_initial_slope() {
     let (frequencies, _) = modes_of(include_str!(
@@ -636,7 +648,8 @@ fn the_oscillator_has_the_frequency_of_its_initial_slope() {
     );
 }
 
-/// Huang & Yuen (2023), §5.6.1: `ω_j = 80 sin((2j − 1) π / 202)`, 1 % in modes 1 and 2.
+/// Huang & Yuen (2023), §5.6.1: `ω_j = 80 sin((2j − 1) π / 202)`, damping ratios of 1 % in modes 1
+/// and 2.
 #[test]
 fn the_published_fifty_storey_building_has_its_frequencies_and_damping() {
     let (frequencies, ratios) = modes_of(include_str!("../../../../docs/examples/high-rise.toml"));
@@ -649,15 +662,16 @@ fn the_published_fifty_storey_building_has_its_frequencies_and_damping() {
             mode + 1
         );
     }
-    // α and β are printed with two figures and one, which leaves some of the damping open
+    // α and β are printed with two figures and one figure, which leaves some uncertainty in the
+    // damping.
     assert!(
         (ratios[0] - 0.01).abs() < 2e-4 && (ratios[1] - 0.01).abs() < 2e-4,
         "{ratios:?}"
     );
 }
 
-/// First natural frequencies of a cantilever of Euler-Bernoulli beams, `(β L)² √(EI / m L⁴) / 2π`, βL = 1.8751, 4.6941;
-/// three elements are within 1 % of the second.
+/// First natural frequencies of a cantilever of Euler-Bernoulli beams, `(β L)² √(EI / m L⁴) / 2π`,
+/// βL = 1.8751, 4.6941. Three elements reproduce the second within 1 %.
 #[test]
 fn the_mast_of_the_example_is_a_cantilever() {
     let mast = Structure::read(Path::new("../../docs/examples/matrices.toml")).unwrap();
@@ -675,7 +689,7 @@ fn the_mast_of_the_example_is_a_cantilever() {
 }
 
 proptest! {
-    /// The bound holds for any parameters within their limits.
+    /// The bound holds for any parameters within their bounds.
     #[test]
     fn no_rate_exceeds_the_bound(
         factors in proptest::collection::vec(0.05f64..20.0, 7),
@@ -696,7 +710,8 @@ proptest! {
         }
     }
 
-    /// Any columns at once give the same as one by one, bit by bit: six are more than are multiplied together.
+    /// Several columns at once give bit-identical results to one column at a time. Six columns
+    /// exceed one block.
     #[test]
     fn columns_do_not_depend_on_each_other(values in proptest::collection::vec(-1.0f64..1.0, 6 * 13)) {
         for (what, structure) in examples() {
@@ -715,7 +730,8 @@ proptest! {
     }
 }
 
-/// A factor on all damping is that of the coefficients, for Rayleigh damping, dashpots and a given matrix.
+/// A factor on all damping equals a factor on its coefficients, for Rayleigh damping, dashpots and
+/// a given matrix.
 #[test]
 fn a_factor_on_all_damping_is_one_on_its_coefficients() {
     let whole = with_whole_damping(&shear_building());

@@ -1,32 +1,33 @@
-//! How a simulated structure moves from one frame to the next, and what its sensors see.
+//! Motion of a simulated structure from one frame to the next, and its observation by the sensors.
 
 use crate::linear_form::{LinearForm, Recursion};
 use crate::model::StructureModel;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
 
-/// Hysteretic springs are followed in substeps of at most this share of the fastest rate at rest: a step of Runge-Kutta
-/// is then off by less than 10⁻⁷ of the state, far below any noise.
+/// Maximum product of a substep and the fastest rate at rest, for hysteretic springs.
+///
+/// The error of a Runge-Kutta step is then below 10⁻⁷ of the state, far below any noise.
 const RATE_TIMES_SUBSTEP: f64 = 0.1;
 
-/// What the springs are taken as.
+/// Amplitude of the motion, which determines the treatment of hysteretic springs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Amplitude {
-    /// As they are.
+    /// The springs follow their law.
     Any,
-    /// Linear, as for small motions.
+    /// The springs are linear, as for small motions.
     Small,
 }
 
-/// A structure on the way from frame to frame.
+/// A structure in motion.
 #[derive(Debug, Clone)]
 pub(super) struct Motion {
     model: StructureModel,
     step_s: f64,
-    /// How each component of the excitation runs between frames.
+    /// Hold of each excitation component between frames.
     holds: Vec<InputHold>,
     rule: Rule,
-    /// `u` (2 N_d)
+    /// `u` (2 N_d).
     state: DVector<f64>,
     next_state: DVector<f64>,
 }
@@ -39,11 +40,11 @@ enum Rule {
         observation: DMatrix<f64>,
         direct: DMatrix<f64>,
     },
-    /// The fourth-order method of Runge and Kutta.
+    /// The fourth-order Runge-Kutta method.
     RungeKutta(Stages),
 }
 
-/// Scratch of the method; a `point` is a state with its parameters.
+/// Workspace of the Runge-Kutta method; `point` is a state with its parameters.
 #[derive(Debug, Clone)]
 struct Stages {
     theta: Vec<f64>,
@@ -84,7 +85,7 @@ impl Motion {
         self.state.as_slice()
     }
 
-    /// Changes the parameters from now on.
+    /// Sets the parameters for the following steps.
     pub(super) fn set_parameters(&mut self, theta: &[f64]) {
         match &mut self.rule {
             Rule::Exact { .. } => {
@@ -94,7 +95,7 @@ impl Motion {
         }
     }
 
-    /// Writes `z` (N_0) of this instant under `excitation` (N_f).
+    /// Writes `z` (N_0) at this frame under `excitation` (N_f).
     pub(super) fn respond(&mut self, excitation: &DVector<f64>, response: &mut DVector<f64>) {
         match &mut self.rule {
             Rule::Exact {
@@ -114,7 +115,7 @@ impl Motion {
         }
     }
 
-    /// Moves by one step, from `excitation` to `next` (N_f).
+    /// Advances by one step, from `excitation` to `next` (N_f).
     pub(super) fn advance(&mut self, excitation: &DVector<f64>, next: &DVector<f64>) {
         match &mut self.rule {
             Rule::Exact {
@@ -126,7 +127,7 @@ impl Motion {
                     },
                 ..
             } => {
-                self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u                 (2.7)
+                self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u (2.7)
                 self.next_state.gemv(1.0, input, excitation, 1.0); // + B f_i
                 if self.holds.contains(&InputHold::First) {
                     self.next_state.gemv(1.0, slope, next, 1.0); // + B₁ (f_{i+1} − f_i)
@@ -198,7 +199,7 @@ impl Stages {
         self.point[physical..].copy_from_slice(&self.theta);
     }
 
-    /// Moves `state` by one of the substeps of a step, over which the excitation runs straight.
+    /// Advances `state` by one substep of a step with linear excitation.
     fn advance(
         &mut self,
         model: &mut StructureModel,
@@ -209,7 +210,7 @@ impl Stages {
     ) {
         let h = step_s / self.substeps as f64;
         self.sum.fill(0.0);
-        // how far each stage looks ahead, and what it counts
+        // Offset and weight of each stage.
         for (ahead, weight) in [(0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)] {
             self.set_point(state, ahead * h);
             let progress = (substep as f64 + ahead) / self.substeps as f64;

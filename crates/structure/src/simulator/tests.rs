@@ -1,4 +1,4 @@
-//! The simulation against closed forms, its faults, and its repeatability.
+//! Tests of the simulation against closed forms, of its faults, and of its repeatability.
 
 use super::*;
 use crate::linear_form::{LinearForm, Recursion};
@@ -11,7 +11,9 @@ fn parse(text: &str) -> Structure {
     Structure::parse(text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// One mass of 2 kg on a spring of 200 N/m with `α` damping, pushed by white noise; its displacement is seen.
+/// Returns one mass of 2 kg on a spring of 200 N/m with `α` damping.
+///
+/// White noise excites it, and a sensor measures its displacement.
 fn oscillator(simulation: &str) -> Structure {
     parse(&format!(
         r#"
@@ -54,7 +56,9 @@ fn oscillator(simulation: &str) -> Structure {
     ))
 }
 
-/// The answer of the oscillator to a force held over a step, from its complex amplitude: `x(t) = x_s + Re(c e^{st})`.
+/// Returns the response of the oscillator to a force held over a step.
+///
+/// It uses the complex amplitude: `x(t) = x_s + Re(c e^{st})`.
 fn exact_step(k: f64, x: f64, v: f64, f: f64, t: f64) -> (f64, f64) {
     let (m, alpha) = (2.0, 0.8);
     let decay = alpha / 2.0;
@@ -86,7 +90,8 @@ fn an_oscillator_follows_its_closed_solution() {
     }
 }
 
-/// A force that runs straight over a step is the limit of many small held steps: second order in their size.
+/// A force that is linear over a step is the limit of many small held steps, with second-order
+/// convergence.
 #[test]
 fn a_first_order_hold_is_the_limit_of_small_held_steps() {
     let mut model = oscillator("").model();
@@ -115,7 +120,8 @@ fn a_first_order_hold_is_the_limit_of_small_held_steps() {
     );
 }
 
-/// Three floors whose velocities are seen, as a shear building or with hysteretic springs that are hardly moved.
+/// Returns three floors with velocity sensors, as a shear building or with hysteretic springs under
+/// small motions.
 fn chain(model: &str, hold: &str, std: f64) -> Structure {
     let floors = [1, 2, 3].map(|floor| {
         format!(
@@ -161,10 +167,11 @@ fn chain(model: &str, hold: &str, std: f64) -> Structure {
 
 const LAW: &str = "kind = \"bouc-wen\"\nmu = 1000\nkappa = 1500\neta = 2\n";
 
-/// Springs far below their yield amplitude are linear: the substeps against the exact recursion, damage included.
+/// Springs far below their yield amplitude are linear: substeps against the exact recursion, with
+/// damage.
 ///
-/// A substep `h` is off by `(ωh)⁵/120`, and damping forgets it in `1/(ζωh)` substeps: with `ωh < 0.1` and ζ = 2 % that adds
-/// up to 4·10⁻⁵ of the amplitude.
+/// A substep `h` has the error `(ωh)⁵/120`, which damping forgets in `1/(ζωh)` substeps. With
+/// `ωh < 0.1` and ζ = 2 % the sum is 4·10⁻⁵ of the amplitude.
 #[test]
 fn small_motions_of_hysteretic_springs_are_those_of_a_shear_building() {
     for hold in ["zero-order", "first-order"] {
@@ -192,7 +199,7 @@ fn small_motions_of_hysteretic_springs_are_those_of_a_shear_building() {
     }
 }
 
-/// No motion takes a spring beyond `(μ + κ)^(−1/η)`, and this one takes it there.
+/// No motion takes a spring beyond `(μ + κ)^(−1/η)`, and this motion reaches that limit.
 #[test]
 fn hysteretic_springs_yield() {
     for drive in ["floor", "drift"] {
@@ -222,7 +229,7 @@ fn the_excitation_has_the_variance_of_the_file_and_is_white() {
         .collect();
     let mean_square = force.iter().map(|f| f * f).sum::<f64>() / frames as f64;
     let lagged = force.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>() / frames as f64;
-    // standard deviations of both estimates: σ² √(2/N) and σ²/√N; four of them
+    // Standard deviations of both estimates: σ² √(2/N) and σ²/√N; the tolerance is four of them.
     assert!(
         (mean_square - 100.0).abs() < 4.0 * 100.0 * (2.0 / frames as f64).sqrt(),
         "{mean_square}"
@@ -256,7 +263,7 @@ fn the_motion_does_not_depend_on_the_faults() {
             assert!(faulty.is_nan() || faulty == clean);
         }
     }
-    // binomial: four standard deviations
+    // Binomial: four standard deviations.
     let (share, expected) = (dropped as f64 / all as f64, 0.2);
     assert!(
         (share - expected).abs() < 4.0 * (0.2 * 0.8 / all as f64).sqrt(),
@@ -267,7 +274,7 @@ fn the_motion_does_not_depend_on_the_faults() {
 #[test]
 fn spikes_are_as_frequent_and_as_high_as_asked() {
     let structure = oscillator("[simulation]\nspike-share = 0.05\nspike-height = 1e13\n");
-    // 1e13 deviations of 1e-12 are 10 N, or 10 m: far beyond any displacement
+    // 1e13 standard deviations of 1e-12 are 10 N, or 10 m: far beyond any displacement.
     let spikes = structure
         .simulator(4)
         .take(4000)
@@ -293,14 +300,14 @@ fn the_truth_follows_the_damage() {
     assert_eq!(demo.true_parameters(5999), [1.0; 6]);
     assert_eq!(demo.true_parameters(6000)[1], 0.85);
     let noisy = Structure::read(Path::new("../../docs/examples/noisy.toml")).unwrap();
-    // 10 % over 30 s from 60 s on, then 5 % of another storey at 120 s
+    // 10 % over 30 s from 60 s on, then 5 % of another storey at 120 s.
     let half = noisy.true_parameters(7500)[0];
     assert!((half - 0.95).abs() < 1e-12, "{half}");
     assert_eq!(noisy.true_parameters(12_000)[0], 0.9);
     assert_eq!(noisy.true_parameters(12_000)[2], 0.95);
 }
 
-/// `W` is largest, 2, at `t_a + t_b`; 1 before `t_a`: Huang & Yuen (2023), §3.4.
+/// `W` has its maximum, 2, at `t_a + t_b`, and is 1 before `t_a`: Huang & Yuen (2023), §3.4.
 #[test]
 fn a_modulated_excitation_swells_to_twice_its_amplitude() {
     let modulation = crate::simulation_plan::Modulation {
@@ -312,7 +319,7 @@ fn a_modulated_excitation_swells_to_twice_its_amplitude() {
     assert!(modulation.amplitude(119.0) < 2.0 && modulation.amplitude(121.0) < 2.0);
 }
 
-/// Over a very short step the recursion moves the state by its rate of change.
+/// Over a very short step, the recursion moves the state by its rate of change.
 #[test]
 fn the_recursion_is_the_integral_of_the_process() {
     let mut model = oscillator("").model();
@@ -332,7 +339,7 @@ fn the_recursion_is_the_integral_of_the_process() {
 
 #[test]
 fn modulated_excitation_swells_as_declared() {
-    // s = (t − 20)/10: 1 before 20 s, 2 at 30 s, and dies off again
+    // s = (t − 20)/10: 1 before 20 s, 2 at 30 s, then decaying.
     let structure = oscillator("[simulation]\nmodulation = { start-s = 20, rise-s = 10 }\n");
     let push: Vec<f64> = structure
         .simulator(4)
@@ -347,7 +354,7 @@ fn modulated_excitation_swells_as_declared() {
         (50, 1.0 + 3.0 * (-2.0_f64).exp()),
         (100, 1.0 + 8.0 * (-7.0_f64).exp()),
     ] {
-        // 200 samples: the deviation has a standard deviation of 5 %
+        // 200 samples: the estimated standard deviation has a standard deviation of 5 %.
         let found = rms(50 * time_s - 100) / 10.0;
         assert!(
             (found / expected - 1.0).abs() < 0.2,

@@ -1,10 +1,10 @@
-//! The route of the filter for any Jacobian, for a model that has a faster one.
+//! A model wrapper that forces the filter's route for a general Jacobian.
 
 use nalgebra::DMatrix;
 use spandrel_filter::{ObservationModel, ProcessModel};
 use spandrel_structure::StructureModel;
 
-/// A structure whose damping the filter does not know to be proportional.
+/// A structure that hides its proportional damping from the filter.
 #[derive(Debug, Clone)]
 pub struct ByOperator(pub StructureModel);
 

@@ -1,4 +1,4 @@
-//! Structures of every kind for the tests of whole runs.
+//! Structures of every kind for tests of whole runs.
 #![allow(dead_code, reason = "no test needs all of them")]
 
 use spandrel_structure::Structure;
@@ -19,7 +19,7 @@ pub fn text_of(name: &str) -> String {
     std::fs::read_to_string(path).unwrap()
 }
 
-/// Reads a structure from its text, as if it were an example of the book.
+/// Reads a structure from its text, as a file in the folder of the examples.
 pub fn parse(name: &str, text: &str) -> Structure {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../docs/examples")
@@ -28,7 +28,8 @@ pub fn parse(name: &str, text: &str) -> Structure {
     Structure::parse(text, &path).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// A portal of three beams, with mass by their shape functions or at its nodes, pushed sideways by what nobody measures.
+/// Returns a portal of three beams with consistent or lumped mass, under an unmeasured sideways
+/// excitation.
 pub fn portal(mass: &str) -> Structure {
     let text = format!(
         r#"
@@ -75,7 +76,7 @@ pub fn portal(mass: &str) -> Structure {
     )
 }
 
-/// A mast of four bars in a plane on two supports, with mass at its nodes or by the shape functions of its bars.
+/// Returns a plane mast of four bars on two supports, with lumped or consistent mass.
 pub fn small_truss(mass: &str) -> Structure {
     let text = format!(
         r#"
@@ -114,7 +115,7 @@ pub fn small_truss(mass: &str) -> Structure {
     )
 }
 
-/// Damping, two parameters, a ground motion that nobody measures and two accelerometers.
+/// Returns damping, two parameters, an unmeasured ground motion and two accelerometers.
 fn sway(first: &str, second: &str, one: &str, other: &str, direction: &str) -> String {
     let mut text = format!(
         r#"
@@ -144,7 +145,7 @@ fn sway(first: &str, second: &str, one: &str, other: &str, direction: &str) -> S
     text
 }
 
-/// The tower with 12 beams in place of 37.
+/// Returns the tower with 12 beams instead of 37.
 pub fn small_tower() -> Structure {
     let mut text = text_of("tower")
         .replace("elements = 27", "elements = 8")
@@ -164,7 +165,7 @@ pub fn small_tower() -> Structure {
     parse("tower", &text)
 }
 
-/// The tower with four beams, at its own rate.
+/// Returns the tower with four beams, at its own sampling rate.
 pub fn smallest_tower() -> Structure {
     let mut text = text_of("tower")
         .replace("elements = 27", "elements = 2")
@@ -184,8 +185,10 @@ pub fn smallest_tower() -> Structure {
     parse("tower", &text)
 }
 
-/// Eight unequal storeys with parameters of every kind, under a measured push and an unmeasured ground motion that its sensors
-/// feel at once; the push runs in straight lines from frame to frame.
+/// Returns eight unequal storeys with parameters of every kind.
+///
+/// A measured force and an unmeasured ground motion excite them. The ground motion affects the
+/// sensors directly. The force is linear from frame to frame.
 pub fn building_with_masses() -> Structure {
     let mut text = String::from(
         r#"

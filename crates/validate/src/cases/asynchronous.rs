@@ -1,7 +1,9 @@
-//! Chapter 7, §7.2 and §7.3: sensors whose clocks disagree, in one filter and in filters of their own.
+//! Chapter 7, §7.2 and §7.3: sensors whose clocks disagree, with one filter and with a filter per
+//! node.
 //!
-//! The source prints curves and no numbers; required is what the page's own runs hold. Its runs of the truss keep eight modes
-//! and 250 Hz; here the structure has all its degrees of freedom and the published 1000 Hz.
+//! The source prints curves and no numbers. The requirements are the values that the reference runs
+//! of the specification reach. Those runs of the truss keep eight modes at 250 Hz. Here the
+//! structure has all its degrees of freedom and the published 1000 Hz.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -28,11 +30,11 @@ pub(super) fn simulate(text: &str, seconds: f64, run: &Run<'_>) -> Result<Scene,
     )
 }
 
-/// Place of the factor of β among the parameters, and its upper bound in the file.
+/// Index of the factor of β among the parameters, and its upper bound in the file.
 const BETA: usize = 2;
 const BETA_BOUND: f64 = 20.0;
 
-/// One channel of two comes late by one sample, and by ten.
+/// Runs two channels, one of which is late by one sample and by ten samples.
 pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let seconds = run.pick(100.0, 40.0);
     let scene = simulate(TWO_DOF, seconds, run)?;
@@ -158,7 +160,8 @@ pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     })
 }
 
-/// Of a mode of the two degrees of freedom, by the printed coefficients.
+/// Returns the damping ratio of a mode of the two degrees of freedom, from the printed
+/// coefficients.
 fn damping(frequency_hz: f64) -> f64 {
     let omega = 2.0 * std::f64::consts::PI * frequency_hz;
     0.283 / (2.0 * omega) + 2.828e-4 * omega / 2.0
@@ -166,17 +169,17 @@ fn damping(frequency_hz: f64) -> f64 {
 
 /// Frequencies of the truss as printed (Hz).
 const FREQUENCIES: [f64; 5] = [2.188, 2.359, 5.233, 5.586, 8.338];
-/// How far the clock of each node is off against the input (ms), table 7.1.
+/// Clock offset of each node relative to the input (ms), table 7.1.
 pub(super) const SHIFTS_MS: [usize; 10] = [32, 10, 19, 18, 28, 5, 24, 1, 29, 22];
 pub(super) const GROUPS: usize = 6;
 const DAMAGED: [usize; 2] = [1, 5];
-/// What a channel shows is known at each millisecond.
+/// Rate at which the clean channels are simulated (Hz), so that a shift of 1 ms is one sample.
 pub(super) const FINE_HZ: f64 = 1000.0;
-/// Errors count from here on, and not for so long after a damage (s).
+/// Start of the window in which errors count, and time left out after each damage (s).
 pub(super) const COUNTED_FROM_S: f64 = 20.0;
 pub(super) const AFTER_DAMAGE_S: f64 = 15.0;
 
-/// The file at another rate, damaged at other times.
+/// Returns the truss file with another rate and other damage times.
 pub(super) fn truss_at(rate_hz: f64, damages: [f64; 2]) -> String {
     TRUSS
         .replacen(
@@ -188,7 +191,7 @@ pub(super) fn truss_at(rate_hz: f64, damages: [f64; 2]) -> String {
         .replacen("at-s = 150", &format!("at-s = {}", damages[1]), 1)
 }
 
-/// Sixteen bays, ten nodes with clocks of their own.
+/// Runs the truss with sixteen bays and ten nodes, each with its own clock.
 pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let (rate_hz, seconds, damages) = run.pick(
         (FINE_HZ, 200.0, [100.0, 150.0]),

@@ -1,6 +1,8 @@
-//! Chapter 5, §5.6.2: a chain of five hysteretic springs, a baseline and a class for each spring that calibrate the model.
+//! Chapter 5, §5.6.2: a chain of five hysteretic springs. A baseline class competes with one class
+//! per spring, and the classes calibrate the model.
 //!
-//! Not printed and fixed here: masses of 1 kg (only these give the printed period and damping), motion of the ground.
+//! The source does not print the masses or the type of input. Here the masses are 1 kg, which alone
+//! gives the printed period and damping, and the input is ground motion.
 
 use super::classes::{compare, published_settings};
 use crate::error::ValidateError;
@@ -106,7 +108,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             .map_or(from_s, |(time_s, _)| *time_s)
     };
     let baseline = |class| class == ClassId::Baseline;
-    // a repair of a small error late in the window may come from the next damage's side: the page counts from the last one
+    // A late repair of a small error may belong to the next damage, so the count starts from the
+    // last one.
     let last_of_first = last(first_s, second_s);
     let share = Figure::new(
         "share in which the baseline leads, from the last calibration of the first damage on",

@@ -1,7 +1,9 @@
-//! Chapter 5, §5.6.3: a dome of 42 bars; classes for six substructures, then for the seven bars of the suspected one.
+//! Chapter 5, §5.6.3: a dome of 42 bars. Classes first describe six substructures, then the seven
+//! bars of the suspected one.
 //!
-//! The drawing of the dome is lost: the geometry here is a substitute with the printed numbers of nodes and bars, near the
-//! printed frequencies. Persistence by share instead of by consecutive steps: two bars that fail at once take turns.
+//! The drawing of the dome is lost. The substitute geometry here has the printed numbers of nodes
+//! and bars and nearly the printed frequencies. Persistence counts a share of steps instead of
+//! consecutive steps, because two bars that fail together alternate in the lead.
 
 use super::classes::{Comparison, compare, published_settings};
 use crate::error::ValidateError;
@@ -14,7 +16,7 @@ use spandrel_filter::{ClassEvent, ClassId, ClassSettings, PersistenceRule};
 const FILE: &str = include_str!("../../../../docs/examples/dome-bars.toml");
 const BARS: usize = 42;
 const PERSISTENCE_STEPS: usize = 500;
-/// Bars (from 0) that fail first, and at once later on.
+/// Index of the bar that fails first, and of the two that later fail together (from 0).
 const FIRST: usize = 30;
 const LATER: [usize; 2] = [21, 39];
 
@@ -50,7 +52,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .zip([0.246, 1.403, 4.834, 5.449, 7.724])
         .enumerate()
     {
-        // of the substitute, beside the printed ones
+        // Frequencies of the substitute geometry, next to the printed ones.
         let substitute = [0.234, 0.911, 5.092, 6.602, 6.622][mode];
         let required = Required::relative(substitute, 0.005);
         figures.push(
@@ -86,7 +88,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             },
         )
         .published(2.414),
-        // between up and down: a bar that is never healed has no time, and misses
+        // A bar that is never healed has no time, and its figure misses.
         Figure::new(
             "first damage: bar 31 healed (s)",
             seen.first_event(first_s, healed(FIRST)),
@@ -179,10 +181,10 @@ fn down(event: &ClassEvent) -> bool {
     matches!(event, ClassEvent::LevelDown { .. })
 }
 
-/// Figures of two bars that fail at once.
+/// Adds the figures of the two bars that fail together.
 fn double_damage(seen: &Comparison, second_s: f64, seconds: f64, figures: &mut Vec<Figure>) {
     let times = LATER.map(|bar| seen.first_event(second_s, healed(bar)));
-    // a bar that never was is later than any
+    // A bar that is never found counts as later than any other.
     let both = times
         .iter()
         .map(|time_s| {

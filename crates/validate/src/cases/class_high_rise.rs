@@ -1,7 +1,9 @@
-//! Chapter 5, §5.6.1: a fifty-storey building, five predefined classes that take its lowest storeys more and more singly.
+//! Chapter 5, §5.6.1: a fifty-storey building with five predefined classes, which model more and
+//! more of the lowest storeys individually.
 //!
-//! Not printed and fixed here: prior deviation 0.05, a building at rest, absolute accelerations, the second damage in storey
-//! 3 as all results have it. A building of twenty storeys, which costs little, is compared as well.
+//! Not printed and therefore fixed here: a prior deviation of 0.05, a building at rest and absolute
+//! accelerations. The second damage is in storey 3, which all printed results agree with. A
+//! building of twenty storeys, which is cheap to run, is compared as well.
 
 use super::classes::{Comparison, compare, published_settings, rayleigh};
 use crate::error::ValidateError;
@@ -16,11 +18,11 @@ const FILE: &str = include_str!("../../../../docs/examples/high-rise.toml");
 const PRIOR_STD: f64 = 0.05;
 const WATCHED_FLOORS: [&str; 3] = ["floor-1", "floor-10", "floor-20"];
 
-/// Why the class that the source names does not always lead after the second damage.
+/// Reason why the class named by the source does not always lead after the second damage.
 const NESTED: &str =
     "the jump of the acceleration at the damage may favour C(5), which contains C(4)";
 
-/// A building with the times of its damages.
+/// A building and its damage times.
 struct Building {
     storeys: usize,
     text: String,
@@ -37,7 +39,8 @@ fn fifty() -> Building {
     }
 }
 
-/// The building of the file with twenty storeys only, the last group from 11 to 20, and 1 % damping in two modes.
+/// Returns the building with twenty storeys. The last group has storeys 11 to 20, and two modes
+/// have a damping ratio of 1 %.
 fn twenty() -> Building {
     let omega = |mode: f64| 80.0 * ((2.0 * mode - 1.0) * PI / 82.0).sin();
     let [alpha, beta] = rayleigh([omega(1.0), omega(2.0)], 0.01);
@@ -49,7 +52,7 @@ fn twenty() -> Building {
         .replace("at-s = 80\n", "at-s = 40\n")
         .replace("at-s = 150\n", "at-s = 75\n");
     for floor in [30, 40, 50] {
-        // the node of a floor that is not there, up to the next table
+        // Remove the node of each missing floor, up to the next table.
         let begin = text
             .find(&format!("[[node]]\nname = \"floor-{floor}\""))
             .unwrap_or(text.len());
@@ -116,7 +119,8 @@ fn measure(
         },
     };
     let settings = published_settings(&scene, PRIOR_STD)?;
-    // two fundamental periods are the source's; nothing is acted on here, so it tells only when a lead is told
+    // The source uses two fundamental periods. Nothing acts on the result here, so this value only
+    // sets when a lead is announced.
     let classes = ClassSettings::published(classes, (1.0 / scene.step_s) as usize);
     let mut single = [f64::NAN; 3];
     let mut ends = [f64::NAN; 2];
@@ -225,13 +229,14 @@ fn measure(
     Ok(())
 }
 
-/// Figures of who leads when.
+/// Adds the figures of which class leads when.
 fn lead_figures(building: &Building, seen: &Comparison, figures: &mut Vec<Figure>) {
     let named = |what: &str| format!("{} storeys: {what}", building.storeys);
     let [first_s, second_s] = building.damage_s;
     let fifty = building.storeys == 50;
     let is = |number: usize| move |class: ClassId| class == ClassId::Predefined(number - 1);
-    // where the acceleration jumps at the damage, the next richer class may lead as well: it has storey 1 singly, too
+    // The next richer class may lead if the acceleration jumps at the damage. It also has storey 1
+    // on its own.
     let has_storey_1 = move |class| is(2)(class) || (fifty && is(3)(class));
     let published = |figure: Figure, value: f64| {
         if fifty {

@@ -1,4 +1,4 @@
-//! What the three examples of chapter 5 have in common: classes that compete over one record.
+//! Parts shared by the three examples of chapter 5: classes that compete over one record.
 
 use crate::error::ValidateError;
 use crate::outcome::{Plot, Series, SeriesKind};
@@ -8,26 +8,26 @@ use crate::statistics::Accuracy;
 use spandrel_filter::{ClassBank, ClassEvent, ClassId, ClassSettings, FilterSettings};
 use spandrel_structure::StructureClasses;
 
-/// Frames between two points of a curve (s).
+/// Time between two points of a curve (s).
 const CURVE_EVERY_S: f64 = 0.05;
 
-/// A record as the classes saw it.
+/// Results of the model classes over one record.
 pub(super) struct Comparison {
     step_s: f64,
-    /// the most plausible class at every frame
+    /// Most plausible class at each frame.
     leaders: Vec<ClassId>,
-    /// what happened, with its time (s)
+    /// Events with their times (s).
     pub(super) events: Vec<(f64, ClassEvent)>,
-    /// estimate over the classes of each parameter of the file
+    /// Estimate of each parameter of the file, combined over the classes.
     pub(super) courses: Vec<Course>,
-    /// plausibility of each class of the first level, at every so many frames
+    /// Plausibility of each class of the first level, sampled every [`CURVE_EVERY_S`].
     plausibilities: Vec<(String, Vec<(f32, f32)>)>,
-    /// of each watched state, from 5 s on
+    /// Accuracy of each watched state, from 5 s on.
     pub(super) responses: Vec<Accuracy>,
 }
 
-/// The settings of the source: a prior of this deviation for every parameter, no start-up aid, no bound of variances, and a
-/// structure at rest.
+/// Returns the settings of the source: this prior deviation for every parameter, no start-up aid,
+/// no bound on the variances, and a structure at rest.
 pub(super) fn published_settings(
     scene: &Scene,
     parameter_std: f64,
@@ -44,7 +44,7 @@ pub(super) fn published_settings(
     Ok(settings)
 }
 
-/// Runs the classes over a record; `look` sees the bank after each frame.
+/// Runs the classes over a record. `look` receives the bank after each frame.
 pub(super) fn compare(
     scene: &Scene,
     settings: FilterSettings,
@@ -80,7 +80,7 @@ pub(super) fn compare(
                     truth[j],
                 );
             }
-            // a class that does not compete at this level has none
+            // A class that does not compete at this level has plausibility 0.
             for (_, points) in &mut seen.plausibilities {
                 points.push((time_s as f32, 0.0));
             }
@@ -121,14 +121,15 @@ pub(super) fn compare(
 }
 
 impl Comparison {
-    /// Share of the frames of a window (s) at which one of some classes leads.
+    /// Returns the share of the frames in a window (s) at which a class selected by `of` leads.
     pub(super) fn share(&self, from_s: f64, to_s: f64, of: impl Fn(ClassId) -> bool) -> f64 {
         let frame = |time_s: f64| ((time_s / self.step_s).round() as usize).min(self.leaders.len());
         let window = &self.leaders[frame(from_s)..frame(to_s)];
         window.iter().filter(|leader| of(**leader)).count() as f64 / window.len() as f64
     }
 
-    /// Time after `from_s` (s) of the first frame at which one of some classes leads.
+    /// Returns the time (s) from `from_s` to the first frame at which a class selected by `of`
+    /// leads.
     pub(super) fn first_lead(&self, from_s: f64, of: impl Fn(ClassId) -> bool) -> f64 {
         let begin = (from_s / self.step_s).round() as usize;
         let found = self
@@ -139,7 +140,7 @@ impl Comparison {
         found.map_or(f64::NAN, |frames| frames as f64 * self.step_s)
     }
 
-    /// Time after `from_s` (s) of the first event of a kind.
+    /// Returns the time (s) from `from_s` to the first event selected by `of`.
     pub(super) fn first_event(&self, from_s: f64, of: impl Fn(&ClassEvent) -> bool) -> f64 {
         let found = self
             .events
@@ -148,7 +149,7 @@ impl Comparison {
         found.map_or(f64::NAN, |(time_s, _)| time_s - from_s)
     }
 
-    /// Times (s) of the calibrations in a window, with the class.
+    /// Returns the times (s) of the calibrations in a window, each with its class.
     pub(super) fn calibrations(&self, from_s: f64, to_s: f64) -> Vec<(f64, ClassId)> {
         let calibration = |(time_s, event): &(f64, ClassEvent)| match event {
             ClassEvent::Calibrated { by, .. } => Some((*time_s, *by)),
@@ -161,7 +162,7 @@ impl Comparison {
             .collect()
     }
 
-    /// Plausibilities over time, of the classes that ever led.
+    /// Plots the plausibilities over time of all classes that ever led.
     pub(super) fn plausibility_plot(&self, title: &str) -> Plot {
         let curve = |points: &Vec<(f32, f32)>| {
             let every = (points.len() / 1200).max(1);
@@ -177,13 +178,14 @@ impl Comparison {
         Plot::over_time(title, "plausibility", series).within(0.0, 1.0)
     }
 
-    /// The course of a parameter with its interval.
+    /// Plots the estimate of a parameter with its interval.
     pub(super) fn parameter_plot(&self, parameter: usize, name: &str, range: (f32, f32)) -> Plot {
         self.courses[parameter].plot(name, "ratio to nominal", range)
     }
 }
 
-/// Angular frequencies of modes 1 and 2 give `α` and `β` of a damping ratio that is the same in both.
+/// Returns the Rayleigh coefficients `α` and `β` that give the modes of these two angular
+/// frequencies (rad/s) the same damping ratio.
 pub(super) fn rayleigh(omega: [f64; 2], ratio: f64) -> [f64; 2] {
     let sum = omega[0] + omega[1];
     [2.0 * ratio * omega[0] * omega[1] / sum, 2.0 * ratio / sum]

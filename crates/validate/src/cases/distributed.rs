@@ -1,7 +1,10 @@
-//! Chapter 6, §6.4: a forty-storey building and a bridge whose sensor nodes identify for themselves.
+//! Chapter 6, §6.4: a forty-storey building and a bridge whose sensor nodes identify their own
+//! parameters.
 //!
-//! Required is what the page's own runs hold at a reduced rate, for the same rule at the published rate; beside it stand the
-//! centralised filter on the same record, the published rule, and nodes that tell one another ten samples a second.
+//! The requirements are the values that the reference runs of the specification reach at a reduced
+//! rate, applied to the same rule at the published rate. The cases compare this rule with a
+//! centralised filter on the same record, with the published rule, and with nodes that exchange ten
+//! samples a second.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -15,38 +18,43 @@ use spandrel_structure::Structure;
 const BUILDING: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
 const BRIDGE: &str = include_str!("../../../../docs/examples/two-pier-bridge.toml");
 
-/// Errors count from here on (s): the page allows ten seconds for the start.
+/// Start of the window in which errors count (s): the specification allows ten seconds for the
+/// start.
 const COUNTED_FROM_S: f64 = 10.0;
-/// Intervals are not asked to hold for so long after a damage (s).
+/// Time after a damage in which intervals need not hold (s).
 const AFTER_DAMAGE_S: f64 = 20.0;
 
-/// The record of the published rule, at any length of the others (s): it is frozen when the damage comes.
+/// Length of the record for the published rule (s), whatever the length of the others. Its
+/// estimates are frozen by the time of the damage.
 const PUBLISHED_S: f64 = 30.0;
 const PUBLISHED_DAMAGES: [f64; 2] = [20.0, 25.0];
 
-/// An example with what is asked of it.
+/// An example with its requirements.
 struct Example {
     text: &'static str,
-    /// stiffness parameters, and which two are damaged, by how much
+    /// Number of stiffness parameters, and the two damaged ones with their losses.
     groups: usize,
     damaged: [(usize, f64); 2],
-    /// samples per second, seconds and damage times: full and shortened
+    /// Sampling rate (Hz), length (s) and damage times (s), full and shortened.
     full: (f64, f64, [f64; 2]),
     quick: (f64, f64, [f64; 2]),
-    /// largest mean and single rms error
+    /// Largest allowed mean and largest allowed single rms error.
     errors: (f64, f64),
-    /// largest error of the damaged parameters at the end
+    /// Largest allowed error of the damaged parameters at the end.
     end: f64,
-    /// samples of each channel that nodes tell one another in a second: full and shortened
+    /// Samples of each channel that nodes exchange per second, full and shortened.
     told: (usize, usize),
-    /// frequencies (Hz) as printed, and their tolerance
+    /// Frequencies (Hz) as printed, and their tolerance.
     frequencies: (&'static [f64], f64),
-    /// numbers of a message and its share of the raw samples, as published, with so many modes
+    /// Number of values in a message and its share of the raw samples, as published, with this
+    /// number of modes.
     traffic: (usize, usize, f64),
-    /// largest fused error over the centralised one, and the largest centralised one where the page has one
+    /// Largest allowed ratio of the fused error to the centralised error, and the largest
+    /// centralised error if the specification gives one.
     ratio: f64,
     central: Option<f64>,
-    /// degrees of freedom whose fused motion is compared, and least correlation of displacements and of velocities
+    /// Degrees of freedom whose fused motion is compared, and the smallest allowed correlations of
+    /// displacements and velocities.
     watched: &'static [&'static str],
     correlations: (f64, f64),
 }
@@ -93,7 +101,7 @@ pub(super) fn bridge(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     example(run, &OF_BRIDGE)
 }
 
-/// The file with other rate, damage times and `[fusion]`.
+/// Returns the file with another rate, other damage times and another `[fusion]`.
 fn variant(text: &str, rate_hz: f64, damages: [f64; 2], fusion: &str) -> String {
     let rate = text
         .lines()
@@ -319,7 +327,7 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     })
 }
 
-/// Least coverage of the parameters.
+/// Returns the smallest coverage of the parameters.
 fn coverage(courses: &[Course], damages: &[f64]) -> f64 {
     least(
         courses
@@ -328,7 +336,8 @@ fn coverage(courses: &[Course], damages: &[f64]) -> f64 {
     )
 }
 
-/// Share of the fusions after the start in which every parameter is within three deviations, also right after a damage.
+/// Returns the share of the fusions after the start in which every parameter is within three
+/// deviations. Fusions right after a damage count too.
 fn all_covered(courses: &[Course]) -> f64 {
     let mut share = Mean::default();
     for fusion in 0..courses.first().map_or(0, |course| course.points.len()) {
@@ -341,7 +350,7 @@ fn all_covered(courses: &[Course]) -> f64 {
     share.value()
 }
 
-/// Numbers that nodes send and are sent, beside the samples that they stand for.
+/// Tabulates the values that nodes send and receive, next to the samples that they replace.
 fn traffic_table(example: &Example, variants: [(&str, &Structure); 3], rate_hz: f64) -> Table {
     let rows = variants.map(|(what, structure)| {
         let (up, down) = structure.numbers_per_period(0).unwrap_or((0, 0));
@@ -378,7 +387,7 @@ fn traffic_table(example: &Example, variants: [(&str, &Structure); 3], rate_hz: 
     }
 }
 
-/// Fused motion at the fusions against the true one.
+/// Compares the fused motion at the fusions with the true motion.
 fn motion(scene: &Scene, fused: &Fused, example: &Example, rate_hz: f64) -> Vec<Figure> {
     let mut accuracies = vec![Accuracy::default(); 2 * example.watched.len()];
     for (fusion, motion) in fused.motion.iter().enumerate() {
@@ -415,8 +424,9 @@ fn motion(scene: &Scene, fused: &Fused, example: &Example, rate_hz: f64) -> Vec<
     ]
 }
 
-/// The published product counts the shared prior once for every node: deviations shrink by `√(N_s λ⁻ⁿ)` a fusion, and what comes later is
-/// not seen.
+/// Returns the figures of the published product rule, which counts the shared prior once for every
+/// node. Each fusion shrinks the deviations by `√(N_s λ⁻ⁿ)`, so the rule does not detect later
+/// changes.
 fn freezing(published: &Fused, structure: &Structure, example: &Example) -> Vec<Figure> {
     let (damaged, truth) = example.damaged[0];
     let course = &published.courses[damaged];

@@ -1,7 +1,8 @@
-//! Chapter 2, §2.4.2: a three-pier bridge, seven groups of members, two of which lose 5 % one after the other.
+//! Chapter 2, §2.4.2: a three-pier bridge with seven groups of members, two of which lose 5 % one
+//! after the other.
 //!
-//! Not printed and fixed here: the size of the damage (that of chapter 3), the start values (30 % off, by turns) and the
-//! start-up aid.
+//! Not printed and therefore fixed here: the size of the damage (from chapter 3), the start values
+//! (30 % too high and too low in turn) and the start-up aid.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -12,9 +13,10 @@ use crate::statistics::Accuracy;
 
 const FILE: &str = include_str!("../../../../docs/examples/three-pier-bridge.toml");
 const GROUPS: usize = 7;
-/// Numbers of the two groups that are damaged.
+/// Indices of the two damaged groups.
 const DAMAGED: [usize; 2] = [1, 5];
-/// Rotation of node 4, horizontal of 8, vertical of 11.
+/// Watched responses: rotation of node 4, horizontal motion of node 8 and vertical motion of node
+/// 11.
 const RESPONSES: [&str; 3] = ["node-4-r", "node-8-x", "node-11-y"];
 
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -48,7 +50,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut courses = vec![Course::default(); GROUPS + 2];
     let mut responses = vec![[Accuracy::default(); 2]; 2 * RESPONSES.len()];
     let mut limited = 0;
-    // of each watched state, true and estimated
+    // True and estimated values of each watched state.
     let mut clouds: Vec<Vec<(f32, f32)>> = vec![Vec::new(); 2 * RESPONSES.len()];
     scene.filter(
         settings,
@@ -121,7 +123,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         };
         figures.push(Figure::new(name, report.damping_ratio, required).published(0.02));
     }
-    // a shortened record leaves no room for the tenth of the gap that a half-life of 8 s keeps open
+    // A half-life of 8 s leaves a tenth of the gap open, which a shortened record is too short to
+    // close.
     let settled = run.pick(0.004, 0.025);
     for (k, [from, to]) in windows.into_iter().enumerate() {
         let of_window = format!("{from} to {to} s");

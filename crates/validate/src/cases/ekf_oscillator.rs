@@ -1,4 +1,5 @@
-//! Chapter 2, §2.4.1: an oscillator whose frequency and damping ratio start far off, with fading memory.
+//! Chapter 2, §2.4.1: an oscillator whose frequency and damping ratio start far off, with fading
+//! memory.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -56,12 +57,12 @@ fn simulate(seed: u64, steps: usize) -> Record {
     }
 }
 
-/// What the filter makes of a record, for a half-life or none.
+/// Results of the filter on one record, with or without a half-life.
 struct Tracked {
-    /// of x, ẋ, ω, ζ after 50 s
+    /// Accuracy of x, ẋ, ω and ζ after 50 s.
     late: [Accuracy; 4],
     last: [(f64, f64); 4],
-    /// share of the steps at which the frequency was negative, the mirror solution
+    /// Share of the steps with a negative frequency, which is the mirrored solution.
     mirrored: f64,
     curves: [Vec<[f32; 3]>; 2],
 }
@@ -174,7 +175,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                     high: 2.0,
                 },
             ),
-            // rms of error over deviation is 0.71 in theory: fading states variances twice too large for constants
+            // The theoretical rms ratio of error to deviation is 0.71: fading memory states
+            // variances that are twice too large for constant parameters.
             Figure::new(
                 format!("{name}: rms of error over deviation after 50 s"),
                 accuracy.normalised_error(),

@@ -1,8 +1,10 @@
-//! Chapter 2, §2.4.4: a tower of 610 m, its stiffness in two directions unknown, shaken at the ground.
+//! Chapter 2, §2.4.4: a tower of 610 m whose stiffness is unknown in two directions, under ground
+//! excitation.
 //!
-//! The whole tower has 372 states and costs seconds a step; a surrogate of twelve beams stands for it, with the same height and
-//! sections and the sensors at the nearest nodes. The two factors are those of the two directions of bending, each of
-//! which has an energy of its own; the source splits the stiffness matrix by entries, whose parts are indefinite.
+//! The whole tower has 372 states and takes seconds per step. The case uses a surrogate of twelve
+//! beams with the same height and sections, and with the sensors at the nearest nodes. The two
+//! factors scale the bending stiffness in the two directions, each of which has its own energy. The
+//! source instead splits the stiffness matrix by entries, and the resulting parts are indefinite.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -12,7 +14,7 @@ use crate::scene::{Course, Plan, Scene, states_of};
 use crate::statistics::Accuracy;
 
 const FILE: &str = include_str!("../../../../docs/examples/tower.toml");
-/// Nodes with sensors, and the nearest ones of the surrogate.
+/// Sensor nodes of the whole tower and the nearest nodes of the surrogate.
 const LEVELS: [(usize, usize); 8] = [
     (4, 1),
     (8, 2),
@@ -23,7 +25,7 @@ const LEVELS: [(usize, usize); 8] = [
     (32, 10),
     (37, 12),
 ];
-/// Where the two factors start.
+/// Start values of the two factors.
 const STARTS: [[f64; 2]; 3] = [[1.2, 1.2], [1.2, 1.0], [1.0, 1.2]];
 
 fn surrogate() -> String {
@@ -106,7 +108,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             },
         )?;
         let named = |what: &str| format!("start ({}, {}): {what}", start[0], start[1]);
-        // the page: after 4 s
+        // The specification judges after 4 s.
         let settled_s = run.pick(4.0, seconds - 0.1);
         for (course, direction) in courses.iter().zip(["x", "y"]) {
             let within = run.pick(0.001, 0.01);

@@ -1,8 +1,9 @@
-//! Chapter 7, §7.3: what nodes send of the covariance of the parameters, and what they do with the answer.
+//! Chapter 7, §7.3: which parts of the parameter covariance nodes send, and how they use the reply.
 //!
-//! The source describes one way, and prints no numbers; required is what runs of 80 s with eight modes hold, where a tolerance was stated of
-//! them: an error below 0.025 and a coverage above 0.75. They multiply the densities as published; here the structure has all its
-//! degrees of freedom, and beside them stands what is the default.
+//! The source describes one variant and prints no numbers. The requirements are the values that
+//! reference runs of 80 s with eight modes reach, where the specification states a tolerance: an
+//! error below 0.025 and a coverage above 0.75. Those runs multiply the densities as published.
+//! Here the structure has all its degrees of freedom, and the default variant is compared as well.
 
 use super::asynchronous::{
     AFTER_DAMAGE_S, COUNTED_FROM_S, FINE_HZ, GROUPS, SHIFTS_MS, simulate, truss_at,
@@ -17,16 +18,16 @@ use crate::statistics::{Accuracy, Mean};
 use spandrel_structure::Structure;
 use std::path::Path;
 
-/// Why some of the published ways miss what is required of them.
+/// Reason why some of the published variants miss their requirements.
 const VARIANCES_ALONE: &str = "variances alone drop the correlation of neighbouring bars; the default sends the whole covariance";
 
-/// One way, by keys of `[fusion]`.
+/// One variant, given by keys of `[fusion]`.
 struct Variant {
     name: &'static str,
     keys: &'static str,
-    /// the clocks of the nodes agree
+    /// Whether the clocks of the nodes agree.
     agree: bool,
-    /// it is one that tracks: its error and coverage are judged
+    /// Whether the variant tracks the parameters, so that its error and coverage are judged.
     tracks: bool,
 }
 
@@ -76,7 +77,7 @@ const VARIANTS: [Variant; 8] = [
     ),
     variant("default", "", true),
 ];
-/// Places of the variants that further figures are of.
+/// Indices of the variants that appear in further figures.
 const ASYNCHRONOUS: usize = 0;
 const SYNCHRONOUS: usize = 1;
 const LITERAL: usize = 6;
@@ -163,7 +164,7 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             judged(Required::AtMost(0.015)),
         )
         .known_miss(VARIANCES_ALONE),
-        // to the digits that were printed: 0.00000 and 1.1105 before and after
+        // Compare to the printed digits: 0.00000 and 1.1105 before and after.
         Figure::new(
             "literal, variances: largest deviation of a stiffness at the end",
             largest_at_end(&all[LITERAL]),
@@ -199,7 +200,8 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     })
 }
 
-/// Mean error and coverage of the stiffnesses, outside of the start and of the time after each damage.
+/// Returns the mean error and coverage of the stiffnesses, without the start and the time after
+/// each damage.
 fn accuracy(courses: &[Course], damages: &[f64]) -> (f64, f64) {
     let (mut error, mut coverage) = (Mean::default(), Mean::default());
     for course in courses {
@@ -210,7 +212,8 @@ fn accuracy(courses: &[Course], damages: &[f64]) -> (f64, f64) {
     (error.value(), coverage.value())
 }
 
-/// Deviation that a node states of a stiffness before the answer, over the fused one.
+/// Returns the mean ratio of a node's own stiffness deviation, before the reply, to the fused
+/// deviation.
 fn over_fused(fused: &Fused) -> f64 {
     let mut mean = Mean::default();
     for (group, course) in fused.courses[..GROUPS].iter().enumerate() {

@@ -1,8 +1,10 @@
-//! Chapter 7, §7.4: forty storeys, one sample in a hundred wrong in every channel, and three nodes that are wrong all the time.
+//! Chapter 7, §7.4: a forty-storey building with one wrong sample in a hundred in every channel,
+//! and three nodes that are always wrong.
 //!
-//! Nodes screen samples, the station tests nodes. The page's runs keep ten or twenty modes; its runs with all forty went astray.
-//! Here the structure has all of them and the published rate, and nodes tell one another their responses, without which the
-//! second drop is not seen.
+//! Nodes screen samples, and the station tests nodes. The reference runs of the specification keep
+//! ten or twenty modes. Its runs with all forty modes diverged. Here the structure has all modes
+//! and the published rate. The nodes exchange their responses, because the second drop is not
+//! detected without them.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -16,31 +18,33 @@ use spandrel_structure::Structure;
 
 pub(super) const FILE: &str = include_str!("../../../../docs/examples/forty-storey-spikes.toml");
 pub(super) const GROUPS: usize = 6;
-/// Screening is learnt for so long, in addition to the published record (s).
+/// Time in which the screening is trained, in addition to the published record (s).
 pub(super) const TRAINING_S: f64 = 35.0;
-/// Errors count from here on, after the training, and not for so long after a damage (s).
+/// Start of the window in which errors count, after the training, and time left out after each
+/// damage (s).
 pub(super) const COUNTED_FROM_S: f64 = 20.0;
 pub(super) const AFTER_DAMAGE_S: f64 = 20.0;
-/// Local rates count from here on, after the training (s).
+/// Start of the window in which local rates count, after the training (s).
 const RATES_FROM_S: f64 = 10.0;
 const SPIKES: f64 = 0.01;
-/// Length of the spans in which regular samples that were rejected are shown (s).
+/// Length of the intervals over which the share of rejected regular samples is plotted (s).
 const SPAN_S: f64 = 10.0;
-/// Channels that are off by a constant, as a share of what they show: displacement of floor 10, acceleration of floor 20, both of 30.
+/// Channels with a constant bias, as a share of their response: displacement of floor 10,
+/// acceleration of floor 20, both channels of floor 30.
 const BIASES: [(usize, f64); 4] = [(16, 0.20), (27, 0.15), (28, 0.10), (29, 0.10)];
-/// The nodes of those channels, with the published rates of detection.
+/// Nodes of those channels, with the published detection rates.
 pub(super) const BIASED: [(usize, f64); 3] = [(8, 0.972), (13, 0.934), (14, 0.916)];
-/// The node with the smallest biases.
+/// Node with the smallest biases.
 const LEAST_BIASED: usize = 14;
 
-/// Of one channel: counts of what and out of what.
+/// Screening counts of one channel, each as a count and its total.
 #[derive(Clone, Copy, Default)]
 struct Rates {
-    /// spikes that were kept, out of all
+    /// Spikes that were kept, out of all spikes.
     masked: [f64; 2],
-    /// the same for those farther than six scales of the residuals from the clean sample
+    /// Kept spikes farther than six residual scales from the clean sample, out of all such spikes.
     gross_masked: [f64; 2],
-    /// regular samples that were rejected, out of all
+    /// Regular samples that were rejected, out of all regular samples.
     swamped: [f64; 2],
 }
 
@@ -48,7 +52,8 @@ fn share(counts: [f64; 2]) -> f64 {
     counts[0] / counts[1].max(1.0)
 }
 
-/// Replaces samples and adds the biases; returns frames × channels, and which samples are wrong.
+/// Replaces samples by spikes and adds the biases. Returns the samples (frames × channels) and
+/// which of them are wrong.
 pub(super) fn corrupt(scene: &Scene, seed: u64) -> (Vec<f64>, Vec<bool>) {
     let channels = scene.noise_std.len();
     let mut data: Vec<f64> = (0..scene.frames)
@@ -156,7 +161,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .published(0.2869),
     ];
 
-    // which nodes are left out
+    // Nodes that the station leaves out.
     let working: Vec<_> = fused
         .reports
         .iter()
@@ -177,7 +182,8 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .collect();
     for (node, published) in BIASED {
         let required = match node {
-            // a fifth of the samples a second tell too little of it: the shortened record leaves it out of half of the fusions
+            // At a fifth of the rate, the samples show too little of this bias. The shortened
+            // record leaves the node out of half of the fusions.
             LEAST_BIASED => judged(Required::AtLeast(0.9)),
             _ => Required::AtLeast(0.9),
         };
@@ -201,7 +207,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .published(0.006),
     );
 
-    // stiffness
+    // Stiffness.
     let from_s = TRAINING_S + COUNTED_FROM_S;
     let of_groups = |courses: &[Course]| -> Vec<Accuracy> {
         courses[..GROUPS]
@@ -275,7 +281,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ]);
     }
 
-    // samples
+    // Samples.
     let of_healthy = |of: &dyn Fn(&Rates) -> f64| {
         let rates = rates
             .iter()
@@ -303,7 +309,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .published(0.0045),
     ]);
 
-    // of the channels that lose most, when they lose it
+    // Times at which the worst channels lose their regular samples.
     let mut worst: Vec<usize> = (0..channels)
         .filter(|channel| healthy(&(channel / 2)))
         .collect();

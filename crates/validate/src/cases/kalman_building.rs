@@ -1,4 +1,5 @@
-//! Chapter 2, §2.3.2: responses of a sixty-storey building from seven accelerometers, ground motion unknown.
+//! Chapter 2, §2.3.2: responses of a sixty-storey building from seven accelerometers, with unknown
+//! ground motion.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -11,13 +12,13 @@ use spandrel_filter::{KalmanFilter, LinearModel};
 use std::f64::consts::PI;
 
 const FLOORS: usize = 60;
-/// Why figures in absolute units scatter by seed.
+/// Reason why figures in absolute units scatter by seed.
 const OF_THE_RECORD: &str = "200 s are 33 periods of the first mode: the motion, and the noise that is 5 % of it, scatter by seed";
 const STEP_S: f64 = 0.005;
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
-/// Steps after which errors count (20 s).
+/// Number of steps after which errors count (20 s).
 const SETTLED: usize = 4_000;
-/// Steps after which the deviations have reached what they stay at (10 s).
+/// Number of steps after which the deviations are steady (10 s).
 const STEADY: usize = 2_000;
 
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -54,9 +55,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut accuracy = vec![Accuracy::default(); 2 * FLOORS];
     let mut chi_squared = Mean::default();
     let mut first_std = [0.0; 3];
-    // of every state: its deviation when it is said to be steady, and how far from that it was later
+    // For each state, its deviation at the start of the steady phase, and the largest later
+    // difference from that.
     let (mut steady_std, mut drift) = (vec![0.0; 2 * FLOORS], 0.0_f64);
-    // true and estimated: displacement and velocity of three floors
+    // True and estimated displacement and velocity of three floors.
     let mut responses: [[Vec<(f32, f32)>; 2]; 3] = Default::default();
     let mut curves: [[Vec<(f32, f32)>; 2]; 3] = Default::default();
     let mut deviations: [Vec<(f32, f32)>; 6] = Default::default();
@@ -125,7 +127,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let omega = 2.0 * PI * frequencies[mode];
         0.5 * (0.0157 / omega + 0.0048 * omega)
     };
-    // what follows the rms of the record is judged on the whole one only
+    // Figures that depend on the rms of the record are judged on the full record only.
     let full = |required: Required| run.pick(required, Required::Reported);
     let mut figures = vec![
         Figure::new(
@@ -271,7 +273,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                     high: 0.7,
                 },
             ),
-            // follows the rms of the record through the 5 % rule: one record has 33 periods of the first mode
+            // The deviation follows the rms of the record through the 5 % rule, and one record has
+            // only 33 periods of the first mode.
             Figure::new(
                 format!("floor {floor}: steady deviation of the displacement (m)"),
                 accuracy[floor - 1].mean_std(),

@@ -1,9 +1,10 @@
-//! Chapter 2, §2.3.1: a vehicle that drives straight, then on two semicircles; its position is observed, its velocity and
-//! acceleration are not.
+//! Chapter 2, §2.3.1: a vehicle that drives straight, then on two semicircles. Its position is
+//! observed. Its velocity and acceleration are not.
 //!
-//! Not printed and fixed here: `ω = π/201` rad/s, so that the semicircles last 402 s; the white jerk has a variance of
-//! 0.02 m²/s⁴; the filter starts at rest at the origin with `Σ = 500 I`. The source prints a noise of 2 % of the rms
-//! position and a filter that takes 3 m²; the two do not agree, so both are run, and a filter that knows the 2 %.
+//! Not printed and therefore fixed here: `ω = π/201` rad/s, so that the semicircles last 402 s. The
+//! white jerk has a variance of 0.02 m²/s⁴. The filter starts at rest at the origin with
+//! `Σ = 500 I`. The source prints a noise of 2 % of the rms position and a filter noise of 3 m²,
+//! which contradict each other. The case therefore runs both, and a filter with the 2 %.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -19,7 +20,7 @@ const TURN: usize = 60;
 const ANGULAR_VELOCITY: f64 = PI / 201.0;
 const FILTER_VARIANCE: f64 = 3.0;
 
-/// Position, velocity and acceleration in x, then in y, at a second.
+/// Returns position, velocity and acceleration in x, then in y, at a time (s).
 fn truth(time: f64) -> [f64; 6] {
     let omega = ANGULAR_VELOCITY;
     let a = omega * (time - TURN as f64);
@@ -78,7 +79,7 @@ struct Track {
     accuracy: [Accuracy; 6],
 }
 
-/// Tracks a record from 1 s on; accuracy is counted after `from` s.
+/// Tracks a record from 1 s on. Accuracy counts after `from` s.
 fn track(
     record: &[[f64; 2]],
     sensor_variance: [f64; 2],
@@ -126,7 +127,7 @@ fn observe(seed: u64, std: [f64; 2]) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Both coordinates of position errors, root mean square.
+/// Returns the root mean square of the position errors in both coordinates.
 fn position_error(track: &Track) -> f64 {
     rms([track.accuracy[0].rms_error(), track.accuracy[3].rms_error()].into_iter())
 }

@@ -1,8 +1,10 @@
-//! Chapter 3, §3.3.1: a chain of five masses whose springs yield; the levels of the unknown ground motion and of the sensors
-//! are identified while stiffness falls and both may swell.
+//! Chapter 3, §3.3.1: a chain of five masses with yielding springs. The filter identifies the
+//! levels of the unknown ground motion and of the sensor noise while the stiffness falls and both
+//! levels may swell.
 //!
-//! The start values of the source are lost; they are 20 to 30 % off here. The noise levels start at 1 as in the source, 20 to
-//! 30 000 times wrong, and follow its own rule.
+//! The start values of the source are lost. Here they are 20 to 30 % off. The noise levels start at
+//! 1 as in the source, which is wrong by a factor of 20 to 30 000, and follow the rule of the
+//! source.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -30,7 +32,7 @@ const NAMES: [&str; PARAMETERS] = [
 /// Fundamental period (s).
 const PERIOD_S: f64 = 1.0 / 2.0259;
 
-/// Which of the noises swell.
+/// Which noise levels swell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Scenario {
     Stationary,
@@ -38,19 +40,20 @@ enum Scenario {
     BothSwell,
 }
 
-/// When what happens (s), and where it is looked at.
+/// Times of the events and of the evaluation windows (s).
 struct Times {
     end: f64,
     swells: f64,
-    /// when the springs lose stiffness: at the height of the swelling, 20 s after its begin
+    /// Time at which the springs lose stiffness: at the peak of the swelling, 20 s after its
+    /// beginning.
     damage: f64,
-    /// of the levels: before they swell, and after the damage
+    /// Windows for the levels: before they swell, and after the damage.
     levels: [[f64; 2]; 2],
-    /// of the parameters: before the damage, and at the end
+    /// Windows for the parameters: before the damage, and at the end.
     parameters: [[f64; 2]; 2],
 }
 
-/// Of the source.
+/// Times of the source.
 const FULL: Times = Times {
     end: 300.0,
     swells: 150.0,
@@ -58,7 +61,7 @@ const FULL: Times = Times {
     levels: [[20.0, 150.0], [180.0, 300.0]],
     parameters: [[150.0, 170.0], [280.0, 300.0]],
 };
-/// The same events in a third of the time.
+/// Times of a record with the same events in a third of the time.
 const QUICK: Times = Times {
     end: 100.0,
     swells: 40.0,
@@ -81,7 +84,8 @@ fn chain() -> BoucWenChain {
     }
 }
 
-/// `1 + a s e^(1 − s)` from a time on, with its largest value 20 s later.
+/// Returns `1 + a s e^(1 − s)` with `a` = `by`, where `s` is 0 until `from_s` and 1 at the peak 20
+/// s later.
 fn swelling(time_s: f64, from_s: f64, by: f64) -> f64 {
     let s = ((time_s - from_s) / 20.0).max(0.0);
     1.0 + by * s * (1.0 - s).exp()
@@ -99,7 +103,7 @@ pub(super) fn both_swell(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     case(run, Scenario::BothSwell)
 }
 
-/// Truth and estimate of both levels, and all parameters.
+/// True and estimated noise levels, and all parameters.
 struct Tracked {
     parameters: Vec<Course>,
     levels: [Course; 2],
@@ -221,7 +225,7 @@ fn track(run: &Run<'_>, scenario: Scenario, times: &Times) -> Result<Tracked, Va
                     truth,
                 );
             }
-            // over the level before it swells
+            // Relative to the level before it swells.
             let truths = [excitation(time_s).powi(2), sensors(time_s).powi(2)];
             for (l, unit) in [variance, noise_std * noise_std].into_iter().enumerate() {
                 let (mean, variance) = (filter.noise().mean[l], filter.noise().covariance[(l, l)]);
@@ -237,8 +241,11 @@ fn track(run: &Run<'_>, scenario: Scenario, times: &Times) -> Result<Tracked, Va
     Ok(tracked)
 }
 
-/// Up to when (s) the misfit is taken: on a rising flank, which fills a third of a short record, it is larger by what the levels
-/// lag behind.
+/// Returns the end (s) of the window in which the misfit is measured.
+///
+/// If a level swells, the window of a shortened record ends before the swelling. The identified
+/// levels lag on the rising flank, which increases the misfit, and the flank fills a third of such
+/// a record.
 fn misfit_end(run: &Run<'_>, scenario: Scenario, times: &Times) -> f64 {
     let swells = scenario != Scenario::Stationary;
     run.pick(times.end, if swells { times.swells } else { times.end })
@@ -296,7 +303,8 @@ fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
                     required,
                 ));
             }
-            // damping and hysteresis are learnt slowly: a minute after a start a third off they are on their way
+            // Damping and hysteresis are learnt slowly: a minute after a start that is a third off,
+            // they still converge.
             let on_its_way = j >= MASSES && window == 0;
             let required = Required::AtLeast(0.95);
             figures.push(Figure::new(
@@ -349,7 +357,7 @@ fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
     })
 }
 
-/// Figures of the two noise levels.
+/// Returns the figures of the two noise levels.
 fn level_figures(
     run: &Run<'_>,
     scenario: Scenario,
@@ -359,14 +367,14 @@ fn level_figures(
 ) {
     let stationary = scenario == Scenario::Stationary;
     let [[from, to], after] = times.levels;
-    // a level that does not swell is judged up to the damage
+    // A level that does not swell is judged up to the damage.
     let before = [from, if stationary { times.damage } else { to }];
     let by = if stationary { 0.05 } else { 0.06 };
     for (window, [from, to]) in [before, after].into_iter().enumerate() {
         for (level, name) in levels.iter().zip(["ground", "sensors"]) {
             let (ratio, inside, relative_std) = agreement(level, from, to);
-            // a window of 20 s holds few of the level's own correlation times, and 15 s after the damage a level that swells is
-            // still falling faster than the estimate
+            // A window of 20 s contains few correlation times of the level. In addition, 15 s after
+            // the damage a swollen level still falls faster than its estimate.
             let swells = scenario == Scenario::BothSwell
                 || (scenario == Scenario::ExcitationSwells && name == "ground");
             let falling = run.pick(false, window == 1 && swells);

@@ -1,8 +1,10 @@
-//! Chapter 3, §3.3.2: the three-pier bridge of chapter 2 with twelve accelerometers; the levels of the unknown ground motions
-//! and of the sensors are identified while stiffness falls and one of the motions swells.
+//! Chapter 3, §3.3.2: the three-pier bridge of chapter 2 with twelve accelerometers. The filter
+//! identifies the levels of the unknown ground motions and of the sensor noise while the stiffness
+//! falls and one of the motions swells.
 //!
-//! The start values of the source are lost; they are 20 to 30 % off here. The noise levels start at 1 as in the source and
-//! follow its own rule. The structure is linear, so that the two ground motions are simulated one by one and added.
+//! The start values of the source are lost. Here they are 20 to 30 % off. The noise levels start at
+//! 1 as in the source and follow its rule. The structure is linear, so the two ground motions are
+//! simulated separately and the responses added.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -23,25 +25,25 @@ const FILE: &str = include_str!("../../../../docs/examples/three-pier-bridge.tom
 const GROUPS: usize = 7;
 const RATE_HZ: f64 = 400.0;
 const CHANNELS: usize = 12;
-/// Fundamental period (s), by the printed frequency.
+/// Fundamental period (s), from the printed frequency.
 const PERIOD_S: f64 = 1.0 / 0.47;
-/// Numbers of the groups that are damaged, and how much they lose.
+/// Indices of the damaged groups, and their loss.
 const DAMAGED: [usize; 2] = [0, 6];
 const LOSS: f64 = 0.05;
-/// Row of the horizontal acceleration of node 9, whose rms sets the noise.
+/// Row of the horizontal acceleration of node 9, whose rms determines the noise.
 const REFERENCE: usize = 2;
 
-/// When what happens (s), and where it is looked at.
+/// Times of the events and of the evaluation windows (s).
 struct Times {
     end: f64,
     damage: [f64; 2],
-    /// begin of the swelling where it is not the source's
+    /// Beginning of the swelling if it differs from the source.
     swells: Option<f64>,
     levels: &'static [[f64; 2]],
     parameters: &'static [[f64; 2]],
 }
 
-/// Of the source.
+/// Times of the source.
 const FULL: Times = Times {
     end: 300.0,
     damage: [100.0, 200.0],
@@ -49,7 +51,7 @@ const FULL: Times = Times {
     levels: &[[25.0, 120.0], [220.0, 300.0]],
     parameters: &[[80.0, 100.0], [180.0, 200.0], [280.0, 300.0]],
 };
-/// The same events soon after the training.
+/// Times of a record with the same events soon after the training.
 const QUICK: Times = Times {
     end: 70.0,
     damage: [38.0, 52.0],
@@ -58,11 +60,12 @@ const QUICK: Times = Times {
     parameters: &[[32.0, 38.0], [62.0, 70.0]],
 };
 
-/// The model and the parameters of the bridge with the sensors of this example, one ground motion, and its swelling.
+/// Returns the model and parameters of the bridge with the sensors of this example, one ground
+/// motion, and its swelling.
 fn text(direction: &str, swells: Option<[f64; 2]>, damage: [f64; 2]) -> String {
     let end = FILE.find("[[excitation]]").unwrap_or(FILE.len());
     let mut text = FILE[..end].replace("sampling-rate-hz = 250", "sampling-rate-hz = 400");
-    // writing to a String does not fail
+    // Writing to a `String` cannot fail.
     let _ = write!(
         text,
         "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\ndirection = \"{direction}\"\nspectral-intensity = 5.0e-6\n\n"
@@ -92,7 +95,7 @@ fn text(direction: &str, swells: Option<[f64; 2]>, damage: [f64; 2]) -> String {
     text
 }
 
-/// Which ground motions there are, each with begin and rise of its swelling (s).
+/// Ground motions of a scenario, each with the beginning and rise time of its swelling (s).
 struct Scenario {
     motions: &'static [(&'static str, &'static str, Option<[f64; 2]>)],
     published_end_s: f64,
@@ -122,7 +125,7 @@ pub(super) fn both(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     )
 }
 
-/// `1 + s e^(1 − s)`.
+/// Returns the swelling factor `1 + s e^(1 − s)`, or 1 without a swelling.
 fn swelling(time_s: f64, swells: Option<[f64; 2]>) -> f64 {
     swells.map_or(1.0, |[start_s, rise_s]| {
         let s = ((time_s - start_s) / rise_s).max(0.0);
@@ -205,7 +208,7 @@ fn settings(
     Ok(settings)
 }
 
-/// The same bridge under all motions of a scenario: what the filter runs on.
+/// Returns the same bridge under all motions of a scenario, which is the model of the filter.
 fn filtered_text(scenario: &Scenario, damage: [f64; 2]) -> String {
     let (_, direction, _) = scenario.motions[0];
     let one = text(direction, None, damage);
@@ -234,7 +237,7 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             noise_share: 0.0,
             watched: &|_| Vec::new(),
         };
-        // motions of their own, and records of one seed and another never meet
+        // Each motion has its own seed, and the offset keeps the streams of different seeds apart.
         let scene = Scene::simulate_seeded(&plan, 10_000 * k as u64 + run.seed, run)?;
         frames = scene.frames;
         let values = (0..frames).flat_map(|frame| scene.clean(frame).to_vec());
@@ -350,7 +353,8 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
                 Figure::new(
                     format!("{name}: mean over truth, {from} to {to} s"),
                     ratio,
-                    // six seconds are long beside the correlation time of the sensors' level only
+                    // Six seconds are long compared with the correlation time of the sensor level
+                    // only.
                     if *name == "sensors" {
                         Required::Within {
                             of: 1.0,
@@ -454,7 +458,7 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             } else {
                 1.0
             };
-            // the shortened record ends while the last tenth of a drop is still to be seen
+            // The shortened record ends while a tenth of the drop is still missing.
             let is_on_its_way = DAMAGED.contains(&j) && from > times.damage[0];
             let settled = |required| {
                 if is_on_its_way {

@@ -1,8 +1,9 @@
-//! Chapter 3, §3.1: what wrong noise levels do to a filter, on a chain of five masses; and their identification there.
+//! Chapter 3, §3.1: the effect of wrong noise levels on a filter for a chain of five masses, and
+//! the identification of these levels.
 //!
-//! A white force acts on the last mass; all accelerations are observed without the direct term, as in the source. The start
-//! of `θ` is poor on purpose; the start-up aid of chapter 2 softens it, because without it one record in three locks the
-//! filter at wrong parameters.
+//! A white force acts on the last mass. All accelerations are observed without the direct term, as
+//! in the source. The start value of `θ` is deliberately poor. The start-up aid of chapter 2
+//! softens its effect, because without it one record in three locks the filter at wrong parameters.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -88,7 +89,7 @@ fn settings(noise: NoiseModel) -> Result<FilterSettings, ValidateError> {
     Ok(settings)
 }
 
-/// A case of table 3.1: fixed levels.
+/// Results of a case of table 3.1 with fixed levels.
 struct Fixed {
     misfit: f64,
     stiffness: Accuracy,
@@ -221,7 +222,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 high: 3.5,
             },
         ),
-        // its interval misses the truth
+        // The interval is expected to miss the truth.
         Figure::new(
             "case 2: distance of β from the truth in deviations",
             weak.beta.bias(),
@@ -246,7 +247,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::Reported,
         ),
     ];
-    // a force a thousand times too strong: divergence depends on start and record, so that it is shown and not judged
+    // With a force a thousand times too strong, divergence depends on the start and the record. It
+    // is therefore shown and not judged.
     let wild = with_fixed_levels(&record, 1000.0 * force, sensors);
     let (misfit, error) = wild.as_ref().map_or((f64::NAN, f64::NAN), |wild| {
         (wild.misfit, wild.stiffness.relative_error())

@@ -1,5 +1,8 @@
-//! Yuen, Liang & Kuok (2013): the levels of the unknown excitation and of the sensors of a fifty-storey building, estimated by
-//! the two-stage rule beside a linear Kalman filter; its states compared with those of filters that are told the levels.
+//! Yuen, Liang & Kuok (2013): the levels of the unknown excitation and of the sensor noise of a
+//! fifty-storey building.
+//!
+//! The two-stage rule estimates the levels next to a linear Kalman filter. The case compares its
+//! states with those of filters that know the levels.
 
 mod published;
 
@@ -17,7 +20,7 @@ use crate::tracking::{agreement, lag};
 
 /// Half-life of the levels (steps).
 const HALF_LIFE: f64 = 1000.0;
-/// Trial 2 of the source, from which all published results start.
+/// Trial 2 of the source, the start of all published results.
 const START: [f64; 2] = [10.0, 10.0];
 
 pub(super) fn ground(run: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -32,7 +35,7 @@ pub(super) fn wind(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     case(run, Case::Wind)
 }
 
-/// What one filter made of a record.
+/// Results of one filter on a record.
 struct Tracked {
     errors: ErrorStatistics,
     levels: [Course; 2],
@@ -41,7 +44,8 @@ struct Tracked {
     limited: u64,
 }
 
-/// Runs a filter over a record, from this share of the case to that; what is measured begins at `from_s`.
+/// Runs a filter over a record, while the progress of the case rises between the two given shares.
+/// Measurement begins at `from_s`.
 fn track(
     record: &Record,
     levels: Levels,
@@ -84,7 +88,7 @@ fn track(
     Ok(tracked)
 }
 
-/// Largest relative difference of two sets of rms errors.
+/// Returns the largest relative difference between two sets of rms errors.
 fn worst(found: &Tabulated, reference: &Tabulated) -> f64 {
     found
         .iter()
@@ -93,7 +97,7 @@ fn worst(found: &Tabulated, reference: &Tabulated) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Least and largest ratio of two sets.
+/// Returns the smallest and largest ratio of two sets.
 fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
     let each = || {
         found
@@ -107,7 +111,7 @@ fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
     )
 }
 
-/// Published beside measured, quantity by quantity.
+/// Tabulates published and measured values for each quantity.
 fn table<const N: usize>(
     title: &str,
     heads: [&str; N],
@@ -146,7 +150,7 @@ fn table<const N: usize>(
 fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     let (seconds, from_s) = run.pick((1000.0, 100.0), (120.0, 50.0));
     let record = simulate(case, run.seed, seconds).map_err(ValidateError::setting)?;
-    // the second case has two filters more
+    // The second case has two additional filters.
     let share = if case == Case::ModulatedGround {
         0.2
     } else {
@@ -174,7 +178,7 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     );
 
     let full = |required: Required| run.pick(required, Required::Reported);
-    // records of 120 s hold fewer of the states' own correlation times
+    // Records of 120 s contain fewer correlation times of the states.
     let (most, published_most) = match case {
         Case::Ground => (run.pick(0.0005, 0.002), 1.87e-4),
         Case::ModulatedGround => (run.pick(0.005, 0.01), 2.4e-3),
@@ -275,7 +279,7 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
                 Required::Within { of: 1.0, by: 0.02 },
                 full(Required::AtLeast(0.99)),
             ),
-            // it lags behind a level that changes
+            // The estimate lags behind a changing level.
             (Case::ModulatedGround, _) => (
                 Required::Reported,
                 full(Required::Between {
@@ -292,7 +296,8 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
             ),
             Figure::new(format!("{name}: share inside 3 sd"), inside, covered),
         ]);
-        // of a level that does not change it is the filter's own; of the modulated ones the lag is in it
+        // For a constant level, this is the scatter of the filter itself. For a modulated level it
+        // includes the lag.
         let of_scatter = match (case, name) {
             (Case::Ground, "sensors") | (Case::ModulatedGround, "sensors") => {
                 Required::relative(0.017, 0.3)

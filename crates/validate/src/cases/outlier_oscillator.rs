@@ -1,9 +1,16 @@
-//! Chapter 4, §4.6.1: an oscillator whose stiffness falls twice, with one wrong sample in a hundred.
+//! Chapter 4, §4.6.1: an oscillator whose stiffness falls twice, with one wrong sample in a
+//! hundred.
 //!
-//! Not printed and fixed here: the input is ground acceleration; the half-life is 8000 steps, which meets the published
-//! errors best; the prior is wide and its mean random, so each seed stands for several runs, of which the root mean squares
-//! are taken. The start-up aid of chapter 2 is on, as in the example file: without it, one run in thirty is lost. The plain
-//! filter on corrupted data, which shows what the screening is for, has no such aid, as in the source.
+//! Not printed and therefore fixed here:
+//!
+//! - The input is ground acceleration.
+//! - The half-life is 8000 steps, which meets the published errors best.
+//! - The prior is wide and its mean random. Each seed therefore makes several runs, and the figures
+//!   are the root mean squares over them.
+//!
+//! The start-up aid of chapter 2 is on, as in the example file, because one run in thirty is lost
+//! without it. The plain filter on corrupted data, which shows the benefit of the screening, has no
+//! such aid, as in the source.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -25,13 +32,13 @@ const STIFFNESS: f64 = 1200.0;
 const DAMPING: f64 = 1.06;
 const TRAINING: usize = 363;
 const WINDOW: usize = 10_000;
-/// x, ẋ, θ_k, θ_c
+/// Names and units of x, ẋ, θ_k and θ_c.
 const QUANTITIES: [&str; 4] = ["x (m)", "ẋ (m/s)", "θ_k", "θ_c"];
-/// Errors count from here on (s).
+/// Start of the window in which errors count (s).
 const COUNTED_FROM_S: f64 = 10.0;
 
 struct Record {
-    /// x, ẋ, θ_k at each step
+    /// True x, ẋ and θ_k at each step.
     truth: Vec<[f64; 3]>,
     clean: Vec<f64>,
     regular: Vec<f64>,
@@ -100,15 +107,15 @@ fn simulate(seed: u64, steps: usize, drops: [f64; 2]) -> Record {
 /// A filter and its data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Way {
-    /// The plain filter on regular data.
+    /// Plain filter on regular data.
     Regular,
-    /// The plain filter on corrupted data.
+    /// Plain filter on corrupted data.
     Corrupted,
-    /// The filter that screens, on corrupted data.
+    /// Screening filter on corrupted data.
     Proposed,
 }
 
-/// What one filter made of one record.
+/// Results of one filter on one record.
 struct Tracked {
     accuracy: [Accuracy; 4],
     masked: [f64; 2],
@@ -117,7 +124,7 @@ struct Tracked {
     scale: f64,
     evaluated: f64,
     curve: Vec<[f32; 3]>,
-    /// one sample in twenty, and all that were rejected
+    /// One accepted sample in twenty, and all rejected samples.
     samples: [Vec<(f32, f32)>; 2],
 }
 
@@ -132,7 +139,7 @@ fn track(
     let mut settings = structure
         .filter_settings()
         .map_err(ValidateError::setting)?;
-    settings.misfit = None; // the method as it was published
+    settings.misfit = None; // the published method
     settings.noise.sensors[(0, 0)] = record.noise_std.powi(2);
     settings.noise.excitation[(0, 0)] = 2.0 * PI * 1.5e-6 / STEP_S;
     (settings.prior_std[0], settings.prior_std[1]) = (1e-4, 1e-5_f64.sqrt());
@@ -227,7 +234,7 @@ fn track(
     Ok(tracked)
 }
 
-/// Means over the runs of one way to filter: squares of rms errors, mean absolute errors.
+/// Means over the runs of one filter: squared rms errors and mean absolute errors.
 #[derive(Default)]
 struct Column {
     squares: [Mean; 4],
@@ -247,10 +254,11 @@ impl Column {
     }
 }
 
-/// Why the screening takes fewer samples for wrong than specified.
+/// Reason why the screening rejects fewer samples than specified.
 const WIDE_SCALE: &str = "the training of the first scale falls into the start-up aid, which makes it too wide for minutes";
 
-/// Table 4.1: rms errors, then mean absolute errors, of the plain filter on regular and corrupted data and of the proposed.
+/// Table 4.1: rms errors, then mean absolute errors. Each has the plain filter on regular data, the
+/// plain filter on corrupted data, and the proposed filter.
 const TABLE_4_1: [[f64; 6]; 4] = [
     [4.12e-6, 1.78e-4, 5.16e-6, 3.25e-6, 1.28e-4, 3.60e-6],
     [3.26e-4, 7.12e-3, 3.72e-4, 2.84e-4, 5.04e-3, 2.93e-4],
@@ -267,7 +275,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut shown = Vec::new();
     let mut samples = Vec::new();
     for repeat in 0..repeats {
-        // records of one seed and another never meet
+        // The factor keeps the records of different seeds apart.
         let record = simulate(1_000 * run.seed + repeat, steps, drops);
         let mut start = Uniform::stream(1_000 * run.seed + repeat, 3);
         let start = [start.between(0.5, 1.5), start.between(0.5, 1.5)];
@@ -317,7 +325,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             (0.020, 0.20, 1.25),
             (0.19, 0.20, 1.4),
         ][j];
-        // the shortened record sees its drops sooner after one another: its errors are its own
+        // The drops of the shortened record are closer together, so its errors differ from the
+        // published ones.
         let required = run.pick(Required::relative(of, share), Required::Reported);
         figures.extend([
             Figure::new(
@@ -346,7 +355,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         in_short_record(
             Figure::new("swamping", share(swamped), Required::Between { low: 0.003, high: 0.013 }).published(0.0031),
         ),
-        // an outlier anywhere in the range of the response often lies where a regular sample would, and has to be accepted
+        // An outlier anywhere in the range of the response often coincides with a possible regular
+        // sample and must be accepted.
         in_short_record(
             Figure::new(
                 "masking, raw: of all wrong samples",

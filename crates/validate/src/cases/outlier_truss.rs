@@ -1,9 +1,13 @@
-//! Chapter 4, §4.6.2: a fourteen-bay truss with twelve accelerometers, up to one sample in a hundred wrong in each.
+//! Chapter 4, §4.6.2: a fourteen-bay truss with twelve accelerometers, with up to one sample in a
+//! hundred wrong in each.
 //!
-//! Geometry and groups are lost with a figure of the source; the geometry here has the five published frequencies. Half-life
-//! 2000 steps, with which the published level of errors is met. The published table of errors has its rows mislabelled, so
-//! it is not set beside these. The filters start with the start-up aid: without it they lock in within a second, a hundred of
-//! their deviations off, and the errors from 10 s on say how long each took to come back, not what wrong samples do.
+//! The geometry and the groups are lost with a figure of the source. The geometry here has the five
+//! published frequencies. A half-life of 2000 steps reproduces the published level of errors. The
+//! rows of the published error table are mislabelled, so the case does not compare with them.
+//!
+//! The filters start with the start-up aid. Without it they lock within a second at values a
+//! hundred of their deviations off. The errors from 10 s on would then show how long each filter
+//! took to recover, and not the effect of wrong samples.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -16,12 +20,13 @@ use spandrel_filter::{FadingFactor, OutlierSettings, Verdict, outlier::upper_bou
 const FILE: &str = include_str!("../../../../docs/examples/fourteen-bay-truss.toml");
 const GROUPS: usize = 6;
 const RESPONSES: [&str; 4] = ["node-8-x", "node-8-y", "node-15-x", "node-15-y"];
-/// Errors count from here on (s).
+/// Start of the window in which errors count (s).
 const COUNTED_FROM_S: f64 = 10.0;
-/// The filter without start-up aid is followed until then (s).
+/// End of the run of the filter without the start-up aid (s).
 const UNAIDED_S: f64 = 20.0;
 
-/// Replaces samples by draws from the range of the clean response; returns the record, and which samples are wrong.
+/// Replaces samples by draws from the range of the clean response. Returns the record, and which
+/// samples are wrong.
 fn corrupt(scene: &Scene, seed: u64) -> (Vec<f64>, Vec<bool>) {
     let channels = scene.noise_std.len();
     let mut random = Uniform::stream(seed, 8);
@@ -48,11 +53,12 @@ struct Tracked {
     courses: Vec<Course>,
     parameters: Vec<Accuracy>,
     responses: Vec<Accuracy>,
-    /// of each channel: rejected and all regular samples, kept and all outliers, kept and all gross ones
+    /// For each channel: rejected and all regular samples, kept and all outliers, kept and all
+    /// gross outliers.
     swamped: Vec<[f64; 2]>,
     masked: Vec<[f64; 2]>,
     gross_masked: Vec<[f64; 2]>,
-    /// of the first channel: some of the accepted samples, and all that were rejected
+    /// Some of the accepted samples and all rejected samples of the first channel.
     samples: [Vec<(f32, f32)>; 2],
 }
 
@@ -230,7 +236,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 .structure
                 .true_parameters((time_s / scene.step_s) as u64)[group];
             let estimate = proposed.courses[group].mean(time_s - 0.06, time_s + 0.06);
-            // in the shortened record the filter is still on its way
+            // The filter still converges in the shortened record.
             let required = run.pick(
                 Required::Within {
                     of: truth,
@@ -329,7 +335,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::AtMost(run.pick(0.0025, 0.008)),
         )
         .published(0.001),
-        // wrong samples are spread over the range of the response: some lie where a regular one would, and have to be accepted
+        // Wrong samples are spread over the range of the response. Some coincide with possible
+        // regular samples and must be accepted.
         Figure::new("largest masking of a channel, raw: of all wrong samples", largest(&proposed.masked), Required::Reported)
             .published(0.0001),
         Figure::new(

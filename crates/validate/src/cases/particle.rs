@@ -1,8 +1,9 @@
-//! Ching, Beck, Porter & Shaikhutdinov (2006): a building and a hysteretic oscillator whose properties drift, followed by
-//! particles.
+//! Ching, Beck, Porter & Shaikhutdinov (2006): a building and a hysteretic oscillator with drifting
+//! properties, tracked by a particle filter.
 //!
-//! Masses, nominal values, excitation and priors are lost with half of the pages; those here give the printed ranges of the
-//! responses. 2000 particles; errors and coverage over the last three quarters of a record.
+//! Masses, nominal values, excitation and priors are lost with half of the pages. The values here
+//! give the printed ranges of the responses. The filter uses 2000 particles. Errors and coverage
+//! are measured over the last three quarters of a record.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -18,17 +19,17 @@ use spandrel_filter::{
 };
 
 const PARTICLES: usize = 2000;
-/// Level of the intervals.
+/// Probability of the credible intervals.
 const LEVEL: f64 = 0.95;
-/// Half-width of that interval of a Gaussian, in deviations.
+/// Half-width of that interval of a Gaussian, in standard deviations.
 const HALF_WIDTH: f64 = 1.96;
-/// Frames of the Kalman filter before the particles take over, 1 s.
+/// Number of frames of the Kalman filter before the particle filter takes over (1 s).
 const WARM: usize = 50;
 
-/// What is followed of one entry of the state.
+/// Track of one entry of the state.
 struct Track {
     component: usize,
-    /// mean, lower and upper end of the interval, truth
+    /// Mean, lower end and upper end of the interval, and truth.
     points: Vec<[f64; 4]>,
 }
 
@@ -41,7 +42,7 @@ impl Track {
     }
 
     fn take<M: ParticleModel>(&mut self, filter: &mut ParticleFilter<M>, truth: &[f64]) {
-        // an entry that is not there has no interval, and no figure
+        // A missing entry has no interval and therefore no figure.
         let (low, high) = filter
             .credible_interval(self.component, LEVEL)
             .unwrap_or((f64::NAN, f64::NAN));
@@ -70,13 +71,13 @@ impl Track {
         &self.points[self.points.len() / 4..]
     }
 
-    /// Error (rms) over truth (rms).
+    /// Returns the rms error relative to the rms truth.
     fn error(&self) -> f64 {
         rms(self.late().iter().map(|point| point[0] - point[3]))
             / rms(self.late().iter().map(|point| point[3]))
     }
 
-    /// Share of the frames with the truth inside the interval.
+    /// Returns the share of the frames with the truth inside the interval.
     fn coverage(&self) -> f64 {
         let inside = self
             .late()
@@ -103,7 +104,7 @@ impl Track {
     }
 }
 
-/// How often particles were drawn anew, and the mean share that counted.
+/// Number of resamplings, and mean effective share of the particles.
 #[derive(Default)]
 struct Renewal {
     resampled: usize,
@@ -123,7 +124,7 @@ impl Renewal {
     }
 }
 
-/// Why the roof is less certain than stated.
+/// Reason why the estimate of the roof is less certain than stated.
 const TOO_FEW: &str = "2000 particles are too few for 20 states";
 
 fn settings(run: &Run<'_>) -> ParticleSettings {
@@ -134,7 +135,8 @@ fn settings(run: &Run<'_>) -> ParticleSettings {
     }
 }
 
-/// How well damping and noise levels of the building are followed in the first seconds, in the mean over the storeys.
+/// Accuracy of damping and noise levels of the building in the first seconds, averaged over the
+/// storeys.
 #[derive(Default)]
 struct Early {
     damping_error: f64,
@@ -142,10 +144,10 @@ struct Early {
     noise_coverage: f64,
 }
 
-/// Steps of that, 5 s.
+/// Number of steps of that window (5 s).
 const EARLY: usize = 250;
 
-/// Follows the building for the first 5 s with so many particles and a kernel.
+/// Runs the first 5 s of the building with this number of particles and this kernel.
 fn early(
     record: &building::Record,
     start: GaussianStart,
@@ -182,7 +184,8 @@ fn early(
     })
 }
 
-/// What a kernel at the resampling and more particles bring while few ancestors are left.
+/// Returns the figures that show the effect of a resampling kernel and of more particles while few
+/// ancestors survive.
 fn depletion_figures(
     record: &building::Record,
     start: &dyn Fn() -> GaussianStart,
@@ -520,7 +523,8 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         )
         .known_miss("it follows the record; the range is that of two records"),
     ]);
-    // two importance densities, one evidence: on the same record, without the constant that they share
+    // Two importance densities must give one evidence on the same record, apart from the constant
+    // that both omit.
     let steps = run.pick(STEPS, 50);
     let evidence = |density: ImportanceDensity, seed: u64| -> Result<f64, ValidateError> {
         let settings = ParticleSettings {

@@ -1,9 +1,14 @@
-//! Chapter 7, §7.4: what becomes of the building with spikes and biased nodes when a piece of the method is left out.
+//! Chapter 7, §7.4: the building with spikes and biased nodes, with one part of the method removed
+//! at a time.
 //!
-//! The page's runs keep ten modes; here the structure has all its degrees of freedom, and nodes tell one another their responses, as in
-//! `hierarchical.building`. The rate and the length are the page's: 50 Hz, 150 s after the training. Required is what it says of a node: that
-//! a healthy one starts anew once at most, and two to fourteen times when it has learnt from raw samples; that without feedback 6 to 62 %
-//! of the fusions leave a healthy one out.
+//! The reference runs of the specification keep ten modes. Here the structure has all its degrees
+//! of freedom, and the nodes exchange their responses, as in `hierarchical.building`. The rate and
+//! the length are those of the specification: 50 Hz, and 150 s after the training. It requires the
+//! following:
+//!
+//! - A healthy node restarts at most once, or two to fourteen times if it was trained on raw
+//!   samples.
+//! - Without feedback, 6 to 62 % of the fusions leave a healthy node out.
 
 use super::hierarchical::{
     AFTER_DAMAGE_S, BIASED, COUNTED_FROM_S, FILE, GROUPS, TRAINING_S, corrupt,
@@ -18,8 +23,9 @@ use crate::statistics::Mean;
 use spandrel_structure::Structure;
 
 const RATE_HZ: f64 = 50.0;
-/// What is put in the place of what, in the file; what is asked of the largest share of the fusions that leave a healthy node out, and of
-/// how often one starts anew.
+/// Variants: the name, the text replaced in the file and its replacement. The requirements apply to
+/// the largest share of fusions that leave a healthy node out, and to the largest number of
+/// restarts.
 const VARIANTS: [(&str, &str, &str, Required, Required); 5] = [
     (
         "all pieces",

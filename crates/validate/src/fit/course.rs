@@ -1,4 +1,5 @@
-//! The simulation of a structure file through the cores of the services: samples, alignment, identification.
+//! Runs the simulation of a structure file through the cores of the services: samples, alignment,
+//! identification.
 
 use super::shares::{Judgement, Shares};
 use crate::error::ValidateError;
@@ -10,16 +11,16 @@ use spandrel_ingest::{Alignment, Layout};
 use spandrel_sensor::{Clocks, Cutter, NodePlan, simulated_rows};
 use spandrel_structure::Structure;
 
-/// Whether anything is measured is looked at so often (Hz); the estimates do not depend on it.
+/// Rate at which the samples are cut into blocks (Hz). The estimates do not depend on it.
 const LOOKS_HZ: f64 = 10.0;
 
-/// A share of the run is told so often (frames).
+/// Number of frames between two progress reports.
 const TOLD: u64 = 1000;
 
-/// Half-lives in which an error of an estimate falls to a sixteenth.
+/// Number of half-lives in which an error of an estimate falls to a sixteenth.
 const FOLLOWING_HALF_LIVES: f64 = 2.0;
 
-/// Simulates `seconds` of a structure, with all that its file says of the simulation, and identifies it.
+/// Simulates `seconds` of a structure with all simulation settings of its file, and identifies it.
 pub(super) fn run(
     structure: &Structure,
     seconds: f64,
@@ -61,13 +62,13 @@ pub(super) fn run(
     Ok(judged.shares)
 }
 
-/// Identification, and what it says of the fit.
+/// An identification and the shares of its fit verdicts.
 struct Judged<'s> {
     structure: &'s Structure,
     identification: Identification,
-    /// scratch
+    /// Scratch space.
     outputs: Vec<Output>,
-    /// true parameters of the last frame, and when they last changed (frame)
+    /// True parameters of the last frame, and the frame of their last change.
     truth: Vec<f64>,
     changed: Option<u64>,
     following_frames: f64,
@@ -80,7 +81,7 @@ impl<'s> Judged<'s> {
             .filter_settings()
             .map_err(ValidateError::setting)?
             .fading;
-        // a half-life is that of the weight of a residual: information fades twice as fast
+        // This half-life applies to the weight of a residual. Information fades twice as fast.
         let half_life_frames = 2.0 * std::f64::consts::LN_2 * fading.memory_steps();
         Ok(Self {
             structure,
@@ -135,7 +136,7 @@ impl<'s> Judged<'s> {
     }
 }
 
-/// Counts the parameters whose 95 % interval holds the truth, and all.
+/// Counts the parameters whose 95 % interval contains the truth, and all parameters.
 fn held(estimate: &Estimate, truth: &[f64]) -> (u64, u64) {
     let holds = |(index, (mean, truth)): &(usize, (&f64, &f64))| {
         estimate

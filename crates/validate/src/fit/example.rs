@@ -1,4 +1,4 @@
-//! The example files: what each simulates, and which verdict is right.
+//! The example files: the simulated length and the correct verdict of each.
 
 use super::measure;
 use crate::cases::Case;
@@ -6,7 +6,7 @@ use crate::error::ValidateError;
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 
-/// The matrices that examples name, by path beside their file.
+/// Matrices that the examples refer to, by path relative to the file.
 const MATRICES: [(&str, &str); 7] = [
     (
         "k-lower.mtx",
@@ -38,12 +38,12 @@ const MATRICES: [(&str, &str); 7] = [
     ),
 ];
 
-/// Which verdict is right, by what the file says.
+/// Correct verdict according to the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Right {
     Supported,
     Doubtful,
-    /// Nobody judges the fit.
+    /// Nothing judges the fit.
     NoVerdict,
 }
 
@@ -62,9 +62,9 @@ impl Right {
 pub(super) struct Example {
     pub(super) name: &'static str,
     pub(super) text: &'static str,
-    /// Changes the file where it would take too long as it is.
+    /// Changes the file if a full run would take too long.
     pub(super) shortened: fn(&str) -> String,
-    /// How much of it is simulated.
+    /// Simulated length (s).
     pub(super) seconds: f64,
     pub(super) right: Right,
     pub(super) why: &'static str,
@@ -72,7 +72,7 @@ pub(super) struct Example {
 }
 
 impl Example {
-    /// Reads the file; `seed` keeps runs apart that go on at the same time.
+    /// Parses the file. `seed` gives concurrent runs separate temporary folders.
     pub(super) fn structure(&self, seed: u64) -> Result<Structure, ValidateError> {
         let text = (self.shortened)(self.text);
         if !text.contains(".mtx") {
@@ -107,9 +107,10 @@ fn as_it_is(text: &str) -> String {
     text.to_owned()
 }
 
-/// The tower with twelve beams at 50 Hz: as it is, the ten periods before the first verdict take half an hour.
+/// Returns the tower with twelve beams at 50 Hz. With the original file, the ten periods before the
+/// first verdict take half an hour.
 fn twelve_beams(text: &str) -> String {
-    /// Nodes with sensors, and the nearest ones of the shorter tower.
+    /// Sensor nodes of the whole tower and the nearest nodes of the shorter one.
     const LEVELS: [(usize, usize); 8] = [
         (4, 1),
         (8, 2),
@@ -136,7 +137,7 @@ fn twelve_beams(text: &str) -> String {
 
 macro_rules! examples {
     ($($name:literal $seconds:literal $weight:literal $right:ident $(, $shortened:ident)?: $why:literal $(, missed $missed:literal)?;)*) => {
-        /// A case for each example.
+        /// One case per example.
         pub(crate) static CASES: &[Case] = &[$(Case {
             name: concat!("fit.", $name),
             title: concat!($name, ".toml. ", $why),

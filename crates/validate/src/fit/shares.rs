@@ -2,34 +2,35 @@
 
 use spandrel_bus::{FitReason, FitReasons, FitVerdict};
 
-/// Frames of normal work, by what is known of the fit.
+/// Numbers of frames in normal operation, by the state of the fit.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Shares {
     working: u64,
-    /// with a verdict that no measure stands behind
+    /// Frames with a verdict that no measure supports.
     unmeasured: u64,
-    /// with each verdict: outside of the time after a change, and within it
+    /// Frames with each verdict, outside the time after a change and within it.
     settled: [u64; 3],
     after_a_change: [u64; 3],
-    /// with each reason, outside of the time after a change
+    /// Frames with each reason, outside the time after a change.
     reasons: [u64; FitReason::ALL.len()],
-    /// intervals that hold the truth outside of the time after a change, and all of them: while supported, and while not
+    /// Intervals outside the time after a change that contain the truth, and all of them. The first
+    /// entry counts frames with a supported fit, the second all others.
     held: [(u64, u64); 2],
 }
 
-/// What a frame of normal work says of the fit.
+/// Fit of one frame in normal operation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Judgement {
     pub(super) verdict: Option<FitVerdict>,
     pub(super) reasons: FitReasons,
     pub(super) is_measured: bool,
     pub(super) follows_a_change: bool,
-    /// parameters whose 95 % interval holds the truth, and all
+    /// Number of parameters whose 95 % interval contains the truth, and of all parameters.
     pub(super) held: (u64, u64),
 }
 
 impl Shares {
-    /// Takes one frame of normal work.
+    /// Adds one frame of normal operation.
     pub(super) fn take(&mut self, judgement: Judgement) {
         self.working += 1;
         let Some(verdict) = judgement.verdict else {
@@ -50,32 +51,34 @@ impl Shares {
         }
     }
 
-    /// Share of the working time with a verdict that nobody has measured.
+    /// Returns the share of the frames with a verdict that no measure supports.
     pub(super) fn unmeasured(&self) -> f64 {
         self.unmeasured as f64 / self.working as f64
     }
 
-    /// Share of the judged time with a verdict, outside of the time after a change.
+    /// Returns the share of the judged time with a verdict, outside the time after a change.
     pub(super) fn settled(&self, verdict: FitVerdict) -> f64 {
         share(&self.settled, verdict)
     }
 
-    /// Says whether a parameter changed while the fit was judged.
+    /// Returns `true` if a parameter changed while the fit was judged.
     pub(super) fn changes(&self) -> bool {
         self.after_a_change.iter().any(|frames| *frames > 0)
     }
 
-    /// Share of the time after a change with a verdict.
+    /// Returns the share of the time after a change with a verdict.
     pub(super) fn after_a_change(&self, verdict: FitVerdict) -> f64 {
         share(&self.after_a_change, verdict)
     }
 
-    /// Share of the 95 % intervals that hold the truth: while supported, and while not.
+    /// Returns the share of the 95 % intervals that contain the truth: with a supported fit, and
+    /// otherwise.
     pub(super) fn held(&self) -> [f64; 2] {
         self.held.map(|(held, all)| held as f64 / all as f64)
     }
 
-    /// Each reason that was given outside of the time after a change, with its share of the judged time.
+    /// Returns each reason given outside the time after a change, with its share of the judged
+    /// time.
     pub(super) fn reasons(&self) -> impl Iterator<Item = (FitReason, f64)> {
         let judged = self.settled.iter().sum::<u64>() as f64;
         let share =
@@ -87,7 +90,7 @@ impl Shares {
     }
 }
 
-/// Not a number where there are no frames.
+/// Returns the share of the frames with a verdict, NaN without frames.
 fn share(frames: &[u64; 3], verdict: FitVerdict) -> f64 {
     frames[verdict as usize] as f64 / frames.iter().sum::<u64>() as f64
 }

@@ -1,4 +1,4 @@
-//! Draws diagrams.
+//! Drawing of diagrams as SVG.
 
 use super::thin::Pixels;
 use crate::error::ValidateError;
@@ -8,7 +8,7 @@ use plotters::prelude::*;
 const SIZE: (u32, u32) = (720, 300);
 const TRUTH: RGBColor = RGBColor(60, 60, 60);
 const BOUND: RGBColor = RGBColor(150, 150, 150);
-/// How the colour of a bound stands in the file, and how it does with dashes.
+/// Stroke of a bound as the plotting library writes it, and the same stroke with dashes.
 const BOUND_STROKES: [&str; 2] = [
     "stroke=\"#969696\"",
     "stroke=\"#969696\" stroke-dasharray=\"4 3\"",
@@ -31,11 +31,12 @@ pub(super) fn svg(plot: &Plot) -> Result<String, ValidateError> {
         title: plot.title.clone(),
         reason: error.to_string(),
     })?;
-    // each dash of a dashed series, and each point, would be an element of its own, the larger part of the file
+    // The plotting library would write each dash and each point as a separate element, which would
+    // make up most of the file.
     Ok(joined_points(&text).replace(BOUND_STROKES[0], BOUND_STROKES[1]))
 }
 
-/// Joins points of one colour that follow each other to one path of dots.
+/// Joins consecutive points of one colour into one path of dots.
 fn joined_points(text: &str) -> String {
     let circle = |line: &str| -> Option<(String, String)> {
         let rest = line.strip_prefix("<circle cx=\"")?;
@@ -92,7 +93,7 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
         .y_desc(&plot.ordinate)
         .max_light_lines(0)
         .bold_line_style(RGBColor(228, 228, 228))
-        // a tick at zero may be a rounding error beside it
+        // A tick at zero may have a rounding error.
         .y_label_formatter(&|value| match value.abs() < 1e-6 * (high - low) {
             true => "0".to_owned(),
             false => crate::figure::number(f64::from(*value)),
@@ -120,7 +121,7 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
                 ESTIMATES[(estimates - 1) % ESTIMATES.len()]
             }
         };
-        // clipped by hand: what lies outside would be drawn over the labels
+        // Clip here, because the library would draw outlying points over the labels.
         let finite = points
             .iter()
             .filter(|(x, y)| x.is_finite() && y.is_finite());
@@ -153,7 +154,8 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
     Ok(())
 }
 
-/// Returns the range of a coordinate over all finite points, never empty, with some room.
+/// Returns the range of a coordinate over all finite points, with a margin. The range is never
+/// empty.
 fn range(plot: &Plot, coordinate: impl Fn(&(f32, f32)) -> f32) -> (f32, f32) {
     let values = plot
         .series

@@ -1,4 +1,4 @@
-//! The report as a page of HTML.
+//! The report as an HTML page.
 
 use super::Report;
 use super::page::{CONTENTS, contents_row, drawing_name, heads, introduction, row};
@@ -10,7 +10,7 @@ table{border-collapse:collapse;margin:.6rem 0 1.2rem}td,th{border:1px solid #ccc
 td:first-child,th:first-child{text-align:left}th{background:#f3f3f3}.missed{background:#fbdcdc}img{max-width:100%}\
 code{background:#f3f3f3;padding:0 .2rem}";
 
-/// One cell, as it stands in the page.
+/// One cell as HTML.
 struct Cell(String);
 
 pub(super) fn page(report: &Report) -> String {
@@ -20,7 +20,7 @@ pub(super) fn page(report: &Report) -> String {
          <h1>Spandrel: published examples, rebuilt</h1>\n"
     );
     for paragraph in introduction(report) {
-        // writing to a String does not fail
+        // Writing to a `String` cannot fail.
         let _ = writeln!(page, "<p>{}</p>", marked(&paragraph));
     }
     let contents: Vec<(Vec<Cell>, bool)> = cases
@@ -101,7 +101,8 @@ fn table(page: &mut String, columns: &[String], rows: &[(Vec<Cell>, bool)]) {
     page.push_str("</table>\n");
 }
 
-/// Text with `code` and *emphasis*; a star before a blank or a full stop is one.
+/// Converts text with `code` and *emphasis* to HTML. A star before a blank or a full stop stays a
+/// star.
 fn marked(text: &str) -> String {
     let mut page = escaped(text);
     for (mark, tag) in [('`', "code"), ('*', "em")] {
@@ -113,7 +114,7 @@ fn marked(text: &str) -> String {
     page
 }
 
-/// Places of a mark that opens a word and of the next one.
+/// Returns the positions of a mark that opens a word and of the next mark.
 fn pair(text: &str, mark: char) -> Option<(usize, usize)> {
     let opens = |at: &usize| text[at + 1..].starts_with(char::is_alphabetic);
     let begin = text.match_indices(mark).map(|(at, _)| at).find(opens)?;

@@ -9,14 +9,14 @@ pub(super) fn page(report: &Report) -> String {
     let cases = report.on_page();
     let mut page = "# Published examples, rebuilt\n".to_owned();
     for paragraph in introduction(report) {
-        // writing to a String does not fail
+        // Writing to a `String` cannot fail.
         let _ = write!(page, "\n{paragraph}\n");
     }
     page.push('\n');
     let contents: Vec<Vec<String>> = cases
         .iter()
         .map(|case| {
-            // the anchor that a heading gets is its text without full stops
+            // The anchor of a heading is its text without full stops.
             let link = format!("[{}](#{})", case.name, case.name.replace('.', ""));
             std::iter::once(link).chain(contents_row(case)).collect()
         })

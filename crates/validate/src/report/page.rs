@@ -1,4 +1,4 @@
-//! What the page says in either format, the lines on a terminal, and the files.
+//! Text of the page in either format, the lines on a terminal, and the files.
 
 use super::{CaseReport, FigureReport, Program, Report, drawing, html, markdown};
 use crate::cases::cases;
@@ -9,10 +9,10 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Where the diagrams are, beside the pages.
+/// Folder of the diagrams, relative to the pages.
 const DIAGRAMS: &str = "diagrams";
 
-/// Returns a heading and one line for each figure of each case that was asked for.
+/// Returns a heading and one line per figure for each requested case.
 pub(super) fn text(report: &Report) -> String {
     let mut text = String::new();
     for case in &report.cases {
@@ -55,18 +55,18 @@ pub(super) fn text(report: &Report) -> String {
     text
 }
 
-/// Returns the reason of a figure that misses as expected, and nothing for any other figure.
+/// Returns the reason of a figure that misses as expected, and an empty text for any other figure.
 fn known(figure: &FigureReport) -> String {
     let reason = figure.known_miss.as_ref().filter(|_| !figure.passed);
     reason.map_or(String::new(), |reason| format!("; known: {reason}"))
 }
 
-/// How many figures there are of each verdict.
+/// Number of figures with each result.
 #[derive(Debug, Clone, Copy, Default)]
 struct Count {
     holds: usize,
     missed: usize,
-    /// of the missed ones, those with a known reason
+    /// Missed figures with a known reason.
     known: usize,
     reported: usize,
 }
@@ -134,7 +134,7 @@ pub(super) fn write(report: &Report, directory: &Path) -> Result<(), ValidateErr
             drawn.insert(directory.join(name));
         }
     }
-    // those of an earlier report, by their names only: other files are not ours
+    // Only diagrams of an earlier report are deleted, recognised by their names. Other files stay.
     let ours = |name: &str| {
         name.ends_with(".svg") && cases().iter().any(|case| name.starts_with(case.name))
     };
@@ -150,12 +150,12 @@ pub(super) fn write(report: &Report, directory: &Path) -> Result<(), ValidateErr
     put("figures.md", &markdown::page(report))
 }
 
-/// Path of a diagram beside the page.
+/// Returns the path of a diagram relative to the page.
 pub(super) fn drawing_name(case: &CaseReport, index: usize) -> String {
     format!("{DIAGRAMS}/{}-{}.svg", case.name, index + 1)
 }
 
-/// Heads of the table of figures of a case.
+/// Returns the column headings of the table of figures of a case.
 pub(super) fn heads(case: &CaseReport) -> Vec<String> {
     let mut heads: Vec<String> = ["figure", "published", "required"]
         .map(str::to_owned)
@@ -165,7 +165,7 @@ pub(super) fn heads(case: &CaseReport) -> Vec<String> {
     heads
 }
 
-/// A row of the table of figures.
+/// Returns a row of the table of figures.
 pub(super) fn row(figure: &FigureReport) -> Vec<String> {
     let mut row = vec![
         figure.figure.clone(),
@@ -181,7 +181,7 @@ pub(super) fn row(figure: &FigureReport) -> Vec<String> {
     row
 }
 
-/// The paragraphs above the contents.
+/// Returns the paragraphs above the contents.
 pub(super) fn introduction(report: &Report) -> Vec<String> {
     let on_page = report.on_page();
     let Count {
@@ -229,7 +229,7 @@ pub(super) fn introduction(report: &Report) -> Vec<String> {
     paragraphs
 }
 
-/// Returns the options of the command line that ask for these seeds.
+/// Returns the command line options that request these seeds.
 fn seed_options(seeds: &[u64]) -> String {
     match seeds {
         [] => String::new(),
@@ -241,7 +241,7 @@ fn seed_options(seeds: &[u64]) -> String {
     }
 }
 
-/// Heads of the contents.
+/// Column headings of the contents.
 pub(super) const CONTENTS: [&str; 9] = [
     "case",
     "what",
@@ -254,7 +254,7 @@ pub(super) const CONTENTS: [&str; 9] = [
     "seconds of each",
 ];
 
-/// A row of the contents, without the name of the case.
+/// Returns a row of the contents without the name of the case.
 pub(super) fn contents_row(case: &CaseReport) -> [String; 8] {
     let Count {
         holds,

@@ -1,10 +1,10 @@
-//! Thins curves to what a diagram can show.
+//! Thinning of curves to the resolution of a diagram.
 
-/// Two points nearer than this are one (pixels).
+/// Distance below which a point counts as lying on a line (pixels).
 const TOLERANCE: f32 = 0.6;
-/// Width of a column of which a curve keeps its ends and its extremes (pixels).
+/// Width of a column in which a curve keeps its ends and extremes (pixels).
 const COLUMN: f32 = 1.5;
-/// Side of a cell that holds one of many single points (pixels).
+/// Side of a cell that keeps one single point (pixels).
 const CELL: f32 = 3.0;
 
 /// A linear map from the coordinates of a diagram to pixels.
@@ -12,7 +12,7 @@ const CELL: f32 = 3.0;
 pub(super) struct Pixels {
     pub(super) left: f32,
     pub(super) low: f32,
-    /// pixels for each unit of the abscissa and of the ordinate
+    /// Pixels per unit of the abscissa and of the ordinate.
     pub(super) scale: (f32, f32),
 }
 
@@ -24,7 +24,7 @@ impl Pixels {
         )
     }
 
-    /// Returns the points of a curve that cannot be left out without a visible change.
+    /// Returns the points of a curve that cannot be omitted without a visible change.
     pub(super) fn curve(&self, points: &[(f32, f32)]) -> Vec<(f32, f32)> {
         let mut kept: Vec<(f32, f32)> = Vec::new();
         let column = |point: &(f32, f32)| (self.of(*point).0 / COLUMN).floor() as i64;
@@ -45,7 +45,9 @@ impl Pixels {
         self.without_straight_stretches(&kept)
     }
 
-    /// Douglas & Peucker (1973): keeps the points that lie off the line between those that are kept.
+    /// Omits points close to the line between their kept neighbours.
+    ///
+    /// Source: Douglas & Peucker (1973).
     fn without_straight_stretches(&self, points: &[(f32, f32)]) -> Vec<(f32, f32)> {
         let pixels: Vec<(f32, f32)> = points.iter().map(|point| self.of(*point)).collect();
         let mut kept = vec![false; points.len()];
@@ -71,7 +73,7 @@ impl Pixels {
             .collect()
     }
 
-    /// Returns one of the single points of each small cell.
+    /// Returns one point of each small cell.
     pub(super) fn cloud(&self, points: &[(f32, f32)]) -> Vec<(f32, f32)> {
         let mut taken = std::collections::HashSet::new();
         let cell = |point: &(f32, f32)| {
@@ -86,7 +88,8 @@ impl Pixels {
     }
 }
 
-/// Distance of a point from the line between two others, or from the first where they are one.
+/// Returns the distance of a point from the line between two others, or from the first if both
+/// coincide.
 fn distance(point: (f32, f32), from: (f32, f32), to: (f32, f32)) -> f32 {
     let (along, across) = (
         (to.0 - from.0, to.1 - from.1),

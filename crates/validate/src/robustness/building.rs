@@ -1,44 +1,46 @@
-//! The building that the robustness benchmark measures: independent of the models that identify it.
+//! The true building of the robustness benchmark, independent of the models that identify it.
 //!
-//! A shear building with its own masses, damping and, where asked, one yielding storey (Bouc-Wen), integrated by the
-//! fourth-order method of Runge and Kutta at a tenth of the sampling interval.
+//! A shear building with its own masses and damping and, optionally, one yielding storey
+//! (Bouc-Wen). It is integrated by the fourth-order Runge-Kutta method at a tenth of the sampling
+//! interval.
 
 use super::ground::Ground;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Integration steps per sample.
+/// Number of integration steps per sample.
 const SUBSTEPS: usize = 10;
 
-/// A storey whose spring yields, as a Bouc-Wen spring with a tenth of its stiffness after yielding and exponent 2.
+/// A storey with a yielding Bouc-Wen spring: a tenth of its stiffness remains after yielding, and
+/// the exponent is 2.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Yielding {
-    /// From 0.
+    /// Index of the storey, from 0.
     pub(super) storey: usize,
-    /// Drift (m) at which it yields.
+    /// Yield drift (m).
     pub(super) yield_drift_m: f64,
 }
 
 /// A sudden loss of stiffness.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Loss {
-    /// From 0.
+    /// Index of the storey, from 0.
     pub(super) storey: usize,
     pub(super) at_s: f64,
-    /// Share of the stiffness.
+    /// Lost share of the stiffness.
     pub(super) share: f64,
 }
 
-/// The true building, its motion and its sensors.
+/// The true building with its motion and sensors.
 #[derive(Debug, Clone)]
 pub(super) struct Building {
     pub(super) masses_kg: Vec<f64>,
     pub(super) stiffnesses_n_per_m: Vec<f64>,
-    /// Rayleigh damping `α M + β K`.
+    /// Coefficients of the Rayleigh damping `α M + β K`.
     pub(super) alpha_per_s: f64,
     pub(super) beta_s: f64,
-    /// Whether `K` of the damping remains that of the sound building after a loss.
+    /// Whether `K` in the damping remains that of the undamaged building after a loss.
     pub(super) damping_stays: bool,
     pub(super) yielding: Option<Yielding>,
     pub(super) loss: Option<Loss>,
@@ -52,11 +54,12 @@ pub(super) struct Building {
 /// Share of the elastic stiffness that remains after yielding.
 const HARDENING: f64 = 0.1;
 
-/// One frame: the measured ground acceleration, then that of each floor (m/s²).
+/// One frame: the measured acceleration of the ground, then of each floor (m/s²).
 pub(super) type Samples = Vec<f64>;
 
 impl Building {
-    /// Returns the samples of `duration_s`; the stream of the noise does not depend on the motion.
+    /// Returns the samples of `duration_s`. The random stream of the noise does not depend on the
+    /// motion.
     pub(super) fn measure(&self, duration_s: f64, seed: u64) -> Vec<Samples> {
         let samples = (duration_s * self.rate_hz).round() as usize;
         let random = |stream| {
@@ -106,7 +109,7 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
 struct Motion<'b> {
     building: &'b Building,
     state: Vec<f64>,
-    /// share of the stiffness that each storey still has
+    /// Remaining share of the stiffness of each storey.
     kept: Vec<f64>,
 }
 

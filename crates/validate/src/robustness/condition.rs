@@ -1,4 +1,4 @@
-//! The conditions of the robustness benchmark: what is true, and what the owner states.
+//! Conditions of the robustness benchmark: the true building, and what its owner states.
 
 use super::building::{Building, Loss, Yielding};
 use super::file::{DAMPING_RATIO, FIRST_FREQUENCY_HZ, MASS_KG, STOREYS, Stated};
@@ -12,45 +12,50 @@ use std::f64::consts::{PI, TAU};
 
 /// One row of the table.
 pub(super) struct Condition {
-    /// Changes what is true and what is stated for a seed.
+    /// Changes the true building and the stated file for a seed.
     pub(super) change: fn(&mut Building, &mut Stated, u64),
     pub(super) duration_s: f64,
     pub(super) expected: Expected,
 }
 
-/// What a condition requires, beside that no sound storey is raised.
+/// Requirement of a condition. In addition, no undamaged storey may raise an alert.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Expected {
-    /// The file is right: intervals of 95 %, a supported fit, and a decision at all times.
+    /// Correct file: intervals of 95 %, a supported fit, and a decision at all times.
     RightModel,
-    /// The file is wrong and every interval of a stiffness must hold nonetheless.
+    /// Wrong file whose stiffness intervals must all contain the truth nevertheless.
     EveryStorey,
-    /// The file is wrong: intervals of the loss hold, with a decision for this share of the time.
+    /// Wrong file: the loss intervals contain the truth, with a decision for this share of the
+    /// time.
     WrongModel { decided: Option<f64> },
-    /// A loss is found in this share of the runs, after so many seconds in the mean.
+    /// Loss that is found in this share of the runs, with this mean delay (s).
     Loss {
         found: Option<f64>,
         within_s: Option<f64>,
     },
-    /// A sudden loss is found, and every alert states it rightly; after so many seconds in the mean.
+    /// Sudden loss that is always found, with this mean delay (s), and that every alert states
+    /// correctly.
     SuddenLoss { within_s: f64 },
 }
 
 const DURATION_S: f64 = 120.0;
-/// So long that every alert can be looked at a minute after it was raised.
+/// Duration that leaves a minute after every alert (s).
 const SUDDEN_S: f64 = 170.0;
 const UNMEASURED_S: f64 = 240.0;
 const LOSS_AT_S: f64 = 60.0;
-/// The same where the training of the noise levels can take 40 s; the reference is learnt in the 30 s after it.
+/// Later time of the loss (s). Training of the noise levels can take 40 s, and the reference is
+/// learnt in the 30 s after it.
 const LATE_LOSS_AT_S: f64 = 90.0;
 
-/// Stiffness of each storey that gives the first natural frequency of a uniform shear building.
+/// Returns the stiffness of each storey that gives the first natural frequency of a uniform shear
+/// building.
 fn stiffness_n_per_m() -> f64 {
     let ratio = 2.0 * (PI / (2.0 * (2 * STOREYS + 1) as f64)).sin();
     MASS_KG * (TAU * FIRST_FREQUENCY_HZ / ratio).powi(2)
 }
 
-/// Rayleigh coefficients that give modes 1 and 2 of the uniform building the same damping ratio.
+/// Returns the Rayleigh coefficients that give modes 1 and 2 of the uniform building the same
+/// damping ratio.
 fn rayleigh(ratio: f64) -> (f64, f64) {
     let omega = |mode: usize| {
         let base = 2.0 * (stiffness_n_per_m() / MASS_KG).sqrt();
@@ -63,7 +68,7 @@ fn rayleigh(ratio: f64) -> (f64, f64) {
     )
 }
 
-/// The building as stated, on a measured white ground motion.
+/// Returns the building as stated, under a measured white ground motion.
 pub(super) fn right() -> (Building, Stated) {
     let (alpha_per_s, beta_s) = rayleigh(DAMPING_RATIO);
     let building = Building {
@@ -103,7 +108,8 @@ fn lose(building: &mut Building, storey: usize, share: f64) {
     });
 }
 
-/// Makes a storey lose stiffness when the reference is known even where the training of the noise levels takes its limit.
+/// Makes a storey lose stiffness when the reference is known even if the training of the noise
+/// levels takes its maximum time.
 fn lose_late(building: &mut Building, storey: usize, share: f64) {
     building.loss = Some(Loss {
         storey: storey - 1,
@@ -142,7 +148,7 @@ fn unmeasured(building: &mut Building, stated: &mut Stated) {
 
 const RIGHT: Expected = Expected::RightModel;
 const WRONG: Expected = Expected::WrongModel { decided: None };
-/// A share that holds in 18 of 20 runs.
+/// Requirement that a loss is found in 18 of 20 runs.
 const FOUND: Expected = Expected::Loss {
     found: Some(0.9),
     within_s: None,
@@ -152,7 +158,7 @@ const REPORTED: Expected = Expected::Loss {
     within_s: None,
 };
 
-/// What an alert of the version before took, and 5 s more.
+/// Returns the requirement of a sudden loss with this mean delay, plus 5 s.
 const fn sudden(before_s: f64) -> Expected {
     Expected::SuddenLoss {
         within_s: before_s + 5.0,
@@ -161,7 +167,7 @@ const fn sudden(before_s: f64) -> Expected {
 
 macro_rules! conditions {
     ($($name:literal $title:literal, $duration:expr, $expected:expr, |$b:ident, $s:ident, $seed:ident| $body:expr;)*) => {
-        /// A case for each condition.
+        /// One case per condition.
         pub(crate) static CASES: &[Case] = &[$(Case {
             name: concat!("robustness.", $name),
             title: $title,

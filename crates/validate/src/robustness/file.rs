@@ -1,21 +1,21 @@
-//! The structure file by which the robustness benchmark identifies its building.
+//! The structure file with which the robustness benchmark identifies its building.
 
 use std::fmt::Write as _;
 
-/// What the owner of the building states.
+/// Statements of the building's owner.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Stated {
     pub(super) rate_hz: f64,
     /// Whether a sensor measures the ground.
     pub(super) ground_measured: bool,
-    /// Level of the ground motion (m/s², one sample).
+    /// Level of the ground motion, as the standard deviation of one sample (m/s²).
     pub(super) ground_std: f64,
     pub(super) noise_std: f64,
     /// Whether the two Rayleigh coefficients are identified.
     pub(super) damping_identified: bool,
-    /// Loss of the alert rule, share.
+    /// Loss of the alert rule, as a share.
     pub(super) rule_loss: f64,
-    /// Further lines of `[filter]`.
+    /// Additional lines of `[filter]`.
     pub(super) filter: String,
 }
 

@@ -4,29 +4,30 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::{PI, TAU};
 
-/// What the ground acceleration looks like between and over the samples.
+/// Spectrum of the ground acceleration and its course between samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Spectrum {
-    /// Independent at every sample, and straight in between.
+    /// Independent at every sample, with linear interpolation between samples.
     WhiteStraight,
-    /// Independent at every sample, and held until the next: what the filter assumes of an unmeasured motion.
+    /// Independent at every sample and constant until the next, as the filter assumes for an
+    /// unmeasured motion.
     WhiteHeld,
-    /// Smooth: white noise behind a fourth-order low-pass of this frequency (Hz).
+    /// Smooth: white noise after a fourth-order low-pass filter with this cut-off frequency (Hz).
     Smooth(f64),
     /// Kanai-Tajimi: white noise through a soil layer of 2.4 Hz and a damping ratio of 0.6.
     KanaiTajimi,
 }
 
-/// How the level changes over time.
+/// Change of the level over time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Envelope {
-    /// It does not.
+    /// Constant level.
     Constant,
-    /// It swells and falls tenfold, from 1/√10 to √10 of its mean (geometric), once in this time (s).
+    /// Level between 1/√10 and √10 of its geometric mean, with this period (s).
     Tenfold(f64),
 }
 
-/// The soil layer of the Kanai-Tajimi spectrum: natural frequency (Hz) and damping ratio of firm soil.
+/// Kanai-Tajimi soil layer: natural frequency (Hz) and damping ratio of firm soil.
 const SOIL: (f64, f64) = (2.4, 0.6);
 
 /// A ground acceleration.
@@ -39,7 +40,8 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    /// Returns the accelerations (m/s²) at `substeps` points per sample, for `samples` samples and the end of the last.
+    /// Returns the accelerations (m/s²) at `substeps` points per sample for `samples` samples, and
+    /// at the end of the last one.
     pub(super) fn draw(
         &self,
         samples: usize,
@@ -70,7 +72,7 @@ impl Ground {
             }
             Spectrum::Smooth(cut_off_hz) => {
                 let white = (0..count).map(|_| StandardNormal.sample(random)).collect();
-                // the two second-order sections of a Butterworth low-pass of order four
+                // The two second-order sections of a fourth-order Butterworth low-pass filter.
                 let once = filtered(white, cut_off_hz, (PI / 8.0).cos(), 0.0, fine_s);
                 normalised(filtered(
                     once,
@@ -102,7 +104,8 @@ impl Envelope {
     }
 }
 
-/// Returns the response `ω² x + velocity · 2ζω ẋ` of `ẍ + 2ζω ẋ + ω² x = input`, by the trapezoidal rule.
+/// Returns the response `ω² x + velocity · 2ζω ẋ` of `ẍ + 2ζω ẋ + ω² x = input`, by the trapezoidal
+/// rule.
 fn filtered(
     input: Vec<f64>,
     frequency_hz: f64,
@@ -110,7 +113,7 @@ fn filtered(
     velocity: f64,
     step_s: f64,
 ) -> Vec<f64> {
-    // bilinear transform with its frequency set right at the natural frequency
+    // The bilinear transform is prewarped at the natural frequency.
     let k = 1.0 / (PI * frequency_hz * step_s).tan();
     let (a0, a1, a2) = (
         k * k + 2.0 * ratio * k + 1.0,
@@ -133,7 +136,7 @@ fn filtered(
         .collect()
 }
 
-/// Scales to a standard deviation of 1.
+/// Scales the values to a standard deviation of 1.
 fn normalised(mut values: Vec<f64>) -> Vec<f64> {
     let mean_square = values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64;
     let scale = mean_square.sqrt().recip();

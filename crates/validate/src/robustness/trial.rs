@@ -1,4 +1,5 @@
-//! One run of the robustness benchmark: simulated samples through the cores of `identify` and `alert`.
+//! One run of the robustness benchmark: simulated samples through the cores of `identify` and
+//! `alert`.
 
 use super::building::{Building, Samples};
 use super::file::{LEARN_S, STOREYS, Stated};
@@ -9,33 +10,35 @@ use spandrel_identify::{Identification, Input, Output};
 use spandrel_structure::Structure;
 use std::path::Path;
 
-/// Frames in a block; the results do not depend on it.
+/// Number of frames in a block. The results do not depend on it.
 const BLOCK: usize = 100;
 
-/// What one run showed.
+/// Results of one run.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Trial {
-    /// Estimates inside their 95 % interval, and how many were looked at: of the value, and of the loss.
+    /// Estimates inside their 95 % interval and all examined estimates, of the value and of the
+    /// loss.
     pub(super) value_inside: (u64, u64),
     pub(super) loss_inside: (u64, u64),
-    /// Storeys (from 0) with an alert that nothing justifies.
+    /// Storeys (from 0) with a false alarm.
     pub(super) false_alerts: Vec<usize>,
-    /// From the loss to its alert (s).
+    /// Time from the loss to its alert (s).
     pub(super) delay_s: Option<f64>,
-    /// Whether the interval of the loss held the truth when the alert was raised, and 5, 20 and 60 s later.
+    /// Whether the loss interval contained the truth when the alert was raised, and 5, 20 and 60 s
+    /// later.
     pub(super) alert_inside: [Option<bool>; 4],
-    /// Frames with a verdict of each kind.
+    /// Number of blocks of estimates with each verdict.
     pub(super) verdicts: [u64; 3],
-    /// Decisions possible, and how many there would have been.
+    /// Number of frames with a decision, and of all frames, summed over the parameters.
     pub(super) decided: (u64, u64),
-    /// What the first estimates teach, whether the alerts decide on them or not.
+    /// References learnt from the first estimates, whether the alerts use them or not.
     learnt: [Learning; STOREYS],
 }
 
-/// Times after an alert at which its interval is looked at (s).
+/// Times after an alert at which its interval is examined (s).
 pub(super) const AFTER_ALERT_S: [f64; 4] = [0.0, 5.0, 20.0, 60.0];
 
-/// Identifies what `building` shows for `duration_s` by what is `stated`.
+/// Identifies `duration_s` of samples of `building` with the file that `stated` describes.
 pub(super) fn run(
     building: &Building,
     stated: &Stated,
@@ -100,7 +103,7 @@ impl Trial {
         self.verdicts[verdict] as f64 / self.verdicts.iter().sum::<u64>() as f64
     }
 
-    /// Compares the estimates of one instant with the truth.
+    /// Compares the estimates of one time with the truth.
     fn look(
         &mut self,
         building: &Building,
@@ -113,7 +116,8 @@ impl Trial {
             let loss = building
                 .loss
                 .filter(|loss| loss.storey == storey && time_s > loss.at_s);
-            // while an estimate moves to its new value the interval in the alert is judged, not this one
+            // While an estimate moves to its new value, the interval in the alert is judged instead
+            // of this one.
             let settled = building
                 .loss
                 .is_none_or(|loss| time_s < loss.at_s || time_s > loss.at_s + 30.0);

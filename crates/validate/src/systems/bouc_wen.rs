@@ -1,28 +1,31 @@
-//! A chain of masses whose springs yield: the Bouc–Wen system as the source prints it, `r` driven by the velocity of its mass.
+//! A chain of masses with yielding springs: the Bouc–Wen system as the source prints it, with `r`
+//! driven by the velocity of its mass.
 //!
-//! A second route beside the kind `bouc-wen` of the structure file, written for the chains of the examples only.
+//! An alternative to the kind `bouc-wen` of the structure file, for the chains of the examples
+//! only.
 //!
-//! Huang & Yuen (2023), §2.4.3: `M ẍ + C ẋ + F(r) = T f` (2.87), `ṙ = u − μ|u||r|^(η−1) r − κ u |r|^η` (2.88). Nothing
-//! depends on the displacements, which no sensor of velocities could know; they are left out of the state
-//! `y = [ẋ, r, θ_k, θ_α, θ_β, θ_μ, θ_κ, θ_η]`, where all parameters are ratios to nominal.
+//! Source: Huang & Yuen (2023), §2.4.3: `M ẍ + C ẋ + F(r) = T f` (2.87),
+//! `ṙ = u − μ|u||r|^(η−1) r − κ u |r|^η` (2.88). Nothing depends on the displacements, which
+//! velocity sensors cannot observe. The state therefore omits them:
+//! `y = [ẋ, r, θ_k, θ_α, θ_β, θ_μ, θ_κ, θ_η]`. All parameters are ratios to nominal.
 
 use nalgebra::DMatrix;
 use spandrel_filter::{ObservationModel, ProcessModel};
 
-/// Below this `|r|^η` and its logarithm count as zero (m).
+/// Threshold below which `|r|^η` and its logarithm count as zero (m).
 const TINY: f64 = 1e-12;
 
-/// Parameters behind the stiffness groups: `α`, `β`, `μ`, `κ`, `η`.
+/// Number of parameters after the stiffness groups: `α`, `β`, `μ`, `κ`, `η`.
 pub(crate) const SHAPE_PARAMETERS: usize = 5;
 
-/// Describes a chain that is fixed below and free above, from the bottom up.
+/// A chain that is fixed at the bottom and free at the top, listed from the bottom up.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct BoucWenChain {
     /// Mass of each degree of freedom (kg).
     pub(crate) masses_kg: Vec<f64>,
     /// Stiffness of each spring (N/m).
     pub(crate) stiffnesses_n_per_m: Vec<f64>,
-    /// Springs (from 0) of each stiffness parameter; every spring belongs to one.
+    /// Springs (from 0) of each stiffness parameter. Every spring belongs to exactly one.
     pub(crate) groups: Vec<Vec<usize>>,
     /// `α` (1/s) of Rayleigh damping.
     pub(crate) alpha_per_s: f64,
@@ -38,7 +41,7 @@ pub(crate) struct BoucWenChain {
     pub(crate) sensed: Vec<usize>,
 }
 
-/// Both traits of `spandrel-filter` for a [`BoucWenChain`] under ground acceleration.
+/// Process and observation model of a [`BoucWenChain`] under ground acceleration.
 #[derive(Debug, Clone)]
 pub(crate) struct BoucWenModel {
     chain: BoucWenChain,
@@ -46,11 +49,11 @@ pub(crate) struct BoucWenModel {
     state: Vec<f64>,
     observed: Vec<f64>,
     ground: f64,
-    /// `∂ṙ/∂(u, r, θ_μ, θ_κ, θ_η)` of each mass
+    /// Derivatives `∂ṙ/∂(u, r, θ_μ, θ_κ, θ_η)` of each mass.
     slopes: Vec<[f64; 5]>,
 }
 
-/// The parts of a state vector.
+/// Parts of a state vector.
 struct Parts<'a> {
     v: &'a [f64],
     r: &'a [f64],
@@ -62,7 +65,7 @@ fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }
 
-/// `|r|^exponent`, safe at 0.
+/// Returns `|r|^exponent`, also at 0.
 fn power(r: f64, exponent: f64) -> f64 {
     if r.abs() < TINY {
         0.0
@@ -72,8 +75,8 @@ fn power(r: f64, exponent: f64) -> f64 {
 }
 
 impl BoucWenModel {
-    /// Makes the model; `None` unless there is one spring for each mass, each in exactly one group, and the sensed degrees
-    /// of freedom exist.
+    /// Creates the model. Returns `None` unless each mass has one spring, each spring is in exactly
+    /// one group, and the sensed degrees of freedom exist.
     #[must_use]
     pub(crate) fn new(chain: BoucWenChain) -> Option<Self> {
         let masses = chain.masses_kg.len();
@@ -114,13 +117,14 @@ impl BoucWenModel {
         Parts { v, r, theta, shape }
     }
 
-    /// Force of spring `j` for values `s` at the masses and a factor for each group, by the drift of `s`.
+    /// Returns the force of spring `j` from the drift of `s`, for values `s` at the masses and a
+    /// factor for each group.
     fn by_drift(&self, theta: &[f64], s: &[f64], j: usize) -> f64 {
         let below = if j > 0 { s[j - 1] } else { 0.0 };
         theta[self.group_of[j]] * self.chain.stiffnesses_n_per_m[j] * (s[j] - below)
     }
 
-    /// `−F/m` on mass `i` of spring forces that a function gives.
+    /// Returns `−F/m` on mass `i` for the spring forces that `force` returns.
     fn acceleration(&self, i: usize, force: impl Fn(usize) -> f64) -> f64 {
         let above = if i + 1 < self.masses() {
             force(i + 1)
@@ -236,7 +240,10 @@ impl ProcessModel for BoucWenModel {
         }
     }
 
-    /// Gershgorin: the largest row sum of `M⁻¹ K` bounds `ω²`; hysteresis only softens, up to a factor of 1.2 around the yield.
+    /// Returns a bound on the rate of change.
+    ///
+    /// By Gershgorin's theorem, the largest row sum of `M⁻¹ K` bounds `ω²`. Hysteresis only
+    /// softens, except for a factor of up to 1.2 around the yield point.
     fn rate_bound(&self) -> f64 {
         let Parts { theta, shape, .. } = self.parts(&self.state);
         let spring = |j: usize| match self.group_of.get(j) {

@@ -3,9 +3,10 @@
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ObservationModel, ProcessModel};
 
-/// Chain of equal masses of 1 kg, fixed at one end, with y = [x, ẋ, θ_k, α, β] (ch3 §4.0).
+/// A chain of equal masses of 1 kg, fixed at one end, with y = [x, ẋ, θ_k, α, β] (ch3 §4.0).
 ///
-/// A force acts on the last mass; all accelerations −(C ẋ + K x) are observed, without the direct term f/m, as in the source.
+/// A force acts on the last mass. All accelerations −(C ẋ + K x) are observed without the direct
+/// term f/m, as in the source.
 #[derive(Debug, Clone)]
 pub struct Chain {
     pub masses: usize,
@@ -27,7 +28,7 @@ impl Chain {
         }
     }
 
-    /// `[K x]_i` for the nominal stiffness.
+    /// Returns `[K x]_i` for the nominal stiffness.
     fn force_row(&self, x: &[f64], i: usize) -> f64 {
         let below = if i > 0 { x[i - 1] } else { 0.0 };
         let above = if i + 1 < self.masses {
@@ -38,7 +39,7 @@ impl Chain {
         self.stiffness * (x[i] - below - above)
     }
 
-    /// `−(C ẋ + K x)` at a state.
+    /// Returns `−(C ẋ + K x)` at a state.
     fn acceleration(&self, y: &[f64], i: usize) -> f64 {
         let n = self.masses;
         let (theta, alpha, beta) = (y[2 * n], y[2 * n + 1], y[2 * n + 2]);
@@ -46,7 +47,7 @@ impl Chain {
         -theta * elastic - alpha * y[n + i]
     }
 
-    /// Derivative of that acceleration along a direction of the state.
+    /// Returns the derivative of that acceleration along a direction of the state.
     fn acceleration_along(&self, y: &[f64], direction: &[f64], i: usize) -> f64 {
         let n = self.masses;
         let (theta, alpha, beta) = (y[2 * n], y[2 * n + 1], y[2 * n + 2]);

@@ -1,4 +1,4 @@
-//! The systems with drifting parameters of Ching et al. (2006), and what their simulation needs.
+//! The systems with drifting parameters of Ching et al. (2006), and helpers of their simulation.
 
 pub(crate) mod building;
 pub(crate) mod integrate;
@@ -10,7 +10,7 @@ use crate::statistics;
 pub(crate) use crate::statistics::rms;
 pub(crate) use integrate::integrate;
 
-/// Independent standard normal numbers.
+/// Generator of independent standard normal numbers.
 pub(crate) struct Normal(statistics::Normal);
 
 impl Normal {

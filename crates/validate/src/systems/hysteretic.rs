@@ -1,4 +1,5 @@
-//! Records of Bouc–Wen chains: true motion by Runge–Kutta steps with the excitation held.
+//! Records of Bouc–Wen chains: the true motion by Runge–Kutta steps with constant excitation within
+//! a step.
 
 use crate::error::ValidateError;
 use crate::run::Run;
@@ -6,23 +7,23 @@ use crate::statistics::Normal;
 use crate::systems::bouc_wen::{BoucWenChain, BoucWenModel, SHAPE_PARAMETERS};
 use spandrel_filter::ProcessModel;
 
-/// What happens to a chain.
+/// Simulation settings and changes of a chain over time.
 pub(crate) struct Events<'e> {
     pub(crate) step_s: f64,
     pub(crate) seconds: f64,
-    /// Runge–Kutta steps in each time step.
+    /// Number of Runge–Kutta steps in each time step.
     pub(crate) substeps: u32,
     /// Standard deviation of the ground acceleration at a time.
     pub(crate) ground_std: &'e dyn Fn(f64) -> f64,
-    /// Stiffness factors at a time, one for each group.
+    /// Stiffness factor of each group at a time.
     pub(crate) stiffness: &'e dyn Fn(f64) -> Vec<f64>,
 }
 
 /// True motion at the times of the data.
 pub(crate) struct Motion {
-    /// `[ẋ, r]` at each step (2 N_d).
+    /// State `[ẋ, r]` at each step (2 N_d).
     pub(crate) states: Vec<Vec<f64>>,
-    /// Time of each (s): the first is one step after rest.
+    /// Time step (s). The first state is one step after rest.
     pub(crate) step_s: f64,
 }
 
@@ -76,13 +77,13 @@ impl Motion {
         })
     }
 
-    /// Time of a step (s).
+    /// Returns the time of a step (s).
     pub(crate) fn time_s(&self, step: usize) -> f64 {
         (step + 1) as f64 * self.step_s
     }
 }
 
-/// Force of spring `j` by the chain's own matrix, over its nominal stiffness (m).
+/// Returns the force of spring `j` over its nominal stiffness (m), from the chain's own matrix.
 pub(crate) fn spring_force(theta: f64, r: &[f64], j: usize) -> f64 {
     theta * (r[j] - if j > 0 { r[j - 1] } else { 0.0 })
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-/// A chain of equal masses and springs, fixed at one end, mass-normalised: `M⁻¹ K` (1/s²).
+/// Returns `M⁻¹ K` (1/s²) of a mass-normalised chain of equal masses and springs, fixed at one end.
 pub(crate) fn chain(masses: usize, stiffness_per_mass: f64) -> DMatrix<f64> {
     DMatrix::from_fn(masses, masses, |i, j| match i.abs_diff(j) {
         0 if i + 1 == masses => stiffness_per_mass,
@@ -12,7 +12,8 @@ pub(crate) fn chain(masses: usize, stiffness_per_mass: f64) -> DMatrix<f64> {
     })
 }
 
-/// System and input matrix (2.4), (2.5) under ground motion, for a mass-normalised stiffness.
+/// Returns the system matrix (2.4) and input matrix (2.5) under ground motion, for a
+/// mass-normalised stiffness.
 pub(crate) fn under_ground_motion(
     stiffness: &DMatrix<f64>,
     alpha: f64,

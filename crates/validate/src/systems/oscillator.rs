@@ -3,7 +3,8 @@
 use nalgebra::DMatrix;
 use spandrel_filter::{ObservationModel, ProcessModel};
 
-/// ẍ + 2ζω ẋ + ω² x = f with y = [x, ẋ, ω, ζ], displacement and velocity observed (ch2 §4.3).
+/// The system ẍ + 2ζω ẋ + ω² x = f with y = [x, ẋ, ω, ζ]. Displacement and velocity are observed
+/// (ch2 §4.3).
 #[derive(Debug, Clone, Default)]
 pub struct Oscillator {
     process: [f64; 4],

@@ -1,7 +1,9 @@
-//! Fifty-storey shear building under ground motion or wind, with its records: Yuen, Liang & Kuok (2013).
+//! A fifty-storey shear building under ground motion or wind, with its records: Yuen, Liang & Kuok
+//! (2013).
 //!
-//! Self-contained: the tests of the filter use it too. The published outputs are absolute accelerations; turbulence does not reach them directly, the mean wind
-//! does, which is how the published data must have been generated.
+//! This file is self-contained because the tests of the filter use it too. The published outputs
+//! are absolute accelerations. Turbulence has no direct effect on them, but the mean wind does. The
+//! published data must have been generated in this way.
 
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
@@ -15,26 +17,27 @@ use std::f64::consts::{PI, TAU};
 
 pub const FLOORS: usize = 50;
 pub const STEP_S: f64 = 0.01;
-/// kg, every floor
+/// Mass of every floor (kg).
 pub const FLOOR_MASS: f64 = 4.00e5;
-/// N/m, every storey
+/// Stiffness of every storey (N/m).
 pub const STOREY_STIFFNESS: f64 = 652.9e6;
-/// `α_M` (1/s) and `α_K` (s)
+/// Rayleigh coefficients `α_M` (1/s) and `α_K` (s).
 pub const RAYLEIGH: [f64; 2] = [1.885e-2, 3.980e-3];
 /// Floors with an accelerometer, counted from 1.
 pub const SENSED: [usize; 6] = [1, 10, 20, 30, 40, 50];
 /// Floors in the published tables, counted from 1.
 pub const TABULATED: [usize; 10] = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50];
-/// `S₀` (m²/s³), two-sided over circular frequency
+/// Intensity `S₀` (m²/s³), two-sided over circular frequency.
 pub const GROUND_INTENSITY: f64 = 1.20e-4;
-/// m²/s⁴, of the published realisation
+/// Sensor noise variance of the published realisation (m²/s⁴).
 pub const PRINTED_SENSOR_VARIANCE: f64 = 1.320e-4;
 /// Variance of every displacement (m²) and velocity (m²/s²) before the first datum.
 pub const PRIOR_VARIANCE: f64 = 1e-4;
-/// Sensor noise over the response of the top floor, root mean squares.
+/// Sensor noise relative to the response of the top floor (root mean squares).
 const NOISE_SHARE: f64 = 0.05;
 
-/// Variance of a white process of two-sided intensity `s_0` that is held over steps: `2π S₀/Δt`.
+/// Returns the variance `2π S₀/Δt` of a white process of two-sided intensity `s_0` that is constant
+/// within each step.
 pub fn held_variance(s_0: f64, step_s: f64) -> f64 {
     TAU * s_0 / step_s
 }
@@ -44,14 +47,15 @@ pub fn held_variance(s_0: f64, step_s: f64) -> f64 {
 pub enum Case {
     /// Stationary ground motion and noise.
     Ground,
-    /// Modulated ground motion, stationary noise.
+    /// Modulated ground motion and stationary noise.
     ModulatedGround,
-    /// Mean wind with modulated, spatially correlated turbulence; noise with the same modulation.
+    /// Mean wind with modulated, spatially correlated turbulence, and noise with the same
+    /// modulation.
     Wind,
 }
 
 impl Case {
-    /// `A_f(t)`.
+    /// Returns the modulation `A_f(t)`.
     pub fn modulation(self, t: f64) -> f64 {
         match self {
             Self::Ground => 1.0,
@@ -65,7 +69,8 @@ impl Case {
         }
     }
 
-    /// `θ_f` that belongs to the instant `t` (s): a variance (m²/s⁴) of the ground motion, a factor on [`turbulence`].
+    /// Returns `θ_f` at the time `t` (s): a variance (m²/s⁴) of the ground motion, or a factor on
+    /// [`turbulence`].
     pub fn excitation_level(self, t: f64) -> f64 {
         let unit = if self == Self::Wind {
             1.0
@@ -75,7 +80,7 @@ impl Case {
         unit * self.modulation(t).powi(2)
     }
 
-    /// `A_f²` of the sensor noise.
+    /// Returns `A_f²` of the sensor noise.
     pub fn noise_modulation(self, t: f64) -> f64 {
         if self == Self::Wind {
             self.modulation(t).powi(2)
@@ -84,7 +89,7 @@ impl Case {
         }
     }
 
-    /// The matrix that `θ_f` multiplies (N_f × N_f).
+    /// Returns the matrix that `θ_f` multiplies (N_f × N_f).
     pub fn excitation_pattern(self) -> DMatrix<f64> {
         if self == Self::Wind {
             turbulence()
@@ -93,7 +98,7 @@ impl Case {
         }
     }
 
-    /// Known part of the excitation (N_f): the mean wind, or nothing.
+    /// Returns the known part of the excitation (N_f): the mean wind, or zero.
     pub fn known_excitation(self) -> DVector<f64> {
         if self == Self::Wind {
             mean_wind()
@@ -102,7 +107,7 @@ impl Case {
         }
     }
 
-    /// `T` (N_d × N_f).
+    /// Returns the distribution matrix `T` (N_d × N_f).
     pub fn distribution(self) -> DMatrix<f64> {
         if self == Self::Wind {
             DMatrix::identity(FLOORS, FLOORS)
@@ -123,7 +128,7 @@ impl Case {
     }
 }
 
-/// `M`, `L`, `K` (N_d × N_d).
+/// Returns `M`, `L` and `K` (N_d × N_d).
 pub fn matrices() -> [DMatrix<f64>; 3] {
     let mass = DMatrix::identity(FLOORS, FLOORS) * FLOOR_MASS;
     let stiffness = DMatrix::from_fn(FLOORS, FLOORS, |i, j| match i.abs_diff(j) {
@@ -136,7 +141,8 @@ pub fn matrices() -> [DMatrix<f64>; 3] {
     [mass, damping, stiffness]
 }
 
-/// `C_d` (N_0 × 2 N_d): absolute accelerations of the sensed floors.
+/// Returns the observation matrix `C_d` (N_0 × 2 N_d) of the absolute accelerations of the sensed
+/// floors.
 pub fn observation() -> DMatrix<f64> {
     let [_, damping, stiffness] = matrices();
     let mut observation = DMatrix::zeros(SENSED.len(), 2 * FLOORS);
@@ -149,12 +155,12 @@ pub fn observation() -> DMatrix<f64> {
     observation
 }
 
-/// Height above ground of floor `i`, counted from 0 (m).
+/// Returns the height of floor `i` above ground (m), counted from 0.
 fn height(i: usize) -> f64 {
     2.5 * (i + 1) as f64
 }
 
-/// Mean wind force on every floor (N).
+/// Returns the mean wind force on every floor (N).
 pub fn mean_wind() -> DVector<f64> {
     let (density, reference_height, speed, drag, area, exponent) =
         (1.20, 10.0, 10.0_f64, 2.03, 20.0 * 2.5, 0.3);
@@ -168,7 +174,7 @@ pub fn mean_wind() -> DVector<f64> {
     })
 }
 
-/// Covariance of the turbulence at unit modulation (N_d × N_d, N²).
+/// Returns the covariance of the turbulence at unit modulation (N_d × N_d, N²).
 pub fn turbulence() -> DMatrix<f64> {
     let (intensity, reference_height) = (0.2_f64, 10.0);
     let wind = mean_wind();
@@ -180,7 +186,7 @@ pub fn turbulence() -> DMatrix<f64> {
     })
 }
 
-/// The building in physical coordinates.
+/// Returns the building in physical coordinates.
 pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
     let [mass, damping, stiffness] = matrices();
     StateSpace::second_order(
@@ -191,7 +197,7 @@ pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
     )
 }
 
-/// The same building in modal coordinates.
+/// Returns the building in modal coordinates.
 pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
     let [mass, damping, stiffness] = matrices();
     ModalModel::new(
@@ -202,7 +208,7 @@ pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
     )
 }
 
-/// The discrete system for the closed forms, with the two noise levels.
+/// Returns the discrete system for the closed forms, with the two noise levels.
 pub fn discrete_model(
     case: Case,
     excitation_level: f64,
@@ -219,12 +225,14 @@ pub fn discrete_model(
     })
 }
 
-/// Displacement under the known excitation at rest (N_d): where every record and every filter starts.
+/// Returns the static displacement under the known excitation (N_d), from which every record and
+/// every filter starts.
 pub fn static_displacement(case: Case) -> DVector<f64> {
     if case != Case::Wind {
-        return DVector::zeros(FLOORS); // the known part is zero
+        return DVector::zeros(FLOORS); // no known excitation
     }
-    // statically determinate: the shear of every storey is all wind above it
+    // The building is statically determinate: the shear of each storey is the total wind force
+    // above it.
     let wind = mean_wind();
     let mut drift_sum = 0.0;
     DVector::from_fn(FLOORS, |i, _| {
@@ -233,10 +241,11 @@ pub fn static_displacement(case: Case) -> DVector<f64> {
     })
 }
 
-/// The 20 quantities of the tables at one instant: displacements (m), then velocities (m/s), of [`TABULATED`].
+/// The 20 quantities of the tables at one time: displacements (m), then velocities (m/s), of
+/// [`TABULATED`].
 pub type Tabulated = [f64; 2 * TABULATED.len()];
 
-/// Picks the tabulated quantities out of `[x, ẋ]`.
+/// Selects the tabulated quantities from `[x, ẋ]`.
 pub fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
     std::array::from_fn(|k| {
         let half = k / TABULATED.len();
@@ -244,7 +253,7 @@ pub fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
     })
 }
 
-/// Names of the 20 quantities.
+/// Returns the name of a quantity.
 pub fn tabulated_name(k: usize) -> String {
     format!(
         "{}{}",
@@ -253,18 +262,19 @@ pub fn tabulated_name(k: usize) -> String {
     )
 }
 
-/// One simulated record; entry `k` belongs to the instant `(k + 1) Δt`.
+/// A simulated record. Entry `k` belongs to the time `(k + 1) Δt`.
 #[derive(Debug, Clone)]
 pub struct Record {
     pub case: Case,
     pub data: Vec<[f64; SENSED.len()]>,
     pub truth: Vec<Tabulated>,
-    /// Variance of the sensor noise at unit modulation (m²/s⁴): 5 % of the top floor's root mean square.
+    /// Variance of the sensor noise at unit modulation (m²/s⁴), from 5 % of the top floor's root
+    /// mean square.
     pub sensor_variance: f64,
 }
 
 impl Record {
-    /// Actual `[θ_f, θ_n]` for the datum `k`; the force is that of the step before it.
+    /// Returns the actual `[θ_f, θ_n]` for the datum `k`. The force is that of the preceding step.
     pub fn actual_levels(&self, k: usize) -> [f64; 2] {
         let (force_t, datum_t) = (k as f64 * STEP_S, (k + 1) as f64 * STEP_S);
         [
@@ -335,18 +345,19 @@ pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterErr
     })
 }
 
-/// What a filter is told of the noise levels `[θ_f, θ_n]`.
+/// Noise levels `[θ_f, θ_n]` of a filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Levels {
-    /// The actual ones at every instant.
+    /// Actual levels at every time.
     Actual,
-    /// The same ones always.
+    /// Constant levels.
     Constant([f64; 2]),
-    /// Where to start from; the two-stage rule does the rest.
+    /// Start values of the two-stage rule, which identifies the levels.
     Online([f64; 2]),
 }
 
-/// The noise model with both levels as parameters; their deviations are a third of the starts.
+/// Returns the noise model with both levels as parameters. Their deviations are a third of the
+/// start values.
 pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
     let inputs = case.distribution().ncols();
     let parameter = |name: &str, target, pattern, start: f64| NoiseParameter {
@@ -378,9 +389,11 @@ pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
     model
 }
 
-/// Settings for [`modal_model`]: the published ones, with a half-life of the noise parameters in steps.
+/// Returns the published settings for [`modal_model`], with the half-life of the noise parameters
+/// in steps.
 ///
-/// The prior variances of the physical state become modal ones; floors of equal mass keep them uncorrelated.
+/// The prior variances of the physical state are converted to modal ones. Floors of equal mass keep
+/// them uncorrelated.
 pub fn filter_settings(
     model: &ModalModel,
     case: Case,
@@ -408,18 +421,18 @@ pub fn filter_settings(
     settings
 }
 
-/// A filter on its way through a record of the building.
+/// A filter and its position in a record of the building.
 pub struct Run<'a> {
     pub filter: ExtendedKalmanFilter<ModalModel>,
     record: &'a Record,
     levels: Levels,
     known: DVector<f64>,
-    /// rows of `Φ` of the tabulated floors (10 × N_d)
+    /// Rows of `Φ` of the tabulated floors (10 × N_d).
     shapes: DMatrix<f64>,
 }
 
 impl<'a> Run<'a> {
-    /// Starts at `t = 0`, one step before the first datum.
+    /// Creates a filter at `t = 0`, one step before the first datum.
     pub fn new(
         record: &'a Record,
         levels: Levels,
@@ -430,7 +443,7 @@ impl<'a> Run<'a> {
         Self::with_settings(model, settings, record, levels)
     }
 
-    /// The same with other settings.
+    /// Creates a filter with other settings.
     pub fn with_settings(
         model: ModalModel,
         settings: FilterSettings,
@@ -442,7 +455,7 @@ impl<'a> Run<'a> {
         });
         let mut filter = ExtendedKalmanFilter::new(model, settings)?;
         let known = record.case.known_excitation();
-        // the prior is for the instant 0, which has no datum
+        // The prior applies to time 0, which has no datum.
         filter.step(Frame {
             observations: &[f64::NAN; SENSED.len()],
             excitation: known.as_slice(),
@@ -456,7 +469,7 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Takes the datum `k`.
+    /// Processes the datum `k`.
     pub fn step(&mut self, k: usize) -> Result<Step, FilterError> {
         if self.levels == Levels::Actual {
             self.filter

@@ -17,8 +17,8 @@ fn nothing_is_decided_while_the_data_contradict_the_model() {
     );
     assert_eq!(
         told.why,
-        "no alert of storey-2 is decided: the data contradict the model: the noise found is much larger than the noise \
-         stated"
+        "no decision on storey-2: the data contradict the model: the noise found is much larger \
+         than the noise stated"
     );
     drive.estimates(40..60, SOUND, SURE);
     assert_eq!(drive.states()[1..], [(Normal, 41)]);
@@ -55,7 +55,7 @@ fn each_reason_keeps_a_loss_from_being_raised() {
             SURE,
             UndecidedBecause::ParameterAtBound,
         ),
-        // Φ((0.95 − 0.86)/0.08) = 0.87, and Φ(0.05/0.08) = 0.73 of a loss of 10 %
+        // Φ((0.95 − 0.86)/0.08) = 0.87, and Φ(0.05/0.08) = 0.73 for a loss of 10 %.
         (
             EstimateFlags::working(),
             SOFT,
@@ -90,10 +90,10 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
     let known = Reference::new(1.0, 0.01).unwrap();
     assert_eq!(
         told(known, 0.98, 0.08),
-        "no alert of storey-2 is decided: the estimate is too uncertain to show a loss of 10 % (estimate 0.980 ± 0.080, \
-         reference 1.000 ± 0.010)"
+        "no decision on storey-2: the estimate is too uncertain to show a loss of 10 % (estimate \
+         0.980 ± 0.080, reference 1.000 ± 0.010)"
     );
-    // of one degree of freedom, 95 % of the scatter lie below 6.3 standard deviations
+    // With one degree of freedom, 95 % of the scatter is below 6.3 standard deviations.
     let few = Reference::new(1.0, 0.0)
         .unwrap()
         .with_scatter(crate::reference::Scatter {
@@ -103,8 +103,8 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
         .unwrap();
     assert_eq!(
         told(few, 0.98, 0.001),
-        "no alert of storey-2 is decided: the reference, from few records, is too uncertain to show a loss of 10 % \
-         (estimate 0.980 ± 0.001, reference 1.000 ± 0.030)"
+        "no decision on storey-2: the reference, from few records, is too uncertain to show a loss \
+         of 10 % (estimate 0.980 ± 0.001, reference 1.000 ± 0.030)"
     );
 }
 
@@ -121,7 +121,8 @@ fn loss_has_an_interval_for_the_structure_and_one_within_the_record() {
     let mut drive = Drive::new(rule().with_reference(records));
     drive.estimates(0..30, 0.8, 0.01);
     let raised = drive.alerts.last().unwrap();
-    // within the record: 1.96·0.01 on both sides of 20 %; scatter and estimate together: more than 1.96·√(0.01² + (0.8·0.02)²)
+    // Within the record: 1.96·0.01 on both sides of 20 %. Scatter and estimate together: more than
+    // 1.96·√(0.01² + (0.8·0.02)²).
     let within = raised.to_message(
         &Name::new("tower").unwrap(),
         &Name::new("storey-2").unwrap(),
@@ -281,7 +282,8 @@ fn reference_is_not_learnt_from_frames_that_are_not_decided_on() {
         .estimates(0..30, 0.9, SURE)
         .flagged(30..70, 0.2, SURE, contradicted())
         .estimates(70..110, 0.9, SURE);
-    // 40 s are contradicted and one more follows them: 60 s of learning are over at 101 s
+    // For 40 s the data contradict the model, and one further second is skipped. 60 s of learning
+    // therefore end at 101 s.
     assert_eq!(
         drive.states(),
         [(Learns, 0), (Undecided, 31), (Learns, 71), (Normal, 101)]
@@ -313,7 +315,9 @@ fn no_new_alert_is_raised_in_the_first_seconds_of_a_jump() {
     );
     let pending = &drive.alerts[0].why;
     assert!(
-        pending.ends_with("is raised after 0 s; a sudden change is still being followed"),
+        pending.ends_with(
+            "the alert will be raised after 0 s; a sudden change is still being followed"
+        ),
         "{pending}"
     );
     let mut drive = Drive::new(at_once);
@@ -338,7 +342,7 @@ fn raised_alert_says_that_the_loss_is_still_falling_until_the_jump_is_over() {
         (drive.states(), drive.revisions(Raised)),
         (vec![(Raised, 0)], vec![(1, 1), (2, 2)])
     );
-    // 30 % less 1.96 times 5 %
+    // 30 % minus 1.96 times 5 %.
     let followed = "storey-2 has lost at least 20.2 % of its stiffness, still falling (95 % interval 20.2 to 39.8 %)";
     assert!(
         drive.alerts[1].why.starts_with(followed),
@@ -358,7 +362,7 @@ fn raised_alert_says_that_the_loss_is_still_falling_until_the_jump_is_over() {
 fn raised_alert_is_revised_where_the_loss_leaves_the_announced_interval() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..20, SOFT, SURE);
-    // within 1.96 times 1 % of what was announced at 10 s, and beyond it
+    // The first loss is within 1.96 times 1 % of the one announced at 10 s, the second is not.
     drive
         .estimates(20..30, 0.845, SURE)
         .estimates(30..40, 0.8, SURE);
@@ -388,7 +392,8 @@ fn raised_alert_whose_loss_goes_says_that_it_is_about_to_be_cleared() {
     assert_eq!(drive.revisions(Raised), [(1, 11)]);
     let why = &drive.alerts.last().unwrap().why;
     assert!(
-        why.starts_with("storey-2 has lost 0 % of its") && why.ends_with("; is cleared after 10 s"),
+        why.starts_with("storey-2 has lost 0 % of its")
+            && why.ends_with("; the alert will clear after 10 s"),
         "{why}"
     );
 }

@@ -10,11 +10,13 @@ use rand_distr::{Distribution, StandardNormal};
 
 const STEP_S: f64 = 0.01;
 
-/// A mass on springs side by side: `ẍ = −ω² Σ θ_n w_n x − 2ζω θ_c ẋ − a`, with displacement and velocity observed of it, and
-/// each spring's force by a load cell, so that the springs can be told apart.
+/// A mass on parallel springs: `ẍ = −ω² Σ θ_n w_n x − 2ζω θ_c ẋ − a`.
+///
+/// The sensors measure displacement and velocity. A load cell measures the force of each spring, so
+/// that the springs are distinguishable.
 #[derive(Debug, Clone)]
 struct Springs {
-    /// share of each spring in the stiffness, times its factor
+    /// Stiffness share of each spring, times its factor.
     shares: Vec<f64>,
     grouping: Grouping,
     state: Vec<f64>,
@@ -124,7 +126,9 @@ impl ObservationModel for Springs {
     }
 }
 
-/// Four springs, the second twice as strong; the parameters are spring, damping, spring, spring, spring.
+/// Four springs, the second twice as stiff.
+///
+/// The parameters are spring, damping, spring, spring, spring.
 #[derive(Debug, Clone)]
 struct System;
 
@@ -173,7 +177,7 @@ fn template() -> FilterSettings {
     settings
 }
 
-/// Frames of the springs, of which `damaged` loses a tenth at frame `at`.
+/// Returns frames of the springs; spring `damaged` loses a tenth of its stiffness at frame `at`.
 fn frames(count: usize, damaged: Option<usize>, at: usize, seed: u64) -> Vec<([f64; 6], f64)> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut random) };
@@ -243,7 +247,7 @@ fn single_class_is_the_filter_itself() {
     let grouping = Grouping::new((0..4).map(|n| vec![n]).collect(), 4).unwrap();
     let model = System.grouped(&grouping, &[1.0; 4]);
     let mut settings = template();
-    // the class has its multipliers first
+    // In the model of a class, the multipliers come first.
     settings.prior_std = DVector::from_row_slice(&[1e-3, 1e-3, 0.2, 0.2, 0.2, 0.2, 0.3]);
     let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
     let plan = ClassPlan::Predefined {
@@ -394,7 +398,7 @@ fn bank_whose_filters_are_all_lost_says_so_and_restarts() {
     assert!((bank.parameter_mean()[0] - 1.0).abs() < 0.1);
 }
 
-/// The level of the sensors unknown, and outliers screened.
+/// Settings with an unknown sensor noise level and outlier screening.
 fn adaptive_template() -> FilterSettings {
     let mut template = template();
     template.noise.sensors.fill(0.0);
@@ -460,7 +464,7 @@ fn frame_on_which_the_screening_filter_fails_is_left_by_all_classes() {
                 .all(|innovation| innovation.is_nan()),
             "class {class}"
         );
-        // among each other as plausible as before
+        // The relative plausibilities of the other classes must not change.
         let share = |all: &Plausibilities| all.of(class) / (1.0 - all.of(leader));
         let (found, expected) = (share(bank.plausibilities()), share(&before));
         assert!(
@@ -478,7 +482,8 @@ fn frame_on_which_the_screening_filter_fails_is_left_by_all_classes() {
 
 #[test]
 fn sharper_class_wins_by_the_factor_of_ockham() {
-    // ch5 §5 A4: a class whose one multiplier is free pays ½ ln(1 + n σ²/s²) − ½ on average against none
+    // ch5 §5 A4: compared with a class without multipliers, a class with one free multiplier loses
+    // ½ ln(1 + n σ²/s²) − ½ on average.
     let mut sum = 0.0;
     let records = 40;
     for seed in 0..records {
@@ -526,7 +531,7 @@ fn settings_out_of_range_are_refused() {
         ClassPlan::Predefined { classes: alone(3) },
         1,
     ));
-    // two substructures against each other are one class twice
+    // Two substructures against each other are the same class twice.
     let substructures = Grouping::new(vec![vec![0, 1]], 4).unwrap();
     refused(ClassSettings::published(
         ClassPlan::Hierarchical { substructures },
@@ -566,8 +571,11 @@ fn noise_levels_lost_with_their_filter_start_anew() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// Plausibilities sum to one at every step, the weighted covariance is positive semidefinite, and a bank that is stopped
-    /// anywhere, written and read goes on to the same bits: of every plan, with and without unknown levels and outliers.
+    /// Checks the invariants of a bank and a checkpoint at any step.
+    ///
+    /// The cases cover all plans, with and without unknown noise levels and outliers.
+    /// Plausibilities sum to one at every step. The combined covariance is positive semidefinite. A
+    /// bank restored from a serialised checkpoint continues bit-identically.
     #[test]
     fn checkpoint_at_any_step_changes_nothing(
         seed in 0_u64..1000,
@@ -597,7 +605,8 @@ proptest! {
         let step = |bank: &mut ClassBank<System>, part: &[([f64; 6], f64)]| -> Result<Vec<ClassEvent>, TestCaseError> {
             let mut events = Vec::new();
             for (data, ground) in part {
-                // a spike while the screening still learns can throw every class off: the bank says so, and starts anew
+                // A spike during outlier training can make every class diverge. The bank then
+                // returns an error and is restarted.
                 match bank.step(Frame { observations: data, excitation: &[*ground] }) {
                     Ok(_) => events.extend_from_slice(bank.events()),
                     Err(_) => bank.restart().unwrap(),
@@ -615,7 +624,8 @@ proptest! {
         prop_assert_eq!(unbroken.parameter_mean(), resumed.parameter_mean());
         let (one, other) = (step(&mut unbroken, &frames[at..])?, step(&mut resumed, &frames[at..])?);
         prop_assert_eq!(one, other);
-        // as bytes, because the residual of a sample that is not there is NaN, which is not equal to itself
+        // The comparison uses bytes, because the residual of a missing sample is NaN, which is not
+        // equal to itself.
         let bytes = [&unbroken, &resumed].map(|bank| postcard::to_allocvec(&bank.state()).unwrap());
         prop_assert!(bytes[0] == bytes[1], "{:?}\n{:?}", unbroken.state(), resumed.state());
         let covariance = unbroken.parameter_covariance();

@@ -22,7 +22,9 @@ fn limits_are_those_of_the_chi_squared_distribution() {
     );
 }
 
-/// Shares of trials in which shifted and healthy nodes are left out, for nodes in `shifted` off by six deviations.
+/// Returns the shares of trials in which the detector excludes shifted and healthy nodes.
+///
+/// The nodes in `shifted` are off by six standard deviations.
 fn shares(detector: GlobalDetector, shifted: &[usize], seed: u64) -> (f64, f64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut hits, mut false_alarms) = (0_usize, 0_usize);
@@ -118,9 +120,13 @@ fn two_nodes_are_never_judged_and_two_are_always_left() {
     assert!(detector.judge(&[], Sharing::All).is_empty());
 }
 
-/// One node is four times as sure as the others, which know what it knows with one and the same error on top, as nodes do that are told
-/// its samples. In the mean its `d²` is 60 as (7.52) counts it, with 1/15 of their variance, where 26 is the limit, and 7 with all of it.
-/// The surest one is regular, although it is far from the mean of the others as (7.52) counts it, and one that is off is found.
+/// Checks that a node with much less uncertainty than all others stays regular, and that a faulty
+/// node is found.
+///
+/// The standard deviation of node 0 is a quarter of the others'. The other nodes have its
+/// information and one common additional error, as after an exchange of samples. With (7.52), which
+/// counts 1/15 of their variance, the mean `d²` of node 0 is 60. This exceeds the limit of 26. With
+/// the whole variance, the mean `d²` is 7. Node 9 is faulty.
 #[test]
 fn who_is_surer_than_all_others_is_not_suspicious() {
     let detector = GlobalDetector {
@@ -159,7 +165,7 @@ fn who_is_surer_than_all_others_is_not_suspicious() {
     }
 }
 
-/// Nodes that know one parameter, each to a deviation of 1, all at 0 but the first.
+/// Returns nodes with one parameter of standard deviation 1, all at 0 except the first.
 fn one_node_at(mean: f64) -> Vec<Gaussian> {
     let at = |mean: f64| Gaussian {
         mean: DVector::from_element(1, mean),
@@ -179,8 +185,9 @@ fn the_weight_is_that_with_which_the_distance_would_be_at_the_limit() {
             ..GlobalDetector::default()
         };
         let limit = detector.limit(1);
-        assert!((limit - 3.2905).abs() < 5e-5, "{limit}"); // two-sided 0.999 of the normal distribution
-        // against the mean of fifteen others
+        // Two-sided 0.999 quantile of the normal distribution.
+        assert!((limit - 3.2905).abs() < 5e-5, "{limit}");
+        // Compared with the mean of the fifteen other nodes.
         let variance = 1.0 + 1.0 / 15.0;
         for times in [0.5, 0.99, 1.01, 2.0, 5.0, 100.0] {
             let nodes = one_node_at(times * limit * f64::sqrt(variance));
@@ -212,7 +219,7 @@ fn healthy_nodes_are_discounted_as_rarely_as_they_are_suspicious_and_never_much(
         one_at_a_time: true,
         ..GlobalDetector::default()
     };
-    // the limit means 5 % and 0.1 %; of the latter 32 are expected in 32 000
+    // The limits mean 5 % and 0.1 %. For 0.1 %, 32 excluded nodes of 32 000 are expected.
     for (screening, most) in [(0.95, 0.06), (0.999, 0.002)] {
         let detector = GlobalDetector {
             screening,
@@ -239,7 +246,7 @@ fn healthy_nodes_are_discounted_as_rarely_as_they_are_suspicious_and_never_much(
         let share = discounted as f64 / (NODES * TRIALS) as f64;
         assert!(share > 0.0 && share < most, "{screening}: {share}");
         assert!(least > 3.0 * LEAST_WEIGHT, "{screening}: {least}");
-        // what is lost of their information is a fraction of what leaving them out would lose
+        // The discounted information is a fraction of the loss from exclusion.
         assert!(
             lost < 0.4 * discounted as f64,
             "{screening}: {lost} of {discounted}"

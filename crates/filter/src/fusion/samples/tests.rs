@@ -104,7 +104,7 @@ fn datum(channel: usize, step: u64) -> f64 {
     ROWS[channel][0] * 1.05 + ROWS[channel][1] * 0.93 + NOISE * noise
 }
 
-/// Runs both nodes for a period and returns what they say.
+/// Runs both nodes for a period and returns their messages.
 fn run_period(
     nodes: &mut [LocalFilter<Constants>],
     first: u64,
@@ -183,7 +183,7 @@ fn a_node_tells_its_samples_at_the_instants() {
 #[test]
 fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
     let mut nodes = [node(0).unwrap(), node(1).unwrap()];
-    // the first message begins the first whole period
+    // The first message starts the first whole period.
     let told = run_period(&mut nodes, 0);
     let fused = Gaussian {
         mean: DVector::from_row_slice(&[1.0, 1.0]),
@@ -195,7 +195,8 @@ fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
     let told = run_period(&mut nodes, STEPS);
     let own = told[0].parameters.information().unwrap();
 
-    // from the fused density on, with the samples of the other node where it tells them
+    // The reference filter continues from the fused density and uses all samples that the other
+    // node sent.
     let mut all = filter();
     all.step(Frame {
         observations: &[f64::NAN; 2],
@@ -276,7 +277,7 @@ fn instants_divide_the_samples_of_a_period() {
     assert!(LocalFilter::new(filter(), of(2)).is_ok());
 }
 
-/// Broke: samples of before a gap were told as those of the same place in a later period.
+/// Regression test: samples before a gap must not be sent as samples of a later period.
 #[test]
 fn samples_of_before_a_gap_are_not_told_after_it() {
     let mut node = node(0).unwrap();

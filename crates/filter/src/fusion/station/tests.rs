@@ -9,7 +9,9 @@ use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::NoiseModel;
 use nalgebra::DMatrix;
 
-/// Two constants, of which a node sees one weighted sum: everything is linear, and no motion hides what is learnt.
+/// Two constants; each node observes one weighted sum of them.
+///
+/// The model is linear, and no motion hides the learnt information.
 #[derive(Debug, Clone)]
 struct Constants {
     row: [f64; 2],
@@ -148,20 +150,20 @@ fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
     let fused = station.fuse(2.0);
     assert!(fused.started_anew);
     assert_eq!(fused.parameters.mean, prior().mean);
-    // what nodes are told is the prior, too
+    // The nodes also receive the prior.
     assert_eq!(
         fused.feedback[0].as_ref().unwrap().parameters.mean,
         prior().mean
     );
 }
 
-/// A datum of node `k` at `step`, reproducible and without a pattern.
+/// Returns a reproducible datum of node `k` at `step`, without a pattern.
 fn datum(k: usize, step: u64, row: [f64; 2]) -> f64 {
     let noise = ((step as f64 * 12.9898 + k as f64 * 78.233).sin() * 43_758.547).fract() - 0.5;
     row[0] * 1.05 + row[1] * 0.93 + NOISE * 2.0 * noise
 }
 
-/// The filter that has the data of all nodes, as information.
+/// The filter with the data of all nodes, in information form.
 struct Centralised(Information);
 
 impl Centralised {
@@ -179,8 +181,10 @@ impl Centralised {
 
 const ROWS: [[f64; 2]; 4] = [[1.0, 0.2], [0.3, 1.0], [1.0, -0.5], [0.0, 0.7]];
 
-/// Runs four nodes for forty periods; feedback reaches node `k` `lag(k)` samples after it was sent. Returns the distances from
-/// the centralised filter: of the fused means, and relative, of the covariances.
+/// Runs four nodes for forty periods and returns the distances from the centralised filter.
+///
+/// Feedback reaches node `k` `lag(k, step)` samples after the station sent it. The distances are
+/// those of the fused means and, relative, of the covariances.
 fn distance_from_centralised(
     feedback: FeedbackRule,
     lag: impl Fn(usize, u64) -> u64,
@@ -391,8 +395,10 @@ fn a_stale_message_is_left_out() {
     assert!(fused.feedback[0].is_none());
 }
 
-/// Runs two nodes that learn independently, of which the second one is heard only in the periods that `hears` tells; returns the
-/// fused covariances without those of the centralised filter.
+/// Runs two nodes that learn independently; messages of the second node arrive only in periods with
+/// `hears(period)`.
+///
+/// Returns the fused covariances minus those of the centralised filter.
 fn more_uncertain_than_centralised(
     feedback: FeedbackRule,
     hears: impl Fn(u64) -> bool,
@@ -431,7 +437,7 @@ fn more_uncertain_than_centralised(
     differences
 }
 
-/// Broke: what had been learnt until the lost message was lost for ever, and with every second one all of it.
+/// Regression test: a lost message must not lose the information learnt until then.
 #[test]
 fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
     let runs: [fn(u64) -> bool; 3] = [
@@ -450,7 +456,7 @@ fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
                     more.clone().symmetric_eigen().eigenvalues.min() > -1e-9,
                     "{feedback:?}, period {period}"
                 );
-                // whatever was lost before, the message that is heard makes up for it
+                // A received message contains everything that lost messages contained.
                 assert!(
                     !hears(period) || more.amax() < 1e-9,
                     "{feedback:?}, period {period}: {:e}",
@@ -461,7 +467,10 @@ fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
     }
 }
 
-/// Broke: a node that takes no answers named messages that the station had not got, and told nothing from then on.
+/// Regression test: a node without answers must not name messages that the station has not
+/// received.
+///
+/// The station would then count nothing from this node.
 #[test]
 fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
     let mut nodes = [
@@ -544,7 +553,10 @@ fn nodes_that_tell_nothing_new_do_not_weaken_what_others_have_learnt() {
     );
 }
 
-/// Broke: a node told of what it had learnt in a part of a period as if it had been a whole one; then what it learnt in it was lost.
+/// Regression test: a node that starts within a period must not report as if it had run the whole
+/// period.
+///
+/// The information of this period would then be lost.
 #[test]
 fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing_twice() {
     const LATE: u64 = 2;
@@ -594,7 +606,7 @@ fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing
     }
 }
 
-/// Broke: samples of different instants were filtered as if they were of one.
+/// Regression test: a filter must not combine samples of different instants.
 #[test]
 fn motion_goes_to_nodes_of_the_same_instant_only() {
     let mut station = station(3, FusionRule::default(), FeedbackRule::Marginal);
@@ -613,7 +625,7 @@ fn motion_goes_to_nodes_of_the_same_instant_only() {
         instant,
     };
     let sample = 1.0 / PERIOD as f64;
-    // in step; off by less than half a sample; of the period before, late
+    // In step; off by less than half a sample; late, from the previous period.
     for (node, instant) in [7.0, 7.0 + 0.4 * sample, 6.0].into_iter().enumerate() {
         station.receive(node, message(instant), 7.0).unwrap();
     }
@@ -646,7 +658,8 @@ fn motion_goes_to_nodes_of_the_same_instant_only() {
     );
 }
 
-/// Broke: the station answered with its prior, and the nodes forgot what they knew.
+/// Regression test: a restarted station must not answer with its prior, because the nodes would
+/// lose their information.
 #[test]
 fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
     let feedback = FeedbackRule::Marginal;
@@ -683,7 +696,7 @@ fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
             "period {period}"
         );
         if period == 20 {
-            // it had faded by a period, and the nodes have learnt since
+            // The former density has faded by one period, and the nodes have learnt since then.
             let growth = fading().value().powi(PERIOD as i32);
             let faded: Gaussian = Gaussian {
                 covariance: &before.covariance * growth,
@@ -744,7 +757,7 @@ fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
     }
 }
 
-/// A station of four nodes that tests them, graded or not.
+/// Returns a station of four nodes with a detector of the given weighting.
 fn testing_station(weighting: Weighting) -> Station {
     let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
     station.settings.detector = Some(GlobalDetector {
@@ -801,7 +814,10 @@ fn graded_weights_of_regular_nodes_change_no_bit() {
     assert_eq!(graded, run(None));
 }
 
-/// How far one node of four, which have all learnt as much from the prior, moves the fused mean when it is off by `off`; and its weight.
+/// Returns the shift of the fused mean, and the weight of one node of four whose mean is off by
+/// `off`.
+///
+/// All nodes have learnt the same amount since the prior.
 fn moved_by(off: f64, weighting: Weighting) -> (f64, f64) {
     let mut station = testing_station(weighting);
     for node in 0..4 {
@@ -830,14 +846,15 @@ fn moved_by(off: f64, weighting: Weighting) -> (f64, f64) {
 
 #[test]
 fn the_farther_a_node_is_off_the_less_it_moves_the_fused_mean() {
-    // two variances of 0.02, that of the node and that of the others together; χ² of two degrees of freedom
+    // Two variances of 0.02, of the node and of the others together; χ² with two degrees of
+    // freedom.
     let limit = (-2.0 * 0.001_f64.ln() * 0.04).sqrt();
     let mut before = f64::INFINITY;
     for times in [0.99_f64, 1.2, 1.5, 2.0, 3.0] {
         let weight = if times < 1.0 { 1.0 } else { times.powi(-2) };
         let (moved, found) = moved_by(times * limit, Weighting::Graded);
         assert!((found - weight).abs() < 1e-9, "{times}: {found}");
-        // the others count 1 each, and γ is the sum of the weights
+        // The other nodes have weight 1, and γ is the sum of the weights.
         let expected = weight / (3.0 + weight) * times * limit;
         assert!(
             (moved - expected).abs() < 1e-9 && moved < before,
@@ -849,7 +866,7 @@ fn the_farther_a_node_is_off_the_less_it_moves_the_fused_mean() {
         moved_by(0.99 * limit, Weighting::AllOrNothing),
         moved_by(0.99 * limit, Weighting::Graded)
     );
-    // beyond √10 times the limit, and without grades at once, it is left out
+    // A graded node is excluded beyond √10 times the limit, an ungraded node directly at the limit.
     for (times, weighting) in [
         (3.2, Weighting::Graded),
         (100.0, Weighting::Graded),
@@ -870,7 +887,7 @@ fn a_node_that_stays_discounted_is_left_out_and_comes_back_when_it_is_regular() 
     let mut found = Vec::new();
     for index in 1..=20_u64 {
         for node in 0..4 {
-            // off by one and a half times the limit until the fifteenth fusion
+            // Off by one and a half times the limit until the fifteenth fusion.
             let off = if node == 2 && index <= 15 {
                 1.5 * (-2.0 * 0.001_f64.ln() * 0.04).sqrt()
             } else {
@@ -911,8 +928,10 @@ fn a_node_that_stays_discounted_is_left_out_and_comes_back_when_it_is_regular() 
     );
 }
 
-/// Broke, in a simulation: three biased nodes that told the others their responses in between moved them to where they were, and were
-/// never found again.
+/// Regression test: suspicious nodes must not send their motion to the others.
+///
+/// In a simulation, three biased nodes sent their responses between exclusions. They pulled the
+/// others towards their bias and were never detected again.
 #[test]
 fn the_motion_of_a_discounted_node_is_told_when_it_has_been_regular_for_long_enough() {
     let mut station = testing_station(Weighting::Graded);

@@ -1,11 +1,11 @@
-//! A station that goes on from its checkpoint.
+//! Tests of a station that resumes from its checkpoint.
 
 use super::*;
 
-/// Of the structure file.
+/// Half-life in the structure file, in s.
 const HALF_LIFE_S: f64 = 8.0;
 
-/// A new life of a station, from what was written of the one before.
+/// Returns a new run of a station, restored from the checkpoint of an earlier run.
 fn next_life(before: &Fusion, structure: &Structure, epoch: u64) -> Fusion {
     let bytes = postcard::to_stdvec(&before.state()).unwrap();
     let mut next = Fusion::new(structure, "fuse", epoch).unwrap();
@@ -20,11 +20,11 @@ fn estimated(outputs: &[Output]) -> Vec<Estimate> {
         .collect()
 }
 
-/// What live nodes send, which take each answer at once.
+/// Returns the message of a live node that uses each feedback message at once.
 fn sends(_: usize, second: u64) -> Option<LocalMessage> {
     let mut message = message(3, second, Pace::Live, 0.9);
     let density = message.density.as_mut().unwrap();
-    // ever surer
+    // The variances decrease with time.
     density
         .covariance
         .iter_mut()
@@ -64,7 +64,7 @@ fn a_station_that_is_started_again_goes_on_as_if_it_had_never_stopped() {
         let numbers =
             |estimate: &Estimate| [estimate.mean.clone(), estimate.covariance.clone()].concat();
         for (found, expected) in numbers(found).iter().zip(numbers(expected)) {
-            // the clock began elsewhere, and its periods round otherwise
+            // The clock starts at another time, so its periods are rounded differently.
             assert!(
                 (found - expected).abs() <= 1e-12,
                 "{found} in place of {expected}"
@@ -88,7 +88,8 @@ fn a_life_has_a_higher_epoch_than_the_one_before_though_its_clock_was_set_back()
     assert_eq!(next_life(&second, &structure(), 2000).epoch(), 2000);
 }
 
-/// The machine of all services has lost its power: no node can say what it has learnt before its first answer.
+/// Covers a power failure of the machine that runs all services: no node can report its lineage
+/// before its first feedback message.
 #[test]
 fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
     let mut first = Fusion::new(&structure(), "fuse", 7).unwrap();
@@ -104,7 +105,7 @@ fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
     };
     let outputs = live(&mut second, 100..102, nameless);
     let next = &estimated(&outputs)[0];
-    // information halves in half of the half-life, and periods have a second
+    // The information halves in half of the half-life, and a period is one second.
     let one_period = 2_f64.powf(1.0 / (HALF_LIFE_S / 2.0));
     for parameter in 0..10 {
         let std = last.variance(parameter).unwrap().sqrt();
@@ -120,7 +121,7 @@ fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
             "it fades by one period, {one_period}, and not by {growth}"
         );
     }
-    // and that is what the nodes are answered
+    // The feedback to the nodes contains these estimates.
     let answers = outputs.iter().filter(|output| {
         matches!(output, Output::Feedback(_, answer) if answer.node_epoch == 4 && (answer.mean[0] - next.mean[0]).abs() < 1e-3)
     });

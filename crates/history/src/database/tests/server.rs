@@ -1,4 +1,4 @@
-//! A PostgreSQL server for a test.
+//! A PostgreSQL server for tests.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -9,7 +9,7 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// Starts a server; says that it is skipped where there is none, and fails where all tests are required.
+    /// Starts a server. Skips the test if none is installed, or panics if all tests are required.
     pub(super) fn start_or_skip() -> Option<Self> {
         let Some(programs) = programs() else {
             let why = "skipped: no PostgreSQL server is installed (initdb, pg_ctl)";
@@ -18,7 +18,8 @@ impl Server {
             return None;
         };
         let folder = tempfile::tempdir().unwrap();
-        // the server refuses to run as root: it is its own user then, and has to reach its folder
+        // PostgreSQL does not run as root. It then runs as its own user, which needs access to the
+        // folder.
         if is_root() {
             run(Command::new("chown").arg("postgres").arg(folder.path()));
         }
@@ -85,7 +86,7 @@ impl Drop for Server {
             .arg("stop")
             .stdout(Stdio::null())
             .stderr(Stdio::null());
-        // a server that is stopped already cannot be stopped again
+        // Stopping fails if the server has already stopped.
         let _ = stop.status();
     }
 }
@@ -104,7 +105,7 @@ fn is_root() -> bool {
     id.is_ok_and(|output| output.stdout.trim_ascii() == b"0")
 }
 
-/// Where the programs of the server are: on the path, or where Debian puts them.
+/// Finds the folder of the server programs, on the path or in Debian's location.
 fn programs() -> Option<PathBuf> {
     let on_path =
         std::env::var_os("PATH").map(|path| std::env::split_paths(&path).collect::<Vec<_>>());

@@ -1,13 +1,14 @@
-//! Arrays as MATLAB stores them: numbers, text, cells and structures.
+//! Arrays of MATLAB: numbers, text, cells and structures.
 
 use super::{MATRIX, tagged};
 use crate::bytes::{ByteOrder, Bytes, text};
 use crate::fault::Fault;
 
-/// Cells and structures within each other beyond this are no recording, and would end the stack.
+/// Maximum nesting depth of cells and structures. Deeper nesting could overflow the stack and does
+/// not occur in recordings.
 const DEEPEST: usize = 32;
 
-/// An array with its shape.
+/// The content of an array.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Array {
     /// Real numbers, column by column.
@@ -22,11 +23,11 @@ pub(super) enum Array {
     Cells(Vec<Array>),
     /// Elements, each with all fields in order.
     Structures(Vec<Vec<(String, Array)>>),
-    /// Of a kind that holds no samples: complex, sparse, functions, objects of classes.
+    /// A kind of array that cannot contain samples: complex, sparse, functions, objects of classes.
     Other,
 }
 
-/// An array and its name.
+/// The name of an array, and the array.
 pub(super) type Named = (String, Array);
 
 const CELL: u32 = 1;
@@ -37,7 +38,7 @@ const NUMBERS: std::ops::RangeInclusive<u32> = 6..=15;
 const COMPLEX_FLAG: u32 = 0x0800;
 
 impl Array {
-    /// Reads an array from the data of its element; `None` if it is empty.
+    /// Reads an array from the data of its element. Returns `None` if the element is empty.
     pub(super) fn read(mut data: Bytes<'_>, depth: usize) -> Result<Option<Named>, Fault> {
         if data.is_at_end() {
             return Ok(None);
@@ -155,7 +156,7 @@ impl Array {
         Ok(Self::Structures(elements))
     }
 
-    /// The text, if it is one.
+    /// Returns the text of a text array.
     pub(super) fn text(&self) -> Option<&str> {
         match self {
             Self::Text(text) => Some(text),
@@ -163,7 +164,7 @@ impl Array {
         }
     }
 
-    /// The number, if it is one alone.
+    /// Returns the number of an array with a single number.
     pub(super) fn number(&self) -> Option<f64> {
         match self {
             Self::Numbers { values, .. } if values.len() == 1 => values.first().copied(),
@@ -175,7 +176,7 @@ impl Array {
         }
     }
 
-    /// The texts of a cell array in which all cells are text.
+    /// Returns the texts of a cell array if all cells are text.
     pub(super) fn texts(&self) -> Option<Vec<&str>> {
         match self {
             Self::Cells(cells) => cells.iter().map(Self::text).collect(),
@@ -184,7 +185,7 @@ impl Array {
     }
 }
 
-/// Reads arrays within an array; each takes bytes, so that a false count ends with them.
+/// Reads arrays within an array. Each array consumes bytes, so a wrong count ends with the data.
 fn nested(data: &mut Bytes<'_>, count: Option<usize>, depth: usize) -> Result<Vec<Array>, Fault> {
     let mut arrays = Vec::new();
     for _ in 0..count.unwrap_or(usize::MAX) {
@@ -205,7 +206,7 @@ fn nested(data: &mut Bytes<'_>, count: Option<usize>, depth: usize) -> Result<Ve
     Ok(arrays)
 }
 
-/// Number of elements of a shape; `None` if it is none that memory holds.
+/// Returns the number of elements of a shape, or `None` if it is negative or too large.
 fn product(shape: &[i64]) -> Option<usize> {
     shape.iter().try_fold(1_usize, |product, size| {
         product.checked_mul(usize::try_from(*size).ok()?)
@@ -225,7 +226,7 @@ fn integers(data: &mut Bytes<'_>) -> Result<Vec<i64>, Fault> {
     Ok(integers)
 }
 
-/// Numbers of an element of this type; `None` if it has none.
+/// Converts the numbers of an element of type `kind`. Returns `None` if the type is not numeric.
 fn numbers(kind: u32, bytes: &[u8], order: ByteOrder) -> Option<Vec<f64>> {
     fn all<const N: usize>(
         bytes: &[u8],

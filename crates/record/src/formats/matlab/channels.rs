@@ -1,9 +1,13 @@
-//! Which arrays of a MAT-file are series of samples, and what they are called.
+//! Selects the arrays of a MAT-file that are series of samples, and names them.
 //!
-//! MATLAB has no rule for that. What is taken for a series: the columns of a matrix that has as many rows as the times beside it
-//! (`t`, `time`), or, where there are no times, the longer side of any matrix. The rate is that of the times, or a number
-//! `fs`, `samplerate`, `sampling_rate`, `dt` beside the matrix. Names come from a text `…name` and a cell array
-//! `…names` beside it, units from `…unit` and `…units`; without them from the variable and the column.
+//! MATLAB has no convention for this. With times beside a matrix (`t`, `time`), the columns are
+//! series if the matrix has as many rows as times. Likewise, its rows are series if it has as many
+//! columns as times. Without times, the series run along the longer side of any matrix.
+//!
+//! The sampling rate results from the times, or from a number such as `fs`, `samplerate`,
+//! `sampling_rate` or `dt` beside the matrix. Names come from a text `…name` and a cell array
+//! `…names` beside it, and units from `…unit` and `…units`. Otherwise, the variable and the column
+//! determine the name.
 
 use super::array::{Array, Named};
 use crate::fault::Fault;
@@ -21,10 +25,10 @@ const RATES: [&str; 7] = [
     "rate",
 ];
 const STEPS: [&str; 2] = ["dt", "timestep"];
-/// Shorter arrays are settings, not series.
+/// Minimum number of samples in a series. Shorter arrays are settings.
 const LEAST_SAMPLES: usize = 3;
 
-/// What is known from the structures around an array.
+/// Information from the structures around an array.
 #[derive(Debug, Clone, Default)]
 struct Around {
     path: String,
@@ -53,7 +57,7 @@ pub(super) fn of_variables(variables: &[Named]) -> Result<Vec<RecordedChannel>, 
     }
 }
 
-/// Collects the series of arrays that stand side by side.
+/// Collects the series of arrays on the same level.
 fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>) {
     let is_one_of =
         |name: &str, known: &[&str]| known.contains(&name.to_ascii_lowercase().as_str());
@@ -137,14 +141,14 @@ fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>
     }
 }
 
-/// A matrix, column by column.
+/// A matrix in column-major order.
 struct Matrix<'a> {
     rows: usize,
     columns: usize,
     values: &'a [f64],
 }
 
-/// Takes the columns, or the rows, of a matrix as series.
+/// Converts the columns or rows of a matrix to series.
 fn series(
     path: &str,
     matrix: &Matrix<'_>,
@@ -160,7 +164,8 @@ fn series(
     let is_by_column = match &around.times_s {
         Some(times_s) if rows == times_s.len() => true,
         Some(times_s) if columns == times_s.len() => false,
-        Some(_) => return, // beside times, only what is as long as they are is a series
+        // If there are times, only arrays of the same length are series.
+        Some(_) => return,
         None => rows >= columns,
     };
     let (length, count) = if is_by_column {
@@ -177,7 +182,7 @@ fn series(
         .iter()
         .find(|(name, _)| name.to_ascii_lowercase().ends_with("unit"));
     let one_unit = one_unit.and_then(|(_, array)| array.text());
-    // `data` beside names says nothing that they do not
+    // If there are names, the name of the matrix, such as `data`, is redundant.
     let parent = path.rsplit_once('.').map(|(parent, _)| parent);
     for index in 0..count {
         let name = match (&names, parent) {
@@ -213,7 +218,7 @@ fn series(
     }
 }
 
-/// A cell array of `count` texts beside a matrix whose name ends in `ending`.
+/// Returns a cell array of `count` texts beside a matrix, whose name ends in `ending`.
 fn listed<'a>(beside: &'a [Named], ending: &str, count: usize) -> Option<Vec<&'a str>> {
     let named = beside
         .iter()
@@ -223,7 +228,7 @@ fn listed<'a>(beside: &'a [Named], ending: &str, count: usize) -> Option<Vec<&'a
         .find(|texts| texts.len() == count)
 }
 
-/// Whether numbers can be times.
+/// Returns `true` if numbers can be times.
 fn increases(values: &[f64]) -> bool {
     values.len() >= LEAST_SAMPLES
         && values.windows(2).all(|pair| pair[1] > pair[0])

@@ -2,7 +2,7 @@ use std::io::Write;
 
 use super::*;
 
-/// Writes elements in one byte order.
+/// A writer of elements in one byte order.
 struct Writer {
     is_big: bool,
     bytes: Vec<u8>,
@@ -108,7 +108,7 @@ fn writer(is_big: bool) -> Writer {
     }
 }
 
-/// Two sensors of two components and five samples, with times of 20 Hz.
+/// Returns two sensors with two components and five samples each, and times at 20 Hz.
 fn variables(writer: &Writer) -> Vec<Vec<u8>> {
     let values: Vec<f64> = (0..10).map(f64::from).collect();
     let sensor = |name: &str, scale: f64| {

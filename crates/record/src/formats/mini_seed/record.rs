@@ -1,4 +1,4 @@
-//! One record: which series it belongs to, when it begins, and its samples.
+//! A record: the name of its series, its start time and its samples.
 
 use super::{plain_values, steim};
 use crate::bytes::Bytes;
@@ -7,14 +7,14 @@ use crate::fault::Fault;
 /// The samples of one record.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Record {
-    /// Network, station, location and channel, with points between.
+    /// Network, station, location and channel, separated by dots.
     pub(super) name: String,
     pub(super) rate_hz: f64,
     pub(super) start_ns: i64,
     pub(super) samples: Vec<f64>,
 }
 
-/// Codes of the encodings that are read.
+/// Description of the supported encodings.
 const ENCODINGS: &str = "1, 2, 3 (integers), 4, 5 (floating point), 10 (Steim 1) or 11 (Steim 2)";
 
 /// Decodes `count` samples.
@@ -22,7 +22,7 @@ pub(super) fn decode(mut data: Bytes<'_>, encoding: u8, count: usize) -> Result<
     match encoding {
         1 => plain_values(&mut data, count, |data| data.i16().map(f64::from)),
         2 => plain_values(&mut data, count, |data| {
-            // three bytes: shifted up for the sign, and down again
+            // Shift the three bytes up for the sign, and down again.
             let bytes = data.take(3)?;
             let word = match data.order {
                 crate::bytes::ByteOrder::Little => {

@@ -1,4 +1,4 @@
-//! A record of miniSEED 2: a header of 48 bytes, a chain of blockettes, samples.
+//! A record of miniSEED 2: a header of 48 bytes, a chain of blockettes, and samples.
 
 use super::record::{Record, decode};
 use crate::bytes::{ByteOrder, Bytes, text};
@@ -6,16 +6,17 @@ use crate::fault::Fault;
 use crate::record_time::day_of_year_ns;
 
 const HEADER_BYTES: usize = 48;
-/// Byte that says where the first blockette is.
+/// Position of the offset of the first blockette.
 const FIRST_BLOCKETTE: usize = 46;
-/// Lengths of records that the standard allows, as powers of two.
+/// Record lengths that the standard permits, as powers of two.
 const LENGTHS: std::ops::RangeInclusive<u8> = 7..=20;
-/// Years that tell the byte order of the header: other ones are the two bytes the wrong way round.
+/// Plausible years, which determine the byte order of the header. In the wrong byte order, the year
+/// is outside this range.
 const YEARS: std::ops::RangeInclusive<u16> = 1900..=2100;
-/// Bit of the activity flags: the time correction is in the start time already.
+/// Bit of the activity flags: the start time already includes the time correction.
 const TIME_IS_CORRECTED: u8 = 2;
 
-/// Whether bytes begin as a record does: a sequence number, a quality, a blank.
+/// Returns `true` if bytes begin like a record: a sequence number, a quality code and a blank.
 pub(super) fn is_record(bytes: &[u8]) -> bool {
     let Some(head) = bytes.get(..8) else {
         return false;
@@ -27,16 +28,17 @@ pub(super) fn is_record(bytes: &[u8]) -> bool {
         && matches!(head[7], b' ' | 0)
 }
 
-/// What the blockettes state.
+/// The content of the blockettes.
 #[derive(Debug, Clone, Copy, Default)]
 struct Blockettes {
-    /// encoding, byte order and power of the length, of blockette 1000
+    /// Encoding, byte order and exponent of the record length, from blockette 1000.
     data: Option<(u8, u8, u8)>,
     microseconds: i8,
     rate_hz: Option<f32>,
 }
 
-/// Reads one record and its length; no record if it has no samples, or text.
+/// Reads one record, and returns it with its length. Returns `None` as the record if it contains
+/// text or no samples.
 pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     if !is_record(bytes) {
         let found = format!("`{}`", text(&bytes[..bytes.len().min(8)]).escape_default());
@@ -63,11 +65,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     let (year, day) = (header.u16()?, header.u16()?);
     let (hour, minute, second) = (header.u8()?, header.u8()?, header.u8()?);
     header.u8()?; // unused
-    let ticks = header.u16()?; // of 0.1 ms
+    let ticks = header.u16()?; // unit 0.1 ms
     let count = usize::from(header.u16()?);
     let (factor, multiplier) = (header.i16()?, header.i16()?);
     let activity = header.u8()?;
-    header.take(3)?; // flags of clock and quality, number of blockettes
+    header.take(3)?; // clock and quality flags, number of blockettes
     let correction_ticks = header.i32()?;
     let data_start = usize::from(header.u16()?);
     let first_blockette = usize::from(header.u16()?);
@@ -102,7 +104,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
         |rate_hz| Some(f64::from(rate_hz)),
     );
     if count == 0 || encoding == 0 || rate_hz.is_none() {
-        return Ok((None, length)); // a header alone, or text of a log
+        // The record contains only a header, or the text of a log.
+        return Ok((None, length));
     }
     let rate_hz = rate_hz
         .filter(|rate_hz| rate_hz.is_finite() && *rate_hz > 0.0)
@@ -162,7 +165,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
 }
 
 impl Blockettes {
-    /// Follows the chain; each link must lead further on, so that it ends.
+    /// Follows the chain of blockettes. Every link must point forward, so the chain ends.
     fn read(header: &Bytes<'_>, first: usize) -> Result<Self, Fault> {
         let mut found = Self::default();
         let (mut link, mut least, mut next) = (FIRST_BLOCKETTE, HEADER_BYTES, first);
@@ -196,7 +199,8 @@ impl Blockettes {
     }
 }
 
-/// Sampling rate in Hz of a factor and a multiplier, negative ones being periods and divisors; `None` if there is none.
+/// Returns the sampling rate in Hz from a factor and a multiplier. Negative values are periods and
+/// divisors. Returns `None` if the factor is zero.
 fn nominal_rate(factor: i16, multiplier: i16) -> Option<f64> {
     let (factor, multiplier) = (f64::from(factor), f64::from(multiplier));
     if factor == 0.0 {
@@ -216,7 +220,7 @@ mod tests {
 
     #[test]
     fn factor_and_multiplier_give_the_rates_of_the_manual() {
-        // SEED manual v2.4, page 110: 330 Hz, 330.6 Hz, one sample a minute, 0.1 Hz
+        // SEED manual v2.4, page 110: 330 Hz, 330.6 Hz, one sample per minute, 0.1 Hz.
         for (factor, multiplier, expected) in [
             (33, 10, 330.0),
             (3306, -10, 330.6),

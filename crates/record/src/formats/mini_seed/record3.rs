@@ -1,4 +1,5 @@
-//! A record of miniSEED 3: a header of 40 bytes, source identifier, extra headers, samples; little endian, with a checksum.
+//! A record of miniSEED 3: a header of 40 bytes, source identifier, extra headers and samples. It
+//! is little endian and has a checksum.
 
 use super::record::{Record, decode};
 use crate::bytes::{ByteOrder, Bytes, text};
@@ -7,12 +8,13 @@ use crate::record_time::day_of_year_ns;
 
 const CHECKSUM: std::ops::Range<usize> = 28..32;
 
-/// Whether bytes begin as a record does.
+/// Returns `true` if bytes begin like a record.
 pub(super) fn is_record(bytes: &[u8]) -> bool {
     bytes.starts_with(b"MS\x03")
 }
 
-/// Reads one record and its length; no record if it has no samples, or text.
+/// Reads one record, and returns it with its length. Returns `None` as the record if it contains
+/// text or no samples.
 pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     let mut header = Bytes::new(bytes, ByteOrder::Little);
     header.take(4)?; // MS, version, flags
@@ -22,7 +24,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     let rate = header.f64()?;
     let count = header.u32()? as usize;
     let stated = header.u32()?;
-    header.u8()?; // version of the publication
+    header.u8()?; // publication version
     let identifier_length = usize::from(header.u8()?);
     let extra_length = usize::from(header.u16()?);
     let data_length = header.u32()? as usize;
@@ -44,7 +46,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     if count == 0 || encoding == 0 || rate == 0.0 {
         return Ok((None, length));
     }
-    // a negative number is a period in seconds
+    // A negative number is a period in seconds.
     let rate_hz = if rate < 0.0 { -1.0 / rate } else { rate };
     if !(rate_hz.is_finite() && rate_hz > 0.0) {
         return Err(Fault::at_byte(
@@ -67,7 +69,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
             format!("year {year}, day {day}, {hour}:{minute}:{second} and {nanoseconds} ns");
         Fault::at_byte(4, "start time", found, "a date and time of day")
     })?;
-    // Steim frames are big endian in either version
+    // Steim frames are big endian in both versions.
     let order = if matches!(encoding, 10 | 11) {
         ByteOrder::Big
     } else {
@@ -87,7 +89,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     ))
 }
 
-/// `IU.COLA.00.LHZ` of `FDSN:IU_COLA_00_L_H_Z`, as version 2 has it; other identifiers as they are.
+/// Converts `FDSN:IU_COLA_00_L_H_Z` to `IU.COLA.00.LHZ`, the form of version 2. Other identifiers
+/// remain unchanged.
 fn name_of(identifier: &str) -> String {
     let Some(codes) = identifier.strip_prefix("FDSN:") else {
         return identifier.to_owned();
@@ -101,7 +104,8 @@ fn name_of(identifier: &str) -> String {
     }
 }
 
-/// CRC-32C (Castagnoli) of a record, its own four bytes taken as zero.
+/// Returns the CRC-32C (Castagnoli) of a record, with the four bytes of the checksum itself as
+/// zero.
 pub(super) fn checksum(record: &[u8]) -> u32 {
     let mut remainder = !0_u32;
     for (place, byte) in record.iter().enumerate() {
@@ -111,7 +115,7 @@ pub(super) fn checksum(record: &[u8]) -> u32 {
     !remainder
 }
 
-/// Remainders of all bytes by the polynomial 0x1EDC6F41, bits reflected.
+/// Remainders of all bytes for the polynomial 0x1EDC6F41, with reflected bits.
 const REMAINDERS: [u32; 256] = {
     let mut remainders = [0; 256];
     let mut byte = 0;
@@ -138,7 +142,8 @@ mod tests {
 
     #[test]
     fn checksum_is_that_of_the_standard() {
-        // RFC 3720, section B.4: 32 bytes of zeros, 32 bytes of ones, and 0 to 31; the bytes of the checksum are zero here
+        // RFC 3720, section B.4: 32 bytes of zeros. The other examples do not apply, because the
+        // checksum bytes count as zero here.
         assert_eq!(checksum(&[0; 32]), 0x8A91_36AA);
     }
 

@@ -1,15 +1,16 @@
-//! Joins records to channels: in the order of time, with holes where samples are missing.
+//! Joins records to channels in time order, with gaps where samples are missing.
 
 use super::record::Record;
 use crate::fault::Fault;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
-/// Relative difference up to which two records have the same rate.
+/// Relative tolerance within which two records have the same sampling rate.
 const RATE_TOLERANCE: f64 = 1e-4;
 
-/// Joins records, each with the byte at which it begins; channels come in the order of their first records.
+/// Joins records, each with its byte position. The order of channels is that of their first
+/// records.
 ///
-/// A record that repeats samples which are there is left out as far as it does.
+/// If a record repeats existing samples, the repeated part is dropped.
 pub(super) fn join(records: Vec<(usize, Record)>) -> Result<Vec<RecordedChannel>, Fault> {
     let mut groups: Vec<Vec<(usize, Record)>> = Vec::new();
     for (place, record) in records {
@@ -26,7 +27,8 @@ pub(super) fn join(records: Vec<(usize, Record)>) -> Result<Vec<RecordedChannel>
 }
 
 fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fault> {
-    records.sort_by_key(|(_, record)| record.start_ns); // stable: of two that begin together the first in the file leads
+    // The stable sort keeps the file order of records with the same start.
+    records.sort_by_key(|(_, record)| record.start_ns);
     let (name, rate_hz) = records.first().map_or((String::new(), 1.0), |(_, first)| {
         (first.name.clone(), first.rate_hz)
     });

@@ -1,8 +1,11 @@
 //! Steim compression, levels 1 and 2: frames of 16 words with differences of 4 to 32 bits.
 //!
-//! Source: SEED manual v2.4, appendix B. Word 0 of a frame has 16 codes of two bits, one for each word; words 1 and 2 of the
-//! first frame are the first and the last sample. In little endian data each number is turned round by itself: differences of
-//! 8 bits stand in their order, those of 16 bits of level 1 in theirs, and words of the other codes as a whole.
+//! Word 0 of a frame has 16 codes of two bits, one for each word. Words 1 and 2 of the first frame
+//! are the first and the last sample. In little-endian data, each number is swapped separately.
+//! Thus 8-bit differences keep their order, and so do the 16-bit differences of level 1. Words of
+//! other codes are swapped as a whole.
+//!
+//! Source: SEED manual v2.4, appendix B.
 
 use crate::bytes::Bytes;
 use crate::fault::Fault;
@@ -17,7 +20,7 @@ pub(super) enum Level {
     Two,
 }
 
-/// Decodes `count` samples, and checks the last of them against the one that the data state.
+/// Decodes `count` samples, and compares the last one with the last sample stated in the data.
 pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<Vec<f64>, Fault> {
     let mut samples = Vec::new();
     if count == 0 {
@@ -54,7 +57,8 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
                             break;
                         }
                         let difference = signed(word >> (index * bits), bits);
-                        // the first difference leads from the record before; the first sample is stated
+                        // The first difference refers to the previous record, so the stated first
+                        // sample replaces it.
                         sample = if samples.is_empty() {
                             first
                         } else {
@@ -77,7 +81,7 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
     Ok(samples)
 }
 
-/// The next word, with its differences from the highest bits down.
+/// Returns the next word, with its differences from the highest bits down.
 fn word(frame: &mut Bytes<'_>, code: u32, level: Level) -> Result<u32, Fault> {
     match (code, level) {
         (1, _) => {
@@ -98,7 +102,8 @@ fn too_few(position: usize, found: usize, count: usize) -> Fault {
     )
 }
 
-/// How many differences a word has, and of how many bits; `None` if there is no such code.
+/// Returns the number of differences in a word and the bits of each, or `None` if the code does not
+/// exist.
 fn packed(code: u32, word: u32, level: Level) -> Option<(u32, u32)> {
     match (code, level) {
         (0, _) => Some((0, 0)),
@@ -121,7 +126,7 @@ fn packed(code: u32, word: u32, level: Level) -> Option<(u32, u32)> {
     }
 }
 
-/// The lowest `bits` of a word as a number with sign.
+/// Returns the lowest `bits` of a word as a signed number.
 fn signed(word: u32, bits: u32) -> i32 {
     ((word << (32 - bits)) as i32) >> (32 - bits)
 }

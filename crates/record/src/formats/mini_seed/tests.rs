@@ -2,18 +2,18 @@ use super::*;
 use crate::bytes::ByteOrder;
 use crate::recorded::Gap;
 
-/// Writes a record of version 2.
+/// A writer of records of version 2.
 #[derive(Clone)]
 struct Writer {
     order: ByteOrder,
     encoding: u8,
     power: u8,
     channel: &'static str,
-    /// 0.1 ms since 2020-01-01T00:00:00
+    /// Time since 2020-01-01T00:00:00, in units of 0.1 ms.
     ticks: u32,
 }
 
-/// Records of 256 bytes with integers of 32 bits, at 100 Hz.
+/// Settings for records of 256 bytes with 32-bit integers at 100 Hz.
 const PLAIN: Writer = Writer {
     order: ByteOrder::Big,
     encoding: 3,
@@ -85,7 +85,7 @@ impl Writer {
         self.record(values.len() as u16, &data)
     }
 
-    /// The same record, `ticks` of 0.1 ms after the start.
+    /// Returns the same settings for a record that starts `ticks` of 0.1 ms after the beginning.
     fn after(&self, ticks: u32) -> Self {
         Self {
             ticks,
@@ -102,7 +102,7 @@ fn samples(file: &[u8]) -> Vec<f64> {
     read(file).unwrap()[0].samples().collect()
 }
 
-/// date -u -d '2020-01-01T00:00:00Z' +%s
+/// Source: `date -u -d '2020-01-01T00:00:00Z' +%s`
 const START_NS: i64 = 1_577_836_800_000_000_000;
 
 #[test]
@@ -140,11 +140,12 @@ fn all_plain_encodings_are_read() {
     );
 }
 
-/// A frame of level 1: words 1 and 2 the first and last sample, then differences of 8, 16 and 32 bits.
+/// Returns a frame of level 1: words 1 and 2 are the first and last sample, followed by differences
+/// of 8, 16 and 32 bits.
 fn steim_1(writer: &Writer, last: i32) -> Vec<u8> {
     let codes = 0b01 << 24 | 0b10 << 22 | 0b11 << 20;
     let mut data = writer.words(&[codes, 1000, last as u32]);
-    // the first difference, here 99, leads from the record before and counts for nothing
+    // The first difference, here 99, refers to the previous record and is ignored.
     data.extend([99, 1, 0xfe, 3]);
     data.extend([writer.u16(300), writer.u16(0xfe0c)].concat());
     data.extend(writer.words(&[70_000]));
@@ -168,7 +169,7 @@ fn steim_1_is_decompressed() {
 
 #[test]
 fn steim_2_is_decompressed() {
-    // seven of 4 bits, six of 5, five of 6, three of 10, two of 15, one of 30
+    // Seven differences of 4 bits, six of 5, five of 6, three of 10, two of 15, one of 30.
     let codes = 0b11 << 24 | 0b11 << 22 | 0b11 << 20 | 0b10 << 18 | 0b10 << 16 | 0b10 << 14;
     let pack = |kind: u32, bits: u32, values: &[i32]| {
         values.iter().fold(kind, |word, value| {
@@ -284,7 +285,7 @@ fn blockette_that_points_at_itself_is_refused() {
     );
 }
 
-/// A record of version 3 with integers of 32 bits.
+/// Returns a record of version 3 with 32-bit integers.
 fn version_3(values: &[i32], rate: f64) -> Vec<u8> {
     let identifier = b"FDSN:XX_TEST_00_H_N_Z";
     let mut bytes = b"MS\x03\0".to_vec();

@@ -1,4 +1,4 @@
-//! What a segment says of its objects: properties, and how their raw data lie.
+//! Metadata of a segment: properties of its objects, and the layout of their raw data.
 
 use std::collections::BTreeMap;
 
@@ -6,18 +6,18 @@ use super::{Object, Property, SECONDS_1904_TO_1970};
 use crate::bytes::{Bytes, text};
 use crate::fault::Fault;
 
-/// Codes in place of the length of an index.
+/// Codes that replace the length of an index.
 const NO_RAW_DATA: u32 = u32::MAX;
 const AS_BEFORE: u32 = 0;
 const DAQMX_FORMAT_CHANGING: u32 = 0x1269;
 const DAQMX_DIGITAL_LINE: u32 = 0x126A;
 
-/// How the raw data of a channel lie in a segment.
+/// The layout of the raw data of a channel in a segment.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Index {
-    /// One value after the other.
+    /// Values one after the other.
     Values { kind: u32, bytes: u64 },
-    /// Within strides that the channels of a device share.
+    /// Values within strides shared by the channels of a device.
     Daqmx {
         count: u64,
         scalers: Vec<Scaler>,
@@ -25,7 +25,7 @@ pub(super) enum Index {
     },
 }
 
-/// Where the values of a DAQmx channel stand in a stride.
+/// The position of the values of a DAQmx channel in a stride.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Scaler {
     pub(super) id: u32,
@@ -34,25 +34,25 @@ pub(super) struct Scaler {
     pub(super) place: Place,
 }
 
-/// A place in a stride: of bytes, or of a digital line.
+/// A position in a stride: a byte, or the bit of a digital line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Place {
     Byte(u32),
     Bit(u32),
 }
 
-/// What a segment says of an object.
+/// The metadata of an object in a segment.
 struct Said {
     path: String,
     index: Option<Index>,
     properties: Vec<(String, Property)>,
 }
 
-/// What a segment says of its objects.
+/// The metadata of all objects in a segment.
 pub(super) struct Metadata(Vec<Said>);
 
 impl Metadata {
-    /// Reads the metadata; `objects` are those of the segments before.
+    /// Reads the metadata. `objects` are the objects of earlier segments.
     pub(super) fn read(
         mut data: Bytes<'_>,
         objects: &BTreeMap<String, Object>,
@@ -92,7 +92,7 @@ impl Metadata {
         Ok(Self(said))
     }
 
-    /// Adds what was said to the objects, and to the order of the raw data.
+    /// Applies the metadata to the objects and to the order of the raw data.
     pub(super) fn apply(self, objects: &mut BTreeMap<String, Object>, order: &mut Vec<String>) {
         for Said {
             path,
@@ -120,7 +120,7 @@ impl Metadata {
     }
 }
 
-/// Reads a text with its length in front.
+/// Reads a text preceded by its length.
 fn string(data: &mut Bytes<'_>) -> Result<String, Fault> {
     let length = data.u32()? as usize;
     data.take(length).map(text)
@@ -162,7 +162,8 @@ fn values(data: &mut Bytes<'_>) -> Result<Index, Fault> {
 }
 
 fn daqmx(data: &mut Bytes<'_>, code: u32) -> Result<Index, Fault> {
-    data.u32()?; // type of values: that of the scalers counts
+    // The type of values is redundant, because the scalers state their own.
+    data.u32()?;
     one_dimension(data)?;
     let count = data.u64()?;
     let mut scalers = Vec::new();
@@ -205,18 +206,19 @@ fn daqmx(data: &mut Bytes<'_>, code: u32) -> Result<Index, Fault> {
     })
 }
 
-/// Bytes of a value of a DAQmx scaler: unsigned and signed of 8, 16 and 32 bits, in turn.
+/// Returns the number of bytes per value of a DAQmx scaler. Types alternate between unsigned and
+/// signed, with 8, 16 and 32 bits.
 pub(super) fn daqmx_size(kind: u32) -> Option<usize> {
     (kind <= 5).then(|| 1 << (kind / 2))
 }
 
 const BOOLEAN: u32 = 0x21;
-/// Type of texts.
+/// Type of text.
 pub(super) const TEXT: u32 = 0x20;
 const TIME: u32 = 0x44;
 const KINDS: &str = "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), 44 (time) or 8000c, 10000d (complex)";
 
-/// Bytes of a value of a type; `None` if it has no fixed number, or is not known.
+/// Returns the number of bytes per value of a type, or `None` if it is variable or unknown.
 pub(super) fn size(kind: u32) -> Option<u64> {
     match kind {
         0 | 1 | 5 | BOOLEAN => Some(1),
@@ -228,7 +230,7 @@ pub(super) fn size(kind: u32) -> Option<u64> {
     }
 }
 
-/// Reads a number of a type; `None` if the type has none.
+/// Reads a number of a type. Returns `None` if the type is not numeric.
 pub(super) fn number(data: &mut Bytes<'_>, kind: u32) -> Result<Option<f64>, Fault> {
     Ok(Some(match kind {
         1 => f64::from(data.u8()? as i8),
@@ -250,7 +252,8 @@ fn property(data: &mut Bytes<'_>) -> Result<Property, Fault> {
     match data.u32()? {
         TEXT => string(data).map(Property::Text),
         TIME => {
-            // fractions of 2⁻⁶⁴ s and whole seconds, the lower half first in little endian files
+            // Fractions of 2⁻⁶⁴ s and whole seconds. In little-endian files, the lower half comes
+            // first.
             let (fraction, seconds) = match data.order {
                 crate::bytes::ByteOrder::Little => (data.u64()?, data.i64()?),
                 crate::bytes::ByteOrder::Big => {

@@ -1,4 +1,5 @@
-//! Raw data of a segment: chunks, each with all channels one after the other, or value by value in turn.
+//! Raw data of a segment: chunks that contain the channels one after the other, or interleaved
+//! value by value.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +8,8 @@ use super::metadata::{Index, Place, Scaler, daqmx_size, number, size};
 use crate::bytes::{ByteOrder, Bytes};
 use crate::fault::Fault;
 
-/// Adds the samples of a segment to its channels; `is_unfinished`: what is not whole at its end was cut off by a crash.
+/// Adds the samples of a segment to its channels. If `is_unfinished`, an incomplete end is the
+/// result of a crash and is ignored.
 pub(super) fn read(
     mut data: Bytes<'_>,
     is_interleaved: bool,
@@ -96,7 +98,8 @@ fn read_contiguous(
         while values.left() >= size {
             match number(&mut values, *kind)? {
                 Some(number) => numbers.push(number),
-                None => break, // texts, times and complex numbers are no samples
+                // Text, times and complex numbers are not samples.
+                None => break,
             }
         }
         if !numbers.is_empty() {
@@ -135,7 +138,8 @@ fn read_interleaved(
             }
         }
     }
-    data.take(data.left()).map(|_| ()) // part of a stride that a crash has left
+    // A crash may leave an incomplete stride.
+    data.take(data.left()).map(|_| ())
 }
 
 fn read_daqmx(
@@ -160,7 +164,8 @@ fn read_daqmx(
                 "DAQmx data as those beside it",
             ));
         };
-        widths = own; // all channels state the widths of the same buffers
+        // All channels state the widths of the same buffers.
+        widths = own;
         for Scaler {
             kind,
             buffer,
@@ -239,7 +244,7 @@ fn read_daqmx(
     Ok(())
 }
 
-/// The value of a scaler in a stride.
+/// Returns the value of a scaler in a stride.
 fn scaled_value(row: &[u8], scaler: &Scaler, order: ByteOrder) -> Option<f64> {
     let byte = match scaler.place {
         Place::Bit(bit) => {

@@ -1,12 +1,13 @@
-//! Scales that take raw numbers to the unit of the channel: linear and polynomial, one on the other.
+//! Scales that convert raw numbers to the unit of the channel: linear and polynomial, applied in
+//! sequence.
 
 use super::{Object, Property};
 use crate::fault::Fault;
 
-/// Input of a scale that is the raw number.
+/// Input source of a scale that applies to the raw numbers.
 const RAW: u32 = u32::MAX;
 
-/// Applies the scales of a channel; without any the numbers are what was measured.
+/// Applies the scales of a channel. Without scales, the numbers are the measured values.
 pub(super) fn scaled(name: &str, object: &Object) -> Result<Vec<f64>, Fault> {
     let number = |key: &str| match object.properties.get(key) {
         Some(Property::Number(number)) => Some(*number),
@@ -27,14 +28,14 @@ pub(super) fn scaled(name: &str, object: &Object) -> Result<Vec<f64>, Fault> {
         .filter(|_| is_scaled)
         .unwrap_or(0.0) as u32;
 
-    // Scales lead from the last one back to the raw numbers; each names the one that it takes its input from.
+    // The chain leads from the last scale back to the raw numbers. Each scale names its input.
     let mut chain = Vec::new();
     let mut scale = scales.checked_sub(1).unwrap_or(RAW);
     while scale != RAW {
         let key = |setting: &str| format!("NI_Scale[{scale}]_{setting}");
         let Some(kind) = text(&key("Scale_Type")) else {
             break;
-        }; // one without a type is the scaler of DAQmx
+        }; // a scale without a type is a DAQmx scaler
         let coefficient = |setting: &str| {
             let found = || format!("without {setting}");
             number(&key(setting))

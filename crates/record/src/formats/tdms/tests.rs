@@ -1,6 +1,6 @@
 use super::*;
 
-/// Writes values in one byte order.
+/// A writer of values in one byte order.
 #[derive(Clone, Copy)]
 struct Writer {
     is_big: bool,
@@ -35,7 +35,7 @@ impl Writer {
         [self.string(key), self.u32(0x20), self.string(value)].concat()
     }
 
-    /// A start of 2000-01-01T00:00:00.5 UTC.
+    /// Returns the start time 2000-01-01T00:00:00.5 UTC.
     fn start(self) -> Vec<u8> {
         let seconds = (946_684_800 + SECONDS_1904_TO_1970) as u64;
         let parts = [self.u64(1 << 63), self.u64(seconds)];
@@ -86,7 +86,7 @@ impl Writer {
             .collect()
     }
 
-    /// A segment of two channels of three values each.
+    /// Returns a segment of two channels with three values each.
     fn two_channels(self, contents: u32, values: &[f64]) -> Vec<u8> {
         let timing = [
             self.double("wf_increment", 0.01),
@@ -152,7 +152,7 @@ fn values_in_turn_are_read() {
 fn segments_go_on_as_before() {
     let values = [1.0, 2.0, 3.0, -1.0, -2.0, -3.0];
     let mut file = LITTLE.two_channels(WHOLE, &values);
-    // the second segment has raw data alone, without a word of metadata
+    // The second segment contains only raw data, without metadata.
     let raw = LITTLE.raw(&values);
     file.extend(
         [
@@ -173,7 +173,8 @@ fn segments_go_on_as_before() {
     );
 }
 
-/// A DAQmx segment of two channels of 16 bits, of which the first has a linear scale on the raw numbers.
+/// Returns a DAQmx segment of two 16-bit channels. The first channel has a linear scale on the raw
+/// numbers.
 fn daqmx() -> Vec<u8> {
     let index = |offset: u32| {
         let scaler = [
@@ -230,7 +231,7 @@ fn scale_that_is_not_known_is_refused_by_name() {
         .windows(6)
         .position(|window| window == b"Linear")
         .unwrap();
-    // the first `Linear` stands in the value of Scale_Type
+    // The first `Linear` is the value of Scale_Type.
     file[place..place + 6].copy_from_slice(b"Tables");
     let told = read(&file).unwrap_err().to_string();
     assert!(

@@ -1,6 +1,7 @@
 use super::*;
 
-/// A dataset with these first line, data type, number of values and spacing, and these data.
+/// Returns a dataset with the given first line, header values (data type, number of values,
+/// spacing) and values.
 fn dataset(first: &str, data: &str, values: &[u8]) -> Vec<u8> {
     let mut file =
         format!("    -1\n{first}\nsensor one\nhall\n18-Apr-16 13:49:58\nNONE\nNONE\n").into_bytes();
@@ -57,7 +58,7 @@ fn touching_values_name_unit_and_start_are_read() {
         (samples.len(), samples[1], samples[7]),
         (8, -1.72957e-2, 2.0)
     );
-    // date -u -d '2016-04-18T13:49:58Z' +%s, and the first abscissa of half a second
+    // Source: `date -u -d '2016-04-18T13:49:58Z' +%s`, plus the first abscissa of half a second.
     assert_eq!(channel.start_ns(), Some(1_460_987_398_500_000_000));
 }
 

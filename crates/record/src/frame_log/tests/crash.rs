@@ -1,8 +1,9 @@
-//! What a crash, a full disk or a damaged disk leaves.
+//! State of the log after a crash, on a full disk and on a damaged disk.
 
 use super::*;
 
-/// A log of some appends, not closed; the bytes of its segment, and where each append ends.
+/// Writes some appends without closing the log. Returns the bytes of its segment, the end of each
+/// append, and the file name.
 fn torn_log(appends: &[Vec<LoggedFrames>]) -> (Vec<u8>, Vec<usize>, String) {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
@@ -51,7 +52,7 @@ fn a_log_cut_at_any_byte_is_a_prefix_and_goes_on() {
         let path = folder.path().join(&name);
         std::fs::write(&path, &bytes[..cut]).unwrap();
         let (mut log, opened) = open(folder.path());
-        // an append is whole without the index of its messages, which stands behind its chunk
+        // An append is complete even without the message index, which follows its chunk.
         let index_bytes = |append: usize| 15 + 16 * appends[append].len();
         let whole = (0..ends.len())
             .filter(|append| ends[*append] - index_bytes(*append) <= cut)
@@ -199,7 +200,8 @@ fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
     }
 }
 
-/// A full segment ends in order, and the one after it may be lost with the power: that log was not closed.
+/// A full segment ends properly, and a power failure may lose the next one. Such a log counts as
+/// not closed.
 #[test]
 fn a_log_whose_newest_segment_is_gone_was_not_closed() {
     let folder = tempfile::tempdir().unwrap();
@@ -256,7 +258,7 @@ fn a_segment_without_any_frame_is_set_aside_and_never_in_the_way() {
     );
     assert_eq!(std::fs::read(aside).unwrap(), vec![0; 5000]);
     assert!(!name(6).exists());
-    // one that comes later is no more in the way
+    // A later unreadable file must not prevent appends, either.
     std::fs::write(name(5), vec![0; 6000]).unwrap();
     log.append(&[frames(1, 5, 5)]).unwrap();
     assert_eq!(

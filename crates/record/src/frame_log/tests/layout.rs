@@ -1,4 +1,4 @@
-//! What a folder is of, and what other readers see of it.
+//! The layout of a folder, and its segments as seen by other MCAP readers.
 
 use super::*;
 
@@ -121,9 +121,11 @@ fn the_message_is_as_the_schema_says() {
     expected.extend([0; 8]); // first frame
     expected.extend([0xff; 8]); // time of frame 0: -1
     expected.extend([0, 0, 0, 0, 0, 0, 0x59, 0x40]); // 100 Hz
-    expected.extend([1, 0, 0, 0, 3, 0, 2, 0, 6, 0, 1, 0]); // frames, channels, nodes, bytes of the source, ended
+    // Frames, channels, nodes, bytes of the source, end mark.
+    expected.extend([1, 0, 0, 0, 3, 0, 2, 0, 6, 0, 1, 0]);
     expected.extend(b"ingest");
-    let node = [[5, 0, 0, 0, 0, 0, 0, 0], [6, 0, 0, 0, 0, 0, 0, 0], [0; 8]]; // epoch, next sample, not ended
+    // Epoch, next sample, not ended.
+    let node = [[5, 0, 0, 0, 0, 0, 0, 0], [6, 0, 0, 0, 0, 0, 0, 0], [0; 8]];
     expected.extend(node.concat().repeat(2));
     expected.extend(
         [3e9_f64, 3e9 + 0.125, 3e9 + 0.25]

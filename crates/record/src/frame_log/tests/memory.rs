@@ -1,8 +1,8 @@
-//! What a log holds of the chunks that it has written: every structure has one that is open.
+//! Memory that a log uses per written chunk. Each structure has one open log.
 
 use super::*;
 
-/// Live blocks of 50 ms, one chunk each: those of three minutes.
+/// Live blocks of 50 ms, one chunk each, for three minutes.
 const CHUNKS: u64 = 3600;
 
 fn append_live(log: &mut FrameLog) {
@@ -11,7 +11,8 @@ fn append_live(log: &mut FrameLog) {
     }
 }
 
-/// The writer of MCAP held 300 bytes of each chunk, and the index of the reader 56: more than a megabyte of each structure.
+/// The index must not stay in memory. With 300 bytes per chunk in an MCAP writer and 56 in the
+/// reader, each structure would need more than a megabyte.
 #[test]
 fn a_segment_that_is_being_written_holds_little_of_its_chunks() {
     let folder = tempfile::tempdir().unwrap();
@@ -82,7 +83,7 @@ fn the_index_that_is_read_from_the_file_is_that_of_its_chunks() {
             .map(|number| (number, true))
             .collect::<Vec<_>>()
     );
-    // the checksum of the summary is of all of it, and of the footer before the checksum
+    // The checksum covers the whole summary, and the footer up to the checksum.
     let footer = bytes.len() - mcap::MAGIC.len() - 4;
     let start_at = footer - 16;
     let start = u64::from_le_bytes(bytes[start_at..start_at + 8].try_into().unwrap()) as usize;

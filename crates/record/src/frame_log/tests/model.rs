@@ -1,4 +1,4 @@
-//! Reading against the plainest thing that does the same: a list.
+//! Compares the log with a simple model: a list.
 
 use std::collections::BTreeMap;
 
@@ -6,12 +6,13 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// What is done to a log.
+/// An action on a log.
 #[derive(Debug, Clone)]
 enum Act {
-    /// Appends blocks: frames to go back or to leave out, frames, whether the epoch ends.
+    /// Appends blocks: number of frames to go back or to skip, number of frames, and whether the
+    /// epoch ends.
     Append(Vec<(i64, u64, bool)>),
-    /// The writer dies; whether it closes before.
+    /// Restarts the writer. The value tells whether it closes the log first.
     Reopen(bool),
 }
 
@@ -23,7 +24,7 @@ fn act() -> impl Strategy<Value = Act> {
     ]
 }
 
-/// Frames by epoch and number, and whether an epoch ended.
+/// Frames by epoch and number, and the end of each ended epoch.
 #[derive(Default)]
 struct Model {
     frames: BTreeMap<(u64, u64), Vec<u64>>,
@@ -31,7 +32,8 @@ struct Model {
 }
 
 impl Model {
-    /// Frames from number `next` on: those before are there, or were left out for good.
+    /// Adds the frames from number `next` on. Earlier frames exist already, or are permanently
+    /// missing.
     fn append(&mut self, block: &LoggedFrames, next: u64) {
         for (number, row) in rows_of(std::slice::from_ref(block)) {
             if number >= next {
@@ -43,7 +45,7 @@ impl Model {
         }
     }
 
-    /// First number, rows, and whether the epoch ends.
+    /// Returns the number of the first frame, the rows, and whether the epoch ends.
     fn read(&self, epoch: u64, after: u64, limit: u64) -> Option<(u64, Vec<Vec<u64>>, bool)> {
         let from = self
             .frames
@@ -82,7 +84,7 @@ proptest! {
                     let mut appended = Vec::new();
                     for (shift, count, is_end) in blocks {
                         let from = (next as i64 + shift).max(0) as u64;
-                        // an end before the last frame is no end
+                        // An end mark before the last frame does not count.
                         let is_end = is_end && from + count >= next;
                         let block = LoggedFrames { ended: is_end, ..frames(epoch, from, count) };
                         if count > 0 || is_end {
@@ -111,7 +113,7 @@ proptest! {
             let found = reader.read(epoch, after, limit, usize::MAX).unwrap();
             let found = found.map(|found| {
                 let rows: Vec<Vec<u64>> = found.values.chunks_exact(3).map(bits).collect();
-                // at the limit, an end that was appended later may come with the next answer
+                // At the limit, the next result may contain an end mark that was appended later.
                 let is_told_next = !found.ended && rows.len() as u64 == limit;
                 let next = reader.read(epoch, found.end(), 1, usize::MAX).unwrap().filter(|_| is_told_next);
                 let is_end = next.is_some_and(|next| (next.sequence, next.count(), next.ended) == (found.end(), 0, true));

@@ -1,11 +1,11 @@
-//! A segment, and a folder of segments, as a recording.
+//! Reads a segment, and a folder of segments, as a recording.
 
 use super::*;
 use crate::{
     ChannelColumn, ColumnMapping, OffsetRemoval, ReadOptions, RecordReader, RecordedFile, Recording,
 };
 
-/// Epochs 1 and 2 with a gap in each, in several segments.
+/// Writes epochs 1 and 2, each with a gap, in several segments.
 fn written(folder: &Path) -> Vec<LoggedFrames> {
     let later = |block: LoggedFrames| LoggedFrames {
         t0_ns: T0_NS + 60_000_000_000,

@@ -1,4 +1,4 @@
-//! What is kept.
+//! Retention of segments.
 
 use super::*;
 
@@ -83,7 +83,8 @@ fn segments_that_are_too_old_by_their_frames_go() {
         (2900, 5000),
         "20 s before the last frame, and the segment that has this time"
     );
-    // the next frames are of a day later: all but they are too old, but for the segment before
+    // The next frame is a day later. All earlier segments are too old, except the last one before
+    // it.
     let later = LoggedFrames {
         t0_ns: T0_NS + 86_400_000_000_000,
         ..frames(2, 0, 1)

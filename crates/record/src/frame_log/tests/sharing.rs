@@ -1,4 +1,4 @@
-//! Who else has the folder.
+//! Exclusive access to the folder of a log.
 
 use super::*;
 

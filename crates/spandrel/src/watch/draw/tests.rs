@@ -32,7 +32,7 @@ fn drawn(view: &View, (width, height): (u16, u16)) -> Terminal<TestBackend> {
     terminal
 }
 
-/// The rows of the screen as text.
+/// Returns the rows of the screen as text.
 fn rows(view: &View, size: (u16, u16)) -> Vec<String> {
     let terminal = drawn(view, size);
     let buffer = terminal.backend().buffer();
@@ -46,7 +46,7 @@ fn rows(view: &View, size: (u16, u16)) -> Vec<String> {
     (0..size.1).map(row).collect()
 }
 
-/// The number and text of the only row that contains `part`.
+/// Returns the index and text of the only row that contains `part`.
 fn row_with<'r>(rows: &'r [String], part: &str) -> (usize, &'r str) {
     let mut found = rows
         .iter()
@@ -63,7 +63,7 @@ fn row_with<'r>(rows: &'r [String], part: &str) -> (usize, &'r str) {
     (first.0, first.1)
 }
 
-/// Two structures: the tower, and a bridge with sixteen parameters.
+/// Returns a view of two structures: the tower, and a bridge with sixteen parameters.
 fn tower_and_bridge() -> View {
     let mut heard = damaged_tower();
     for number in 1..=16 {
@@ -214,14 +214,14 @@ fn two_instances_of_a_service_are_told_apart() {
     heard.handle(Input::Status(second), &mut Vec::new());
     let rows = rows(&view(heard), (140, 40));
     row_with(&rows, "identify/a lag 0.21 s");
-    row_with(&rows, "identify/b lag 4 s, stands by, 2 restarts, gone");
+    row_with(&rows, "identify/b lag 4 s, standby, 2 restarts, gone");
 }
 
 #[test]
 fn nothing_heard_is_said() {
     row_with(
         &rows(&view(Heard::default()), (80, 24)),
-        "nothing heard yet below spandrel",
+        "no messages yet below spandrel",
     );
     row_with(
         &rows(&view(heard([present(&[(Service::Ingest, "a")])])), (80, 24)),

@@ -38,7 +38,8 @@ fn data_are_stale_after_three_seconds_without_a_value() {
     );
 }
 
-/// Broke: for three seconds after a restart of everything, values of sensors that were gone passed for new.
+/// Regression test: for three seconds after a restart of all services, values of disconnected
+/// sensors counted as new.
 #[test]
 fn what_is_read_again_after_a_restart_does_not_end_a_silence() {
     let there = || present(&[(Service::Ingest, "a"), (Service::Identify, "a")]);
@@ -120,7 +121,7 @@ fn an_answer_does_not_undo_what_came_by_itself() {
         45,
         AlertState::Acknowledged,
     ))]);
-    // both decided by the same frame: an acknowledgement brings no new estimate
+    // Both have the same frame, because an acknowledgement brings no new estimate.
     assert_eq!(
         changes(
             &mut heard,
@@ -164,7 +165,7 @@ fn alerts_are_stale_from_when_their_service_goes_until_it_speaks_again() {
         ["storey-1", "storey-2"],
         "that somebody is there says nothing of them"
     );
-    // the link was lost, the service is the same
+    // Only the link was lost; the service is the same.
     assert_eq!(changes(&mut heard, Input::StandingAlert(raised)), []);
     assert_eq!(stale(&heard), ["storey-1"]);
 }

@@ -1,11 +1,11 @@
-//! On real sessions: what others put is gathered, and what they said before is asked for.
+//! Tests with real sessions: messages are collected, and earlier alerts are queried.
 
 use super::super::heard::Heard;
 use super::super::testing::{alert, name, parameter};
 use super::*;
 use spandrel_bus::{AlertState, BusConfig, Keys};
 
-/// Ends a hang; nothing here takes a second.
+/// Only ends a hang; no test takes a second.
 const DEADLINE: Duration = Duration::from_secs(30);
 
 async fn open() -> (Bus, Keys) {
@@ -27,13 +27,13 @@ async fn open_with(config: BusConfig) -> (Bus, Keys) {
     )
 }
 
-/// An endpoint that nobody listens on yet.
+/// Returns an endpoint on which no process listens yet.
 fn free_endpoint() -> String {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     format!("tcp/{}", listener.local_addr().unwrap())
 }
 
-/// Gathers until `done`; the deadline only ends a hang.
+/// Collects messages until `done`. The deadline only ends a hang.
 async fn gather_until(listening: &mut Listening, done: impl Fn(&Heard) -> bool) -> Heard {
     let mut heard = Heard::default();
     let gathered = tokio::time::timeout(DEADLINE, async {
@@ -143,7 +143,7 @@ async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
     })
     .await;
     let mut listening = Listening::start(&bus, keys.root(), None).await.unwrap();
-    while listening.asked.join_next().await.is_some() {} // nobody was there to answer
+    while listening.asked.join_next().await.is_some() {} // no service was present to reply
     let (other, _) = open_with(BusConfig {
         connect: vec![endpoint],
         ..BusConfig::default()

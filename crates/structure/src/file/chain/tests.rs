@@ -1,4 +1,5 @@
-//! Groups of storeys, hysteresis and dashpots: what is read, and mistakes with line, key and text.
+//! Tests of groups of storeys, hysteresis and dashpots: valid files, and mistakes with line, key
+//! and text.
 
 use crate::Structure;
 use std::path::Path;

@@ -1,9 +1,9 @@
-//! Classes that must be read, and mistakes that must be found with the class that makes them.
+//! Tests of valid `[classes]` tables, and of mistakes with the class that contains them.
 
 use crate::Diagnostic;
 use crate::file::tests::{DEMO, mistakes, read};
 
-/// Returns the mistakes of the demo with a `[classes]` table.
+/// Returns the mistakes in the demo with a `[classes]` table.
 #[track_caller]
 fn class_mistakes(table: &str) -> Vec<String> {
     mistakes(&format!("{DEMO}\n{table}"))
@@ -20,7 +20,7 @@ fn classes_are_read_with_their_groups() {
     assert_eq!((settings.floor, settings.persistence_steps), (1e-6, 200));
     let text = format!("{DEMO}\n[classes]\nkind = \"self-calibrating\"\n");
     let structure = read(&text).unwrap();
-    // two fundamental periods of 1 s at 100 Hz
+    // Two fundamental periods of 1 s at 100 Hz.
     assert_eq!(structure.class_settings().unwrap().persistence_steps, 200);
 }
 
@@ -76,7 +76,8 @@ fn mistakes_of_classes_are_named() {
     );
 }
 
-/// Reads the demo with a table of classes and returns each mistake with the line of the table (from 1) that it names.
+/// Reads the demo with a table of classes; returns each mistake with its line (from 1) in the
+/// table.
 #[track_caller]
 fn mistakes_by_line(table: &str) -> Vec<(usize, String)> {
     let error = read(&format!("{DEMO}\n{table}")).expect_err("the file should be refused");

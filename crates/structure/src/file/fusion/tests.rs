@@ -4,7 +4,7 @@ use std::path::Path;
 
 const FILE: &str = include_str!("../../../../../docs/examples/forty-storey-building.toml");
 
-/// The file with another `[fusion]`.
+/// Reads the file with another `[fusion]` table.
 fn with(fusion: &str) -> Result<Structure, String> {
     let (start, end) = (
         FILE.find("[fusion]").unwrap(),
@@ -17,7 +17,8 @@ fn with(fusion: &str) -> Result<Structure, String> {
 #[test]
 fn nodes_that_tell_samples_see_the_channels_of_all() {
     let structure = with("motion = \"samples\"\nsamples-per-period = 5").unwrap();
-    // 10 parameters: 65 numbers of the density; 5 instants of two channels each way, of sixteen nodes
+    // 10 parameters: 65 numbers of the density; 5 instants of two channels each way, from sixteen
+    // nodes.
     assert_eq!(structure.numbers_per_period(3), Some((65 + 10, 65 + 150)));
     let node = structure.local_filter(3).unwrap().unwrap();
     assert_eq!(node.filter().observation_len(), 32);

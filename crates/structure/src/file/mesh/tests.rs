@@ -1,4 +1,4 @@
-//! Frames and trusses that must be read, and mistakes that must be found with line, key and text.
+//! Tests of valid frames and trusses, and of mistakes with line, key and text.
 
 use crate::Structure;
 use std::path::Path;
@@ -134,13 +134,14 @@ fn the_ground_moves_translations_in_its_direction_only() {
     );
 }
 
-/// Nodes of a chain without coordinates stand where those of the same chain with coordinates do.
+/// Nodes of a chain without coordinates have the same positions as nodes with the explicit
+/// coordinates.
 #[test]
 fn nodes_of_a_chain_are_spaced_evenly() {
     let explicit =
         read(&PORTAL.replace("3 = [0, 4]\n", "2 = [0, 2]\n3 = [0, 4]\nmiddle = [6, 2]\n")).unwrap();
     let spaced = read(PORTAL).unwrap();
-    // the order of named nodes follows the file, so that rows are compared by name
+    // Named nodes follow the order of the file, so rows are compared by name.
     let entry = |structure: &Structure, row: &str, column: &str| {
         let index = |name| {
             structure

@@ -1,4 +1,4 @@
-//! Times of the screening: those that fit into memory and have a scale, and no others.
+//! Tests of the screening times: only those that fit into memory and have a scale are valid.
 
 use crate::Structure;
 use crate::file::tests::{DEMO, line_of, read};
@@ -48,7 +48,7 @@ fn shortest_and_longest_times_make_a_filter() {
     };
     let shortest = with_outliers("window-s = 0.14\ntraining-s = 0.03\nfault-window-s = 0.03");
     assert!(makes_a_filter(&read(&shortest).unwrap()));
-    // what follows from a period of days is cut to what fits into memory
+    // Settings that follow from a period of days are limited by memory.
     let slow =
         with_outliers("").replacen("first-frequency-hz = 1.0", "first-frequency-hz = 3e-6", 1);
     let settings = read(&slow)

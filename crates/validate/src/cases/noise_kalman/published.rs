@@ -1,6 +1,8 @@
-//! The tables of Yuen, Liang & Kuok (2013): errors of the displacements (m), then of the velocities (m/s), of floors 5 to 50.
+//! The tables of Yuen, Liang & Kuok (2013): errors of the displacements (m), then of the velocities
+//! (m/s), of floors 5 to 50.
 
-/// Table 2: rms errors in case 1 with the actual levels, with [10, 10] and online.
+/// Table 2: rms errors in case 1 with the actual levels, with [10, 10] and with online
+/// identification.
 pub(super) const RMS_1: [[f64; 3]; 20] = [
     [1.089e-4, 1.051e-3, 1.089e-4],
     [2.009e-4, 1.869e-3, 2.009e-4],
@@ -24,7 +26,7 @@ pub(super) const RMS_1: [[f64; 3]; 20] = [
     [1.360e-3, 1.069e-2, 1.361e-3],
 ];
 
-/// Table 3: largest errors in case 1, the same filters.
+/// Table 3: largest errors in case 1 with the same filters.
 pub(super) const LARGEST_1: [[f64; 3]; 20] = [
     [4.269e-4, 4.151e-3, 4.271e-4],
     [7.951e-4, 7.180e-3, 7.955e-4],
@@ -48,7 +50,8 @@ pub(super) const LARGEST_1: [[f64; 3]; 20] = [
     [5.928e-3, 4.495e-2, 5.962e-3],
 ];
 
-/// Table 4: rms errors in case 2 with the actual levels, their mean, their first value, [10, 10] and online.
+/// Table 4: rms errors in case 2 with the actual levels, their mean, their first value, [10, 10]
+/// and online identification.
 pub(super) const RMS_2: [[f64; 5]; 20] = [
     [1.397e-4, 1.397e-4, 1.397e-4, 9.956e-4, 1.397e-4],
     [2.576e-4, 2.576e-4, 2.576e-4, 1.764e-3, 2.576e-4],
@@ -72,7 +75,8 @@ pub(super) const RMS_2: [[f64; 5]; 20] = [
     [1.719e-3, 1.741e-3, 1.756e-3, 1.038e-2, 1.721e-3],
 ];
 
-/// Table 5: rms errors in case 3 with the actual levels, [10, 10] and online.
+/// Table 5: rms errors in case 3 with the actual levels, with [10, 10] and with online
+/// identification.
 pub(super) const RMS_3: [[f64; 3]; 20] = [
     [8.309e-5, 6.240e-4, 8.304e-5],
     [1.607e-4, 1.197e-3, 1.606e-4],

@@ -1,24 +1,27 @@
-//! A batch fit of one stiffness ratio to a whole record, without any filter: the yardstick of a record.
+//! Reference for a record: a batch fit of one stiffness ratio to the whole record, without any
+//! filter.
 //!
-//! The response of the model to the measured ground motion is integrated for a given ratio, and the ratio with the least
-//! squared difference from the record is taken. The same integration makes records of a damaged structure.
+//! The response of the model to the measured ground motion is integrated for a given ratio. The fit
+//! is the ratio with the smallest squared difference from the record. The same integration creates
+//! records of a damaged structure.
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{BandLimit, ObservationModel, ProcessModel};
 use spandrel_sensor::Row;
 use spandrel_structure::Structure;
 
-/// Range in which a ratio is looked for, and how closely. Far from 1 the least squares of a short record have other minima.
+/// Range and tolerance of the search for a ratio. Far from 1, the squared difference of a short
+/// record has other minima.
 const RANGE: (f64, f64) = (0.5, 1.6);
 const TOLERANCE: f64 = 1e-4;
 
-/// The response of a linear structure to the excitation that a record holds.
+/// Response of a linear structure to the recorded excitation.
 pub(super) struct Replay<'s> {
     structure: &'s Structure,
 }
 
-/// The exact recursion over one step for an excitation that runs straight between samples:
-/// x' = Φ x + Γ₀ f + Γ₁ (f' − f), z = H x + D f.
+/// The exact recursion over one step for an excitation that is linear between samples: x' = Φ x +
+/// Γ₀ f + Γ₁ (f' − f), z = H x + D f.
 struct Recursion {
     transition: DMatrix<f64>,
     held: DMatrix<f64>,
@@ -47,8 +50,9 @@ impl Recursion {
         let mut observation = DMatrix::zeros(outputs, n);
         model.linearise_observation(&rest, &none);
         model.observation_jacobian_mul(&identity, &mut observation);
-        // exp of [[A, B, 0], [0, 0, I], [0, 0, 0]]·Δt holds Φ, Γ₀ and, to the factor Δt, Γ₁
-        // (C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Autom. Control 23 (1978), 395-404)
+        // The matrix exp([[A, B, 0], [0, 0, I], [0, 0, 0]]·Δt) contains Φ, Γ₀ and, up to the factor
+        // Δt, Γ₁. Source: C. F. Van Loan, Computing integrals involving the matrix exponential,
+        // IEEE Trans. Autom. Control 23 (1978), 395-404.
         let step_s = structure.step_s();
         let mut block = DMatrix::zeros(n + 2 * inputs, n + 2 * inputs);
         block
@@ -71,7 +75,7 @@ impl Recursion {
     }
 }
 
-/// The direct effect of each component of the excitation on the observed channels.
+/// Returns the direct effect of each component of the excitation on the observed channels.
 fn direct(model: &mut impl ObservationModelWithInputs, rest: &[f64]) -> DMatrix<f64> {
     let (inputs, outputs) = (model.excitation_len(), model.observation_len());
     let mut direct = DMatrix::zeros(outputs, inputs);
@@ -86,7 +90,7 @@ fn direct(model: &mut impl ObservationModelWithInputs, rest: &[f64]) -> DMatrix<
     direct
 }
 
-/// A model with both of its sides.
+/// A model that describes both the process and the observation.
 trait ObservationModelWithInputs: ProcessModel + ObservationModel {}
 
 impl<M: ProcessModel + ObservationModel> ObservationModelWithInputs for M {}
@@ -96,7 +100,8 @@ impl<'s> Replay<'s> {
         Self { structure }
     }
 
-    /// Returns the observed channels (frames × channels, SI) of a structure with these stiffness ratios, from rest.
+    /// Returns the observed channels (frames × channels, SI) of a structure with these stiffness
+    /// ratios, from rest.
     ///
     /// A missing sample of the excitation counts as 0.
     pub(super) fn response(&self, rows: &[Row], theta: &[f64]) -> Vec<DVector<f64>> {
@@ -117,8 +122,11 @@ impl<'s> Replay<'s> {
         responses
     }
 
-    /// Returns the ratio, one for all parameters, at which the response is closest to the rows from number `from` on, with the
-    /// share of the mean square that it leaves. Both are taken in the declared band.
+    /// Returns the common ratio of all parameters whose response is closest to the rows from index
+    /// `from` on.
+    ///
+    /// Also returns the unexplained share of the mean square. Both apply to the declared frequency
+    /// band.
     pub(super) fn fit(&self, rows: &[Row], from: usize) -> (f64, f64) {
         let rows = &self.limited(rows);
         let parameters = self.structure.parameters().len();
@@ -160,7 +168,8 @@ impl<'s> Replay<'s> {
             .sum()
     }
 
-    /// The rows in the declared band. A linear structure filtered alike in input and output obeys the same equation.
+    /// Returns the rows limited to the declared band. A linear structure obeys the same equation if
+    /// input and output pass the same filter.
     fn limited(&self, rows: &[Row]) -> Vec<Row> {
         let mut rows = rows.to_vec();
         let rate_hz = self.structure.sampling_rate_hz();
@@ -196,7 +205,7 @@ impl<'s> Replay<'s> {
     }
 }
 
-/// Returns the place of the least value: a coarse search, then golden sections of the best interval.
+/// Returns the position of the minimum: a coarse search, then golden sections of the best interval.
 fn least((low, high): (f64, f64), tolerance: f64, of: &mut impl FnMut(f64) -> f64) -> f64 {
     const COARSE: usize = 20;
     let width = (high - low) / (COARSE - 1) as f64;
@@ -226,7 +235,8 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// Rows of the bridge's file by the simulator of `spandrel-structure`, which is another recursion.
+    /// Returns rows simulated with the file of the bridge by `spandrel-structure`, which uses
+    /// another recursion.
     fn simulated(structure: &Structure) -> Vec<Row> {
         let frames = structure.clean_simulator(1).take(3000);
         frames
@@ -242,7 +252,8 @@ mod tests {
         let structure =
             Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
         let (ratio, left) = Replay::new(&structure).fit(&simulated(&structure), 0);
-        // the low-pass takes the first value of a channel as if it had always been there, which the structure at rest does not
+        // The low-pass filter assumes that the first value of a channel lasted for ever. The
+        // structure instead starts at rest.
         assert!(
             (ratio - 1.0).abs() < 1e-3 && left < 1e-3,
             "{ratio}, leaves {left}"

@@ -1,7 +1,7 @@
-//! A highway overpass: the earthquakes of four decades, weak and strong.
+//! A highway overpass: weak and strong earthquakes of four decades.
 //!
-//! Source of the records: docs/highway-bridge.md. In weak shaking the bridge is sound. In strong shaking it really softens, and
-//! is stiff again within a minute or two.
+//! Source of the records: docs/highway-bridge.md. The bridge is undamaged in weak shaking. In
+//! strong shaking it really softens, and its stiffness returns within a minute or two.
 
 use super::batch_fit::Replay;
 use super::course::{Course, Point, Recorded};
@@ -14,19 +14,21 @@ use std::path::Path;
 
 const FILE: &str = include_str!("bridge.toml");
 
-/// The bridge moves while the deck exceeds this (m/s²): three times the stated noise.
+/// Deck acceleration above which the bridge counts as moving (m/s²), three times the stated noise.
 const MOTION: f64 = 0.06;
 
-/// Events whose peak at the base of the bent is below this (m/s²) are weak.
+/// Peak acceleration at the base of the bent below which an event is weak (m/s²).
 const WEAK: f64 = 1.0;
 
-/// What `spandrel baseline` leaves out at the start of each record (s): the recorder starts half a minute before the motion.
+/// Start of each record that `spandrel baseline` skips (s), because the recorder starts half a
+/// minute before the motion.
 const SKIP_S: f64 = 30.0;
 
-/// Loss that is simulated.
+/// Simulated loss.
 const LOSS: f64 = 0.4;
 
-/// Archives with the four channels, in order of time. Three more of the folder lack the base of the bent.
+/// Archives with the four channels, in order of time. Three more archives of the folder lack the
+/// base of the bent.
 const EVENTS: [&str; 18] = [
     "capemendocino_21nov1986_ce89324p",
     "capemendocinoaftershock_21nov1986_ce89324p",
@@ -48,25 +50,26 @@ const EVENTS: [&str; 18] = [
     "nc73943846_ce89324p",
 ];
 
-/// The first event that may have changed the bridge for good: the baseline is learnt from weak events before it.
+/// First event that may have changed the bridge permanently. The baseline is learnt from earlier
+/// weak events.
 const FIRST_STRONG: &str = "nc73821036_ce89324p";
 
-/// The parameter of the file.
+/// Parameter of the file.
 const PARAMETER: &str = "supports";
 
-/// One event with what the file makes of it.
+/// One event with its results.
 struct Event {
     record: Recorded,
     is_weak: bool,
-    /// Before the strong earthquake of 2022.
+    /// Whether the event precedes the strong earthquake of 2022.
     is_early: bool,
-    /// Without a baseline.
+    /// Results without a baseline.
     course: Course,
-    /// Batch fit to the whole record: the ratio, and the share of the variance that it leaves.
+    /// Batch fit to the whole record: the ratio, and the unexplained share of the variance.
     batch: (f64, f64),
 }
 
-/// The rows of the bridge.
+/// Returns the rows of the bridge.
 pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     let folder = data.join("painter-street-bridge");
     if !folder.is_dir() {
@@ -135,7 +138,8 @@ fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsErr
     Ok(events)
 }
 
-/// The baseline for an event: all other weak events before the strong earthquake of 2022.
+/// Learns the baseline for an event from all other weak events before the strong earthquake of
+/// 2022.
 fn baseline(structure: &Structure, events: &[Event], own: usize) -> Result<Baseline, RecordsError> {
     let names: Vec<&str> = structure
         .parameters()
@@ -161,7 +165,7 @@ fn baseline(structure: &Structure, events: &[Event], own: usize) -> Result<Basel
     )?)
 }
 
-/// Pairs of weak events, with the scatter between records from the other events.
+/// Compares pairs of weak events, with the scatter between records from the other events.
 fn pairs(
     condition: &str,
     events: &[Event],
@@ -202,7 +206,7 @@ fn pairs(
     row
 }
 
-/// The estimate at the last moment in motion against the batch fit.
+/// Compares the estimate at the last moment in motion with the batch fit.
 fn batch(events: &[Event]) -> Row {
     let mut row = Row::new(
         "highway bridge: weak events against a batch fit, last moment in motion",
@@ -225,7 +229,7 @@ fn batch(events: &[Event]) -> Row {
     row
 }
 
-/// Weak events against the baseline of the others.
+/// Compares weak events with the baseline of the others.
 fn sound(
     structure: &Structure,
     events: &[Event],
@@ -254,7 +258,7 @@ fn sound(
     Ok(row)
 }
 
-/// Strong events: what is raised must be cleared where the coda shows the stiffness of before.
+/// Runs the strong events. An alert must be cleared if the coda shows the former stiffness.
 fn strong(
     structure: &Structure,
     events: &[Event],
@@ -281,13 +285,13 @@ fn strong(
     Ok(row)
 }
 
-/// A batch fit of the coda above this ratio says that the bridge has recovered.
+/// Ratio of a batch fit to the coda above which the bridge has recovered.
 const RECOVERED: f64 = 0.85;
 
-/// Length of the coda (s): the end of the motion.
+/// Length of the coda, the end of the motion (s).
 const CODA_S: f64 = 15.0;
 
-/// Number of the first frame of the coda.
+/// Returns the index of the first frame of the coda.
 fn coda(course: &Course) -> usize {
     let end_s = course
         .points
@@ -302,7 +306,8 @@ fn coda(course: &Course) -> usize {
         .unwrap_or(0)
 }
 
-/// Weak events of a bridge whose supports have lost 40 %, with what the model does not explain of the real record.
+/// Runs weak events of a bridge whose supports have lost 40 %, including the unexplained part of
+/// the real record.
 fn damaged(
     what: &str,
     structure: &Structure,
@@ -343,10 +348,12 @@ fn damaged(
     Ok(row)
 }
 
-/// What the model does not explain of an event, and with it the response of the model at 60 % of the sound value.
+/// Returns the model response at 60 % of the undamaged stiffness plus the unexplained part of an
+/// event.
 ///
-/// The residual is the record less the response at its own batch fit. So the loss against the sound value is 40 % in each
-/// event, and the event adds only what the model has wrong.
+/// The unexplained part is the record minus the response at its own batch fit. The loss relative to
+/// the undamaged stiffness is therefore 40 % in each event, and the event contributes only the
+/// model error.
 fn with_loss(
     replay: &Replay<'_>,
     structure: &Structure,
@@ -370,7 +377,7 @@ fn with_loss(
     rows
 }
 
-/// An event in words: the estimates, and what was raised and cleared when.
+/// Describes an event: its estimates, and the alerts raised and cleared with their times.
 fn told(event: &Event, course: &Course) -> String {
     let level = |point: Option<&Point>| {
         point.map_or("-".to_owned(), |p| {

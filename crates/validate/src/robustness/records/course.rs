@@ -1,4 +1,5 @@
-//! One record through the cores of the services, in the order and with the numbers of `spandrel estimate`.
+//! One record through the cores of the services, in the order and with the numbers of
+//! `spandrel estimate`.
 
 use super::RecordsError;
 use spandrel_alert::{Alert, Baseline, RecordSummary, ReferenceRule, Watch};
@@ -10,16 +11,17 @@ use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Samples of a block of `spandrel estimate`.
+/// Number of samples in a block of `spandrel estimate`.
 const BLOCK_SAMPLES: u64 = 256;
 
-/// Estimates that are decided on at once. The cuts change no alert; the state of the decision is read after each.
+/// Maximum number of estimates per call of the decision. The state is read after each call, and the
+/// cuts do not change any alert.
 const DECIDED_AT_ONCE: usize = 10;
 
-/// How long (s) the structure counts as moving after its last large sample.
+/// Time for which the structure counts as moving after its last large sample (s).
 const STILL_MOVING_S: f64 = 1.0;
 
-/// A record as the structure file reads it.
+/// A record as read with the structure file.
 #[derive(Debug, Clone)]
 pub(super) struct Recorded {
     pub(super) name: String,
@@ -27,7 +29,7 @@ pub(super) struct Recorded {
 }
 
 impl Recorded {
-    /// Reads a record with the structure file's columns, units and rate.
+    /// Reads a record with the columns, units and rate of the structure file.
     pub(super) fn read(structure: &Structure, path: &Path) -> Result<Self, RecordsError> {
         let name = path
             .file_stem()
@@ -38,7 +40,7 @@ impl Recorded {
         Ok(Self { name, rows })
     }
 
-    /// Largest absolute value of a channel (SI).
+    /// Returns the largest absolute value of a channel (SI).
     pub(super) fn peak(&self, channel: usize) -> f64 {
         self.rows
             .iter()
@@ -47,28 +49,29 @@ impl Recorded {
     }
 }
 
-/// What is known after one frame.
+/// State of the identification and decision after one frame.
 #[derive(Debug, Clone)]
 pub(super) struct Point {
-    /// Since the first frame (s).
+    /// Time since the first frame (s).
     pub(super) time_s: f64,
     /// Ratios to nominal.
     pub(super) mean: Vec<f64>,
     pub(super) std: Vec<f64>,
-    /// `None` where nobody judged the fit.
+    /// Fit verdict, or `None` if nothing judges the fit.
     pub(super) verdict: Option<FitVerdict>,
-    /// The motion exceeded the threshold within the last second.
+    /// Whether the motion exceeded the threshold within the last second.
     pub(super) moves: bool,
-    /// The noise levels are trained: the estimate may be used.
+    /// Whether the noise levels are trained, so that the estimate may be used.
     pub(super) works: bool,
-    /// Why a rule has not decided on one of its parameters; `None` where rules have decided on all of them.
+    /// Reason why a rule has not decided on one of its parameters, or `None` if rules have decided
+    /// on all of them.
     pub(super) hindrance: Option<Hindrance>,
 }
 
-/// What keeps a rule from deciding on a parameter.
+/// Reason why a rule cannot decide on a parameter.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Hindrance {
-    /// `None` while the reference is being learnt.
+    /// Reason, or `None` while the reference is being learnt.
     pub(super) because: Option<UndecidedBecause>,
     /// Name of the first parameter without a decision.
     pub(super) parameter: String,
@@ -85,18 +88,20 @@ impl std::fmt::Display for Hindrance {
     }
 }
 
-/// The estimates and alerts of one record.
+/// Estimates and alerts of one record.
 #[derive(Debug, Clone)]
 pub(super) struct Course {
     pub(super) points: Vec<Point>,
-    /// Each change that a person is told of: raised, acknowledged or cleared, with its time since the first frame (s).
+    /// Each notified change (raised, acknowledged or cleared), with its time since the first frame
+    /// (s).
     pub(super) alerts: Vec<(f64, Alert)>,
-    /// Alerts that still stand at the end.
+    /// Number of alerts that are still active at the end.
     pub(super) standing: usize,
 }
 
 impl Course {
-    /// Identifies the rows of a record. Motion is where an observed channel exceeds `motion` (SI).
+    /// Identifies the rows of a record. The structure moves while an observed channel exceeds
+    /// `motion` (SI).
     pub(super) fn run(
         structure: &Structure,
         rows: &[Row],
@@ -124,19 +129,19 @@ impl Course {
         Ok(chain.finish())
     }
 
-    /// Alerts that were raised, by parameter and time (s).
+    /// Returns the raised alerts with their times (s).
     pub(super) fn raised(&self) -> impl Iterator<Item = &(f64, Alert)> {
         self.alerts
             .iter()
             .filter(|(_, alert)| alert.state == AlertState::Raised)
     }
 
-    /// The last point; `None` of an empty record.
+    /// Returns the last point, or `None` for an empty record.
     pub(super) fn end(&self) -> Option<&Point> {
         self.points.last()
     }
 
-    /// The last point in motion.
+    /// Returns the last point in motion.
     pub(super) fn last_moving(&self) -> Option<&Point> {
         self.points
             .iter()
@@ -144,7 +149,8 @@ impl Course {
             .find(|point| point.moves && point.works)
     }
 
-    /// Shares of the moving points with a verdict of supported, doubtful and contradicted.
+    /// Returns the shares of the moving points with the verdicts supported, doubtful and
+    /// contradicted.
     pub(super) fn verdict_shares(&self) -> [f64; 3] {
         let share = |verdict| self.moving_share(|point| point.verdict == Some(verdict));
         [
@@ -155,12 +161,12 @@ impl Course {
         .map(share)
     }
 
-    /// Share of the moving points with a decision on every parameter.
+    /// Returns the share of the moving points with a decision on every parameter.
     pub(super) fn decided_share(&self) -> f64 {
         self.moving_share(|point| point.hindrance.is_none())
     }
 
-    /// Share of the moving points without a decision, for each hindrance.
+    /// Returns the share of the moving points without a decision, for each hindrance.
     pub(super) fn hindrance_shares(&self) -> BTreeMap<Hindrance, f64> {
         let found: BTreeSet<Hindrance> = self
             .moving()
@@ -179,13 +185,13 @@ impl Course {
         self.points.iter().filter(|point| point.moves)
     }
 
-    /// Share of the moving points that fulfil a condition; 0 without motion.
+    /// Returns the share of the moving points that fulfil a condition, 0 without motion.
     fn moving_share(&self, condition: impl Fn(&Point) -> bool) -> f64 {
         self.moving().filter(|point| condition(point)).count() as f64
             / self.moving().count().max(1) as f64
     }
 
-    /// What `spandrel baseline --skip` learns from this record.
+    /// Returns what `spandrel baseline --skip` learns from this record.
     pub(super) fn summary(&self, skip_s: f64) -> Option<RecordSummary> {
         let learnt = self
             .points
@@ -202,14 +208,14 @@ impl Course {
     }
 }
 
-/// Identification and decision, and what is kept of them.
+/// Identification, decision and the collected results.
 struct Chain {
     identification: Identification,
     watch: Watch,
     observed: Vec<usize>,
     motion: f64,
     rate_hz: f64,
-    /// Frames since the last large sample.
+    /// Number of frames since the last large sample.
     since_motion: Option<u64>,
     moves: std::collections::VecDeque<bool>,
     start_ns: Option<i64>,
@@ -318,11 +324,12 @@ impl Chain {
     }
 }
 
-/// Returns what keeps a rule from comparing its parameter with the reference.
+/// Returns the reason why a rule cannot compare its parameter with the reference.
 fn hindrance(decision: &spandrel_alert::Decision) -> Option<Hindrance> {
     let is_learning = match decision.last_alert() {
         Some(alert) => alert.state == AlertState::Learning,
-        // what is learnt is announced from the start; a known reference is compared without a word
+        // A learnt reference is announced from the start. A known reference is compared without an
+        // announcement.
         None => matches!(decision.rule().reference(), ReferenceRule::Learnt { .. }),
     };
     let because = decision.undecided_because();
@@ -332,7 +339,7 @@ fn hindrance(decision: &spandrel_alert::Decision) -> Option<Hindrance> {
     })
 }
 
-/// Returns the hindrance of a frame in training, which the decision states only once it has lasted.
+/// Returns the hindrance of a frame in training, which the decision states only after some time.
 fn without_levels(decision: &spandrel_alert::Decision) -> Hindrance {
     Hindrance {
         because: Some(UndecidedBecause::NoiseTraining),

@@ -1,36 +1,36 @@
-//! What can go wrong with a real record.
+//! Errors of a real record.
 
-/// Why a record has no result.
+/// Reason why a record has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordsError {
-    /// A structure file of the benchmark is wrong.
+    /// A structure file of the benchmark is invalid.
     #[error("the structure file of the benchmark is wrong: {0}")]
     Structure(#[from] spandrel_structure::StructureError),
     /// A record cannot be read.
     #[error(transparent)]
     Record(#[from] spandrel_record::RecordError),
-    /// The structure makes no frames.
+    /// The structure does not define any frames.
     #[error(transparent)]
     Layout(#[from] spandrel_ingest::LayoutError),
-    /// A name is no chunk of a key expression.
+    /// A name is not a valid chunk of a key expression.
     #[error(transparent)]
     Name(#[from] spandrel_bus::NameError),
     /// The structure cannot be identified.
     #[error(transparent)]
     Identify(#[from] spandrel_identify::IdentifyError),
-    /// The alert rules cannot be followed.
+    /// The alert rules cannot be applied.
     #[error(transparent)]
     Alert(#[from] spandrel_alert::AlertError),
-    /// A record has nothing to learn from.
+    /// A record contains no estimate to learn from.
     #[error("{record}: no estimate to learn from")]
     NothingLearnt {
         /// Name of the record.
         record: String,
     },
-    /// A text of a structure file that should be replaced is not in it.
+    /// A structure file does not contain the text that should be replaced.
     #[error("the structure file has no `{expected}`")]
     NoSuchText {
-        /// The text.
+        /// Missing text.
         expected: String,
     },
 }

@@ -1,4 +1,4 @@
-//! Mistakes of a structure file, each on real records: what the verdict says of them.
+//! Mistakes in a structure file, and the fit verdict on each with real records.
 
 use super::course::Course;
 use super::pairs::{Level, differences, share_up_to};
@@ -6,21 +6,22 @@ use super::shake_table::{courses, folder, records, stiff, summarise};
 use super::{RecordsError, Row};
 use std::path::Path;
 
-/// One wrong file.
+/// A wrong file.
 struct Mistake {
     what: &'static str,
     changes: &'static [(&'static str, &'static str)],
     shows: Shows,
 }
 
-/// What records can show of a mistake.
+/// Effect of a mistake that records can show.
 #[derive(Clone, Copy, PartialEq)]
 enum Shows {
-    /// The model explains nothing, or next to nothing.
+    /// Model that explains nothing or almost nothing.
     Contradiction,
-    /// The model fits at values far from the file: a loss against a learnt reference has a meaning.
+    /// Model that fits at values far from the file, so that a loss relative to a learnt reference
+    /// is meaningful.
     Doubt,
-    /// A linear model fits as well as without the mistake, and finds the same values.
+    /// Linear model that fits as well as without the mistake, with the same values.
     Nothing,
 }
 
@@ -68,7 +69,7 @@ const MISTAKES: [Mistake; 5] = [
 /// Share of the motion in which a mistake must show.
 const TOLD: f64 = 0.8;
 
-/// The rows of the mistakes.
+/// Returns the rows of the mistakes.
 pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     if !folder(data).is_dir() {
         return Ok(vec![Row::skipped(

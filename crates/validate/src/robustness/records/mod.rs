@@ -1,13 +1,14 @@
-//! The records of three real structures: what Spandrel says of them, and whether that is right.
+//! Records of three real structures: the results of Spandrel, and whether they are correct.
 //!
-//! Every record goes through the cores of the services with the settings of one file per structure. No setting depends on the
-//! record. Where the records are missing, the rows say so.
+//! Every record passes through the cores of the services with the settings of one file per
+//! structure. No setting depends on the record. If the records are missing, the rows say so.
 //!
 //! - `course`: one record through alignment, identification and decision
-//! - `batch_fit`: the same model fitted to a whole record without a filter, and records of a damaged structure
-//! - `pairs`: differences of two records in units of what they state
+//! - `batch_fit`: the same model fitted to a whole record without a filter, and records of a
+//!   damaged structure
+//! - `pairs`: differences of two records relative to their stated uncertainty
 //! - `shake_table`, `bridge`, `tower`: the structures
-//! - `mistakes`: records that are read in a wrong way
+//! - `mistakes`: records that are read with a wrong file
 
 mod batch_fit;
 mod bridge;
@@ -24,10 +25,10 @@ pub use row::Row;
 
 use std::path::Path;
 
-/// Runs all real records below `data`, and calls `done` with each row as soon as it is known.
+/// Runs all real records below `data`, and calls `done` with each row as soon as it is complete.
 ///
 /// # Errors
-/// When a record that is there cannot be read or identified.
+/// Returns an error if an existing record cannot be read or identified.
 pub fn real_records(data: &Path, mut done: impl FnMut(&Row)) -> Result<Vec<Row>, RecordsError> {
     let mut all = Vec::new();
     let parts = [shake_table::rows, mistakes::rows, tower::rows, bridge::rows];
@@ -39,7 +40,7 @@ pub fn real_records(data: &Path, mut done: impl FnMut(&Row)) -> Result<Vec<Row>,
     Ok(all)
 }
 
-/// Replaces each text by another; all of them must be there.
+/// Replaces each text by another. Every text must occur in the file.
 fn replaced(file: &str, changes: &[(&str, &str)]) -> Result<String, RecordsError> {
     let mut text = file.to_owned();
     for (from, to) in changes {

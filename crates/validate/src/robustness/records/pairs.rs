@@ -1,4 +1,4 @@
-//! How far two estimates of one parameter differ, in units of what they state.
+//! Difference of two estimates of one parameter, relative to their stated uncertainty.
 
 use super::course::Point;
 use spandrel_alert::{Baseline, ParameterEstimate};
@@ -11,7 +11,7 @@ pub(super) struct Level {
 }
 
 impl Level {
-    /// What is known of a parameter within a record.
+    /// Returns the estimate of a parameter within a record.
     pub(super) fn within(point: &Point, parameter: usize) -> Self {
         Self {
             mean: point.mean[parameter],
@@ -19,8 +19,11 @@ impl Level {
         }
     }
 
-    /// What is known of it for the structure, by the scatter between the records of `baseline`: the deviation whose 1.96-fold
-    /// is half the interval of 95 %. Infinite where the scatter is unknown.
+    /// Returns the estimate for the structure, including the scatter between the records of
+    /// `baseline`.
+    ///
+    /// The interval of 95 % is 1.96 deviations on either side. The deviation is infinite if the
+    /// scatter is unknown.
     pub(super) fn for_structure(self, baseline: &Baseline, name: &str) -> Self {
         let estimate = ParameterEstimate {
             time_ns: 0,
@@ -37,7 +40,7 @@ impl Level {
     }
 }
 
-/// The quantile of a two-sided normal interval of 95 %.
+/// Quantile of a two-sided normal interval of 95 %.
 const QUANTILE: f64 = 1.96;
 
 /// Returns |difference| / combined deviation of each pair.
@@ -51,14 +54,14 @@ pub(super) fn differences(levels: &[Level]) -> Vec<f64> {
         .collect()
 }
 
-/// Share of values up to a limit; `None` without values.
+/// Returns the share of values up to a limit, or `None` without values.
 pub(super) fn share_up_to(limit: f64, values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| {
         values.iter().filter(|value| **value <= limit).count() as f64 / values.len() as f64
     })
 }
 
-/// The median; not a number without values.
+/// Returns the median, NaN without values.
 pub(super) fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -2,14 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The result of one condition, over several runs.
+/// Result of one condition over several runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// What was run.
+    /// Description of the condition.
     pub condition: String,
-    /// Number of runs; 0 where the records are missing.
+    /// Number of runs, 0 if the records are missing.
     pub runs: usize,
-    /// Runs with an alert that the structure does not justify; `None` where the row is not about alerts.
+    /// Number of runs with a false alarm, or `None` if the row does not concern alerts.
     pub false_alerts: Option<usize>,
     /// Share of the comparisons within the stated interval, 0 to 1.
     pub coverage: Option<f64>,
@@ -20,16 +20,16 @@ pub struct Row {
     /// Shares of the motion without a decision, by the reason and the first parameter without one.
     #[serde(default)]
     pub undecided: Vec<(String, f64)>,
-    /// What is required, in words.
+    /// Requirement in words.
     pub required: String,
-    /// Whether that holds; `None` where nothing is required, or where the records are missing.
+    /// Whether the requirement holds, or `None` without a requirement or without records.
     pub passed: Option<bool>,
-    /// What was seen, in words.
+    /// Result in words.
     pub seen: String,
 }
 
 impl Row {
-    /// Starts a row of a condition.
+    /// Creates a row of a condition.
     pub(super) fn new(condition: impl Into<String>, required: impl Into<String>) -> Self {
         Self {
             condition: condition.into(),
@@ -45,7 +45,7 @@ impl Row {
         }
     }
 
-    /// Makes a row that was skipped, with the reason.
+    /// Creates a skipped row with the reason.
     pub(super) fn skipped(
         condition: impl Into<String>,
         required: impl Into<String>,

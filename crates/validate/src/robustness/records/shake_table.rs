@@ -1,6 +1,7 @@
-//! The bench frame on a shake table: two states of known stiffness, three motions of each.
+//! The bench frame on a shake table: two states of known stiffness with three motions each.
 //!
-//! Source of the records and of the known values: the mini shake table of STAIRlab, and docs/laboratory-frame.md.
+//! Source of the records and of the known values: the mini shake table of STAIRlab, and
+//! docs/laboratory-frame.md.
 
 use super::course::{Course, Hindrance, Point, Recorded};
 use super::pairs::{Level, differences, share_up_to};
@@ -14,10 +15,11 @@ const STIFF: &str = include_str!("../../../../../docs/examples/shake-table-stiff
 const FLEXIBLE: &str = include_str!("../../../../../docs/examples/shake-table-flexible.toml");
 const MOTIONS: [&str; 3] = ["sine1.0", "sine2.0", "northridge"];
 
-/// The frame moves while a floor exceeds this (m/s²), as in docs/laboratory-frame.md.
+/// Floor acceleration above which the frame counts as moving (m/s²), as in
+/// docs/laboratory-frame.md.
 const MOTION: f64 = 0.5;
 
-/// What `spandrel baseline` leaves out at the start of each record by default (s).
+/// Start of each record that `spandrel baseline` skips by default (s).
 const SKIP_S: f64 = 10.0;
 
 /// Loss from the stiff to the flexible walls.
@@ -26,7 +28,8 @@ const LOSS: f64 = 0.83;
 /// Nominal stiffnesses of the two files (N/m).
 const STIFFNESSES: [[f64; 3]; 2] = [[2720.0, 2300.0, 2360.0], [437.0, 392.0, 398.0]];
 
-/// The flexible walls are thinner, so that every floor carries less steel: what an owner knows who has replaced walls.
+/// Lighter masses with the flexible walls. The walls are thinner and every floor carries less
+/// steel, which an owner who replaced them knows.
 const LIGHTER: (&str, &str) = (
     "masses-kg = [0.2335, 0.2335, 0.1788]",
     "masses-kg = [0.1602, 0.1602, 0.1421]",
@@ -36,7 +39,7 @@ pub(super) fn folder(data: &Path) -> PathBuf {
     data.join("mini-shake-table/aligned")
 }
 
-/// The stiff frame's file with some of its text replaced.
+/// Returns the stiff frame's file with some of its text replaced.
 pub(super) fn stiff(changes: &[(&str, &str)]) -> Result<Structure, RecordsError> {
     Ok(Structure::parse(
         &replaced(STIFF, changes)?,
@@ -69,7 +72,7 @@ pub(super) fn courses(
         .collect()
 }
 
-/// The rows of the shake table.
+/// Returns the rows of the shake table.
 pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     if !folder(data).is_dir() {
         return Ok(vec![Row::skipped(
@@ -128,7 +131,7 @@ pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     Ok(rows)
 }
 
-/// Pairs of motions of one state, with the scatter between records from the other state.
+/// Compares pairs of motions of one state, with the scatter between records from the other state.
 fn pairs(
     condition: &str,
     states: &[Vec<Course>; 2],
@@ -175,7 +178,7 @@ fn pairs(
     row
 }
 
-/// The baseline of all courses but one.
+/// Learns the baseline of all courses except one.
 fn baseline(
     structure: &Structure,
     courses: &[Course],
@@ -206,7 +209,7 @@ fn baseline(
     )?)
 }
 
-/// Each motion of a state against the baseline of its other motions.
+/// Compares each motion of a state with the baseline of its other motions.
 fn sound(
     state: &str,
     structure: &Structure,
@@ -243,7 +246,7 @@ fn sound(
     Ok(row)
 }
 
-/// An error with what caused it.
+/// Formats an error with its causes.
 fn with_source(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |error| error.source());
     causes
@@ -252,7 +255,7 @@ fn with_source(error: &dyn std::error::Error) -> String {
         .join(": ")
 }
 
-/// The flexible frame, read by the stiff frame's file.
+/// Compares the flexible frame, read with the stiff frame's file, with the baseline.
 fn changed(
     what: &str,
     structure: &Structure,
@@ -297,7 +300,8 @@ fn changed(
     Ok(row)
 }
 
-/// The loss between the two states, each identified by its own file with its own masses: the stiff motions are the baseline.
+/// Estimates the loss between the two states, each identified with its own file and masses. The
+/// stiff motions are the baseline.
 fn known_loss(own: &[Vec<Course>; 2], baseline: &Baseline) -> Row {
     let mut row = Row::new(
         "shake table: loss between the states, each by its own file",
@@ -329,12 +333,12 @@ fn known_loss(own: &[Vec<Course>; 2], baseline: &Baseline) -> Row {
     row
 }
 
-/// A loss in words.
+/// Describes a loss in words.
 fn told(loss: &LossEstimate) -> String {
     format!("lost {:.3} [{:.3}, {:.3}]", loss.loss, loss.low, loss.high)
 }
 
-/// Enters what every row says of its courses.
+/// Adds the results that every row has of its courses.
 pub(super) fn summarise(row: &mut Row, courses: &[Course]) {
     row.runs = courses.len();
     let mean = |of: &dyn Fn(&Course) -> f64| {

@@ -1,6 +1,7 @@
-//! A five-storey steel test tower under a mass damper: three records of the sound tower.
+//! A five-storey steel test tower under a mass damper: three records of the undamaged tower.
 //!
-//! The model is a shear chain, which the tower is not: storeys 4 and 5 come out inconsistent with any record.
+//! The model is a shear chain, unlike the real tower. The estimates of storeys 4 and 5 are
+//! inconsistent with every record.
 
 use super::course::{Course, Recorded};
 use super::pairs::{Level, differences, share_up_to};
@@ -14,10 +15,10 @@ const FIVE: &str = include_str!("tower-five-parameters.toml");
 const ONE: &str = include_str!("tower-one-parameter.toml");
 const RECORDS: [&str; 3] = ["wn_01.dat", "wn_02.dat", "wn_03.dat"];
 
-/// The tower moves while a floor exceeds this (m/s²): three times the stated noise.
+/// Floor acceleration above which the tower counts as moving (m/s²), three times the stated noise.
 const MOTION: f64 = 0.015;
 
-/// The rows of the tower.
+/// Returns the rows of the tower.
 pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     let folder = data.join("unison-tower");
     if !folder.is_dir() {

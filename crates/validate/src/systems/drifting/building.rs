@@ -1,29 +1,32 @@
-//! Linear shear building of four storeys whose properties drift (Ching et al. 2006, example 1), with its data.
+//! A linear shear building of four storeys with drifting properties (Ching et al. 2006, example 1),
+//! and its data.
 //!
-//! Self-contained: the tests of the filter use it too.
+//! This file is self-contained because the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ContinuousSystem, Drifting, FilterError, IncrementTime};
 
 pub const STOREYS: usize = 4;
-/// State: displacements (m), velocities (m/s), stiffness (MN/m), damping (kN·s/m), noise levels (m/s²).
+/// Length of the state: displacements (m), velocities (m/s), stiffness (MN/m), damping (kN·s/m),
+/// noise levels (m/s²).
 pub const STATE: usize = 5 * STOREYS;
 pub const STIFFNESS: usize = 2 * STOREYS;
 pub const DAMPING: usize = 3 * STOREYS;
 pub const NOISE: usize = 4 * STOREYS;
 pub const STEP_S: f64 = 0.02;
-/// t
+/// Mass of each storey (t).
 const MASS: f64 = 250.0;
 const INITIAL_STIFFNESS: f64 = 300.0;
 const INITIAL_DAMPING: f64 = 600.0;
-/// Drift per step, of the initial value.
+/// Drift per step as a share of the initial value.
 const DRIFT: f64 = 0.02;
 
 #[derive(Debug, Clone, Default)]
 pub struct Building;
 
-/// Absolute accelerations (m/s²) from the storey forces, from the base upwards.
+/// Writes the absolute accelerations (m/s²) that follow from the storey forces, from the base
+/// upwards.
 fn absolute_acceleration(state: &[f64], out: &mut [f64]) {
     let (x, rest) = state.split_at(STOREYS);
     let (v, rest) = rest.split_at(STOREYS);
@@ -34,7 +37,7 @@ fn absolute_acceleration(state: &[f64], out: &mut [f64]) {
         } else {
             (0.0, 0.0)
         };
-        // kN: MN/m · m · 1000, kN·s/m · m/s
+        // In kN: MN/m · m · 1000, kN·s/m · m/s.
         let force = 1000.0 * rest[i] * (x[i] - below_x) + rest[STOREYS + i] * (v[i] - below_v);
         out[i] = (above - force) / MASS;
         above = force;
@@ -68,7 +71,7 @@ impl ContinuousSystem for Building {
     }
 }
 
-/// A simulated record; the k-th input acts from the k-th instant to the next one.
+/// A simulated record. The k-th input acts from the k-th time to the next one.
 pub struct Record {
     pub input: Vec<f64>,
     pub truth: Vec<[f64; STATE]>,
@@ -77,7 +80,8 @@ pub struct Record {
 }
 
 impl Record {
-    /// Simulates `steps` steps; the second storey loses half its stiffness between 8 and 10 s, the rest drifts.
+    /// Simulates `steps` steps. The second storey loses half its stiffness between 8 and 10 s, and
+    /// the other properties drift.
     pub fn simulate(seed: u64, steps: usize) -> Self {
         let mut normal = Normal::seeded(seed);
         let mut path = |initial: f64, low: f64, high: f64| loop {
@@ -150,7 +154,8 @@ impl Record {
         })
     }
 
-    /// The model of the filter: everything drifts by 2 % of its initial value per step, also what in truth does not.
+    /// Returns the model of the filter: all properties drift by 2 % of their initial value per
+    /// step, including those that are constant in truth.
     pub fn model(&self) -> Result<Drifting<Building>, FilterError> {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value).collect();
@@ -158,7 +163,8 @@ impl Record {
         Drifting::new(Building, STEP_S, 4, IncrementTime::End, drift, lower)
     }
 
-    /// The prior: mean, and covariance with deviations of 30 % (stiffness), 50 % (damping, noise) and the RMS response.
+    /// Returns the mean and covariance of the prior, with deviations of 30 % (stiffness), 50 %
+    /// (damping, noise) and the rms response.
     pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
         let mean = DVector::from_fn(STATE, |j, _| {

@@ -1,11 +1,12 @@
-//! Moves the mechanical states of a system.
+//! Integration of the mechanical states of a system.
 //!
-//! Self-contained: the tests of the filter use it too.
+//! This file is self-contained because the tests of the filter use it too.
 
 use nalgebra::DVector;
 use spandrel_filter::ContinuousSystem;
 
-/// Integrates the mechanical states of a system over one step with held input, by classical Runge-Kutta substeps.
+/// Integrates the mechanical states of a system over one step with constant input, by classical
+/// Runge-Kutta substeps.
 pub fn integrate(
     system: &impl ContinuousSystem,
     state: &mut [f64],

@@ -1,6 +1,7 @@
-//! Extended Kalman filter of a [`ParticleModel`] with numerical Jacobians: warm start and comparison (Ching et al. 2006).
+//! Extended Kalman filter of a [`ParticleModel`] with numerical Jacobians, for warm start and
+//! comparison (Ching et al. 2006).
 //!
-//! Self-contained: the tests of the filter use it too.
+//! This file is self-contained because the tests of the filter use it too.
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{Interval, ParticleModel};
@@ -10,7 +11,7 @@ pub struct NumericalEkf<M> {
     model: M,
     pub mean: DVector<f64>,
     pub covariance: DMatrix<f64>,
-    /// steps of the central differences
+    /// Steps of the central differences.
     steps: DVector<f64>,
 }
 
@@ -25,7 +26,8 @@ impl<M: ParticleModel> NumericalEkf<M> {
         }
     }
 
-    /// Takes one frame without gaps; `previous` is the input one step before, `None` at the instant of the prior.
+    /// Processes one frame without gaps. `previous` is the input one step earlier, or `None` at the
+    /// time of the prior.
     pub fn step(&mut self, previous: Option<&[f64]>, current: &[f64], datum: &[f64]) {
         let (n, l) = (self.model.state_len(), self.model.disturbance_len());
         let interval = Interval {
@@ -92,7 +94,7 @@ impl<M: ParticleModel> NumericalEkf<M> {
         self.model.sensor_covariance(self.mean.as_slice(), &mut r);
         let s = &c * &self.covariance * c.transpose() + &r;
         let Some(factor) = s.cholesky() else {
-            self.mean.fill(f64::NAN); // seen in every figure
+            self.mean.fill(f64::NAN); // visible in every figure
             return;
         };
         let gain = factor.solve(&(&c * &self.covariance)).transpose();

@@ -1,18 +1,18 @@
-//! Hysteretic oscillator with drifting parameters (Ching et al. 2006, example 2), with its data.
+//! A hysteretic oscillator with drifting parameters (Ching et al. 2006, example 2), and its data.
 //!
-//! Self-contained: the tests of the filter use it too.
+//! This file is self-contained because the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ContinuousSystem, Drifting, FilterError, IncrementTime};
 
-/// State: x (m), ẋ (m/s), r (N), θ₁ to θ₄, h (m/s²); the mass is 1 kg.
+/// Length of the state: x (m), ẋ (m/s), r (N), θ₁ to θ₄, h (m/s²). The mass is 1 kg.
 pub const STATE: usize = 8;
 pub const STEP_S: f64 = 0.5;
 const INITIAL: [f64; 4] = [6.0, 0.9, -0.08, 1.0];
-/// Where the actual parameters stay, the ranges of the source's figure.
+/// Ranges of the actual parameters, from the figure of the source.
 const RANGES: [(f64, f64); 4] = [(4.0, 7.5), (0.5, 1.3), (-0.14, -0.02), (0.6, 1.4)];
-/// Drift per step, of the initial value.
+/// Drift per step as a share of the initial value.
 const DRIFT: f64 = 0.02;
 
 #[derive(Debug, Clone, Default)]
@@ -36,7 +36,7 @@ impl ContinuousSystem for Oscillator {
         let strength = force.abs().powf(state[6]);
         out[0] = velocity;
         out[1] = input[0] - force;
-        // |r|^(θ₄−1) r as sign(r) |r|^θ₄: no negative power of zero
+        // |r|^(θ₄−1) r written as sign(r) |r|^θ₄ avoids a negative power of zero.
         out[2] = state[3] * velocity
             - state[4] * velocity.abs() * force.signum() * strength
             - state[5] * velocity * strength;
@@ -49,7 +49,7 @@ impl ContinuousSystem for Oscillator {
     }
 }
 
-/// A simulated record; the k-th input acts from the k-th instant to the next one.
+/// A simulated record. The k-th input acts from the k-th time to the next one.
 pub struct Record {
     pub input: Vec<f64>,
     pub truth: Vec<[f64; STATE]>,
@@ -110,11 +110,12 @@ impl Record {
         std::array::from_fn(|j| if j < 4 { INITIAL[j] } else { self.noise_std })
     }
 
-    /// The model of the filter: the noise level drifts too, which in truth it does not.
+    /// Returns the model of the filter. Its noise level drifts too, although the true one is
+    /// constant.
     pub fn model(&self) -> Result<Drifting<Oscillator>, FilterError> {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value.abs()).collect();
-        // an exponent of 5 % is the least at which the restoring force still means anything; θ₃ may have either sign
+        // The restoring force is meaningless with an exponent below 0.05. θ₃ may have either sign.
         let lower = vec![
             0.02 * initial[0],
             0.02 * initial[1],
@@ -125,7 +126,8 @@ impl Record {
         Drifting::new(Oscillator, STEP_S, 10, IncrementTime::Start, drift, lower)
     }
 
-    /// The prior: mean and covariance, deviations of 1 for the motion, 20 % for the parameters, 50 % for the noise level.
+    /// Returns the mean and covariance of the prior, with deviations of 1 for the motion, 20 % for
+    /// the parameters and 50 % for the noise level.
     pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
         let mean = DVector::from_fn(STATE, |j, _| if j < 3 { 0.0 } else { initial[j - 3] });

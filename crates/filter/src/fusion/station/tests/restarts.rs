@@ -1,10 +1,10 @@
-//! Lives that end, of the station and of its nodes: what was known goes on, and nothing is counted twice.
+//! Restarts of the station and its nodes: they keep their information and count nothing twice.
 
 use super::*;
 use crate::fusion::{LocalState, StationState};
 use serde::de::DeserializeOwned;
 
-/// What comes back of a state that was written.
+/// Returns a state after serialisation and deserialisation.
 fn kept<T: Serialize + DeserializeOwned>(state: &T) -> T {
     postcard::from_bytes(&postcard::to_stdvec(state).unwrap()).unwrap()
 }
@@ -13,7 +13,9 @@ fn independent(nodes: usize, feedback: FeedbackRule) -> Station {
     station(nodes, FusionRule::PriorCorrect(Sharing::Nothing), feedback)
 }
 
-/// What four nodes and a station find in twelve periods, where the station is one that was restored after each of these.
+/// Returns the results of four nodes and a station in twelve periods.
+///
+/// The station is restored from its checkpoint after each period with `is_restarted`.
 fn found(is_restarted: impl Fn(u64) -> bool) -> Vec<Fused> {
     let mut nodes = ROWS.map(|row| node(row, FeedbackRule::Marginal));
     let mut central = independent(4, FeedbackRule::Marginal);
@@ -81,13 +83,14 @@ fn a_state_of_other_sizes_is_refused_and_changes_nothing() {
     assert_eq!(central.state(), before);
 }
 
-/// When who dies and comes back: steps, of which one that is never reached stands for never.
+/// The times of checkpoints and outages, in steps; `NEVER` and step `u64::MAX` are never reached.
 #[derive(Clone, Copy)]
 struct Lives {
-    /// before which step the states of the nodes are kept, and after which period that of the station
+    /// Step before which the nodes save their states. `station_kept` is the period after which the
+    /// station saves its state.
     node_kept: u64,
     station_kept: u64,
-    /// steps in which the second node, both nodes, and the station are away
+    /// Steps of the outages of the second node, of the first node and of the station.
     second: (u64, u64),
     first: (u64, u64),
     station: (u64, u64),
@@ -95,7 +98,10 @@ struct Lives {
 
 const NEVER: (u64, u64) = (u64::MAX, u64::MAX);
 
-/// Two nodes that learn independently for sixty periods; returns the fused covariance of each fusion, and that of the filter that has all data.
+/// Runs two nodes that learn independently for sixty periods.
+///
+/// Returns the period, the fused covariance and the covariance of the filter with all data, for
+/// each fusion.
 fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMatrix<f64>)> {
     let is_away = |(from, to): (u64, u64), step: u64| (from..to).contains(&step);
     let mut nodes = [node(ROWS[0], feedback), node(ROWS[1], feedback)];
@@ -113,7 +119,8 @@ fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMa
             if step == away.1 {
                 let mut anew = node(ROWS[k], feedback);
                 anew.restore(states.as_ref().unwrap()[k].clone()).unwrap();
-                // what its sensor still has is filtered again, and nothing told of it
+                // The sensor still has the missed samples. The node filters them again, and nothing
+                // is sent.
                 for missed in lives.node_kept..step {
                     anew.step(Frame {
                         observations: &[datum(k, missed, ROWS[k])],
@@ -144,7 +151,9 @@ fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMa
                     central.forget(k);
                 }
             }
-            begun = lives.station_kept; // as if its clock had gone on: what is counted twice must not hide behind what has not faded
+            // The clock continues as if there had been no restart. Otherwise, missing fading could
+            // hide information that counts twice.
+            begun = lives.station_kept;
         }
         if !(step + 1).is_multiple_of(PERIOD) {
             continue;
@@ -180,7 +189,11 @@ fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMa
     found
 }
 
-/// Never surer than the data of both allow, and never less than what was kept after the fusion of a period, when it has faded.
+/// Checks that no fused density is more certain than the data allow, and that nothing saved is
+/// lost.
+///
+/// Each later density must be at least as certain as the saved density of period `kept` after
+/// fading.
 #[track_caller]
 fn assert_sound(case: &str, kept: u64, found: &[(u64, DMatrix<f64>, DMatrix<f64>)]) {
     let (_, known, _) = found.iter().find(|(period, ..)| *period == kept).unwrap();
