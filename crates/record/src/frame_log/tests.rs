@@ -420,7 +420,7 @@ fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
         ),
         (
             frames(5, 9, 2),
-            "number of the last frame is 10, must be below 10 where epoch 5 has ended",
+            "number of the last frame is 10, must be below 10, where epoch 5 ended",
         ),
     ];
     for (block, expected) in refused {
