@@ -323,7 +323,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
         &undecided,
         &[
             "no decision on storey-2",
-            "the filter still learns its noise levels",
+            "the filter is still learning its noise levels",
         ],
     );
     let mut estimate = spandrel("estimate");

@@ -388,7 +388,7 @@ async fn a_router_that_is_started_again_and_a_recording_that_is_torn_cost_nothin
         .set_len(length - 100)
         .unwrap();
     town.run("ingest");
-    town.running["ingest"].wait_for_log("the recording was torn");
+    town.running["ingest"].wait_for_log("the recording ended in an incomplete record");
     town.finish(bus, found).await;
 }
 
@@ -427,7 +427,7 @@ async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
     tokio::time::sleep(Duration::from_secs(5)).await;
     drop(file);
     std::fs::remove_file(&filling).unwrap();
-    town.running["ingest"].wait_for_log("the disk takes the recording again");
+    town.running["ingest"].wait_for_log("recording write succeeded again");
     town.finish(bus, found).await;
 }
 
@@ -491,7 +491,7 @@ async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_
     while file.write_all(&[0; 1]).is_ok() {}
     sensors.put(200..300).await;
     hear(&frames, &mut heard, 300).await;
-    ingest.wait_for_log("the recording cannot be written");
+    ingest.wait_for_log("recording write failed");
     ingest.kill();
     drop((sensors, file));
     std::fs::remove_file(&filling).unwrap();

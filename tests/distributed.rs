@@ -295,7 +295,7 @@ fn the_demo_ends_with_what_became_of_its_nodes() {
         .expect("events before the summary");
     for part in [
         "floor-8: the node is silent",
-        "floor-8: the node is heard again",
+        "floor-8: the node sends again",
         "floor-20: the node disagrees",
     ] {
         assert!(told.contains(part), "{part:?} is not in\n{told}");

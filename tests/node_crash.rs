@@ -355,7 +355,9 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
     });
     for (name, file) in ["station", "worker"].into_iter().zip(&damaged) {
         let log = town.log(name);
-        let refused = log.lines().find(|line| line.contains("checkpoint refused"));
+        let refused = log
+            .lines()
+            .find(|line| line.contains("checkpoint rejected"));
         let refused =
             refused.unwrap_or_else(|| panic!("{name} has not said that it refuses {file}:\n{log}"));
         assert!(

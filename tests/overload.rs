@@ -391,7 +391,7 @@ async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard(
     identify
         .wait()
         .expect_code(0)
-        .expect_untold(&["did not finish in time", "do not answer"]);
+        .expect_untold(&["did not finish in time", "do not respond"]);
     assert!(
         done() < FRAMES as u64,
         "it has worked off all before it stopped"

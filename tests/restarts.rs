@@ -138,7 +138,7 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
     )
     .unwrap();
     services.hang_up();
-    services.wait_for_log("nothing changes");
+    services.wait_for_log("nothing changed");
     reader.read_frames(1000).await;
     std::fs::write(site.structure_file(), two_storeys(&rule(0.2))).unwrap();
     services.hang_up();

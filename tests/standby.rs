@@ -410,7 +410,7 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
         frozen.as_secs_f64()
     );
     first.thaw();
-    first.wait_for_log("superseded: another one leads");
+    first.wait_for_log("superseded: another process leads");
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
     town.until_standing(&[Standing::Leading, Standing::StandingBy])
         .await;
@@ -479,7 +479,7 @@ async fn the_one_that_does_not_stand_by_leads_whoever_led_before() {
     let mut replays = town.replay();
     readers[0].read_frames(500).await;
     let first = town.identify(&[]);
-    standby.wait_for_log("superseded: another one leads");
+    standby.wait_for_log("superseded: another process leads");
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
     assert_eq!(
         town.until_standing(&[Standing::Leading, Standing::StandingBy])

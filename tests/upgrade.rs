@@ -245,15 +245,15 @@ async fn services_go_on_from_what_each_version_has_left() {
         let services = kept.run();
         let log = services.log();
         let of_identify: &[&str] = match kept.is_filter_read {
-            true => &["spandrel_identify::memory: goes on"],
+            true => &["spandrel_identify::memory: resumed"],
             false => &[
-                "it has version 1 of its layout",
-                "identifies the recorded frames again refused=1",
+                "it has layout version 1,",
+                "identifying the recorded frames again refused=1",
             ],
         };
         for told in of_identify.iter().chain(&[
-            "spandrel_alert::memory: goes on",
-            "goes on where its recording",
+            "spandrel_alert::memory: resumed",
+            "resuming where the recording",
         ]) {
             assert!(log.contains(told), "expected {told}, found:\n{log}");
         }
@@ -458,7 +458,7 @@ async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_aga
             .find(|line| line.contains(&name))
             .unwrap_or_else(|| panic!("{name} in\n{log}"));
         assert!(
-            line.contains("it has version 1000 of its layout, this program reads "),
+            line.contains("it has layout version 1000, this program reads version "),
             "{line}"
         );
         assert!(kept.checkpoints().join(name).is_file());

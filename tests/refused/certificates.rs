@@ -88,7 +88,7 @@ pub fn all(table: &mut Table) {
         (
             "the key of another certificate",
             "swapped.pem",
-            &["swapped.key", "is not that of certificate"],
+            &["swapped.key", "does not match certificate"],
         ),
         (
             "a certificate that has expired",
@@ -103,7 +103,7 @@ pub fn all(table: &mut Table) {
         (
             "a certificate of another authority",
             "foreign.pem",
-            &["foreign.pem", "has not issued it"],
+            &["foreign.pem", "did not issue it"],
         ),
     ] {
         let finished = finish("watch", &["--connect", &endpoint, "--certificate", file]);

@@ -114,19 +114,19 @@ pub async fn all(table: &mut Table) {
         (
             1,
             "a file of something else",
-            "it is no checkpoint of Spandrel",
+            "it is not a Spandrel checkpoint",
         ),
         (2, "a bit turned", "it is damaged"),
         (3, "cut off", "it is damaged"),
         (
             4,
             "of a newer version",
-            "it has version 9999 of its layout, this program reads",
+            "it has layout version 9999, this program reads version",
         ),
         (
             5,
             "of another structure",
-            "it is of identify of tower, expected identify of house",
+            "it belongs to identify of tower, expected identify of house",
         ),
     ] {
         let file = path(sequence);
@@ -146,7 +146,7 @@ pub async fn all(table: &mut Table) {
     let name = format!("alert-{:020}-{:020}.checkpoint", last.epoch, last.sequence);
     let observed = told_of(&log, &name, "why=");
     let is_aside = checkpoints.join(format!("{name}.refused")).is_file();
-    let told = "it has version 9999 of its layout";
+    let told = "it has layout version 9999";
     table.add(
         "of alert, of a newer version",
         &format!("as above, saying {}", code(told)),
@@ -158,7 +158,7 @@ pub async fn all(table: &mut Table) {
     let aside = files(&recording, "frames-")
         .into_iter()
         .any(|path| path.to_str().unwrap().ends_with(".unreadable"));
-    let observed = told_of(&log, "it is set aside", "ingest::recorder: ")
+    let observed = told_of(&log, "file set aside", "ingest::recorder: ")
         .split(" structure=")
         .next()
         .unwrap()
@@ -169,7 +169,7 @@ pub async fn all(table: &mut Table) {
         &observed,
         aside && !foreign.exists(),
     );
-    let torn = "the recording was torn";
+    let torn = "the recording ended in an incomplete record";
     let observed = told_of(&log, torn, "ingest::recorder: ")
         .split(" structure=")
         .next()

@@ -224,9 +224,9 @@ fn requests(table: &mut Table, page: &Page) {
             ("403", &["another site"]),
         ),
         (
-            "the page under a foreign name",
+            "the page under a foreign host name",
             ["GET", "/api/structures", "Host: example.org\r\n", ""],
-            ("403", &["foreign name", "127.0.0.1"]),
+            ("403", &["foreign host name", "127.0.0.1"]),
         ),
         (
             "a header of 600 kB",
@@ -393,7 +393,7 @@ fn with_tokens(table: &mut Table, site: &Site) {
         (
             "a session asked for with another body",
             ["POST", "/api/session", json, "[]"],
-            ("400", &["the body is no token"]),
+            ("400", &["the body is not a token"]),
         ),
     ];
     for (given, [method, path, headers, body], expected) in cases {

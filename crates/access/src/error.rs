@@ -24,13 +24,13 @@ pub enum AccessError {
         source: std::io::Error,
     },
     /// The file already exists.
-    #[error("{} is there already; --replace writes it anew, and what it was is lost", path.display())]
+    #[error("{} already exists; use --replace to overwrite it", path.display())]
     Exists {
         /// Path of the file.
         path: PathBuf,
     },
     /// The folder is not the folder of a site.
-    #[error("{} is no folder of a site: it has no {file}; spandrel site create makes one", folder.display())]
+    #[error("{} is not a site folder: it has no {file}; create one with spandrel site create", folder.display())]
     NoSite {
         /// Path of the folder.
         folder: PathBuf,
@@ -38,13 +38,13 @@ pub enum AccessError {
         file: &'static str,
     },
     /// The certificate file of the authority cannot be used.
-    #[error("{} is no certificate of an authority", path.display())]
+    #[error("{} is not a certificate of an authority", path.display())]
     NoAuthority {
         /// Path of the certificate.
         path: PathBuf,
     },
     /// The certificate of the authority has expired.
-    #[error("the authority {} has expired on {expired}; spandrel site create --replace makes a new one", path.display())]
+    #[error("the authority {} expired on {expired}; create a new one with spandrel site create --replace", path.display())]
     AuthorityExpired {
         /// Path of the certificate.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum AccessError {
     #[error(transparent)]
     Tls(#[from] TlsError),
     /// A key or certificate cannot be created.
-    #[error("cannot make the {what}")]
+    #[error("cannot create the {what}")]
     Make {
         /// Object that could not be created.
         what: &'static str,
@@ -64,33 +64,33 @@ pub enum AccessError {
     },
     /// A certificate for a role that accepts connections has no host.
     #[error(
-        "a {role} is connected to: say under which names and addresses, such as --host 10.0.0.5"
+        "the certificate of a {role} requires its host names and addresses, such as --host 10.0.0.5"
     )]
     NoHost {
         /// Role of the certificate.
         role: Role,
     },
     /// The text is neither a host name nor an address, so a certificate cannot contain it.
-    #[error("`{host}` is no host name and no address")]
+    #[error("`{host}` is not a host name or an address")]
     Host {
         /// The rejected text.
         host: String,
     },
     /// The validity period is zero or beyond the calendar.
-    #[error("{days} days from now is beyond the calendar, must be 1 to 36500")]
+    #[error("validity is {days} days, must be 1 to 36500")]
     Days {
         /// Requested validity period, in days.
         days: u32,
     },
     /// The folder contains no certificate of a router, or none with the requested name.
-    #[error("{} has no certificate of a router; spandrel site issue router NAME --host HOST makes one", folder.display())]
+    #[error("{} has no certificate of a router; create one with spandrel site issue router NAME --host HOST", folder.display())]
     NoRouter {
         /// Path of the folder.
         folder: PathBuf,
     },
     /// The folder contains certificates of several routers, and none was chosen.
     #[error(
-        "{} has certificates of several routers ({}); say which with --router NAME",
+        "{} has certificates of several routers ({}); choose one with --router NAME",
         folder.display(),
         found.iter().map(Party::common_name).collect::<Vec<_>>().join(", ")
     )]

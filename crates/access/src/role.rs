@@ -130,7 +130,7 @@ pub struct Party {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PartyError {
     /// The role is unknown.
-    #[error("`{found}` is no role; roles are {}", Role::ALL.map(Role::as_str).join(", "))]
+    #[error("unknown role `{found}`, must be one of {}", Role::ALL.map(Role::as_str).join(", "))]
     Role {
         /// The rejected text.
         found: String,
@@ -139,7 +139,7 @@ pub enum PartyError {
     #[error(transparent)]
     Name(#[from] spandrel_bus::NameError),
     /// The number of parts in the name does not match the role.
-    #[error("`{found}` is no name of a {role}, must be {}", match role.scope() {
+    #[error("`{found}` is not a valid name of a {role}, must be {}", match role.scope() {
         Scope::Site => "one word of a-z, 0-9 and -",
         Scope::Structure => "the name of a structure",
         Scope::Node => "STRUCTURE.NODE, such as tower.roof",

@@ -72,7 +72,7 @@ impl Options {
                 "--bench" => {}
                 _ => {
                     return Err(format!(
-                        "{argument} is no option; there are --test, --storeys, --python and --plot"
+                        "unknown option {argument}, must be --test, --storeys, --python or --plot"
                     )
                     .into());
                 }
@@ -114,7 +114,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         linear::<20, 2>(10, &options)?;
         linear::<40, 4>(20, &options)?;
     }
-    println!("\nStructures that have to keep up with their sensors\n");
+    println!("\nStructures that must keep up with their sensors\n");
     println!(
         "| structure | states | channels | frames per second | µs a step | shortest µs | times real time |\n|---|---|---|---|---|---|---|"
     );

@@ -104,7 +104,7 @@ impl Buffer {
                 }
                 Err(error) => {
                     let text = error.payload().try_to_string();
-                    debug!(key, range, error = ?text, "query refused");
+                    debug!(key, range, error = ?text, "query rejected");
                 }
             }
         }

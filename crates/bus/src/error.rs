@@ -24,7 +24,7 @@ pub enum BusError {
         source: ZenohError,
     },
     /// Zenoh rejects a setting.
-    #[error("bus setting {key} has the value {value}, which zenoh refuses")]
+    #[error("bus setting {key} has the value {value}, which zenoh rejects")]
     Setting {
         /// The key in the Zenoh configuration.
         key: &'static str,
@@ -40,19 +40,19 @@ pub enum BusError {
         source: NameError,
     },
     /// The name of a claim to lead is not a valid chunk of a key.
-    #[error("a claim to lead has no name for the bus: {source}")]
+    #[error("claim to lead contains an invalid name: {source}")]
     Claim {
         /// Reason for the rejection.
         source: NameError,
     },
     /// The name of the structure is not a valid chunk of a key.
-    #[error("the structure has no name for the bus: {source}")]
+    #[error("invalid name of the structure: {source}")]
     Structure {
         /// Reason for the rejection.
         source: NameError,
     },
     /// The connection timeout is negative or NaN.
-    #[error("bus.connect_timeout_s is {found}, must be a time from 0 s, or inf")]
+    #[error("bus.connect_timeout_s is {found}, must be at least 0 s, or inf")]
     ConnectTimeout {
         /// Configured value, s.
         found: f64,
@@ -64,7 +64,7 @@ pub enum BusError {
         found: f64,
     },
     /// A configuration file does not configure a router.
-    #[error("{}: is no router file: its mode is {found}, must be router", path.display())]
+    #[error("{}: not a router file: its mode is {found}, must be router", path.display())]
     NotARouter {
         /// Path of the file.
         path: PathBuf,
@@ -79,9 +79,9 @@ pub enum BusError {
     },
     /// An endpoint is reachable from other machines and not encrypted.
     #[error(
-        "will not listen on {endpoint}: others than this machine can reach it, and nothing there is encrypted or \
-         checked; use quic/… with certificates (bus.tls, made by spandrel site), or an address of this machine such as \
-         tcp/127.0.0.1:7447"
+        "refusing to listen on {endpoint}: other machines can reach it, and it is neither \
+         encrypted nor authenticated; use quic/… with certificates (bus.tls, created by spandrel \
+         site), or a loopback address such as tcp/127.0.0.1:7447"
     )]
     Unprotected {
         /// The endpoint.
@@ -89,8 +89,9 @@ pub enum BusError {
     },
     /// An endpoint uses TLS over TCP, which Zenoh does not operate reliably.
     #[error(
-        "{endpoint}: TLS over TCP is not used, since Zenoh reads and writes one such connection from two threads at once and \
-         breaks it; use quic/… (the same certificates, over UDP)"
+        "{endpoint}: TLS over TCP is not supported, because Zenoh breaks such a connection by \
+         reading and writing it from two threads at once; use quic/… (the same certificates, over \
+         UDP)"
     )]
     TlsOverTcp {
         /// The endpoint.
@@ -98,8 +99,9 @@ pub enum BusError {
     },
     /// An endpoint accepts connections from other machines without a certificate.
     #[error(
-        "will not listen on {endpoint}: others than this machine can reach it without a certificate; \
-         set bus.tls, or enable_mtls = true, root_ca_certificate, listen_certificate and listen_private_key of \
+        "refusing to listen on {endpoint}: other machines can reach it without a certificate; set \
+         bus.tls, or enable_mtls = true, root_ca_certificate, listen_certificate and \
+         listen_private_key of \
          transport/link/tls in the zenoh configuration file"
     )]
     NoCertificateAsked {
@@ -108,12 +110,13 @@ pub enum BusError {
     },
     /// Multicast scouting is enabled. Any host that replies would join the system.
     #[error(
-        "scouting/multicast/enabled is true, or not said, in the zenoh configuration file: whoever answers a multicast \
-         would be connected to; set it to false, or transport/link/protocols to [\"quic\"]"
+        "the zenoh configuration file enables multicast scouting, which connects to any host that \
+         replies; set scouting/multicast/enabled to false, or transport/link/protocols to \
+         [\"quic\"]"
     )]
     Multicast,
     /// A `quic/…` endpoint has no certificates.
-    #[error("{endpoint} needs certificates: set bus.tls.certificate, or give --certificate")]
+    #[error("{endpoint} requires certificates; set bus.tls.certificate or use --certificate")]
     NoCertificates {
         /// The endpoint.
         endpoint: String,
@@ -123,8 +126,9 @@ pub enum BusError {
     Tls(#[from] TlsError),
     /// One side rejects the other side's certificate.
     #[error(
-        "{endpoint} answers, but there is no session: {why}; both sides need certificates of one authority, and the \
-         one there must be made for the name or address in the endpoint (spandrel site issue --host)"
+        "{endpoint} replies, but no session was opened: {why}; both sides need certificates of \
+         the same authority, and the remote certificate must contain the name or address in the \
+         endpoint (spandrel site issue --host)"
     )]
     Handshake {
         /// The endpoint.
@@ -135,10 +139,11 @@ pub enum BusError {
     /// The session cannot listen on an endpoint, for example because another program uses it.
     #[error("cannot listen on {endpoint}: {source}; {}", match source.kind() {
         ErrorKind::AddrInUse => format!(
-            "another program listens there: if it is a spandrel or a router that this one is to join, --connect {endpoint}; \
-             otherwise choose another port with {place}, or port 0 for a free one"
+            "another program already listens there; to join that spandrel or router, use \
+             --connect {endpoint}; otherwise choose another port with {place}, or port 0 for a \
+             free one"
         ),
-        _ => format!("choose an address of this machine that may be listened on with {place}"),
+        _ => format!("choose another address of this machine with {place}"),
     })]
     Listen {
         /// The endpoint.
@@ -150,8 +155,8 @@ pub enum BusError {
     },
     /// No program replies at an endpoint.
     #[error(
-        "nobody answers at {endpoint}: {source}; start spandrel run, spandrel demo or a router there, or say where one is \
-         with {place}"
+        "no reply from {endpoint}: {source}; start spandrel run, spandrel demo or a router there, \
+         or set the address of one with {place}"
     )]
     Unreachable {
         /// The endpoint.
@@ -163,8 +168,9 @@ pub enum BusError {
     },
     /// The program at an endpoint does not use a supported Zenoh protocol.
     #[error(
-        "{endpoint} takes connections, but speaks no Zenoh that this program understands: is it another program, or one with \
-         certificates (quic/…)? Say where a spandrel or a router is with {place}"
+        "{endpoint} accepts connections, but does not speak a supported version of Zenoh; another \
+         program might use the port, or it might require certificates (quic/…); set the address \
+         of a spandrel or a router with {place}"
     )]
     NoZenoh {
         /// The endpoint.
@@ -189,7 +195,7 @@ pub enum BusError {
         source: ZenohError,
     },
     /// A message cannot be published, because the session is closed.
-    #[error("cannot put on {key}")]
+    #[error("cannot publish on {key}")]
     Put {
         /// The key.
         key: String,
@@ -205,7 +211,7 @@ pub enum BusError {
         source: EncodeError,
     },
     /// A block does not continue its stream.
-    #[error("cannot put on {key}")]
+    #[error("cannot publish on {key}")]
     NotConsecutive {
         /// The key.
         key: String,

@@ -170,7 +170,7 @@ impl Bus {
                         highest = Some(state)
                     }
                     Ok(Ok(_superseded)) => {}
-                    Ok(Err(error)) => debug!(key, %error, "state refused"),
+                    Ok(Err(error)) => debug!(key, %error, "state rejected"),
                     Err(error) => debug!(key, error = ?error.payload().try_to_string(), "no state"),
                 }
             }

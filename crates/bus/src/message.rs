@@ -235,7 +235,9 @@ pub enum Malformed {
         allowed: &'static str,
     },
     /// The sequence numbers of the items exceed 64 bits.
-    #[error("block of {count} items starts at number {sequence}, past the end of the numbers")]
+    #[error(
+        "block of {count} items starts at sequence number {sequence} and exceeds the largest sequence number"
+    )]
     SequenceOverflow {
         /// Sequence number of the first item.
         sequence: u64,
@@ -282,10 +284,10 @@ pub enum DecodeError {
         bytes: usize,
     },
     /// The bytes are not a postcard message of this type.
-    #[error("bytes are no postcard message of this type")]
+    #[error("bytes are not a postcard message of this type")]
     Postcard(#[from] postcard::Error),
     /// The text is not a JSON message of this type.
-    #[error("text is no JSON message of this type")]
+    #[error("text is not a JSON message of this type")]
     Json(#[from] serde_json::Error),
     /// Bytes follow the message.
     #[error("{bytes} bytes follow the message")]

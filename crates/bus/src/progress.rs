@@ -77,7 +77,9 @@ impl Bus {
             let subscriber = declared
                 .callback(move |sample: Sample| match read::<Progress>(&sample) {
                     Ok(progress) => drop(changes.send_replace(Some(progress))),
-                    Err(error) => debug!(key = %sample.key_expr(), %error, "progress refused"),
+                    Err(error) => {
+                        debug!(key = %sample.key_expr(), %error, "progress message rejected")
+                    }
                 })
                 .await
                 .map_err(|source| BusError::Declare { key, source })?;
@@ -95,7 +97,7 @@ async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Recei
         if let Some(progress) = progress
             && let Err(error) = publisher.put(&progress).await
         {
-            warn!(%error, "progress not put");
+            warn!(%error, "progress not published");
             return;
         }
         tokio::select! {

@@ -384,7 +384,7 @@ async fn answer_queries<B: Block>(
         let range: QueryRange = match query.parameters().as_str().parse() {
             Ok(range) => range,
             Err(error) => {
-                warn!(key = %query.key_expr(), %error, "query refused");
+                warn!(key = %query.key_expr(), %error, "query rejected");
                 let _ = query.reply_err(error.to_string()).await; // the client may be gone
                 continue;
             }
@@ -400,7 +400,7 @@ async fn answer_queries<B: Block>(
         };
         match encoded {
             Ok((payload, encoding)) => reply(&query, query.key_expr(), payload, encoding).await,
-            Err(error) => warn!(key = %query.key_expr(), %error, "answer cannot be encoded"),
+            Err(error) => warn!(key = %query.key_expr(), %error, "reply cannot be encoded"),
         }
     }
 }
@@ -421,7 +421,7 @@ async fn read_archive<B: Block>(
 /// Sends a reply. A failure is not an error, because a disconnected client repeats its query.
 async fn reply(query: &Query, key: &KeyExpr<'static>, payload: Vec<u8>, encoding: String) {
     if let Err(error) = query.reply(key, payload).encoding(encoding).await {
-        debug!(key = %key, %error, "answer not sent");
+        debug!(key = %key, %error, "reply not sent");
     }
 }
 

@@ -82,7 +82,7 @@ impl Question {
             source,
         })?;
         if let Err(error) = self.query.reply(key, payload).encoding(M::encoding()).await {
-            debug!(key, %error, "answer not sent");
+            debug!(key, %error, "reply not sent");
         }
         Ok(())
     }

@@ -63,7 +63,7 @@ impl TryFrom<String> for Mode {
     fn try_from(text: String) -> Result<Self, String> {
         let all = [Self::Peer, Self::Client, Self::Router];
         let known = all.into_iter().find(|mode| mode.as_str() == text);
-        known.ok_or_else(|| format!("{text:?} is no mode, must be peer, client or router"))
+        known.ok_or_else(|| format!("unknown mode {text:?}, must be peer, client or router"))
     }
 }
 

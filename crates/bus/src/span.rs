@@ -166,7 +166,7 @@ impl FromStr for SpanQuery {
                 _ => {
                     return Err(refused(
                         key,
-                        "left out: a query has from, to, points and kind",
+                        "omitted: a query supports only from, to, points and kind",
                     ));
                 }
             }
@@ -281,7 +281,8 @@ mod tests {
             "a parameter of Zenoh itself"
         );
         let error = "since=2".parse::<SpanQuery>().unwrap_err();
-        let told = "query parameter since is \"2\", must be left out: a query has from, to, points and kind";
+        let told = "query parameter since is \"2\", must be omitted: a query supports only from, \
+            to, points and kind";
         assert_eq!(error.to_string(), told);
         let error = "points=many".parse::<SpanQuery>().unwrap_err();
         assert_eq!(

@@ -532,7 +532,7 @@ impl<B: Block> Reader<B> {
                 source,
                 reason,
                 count = *count,
-                "block refused"
+                "block rejected"
             );
         }
         false
@@ -544,7 +544,7 @@ impl<B: Block> Reader<B> {
         let count = counts.refused.entry(error.reason()).or_default();
         *count += 1;
         if count.is_power_of_two() {
-            warn!(key = self.key, %error, reason = error.reason(), count = *count, "message refused");
+            warn!(key = self.key, %error, reason = error.reason(), count = *count, "message rejected");
         }
     }
 

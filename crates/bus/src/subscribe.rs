@@ -125,7 +125,7 @@ impl Bus {
                     Err(error) => {
                         let times = count(&refusals, error.reason());
                         if times.is_power_of_two() {
-                            warn!(key = %sample.key_expr(), %error, times, "message refused");
+                            warn!(key = %sample.key_expr(), %error, times, "message rejected");
                         }
                     }
                 }
@@ -194,9 +194,9 @@ impl Bus {
                 }
                 Ok(_) => warn!(
                     key_expression,
-                    "more than {MOST_ANSWERS} answers, the others are left out"
+                    "more than {MOST_ANSWERS} replies; the rest are ignored"
                 ),
-                Err(error) => warn!(key_expression, %error, "answer refused"),
+                Err(error) => warn!(key_expression, %error, "reply rejected"),
             }
         }
         Ok(found)

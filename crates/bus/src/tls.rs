@@ -64,7 +64,7 @@ pub enum TlsError {
         path: PathBuf,
     },
     /// A file is damaged or of another kind.
-    #[error("{what} {}: is damaged, or no such thing", path.display())]
+    #[error("{what} {}: is damaged or of another type", path.display())]
     Damaged {
         /// Kind of the file.
         what: &'static str,
@@ -72,7 +72,7 @@ pub enum TlsError {
         path: PathBuf,
     },
     /// The key does not belong to the certificate.
-    #[error("key {} is not that of certificate {}", key.display(), certificate.display())]
+    #[error("key {} does not match certificate {}", key.display(), certificate.display())]
     KeyOfAnother {
         /// The key.
         key: PathBuf,
@@ -178,7 +178,8 @@ impl TlsConfig {
         let soon = Duration::from_secs(UnixTime::now().as_secs()).saturating_add(WARNED_BEFORE);
         if valid(UnixTime::since_unix_epoch(soon)).is_err() {
             let certificate = self.certificate.display();
-            warn!(%certificate, "certificate ends within 30 days, spandrel site issue --replace makes a new one");
+            warn!(%certificate, "certificate expires within 30 days; renew it with spandrel site \
+                issue --replace");
         }
         Ok(())
     }
@@ -208,7 +209,7 @@ impl TlsConfig {
         let Ok(connecting) = endpoint.connect_with(config, remote, host) else {
             return Ok(None);
         };
-        let no_answer = || std::io::Error::new(ErrorKind::TimedOut, "no answer");
+        let no_answer = || std::io::Error::new(ErrorKind::TimedOut, "no reply");
         let error = match timeout(patience, connecting)
             .await
             .map_err(|_elapsed| no_answer())?
@@ -230,9 +231,7 @@ impl TlsConfig {
                     close.error_code.into(),
                     &String::from_utf8_lossy(&close.reason),
                 );
-                Some(format!(
-                    "the other side refuses the certificate shown to it: {reason}"
-                ))
+                Some(format!("the other side rejects the certificate: {reason}"))
             }
             ConnectionError::TimedOut => return Err(no_answer()),
             _ => None,
@@ -269,12 +268,12 @@ fn in_words_of_alert(code: u64, reason: &str) -> String {
         .map(AlertDescription::from);
     match alert {
         Some(AlertDescription::UnknownCA | AlertDescription::DecryptError) => {
-            "the authority has not issued it, or not for this use".to_owned()
+            "the authority did not issue it, or not for this use".to_owned()
         }
         Some(AlertDescription::CertificateExpired) => {
             "it has expired, or is not valid yet".to_owned()
         }
-        Some(AlertDescription::CertificateRequired) => "none was shown".to_owned(),
+        Some(AlertDescription::CertificateRequired) => "none was presented".to_owned(),
         Some(alert) if reason.is_empty() => format!("{alert:?}"),
         Some(_) | None => reason.to_owned(),
     }
@@ -301,15 +300,15 @@ fn in_words(error: &rustls::Error) -> String {
             CertificateError::UnknownIssuer
             | CertificateError::BadSignature
             | CertificateError::InvalidPurpose,
-        ) => "the authority has not issued it, or not for this use".to_owned(),
+        ) => "the authority did not issue it, or not for this use".to_owned(),
         rustls::Error::InvalidCertificate(CertificateError::ExpiredContext { time, not_after }) => {
             let days = time.as_secs().saturating_sub(not_after.as_secs()) / 86_400;
             format!("it expired {days} days ago")
         }
         rustls::Error::InvalidCertificate(CertificateError::NotValidYetContext { .. }) => {
-            "it is not valid yet; is the clock right?".to_owned()
+            "it is not valid yet; check the clock".to_owned()
         }
-        rustls::Error::InvalidCertificate(other) => format!("its certificate is refused: {other}"),
+        rustls::Error::InvalidCertificate(other) => format!("its certificate is rejected: {other}"),
         other => other.to_string(),
     }
 }

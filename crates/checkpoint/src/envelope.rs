@@ -48,7 +48,11 @@ impl Identity {
         // Extreme numbers in a state may panic in the decoder, for example if the product of matrix
         // dimensions overflows. Such a file must not terminate the service at every start.
         let opened = catch_unwind(AssertUnwindSafe(|| open(self, bytes)));
-        opened.unwrap_or_else(|_| Err(Refusal::Content("a number in it is absurd".to_owned())))
+        opened.unwrap_or_else(|_| {
+            Err(Refusal::Content(
+                "it contains an implausible number".to_owned(),
+            ))
+        })
     }
 }
 

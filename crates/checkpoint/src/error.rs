@@ -29,13 +29,13 @@ pub enum CheckpointError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// The file is not a checkpoint of Spandrel.
-    #[error("it is no checkpoint of Spandrel")]
+    #[error("it is not a Spandrel checkpoint")]
     Foreign,
     /// The content has changed or is truncated.
-    #[error("its checksum does not hold: it is damaged")]
+    #[error("its checksum does not match: it is damaged")]
     Damaged,
     /// The checkpoint belongs to another service or structure.
-    #[error("it is of {found}, expected {expected}")]
+    #[error("it belongs to {found}, expected {expected}")]
     OfAnother {
         /// Service and structure in the file.
         found: String,
@@ -43,7 +43,7 @@ pub enum Refusal {
         expected: String,
     },
     /// Another version of the program wrote the file.
-    #[error("it has version {found} of its layout, this program reads {expected}")]
+    #[error("it has layout version {found}, this program reads version {expected}")]
     Version {
         /// The version in the file.
         found: u16,
@@ -51,7 +51,7 @@ pub enum Refusal {
         expected: u16,
     },
     /// The basis of the state has changed since the checkpoint was written.
-    #[error("what it rests on has changed since it was written (the structure file)")]
+    #[error("its basis (the structure file) has changed since it was written")]
     Basis,
     /// The checksum is correct, but the content is not a state of this service.
     #[error("its content cannot be read: {0}")]

@@ -94,7 +94,7 @@ impl Keeper {
         let why = match saving.await {
             Ok(Ok(())) => {
                 if let Some(failures) = self.failures.succeeded() {
-                    info!(failures, "checkpoints are kept again");
+                    info!(failures, "checkpoint save succeeded again");
                 }
                 return;
             }
@@ -105,7 +105,7 @@ impl Keeper {
             warn!(
                 error = why,
                 failures = self.failures.in_a_row(),
-                "checkpoint not kept: a crash now would cost more"
+                "checkpoint save failed; a crash now would lose more results"
             );
         }
     }

@@ -60,7 +60,7 @@ impl Checkpoints {
     /// The folder cannot be created or read.
     pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
         let failed = |source| CheckpointError::Io {
-            what: "make the folder",
+            what: "create the folder",
             path: folder.to_owned(),
             source,
         };
@@ -128,7 +128,7 @@ impl Checkpoints {
                     kind = identity.kind,
                     of = identity.of,
                     version = former,
-                    "checkpoint of a former layout converted"
+                    "converted a checkpoint of an earlier layout"
                 );
                 Ok(state.into())
             }
@@ -279,11 +279,11 @@ fn write_whole(
     };
     let mut file = File::create(beside).map_err(failed("create"))?;
     file.write_all(bytes).map_err(failed("write"))?;
-    file.sync_all().map_err(failed("force to the disk"))?;
+    file.sync_all().map_err(failed("synchronise to disk"))?;
     fs::rename(beside, path).map_err(failed("rename"))?;
     let forced = File::open(folder).and_then(|folder| folder.sync_all());
     forced.map_err(|source| CheckpointError::Io {
-        what: "force to the disk",
+        what: "synchronise to disk",
         path: folder.to_owned(),
         source,
     })
@@ -305,11 +305,12 @@ fn set_aside(path: &Path, why: &Refusal) -> PathBuf {
     let aside = path.with_extension(format!("{ENDING}.{SET_ASIDE}"));
     match fs::rename(path, &aside) {
         Ok(()) => {
-            warn!(file = %path.display(), renamed = %aside.display(), %why, "checkpoint refused");
+            warn!(file = %path.display(), renamed = %aside.display(), %why, "checkpoint rejected");
             aside
         }
         Err(error) => {
-            warn!(file = %path.display(), %why, %error, "checkpoint refused, and it cannot be renamed");
+            warn!(file = %path.display(), %why, %error, "checkpoint rejected, and it cannot be \
+                renamed");
             path.to_owned()
         }
     }

@@ -74,9 +74,9 @@ export class AlertsPage {
     keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
     this.none.hidden = standing.length > 0;
     const isFiltered = this.structure.value || this.state.value || this.text.value;
-    setText(this.none, isFiltered ? "No alert is like this." : "No rule has decided on anything yet.");
+    setText(this.none, isFiltered ? "No alert matches the filter." : "No rule has reached a decision yet.");
     this.noChanges.hidden = changes.length > 0;
-    setText(this.noChanges, isFiltered ? "No change is like this." : "Nothing has changed.");
+    setText(this.noChanges, isFiltered ? "No change matches the filter." : "No changes.");
   }
 
   #make(canAcknowledge) {
@@ -127,7 +127,7 @@ export class AcknowledgeDialog {
         this.why,
         h("label", { for: "who" }, "Your name"),
         this.who,
-        h("label", { for: "note" }, "Note (may be left out)"),
+        h("label", { for: "note" }, "Note (optional)"),
         this.note,
         this.told,
         h("div", { class: "actions" }, this.send, h("button", { type: "button", onclick: () => this.element.close() }, "Close")),
@@ -139,7 +139,7 @@ export class AcknowledgeDialog {
     this.alert = alert;
     setText(this.title, `Acknowledge ${alert.structure} / ${alert.parameter}`);
     setText(this.why, alert.why);
-    setText(this.told, "Others will see that somebody looks at it. It changes nothing else.");
+    setText(this.told, "Others will see that the alert is being handled. It has no other effect.");
     this.who.value = localStorage.getItem(NAME_KEY) ?? "";
     this.note.value = "";
     this.send.disabled = false;
@@ -179,11 +179,11 @@ export class AcknowledgeDialog {
         return this.sent();
       }
     } catch {
-      return this.#failed("Spandrel cannot be reached; it was not sent.");
+      return this.#failed("Cannot reach Spandrel; the acknowledgement was not sent.");
     }
     this.waiting = true;
     setText(this.told, "sent, waiting for the alert service …");
-    this.timer = setTimeout(() => this.#failed("The alert service has not answered; is it running?"), ANSWER_WITHIN_MS);
+    this.timer = setTimeout(() => this.#failed("No reply from the alert service; is it running?"), ANSWER_WITHIN_MS);
     this.sent();
   }
 

@@ -32,7 +32,7 @@ function route() {
 
 function notThere() {
   connection.listen(null);
-  return { element: h("p", { class: "empty" }, "There is no such page. ", h("a", { href: "#/" }, "All structures")) };
+  return { element: h("p", { class: "empty" }, "Page not found. ", h("a", { href: "#/" }, "All structures")) };
 }
 
 function mark(id, isHere) {
@@ -54,7 +54,7 @@ function showState() {
   const isLost = !isOpen && silence !== Infinity;
   lost.hidden = !isLost;
   document.body.classList.toggle("is-lost", isLost);
-  if (isLost) setText(lost, `✕ No connection to Spandrel: what is shown is ${duration(silence)} old. Trying again …`);
+  if (isLost) setText(lost, `✕ No connection to Spandrel: the data shown is ${duration(silence)} old. Reconnecting …`);
 }
 
 /** Shows raised alerts in the title, and announces new ones to screen readers. */

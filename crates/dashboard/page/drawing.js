@@ -39,7 +39,7 @@ export class Drawing {
     this.choose = choose;
     const { drawing } = about;
     this.svg = s("svg", { class: "drawing", role: "img", viewBox: `0 0 ${WIDTH} ${HEIGHT}` });
-    this.svg.append(s("title", {}, `Drawing of ${about.name}, coloured by probability of loss; the table beside it says the same`));
+    this.svg.append(s("title", {}, `Drawing of ${about.name}, coloured by probability of loss; the adjacent table contains the same values`));
     this.svg.append(hatches());
     const parameters = new Set(drawing.members.flatMap((member) => member.parameters));
     this.namesAll = parameters.size <= MOST_NAMES;
@@ -59,7 +59,7 @@ export class Drawing {
       const told = probability(worst, asked.get(known[0]));
       found.set(part.name, { worst, told });
       setAttribute(part.element, "data-step", step(worst));
-      const names = part.parameters.join(", ") || "taken as known";
+      const names = part.parameters.join(", ") || "known";
       setText(part.title, `${part.name}: ${part.parameters.length > 0 ? `${names}, probability of loss ${told}` : names}`);
       if (part.label) {
         const isFound = worst !== null && worst >= 0.5;

@@ -43,7 +43,7 @@ function form(done) {
       const { error, allowed } = await response.json();
       setText(told, `${error}; ${allowed}`);
     } catch {
-      setText(told, "Spandrel does not answer.");
+      setText(told, "No reply from Spandrel.");
     }
     token.value = "";
     token.focus();

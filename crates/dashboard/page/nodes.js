@@ -3,7 +3,7 @@
 import { h, keyed, setText } from "./dom.js";
 import { NODES, bytes, number, percent, time } from "./words.js";
 
-const HEADS = ["Node", "State", "Distance (regular up to)", "Left out since", "Last heard", "Sent by it", "Sent to it"];
+const HEADS = ["Node", "State", "Distance (limit)", "Excluded since", "Last message", "Sent by node", "Sent to node"];
 
 export class NodeTable {
   constructor() {
@@ -30,12 +30,12 @@ export class NodeTable {
     const state = NODES[node.state];
     const seconds = (time_ns) => (time_ns === null ? "–" : time(time_ns / 1e9));
     const since = node.state === "silent" && node.silent_since_ns !== null ? ` since ${seconds(node.silent_since_ns)}` : "";
-    const share = node.excluded_share > 0.005 ? ` (${percent(node.excluded_share, 0)} of late)` : "";
+    const share = node.excluded_share > 0.005 ? ` (${percent(node.excluded_share, 0)} recently)` : "";
     element.dataset.level = state.level;
     element.dataset.node = node.node;
     setText(cells[0], node.node);
     setText(cells[1], `${state.sign} ${state.word}${since}`);
-    const counts = node.weight !== null && node.weight > 0 && node.weight < 1 ? `, counts ${percent(node.weight, 0)}` : "";
+    const counts = node.weight !== null && node.weight > 0 && node.weight < 1 ? `, weight ${percent(node.weight, 0)}` : "";
     setText(cells[2], node.distance === null ? "–" : `${number(node.distance)}${node.distance_limit === null ? "" : ` (${number(node.distance_limit)})`}${counts}`);
     setText(cells[3], `${seconds(node.excluded_since_ns)}${share}`);
     setText(cells[4], seconds(node.heard_ns));

@@ -29,7 +29,7 @@ function summary(structures) {
   const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
   const of = structures.length === 1 ? "1 structure" : `${structures.length} structures`;
   const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
-  if (urgent.length === 0 && seen.length > 0) return `${LEVELS.notice.sign} ${of} watched, nothing new; somebody has seen: ${seen.join(", ")}.`;
+  if (urgent.length === 0 && seen.length > 0) return `${LEVELS.notice.sign} ${of} watched, nothing new; acknowledged: ${seen.join(", ")}.`;
   if (urgent.length === 0) return `✓ ${of} watched, nothing needs attention.`;
   const names = urgent.map(({ name }) => name).join(", ");
   return `${LEVELS[urgent[0].level].sign} ${urgent.length} of ${of} ${urgent.length === 1 ? "needs" : "need"} attention: ${names}.`;

@@ -54,7 +54,7 @@ export class Plot {
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
     this.readout = h("p", { class: "readout" });
-    const keys = "arrow keys move the crosshair, with shift the span, plus and minus zoom, home goes back to the newest data";
+    const keys = "arrow keys move the crosshair, shift and arrow keys move the span, plus and minus zoom, home returns to the newest data";
     this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
     const legend = (plot.legend ?? []).map(({ name, colour, dash }) => {
       // An area, or a line with its dashes.

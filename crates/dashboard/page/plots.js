@@ -160,7 +160,7 @@ export function outlierPlot(channel, points, span) {
       rows: (columns) => [columns.get(name)[0], columns.get(name)[1].map((share) => 100 * share), columns.get(name)[2]],
       series: () => [line(3, { dash: [], fill: () => css("--band-997") }), { show: false }],
       range: (u, least, largest) => [0, Math.max(1, (largest ?? 0) * 1.1)],
-      readout: (data, at) => `${number(data[1][at])} % of the late samples · ${number(data[2][at])} rejected here`,
+      readout: (data, at) => `${number(data[1][at])} % of the recent samples · ${number(data[2][at])} rejected here`,
     },
     points,
     span,

@@ -80,7 +80,7 @@ export class StructurePage {
       this.#goto(parameters);
       this.connection.listen(this.name);
     } catch {
-      this.body.replaceChildren(h("p", { class: "empty" }, "Spandrel cannot be reached. Trying again …"));
+      this.body.replaceChildren(h("p", { class: "empty" }, "Cannot reach Spandrel. Retrying …"));
       setTimeout(() => this.#isOpen && this.#load(parameters), 2000);
     }
   }
@@ -112,14 +112,14 @@ export class StructurePage {
       this.ranges.element,
       group("parameters", "Parameters", "Ratio to the design: 1 is as designed, 0.9 has lost 10 %. Line: estimate; bands: 50, 95 and 99.7 % intervals. Drag across a plot to zoom all of them."),
       group("classes", "Model classes"),
-      group("nodes", "Nodes that identify for themselves", "A node far beyond the red dashed limit disagrees with the others."),
+      group("nodes", "Distributed nodes", "A node far beyond the red dashed limit disagrees with the others."),
       group("agreement", "Model and data"),
       group("outliers", "Outliers"),
-      group("innovations", "Innovations", "What was observed less what was predicted, its least and largest value in each interval."),
+      group("innovations", "Innovations", "Observed minus predicted value: minimum and maximum in each interval."),
       group("noise", "Noise levels"),
       h("section", { class: "card", id: "sensors" }, h("h2", {}, "Sensors"), this.sensorList, this.fit),
       h("section", { class: "card" }, h("h2", {}, "Events"), this.noEvents, this.events),
-      h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or mended"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
+      h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or corrected"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
       this.dialog.element,
     );
     this.nodes = new NodeTable();
@@ -206,7 +206,7 @@ export class StructurePage {
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
       const state = alert ? STATES[alert.state] : null;
       part.element.dataset.level = alert ? levelOf(alert) : "learning";
-      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no rule or not yet");
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no rule or no decision yet");
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
       const p = parameter.stiffness ? shown?.probability_of_loss : null;
@@ -249,7 +249,7 @@ export class StructurePage {
       },
       ({ cells }, { service, id, present, lag_s, status }) => {
         setText(cells[0], service === id ? service : `${service} ${id}`);
-        setText(cells[1], present ? "● there" : "✕ gone");
+        setText(cells[1], present ? "● alive" : "✕ gone");
         setText(cells[2], lag(lag_s));
         setText(cells[3], status ? String(status.done) : "–");
         setText(cells[4], Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`).join(", ") || "nothing");

@@ -99,7 +99,7 @@ async fn in_time(request: Request, next: Next) -> Response {
     tokio::time::timeout(REQUEST_WITHIN, next.run(request))
         .await
         .unwrap_or_else(|_elapsed| {
-            let allowed = format!("must be whole within {} s", REQUEST_WITHIN.as_secs());
+            let allowed = format!("must be complete within {} s", REQUEST_WITHIN.as_secs());
             Mistake::new(
                 StatusCode::REQUEST_TIMEOUT,
                 "the request takes too long",
@@ -189,7 +189,7 @@ impl From<WebSocketUpgradeRejection> for Mistake {
 }
 
 async fn nothing_there(uri: Uri) -> Mistake {
-    let what = format!("nothing is at {}", uri.path());
+    let what = format!("unknown path {}", uri.path());
     Mistake::new(
         StatusCode::NOT_FOUND,
         what,
@@ -198,7 +198,7 @@ async fn nothing_there(uri: Uri) -> Mistake {
 }
 
 async fn wrong_method(method: Method, uri: Uri) -> Mistake {
-    let what = format!("{} does not take {method}", uri.path());
+    let what = format!("{} does not support {method}", uri.path());
     Mistake::new(
         StatusCode::METHOD_NOT_ALLOWED,
         what,
@@ -235,7 +235,7 @@ pub(crate) fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
         (_, _) => Err(Mistake::new(
             StatusCode::FORBIDDEN,
             "the request comes from another site",
-            "must come from here",
+            "must come from this site",
         )),
     }
 }
@@ -368,7 +368,7 @@ async fn acknowledge(
         count if count > LONGEST_NAME => {
             return refuse(
                 "who is too long",
-                format!("must have up to {LONGEST_NAME} characters"),
+                format!("must have at most {LONGEST_NAME} characters"),
             );
         }
         _ => {}
@@ -391,20 +391,18 @@ async fn acknowledge(
     if note.chars().count() > LONGEST_NOTE {
         return refuse(
             "note is too long",
-            format!("must have up to {LONGEST_NOTE} characters"),
+            format!("must have at most {LONGEST_NOTE} characters"),
         );
     }
     let before = check_acknowledgeable(&*find(&server, &structure)?, &parameter)?;
     let (Ok(structure), Ok(parameter)) = (Name::new(&*structure), Name::new(&*parameter)) else {
         return refuse(
-            "a name is none",
+            "invalid name",
             "must be lower-case letters, digits and hyphens".to_owned(),
         );
     };
     if let Some(why) = server.cannot_acknowledge() {
-        let what = format!(
-            "an acknowledgement would not come through by the certificate of this page: {why}"
-        );
+        let what = format!("the certificate of this page does not permit acknowledgements: {why}");
         let allowed =
             "must be sent from a page, or from spandrel watch, with a certificate of such a role";
         return Err(Mistake::new(StatusCode::FORBIDDEN, what, allowed));
@@ -499,7 +497,7 @@ async fn listen(
     let Some(place) = server.admit() else {
         return Err(Mistake::new(
             StatusCode::SERVICE_UNAVAILABLE,
-            "too many browsers listen",
+            "too many browsers are connected",
             "try again later",
         ));
     };

@@ -97,7 +97,7 @@ async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::S
         let (stream, address) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => {
-                warn!(%error, "a connection to the page cannot be taken");
+                warn!(%error, "cannot accept a connection to the page");
                 tokio::time::sleep(PAUSE).await;
                 continue;
             }
@@ -136,8 +136,8 @@ async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::S
                         .await,
                     );
                 }
-                Ok(Err(error)) => debug!(%address, %error, "no handshake"),
-                Err(_) => debug!(%address, "no handshake in time"),
+                Ok(Err(error)) => debug!(%address, %error, "TLS handshake failed"),
+                Err(_) => debug!(%address, "TLS handshake timed out"),
             }
             drop(handshake);
         });

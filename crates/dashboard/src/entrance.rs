@@ -55,13 +55,8 @@ pub(crate) async fn pass(
             next.run(request).await
         }
         Ok(_) => {
-            let what = "this token is one of a viewer, who reads";
-            Mistake::new(
-                StatusCode::FORBIDDEN,
-                what,
-                "must be a token of an operator",
-            )
-            .into_response()
+            let what = "the token is a viewer token, which only permits reading";
+            Mistake::new(StatusCode::FORBIDDEN, what, "must be an operator token").into_response()
         }
         Err(refusal) => refused(refusal),
     }
@@ -91,7 +86,7 @@ fn check_host(headers: &HeaderMap) -> Result<(), Mistake> {
             let allowed = "must be an address of this machine, such as 127.0.0.1; dashboard.tokens opens the page to others";
             Err(Mistake::new(
                 StatusCode::FORBIDDEN,
-                "the page is asked for under a foreign name",
+                "the request uses a foreign host name",
                 allowed,
             ))
         }
@@ -102,7 +97,7 @@ fn refused(refusal: Refusal) -> Response {
     match refusal {
         Refusal::Unknown => {
             let allowed =
-                "must have a token (Authorization: Bearer TOKEN), which spandrel token makes";
+                "must have a token (Authorization: Bearer TOKEN) created by spandrel token";
             Mistake::new(StatusCode::UNAUTHORIZED, "no valid token", allowed).into_response()
         }
         Refusal::Later(pause) => {
@@ -162,7 +157,7 @@ pub(crate) async fn enter(
     let Ok(Json(Shown { token })) = shown else {
         return Err(Mistake::new(
             StatusCode::BAD_REQUEST,
-            "the body is no token",
+            "the body is not a token",
             allowed,
         ));
     };

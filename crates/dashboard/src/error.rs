@@ -25,9 +25,9 @@ pub enum DashboardError {
     },
     /// Other machines could reach the page, and a certificate or a token is missing.
     #[error(
-        "will not serve the page on {address}: others than this machine can reach it, and it has no {missing}; \
-         set dashboard.certificate and dashboard.tokens (spandrel token makes them), or use an address of this machine \
-         such as 127.0.0.1:8080"
+        "refusing to serve the page on {address}: other machines can reach it, and it has no \
+         {missing}; set dashboard.certificate and dashboard.tokens (spandrel token creates \
+         tokens), or use a loopback address such as 127.0.0.1:8080"
     )]
     Unprotected {
         /// Requested address.
@@ -47,7 +47,7 @@ pub enum DashboardError {
     #[error(transparent)]
     Tls(#[from] spandrel_bus::TlsError),
     /// The token file cannot be read or written.
-    #[error("tokens {} cannot be read or written", path.display())]
+    #[error("token file {} cannot be read or written", path.display())]
     TokenFile {
         /// Path of the token file.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum DashboardError {
         source: io::Error,
     },
     /// The file is not a token file.
-    #[error("{}:{line}: is no file of tokens, spandrel token writes one", path.display())]
+    #[error("{}:{line}: is not a token file; use spandrel token to create one", path.display())]
     NotTokens {
         /// Path of the file.
         path: PathBuf,
@@ -65,13 +65,13 @@ pub enum DashboardError {
     /// The token file contains no token.
     ///
     /// Without any token the page would be open to everybody, so an empty file is an error.
-    #[error("tokens {} has no token, must have one at least: spandrel token adds one; without dashboard.tokens the page is open", path.display())]
+    #[error("token file {} has no token, must have at least one; use spandrel token to add one, or remove dashboard.tokens to serve an open page", path.display())]
     NoTokens {
         /// Path of the file.
         path: PathBuf,
     },
     /// The name already has a token.
-    #[error("{name} has a token in {} already; --replace makes another, and the old one is worth nothing then", path.display())]
+    #[error("{name} already has a token in {}; use --replace to create another, which invalidates the old one", path.display())]
     TokenExists {
         /// The name.
         name: Name,
@@ -79,7 +79,7 @@ pub enum DashboardError {
         path: PathBuf,
     },
     /// The operating system provides no random numbers.
-    #[error("the system gives no random numbers, no token or session can be made")]
+    #[error("the system provides no random numbers; cannot create a token or session")]
     NoRandom,
     /// A subscription on the bus failed, or the bus is closed.
     #[error(transparent)]

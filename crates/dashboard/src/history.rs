@@ -119,7 +119,7 @@ impl Request {
                         store.series_names().map(ToString::to_string).collect();
                     let allowed = format!("must be one of: {}", known.join(", "));
                     let allowed = if known.is_empty() {
-                        "nothing has been heard yet"
+                        "no data received yet"
                     } else {
                         &allowed
                     };
@@ -135,8 +135,8 @@ impl Request {
         }
         if series.len() > MOST_SERIES {
             return refuse(
-                format!("{} series are asked for", series.len()),
-                "must be 256 or fewer",
+                format!("{} series requested", series.len()),
+                "must be at most 256",
             );
         }
         let points = asked.points.unwrap_or(POINTS);

@@ -168,8 +168,8 @@ impl Listening {
         while let Some(answer) = self.past.try_join_next() {
             match answer {
                 Ok(Ok(logs)) => inputs.extend(logs.into_iter().map(|(_, log)| Input::Past(log))),
-                Ok(Err(error)) => warn!(%error, "cannot ask for what happened before"),
-                Err(error) => warn!(%error, "question for what happened before is lost"),
+                Ok(Err(error)) => warn!(%error, "cannot query earlier events"),
+                Err(error) => warn!(%error, "query for earlier events failed"),
             }
         }
     }

@@ -55,7 +55,7 @@ pub(crate) async fn serve(
         tokio::select! {
             _ = &mut ended => return,
             () = &mut session_ended => {
-                let why = CloseFrame { code: close_code::POLICY, reason: "the session is over".into() };
+                let why = CloseFrame { code: close_code::POLICY, reason: "the session has ended".into() };
                 // A client that does not accept the message is disconnected anyway.
                 let _ = tokio::time::timeout(SEND_WITHIN, socket.send(Message::Close(Some(why)))).await;
                 return;

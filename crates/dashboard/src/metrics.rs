@@ -79,12 +79,12 @@ impl Metrics {
         );
         gauge(
             "parameter_reference",
-            "What a loss is measured against, ratio to nominal",
+            "Reference of the loss, ratio to nominal",
             &self.reference,
         );
         gauge(
             "parameter_probability_of_loss",
-            "Probability that more than the loss of its rule is gone",
+            "Probability of a loss larger than the loss of the rule",
             &self.probability,
         );
         gauge(
@@ -99,7 +99,7 @@ impl Metrics {
         );
         gauge(
             "alert_state",
-            "1 for the state in which an alert is, 0 for the others",
+            "1 for the state of the alert, 0 for the other states",
             &self.alert,
         );
         gauge(
@@ -114,7 +114,7 @@ impl Metrics {
         );
         gauge(
             "alert_undecided",
-            "1 for the reason why nothing is decided on a parameter, 0 for the others",
+            "1 for the reason why a parameter is undecided, 0 for the others",
             &self.undecided,
         );
         gauge(
@@ -124,7 +124,7 @@ impl Metrics {
         );
         gauge(
             "channel_rejected_share",
-            "Share of rejected samples among the late ones of a channel",
+            "Share of rejected samples among the recent samples of a channel",
             &self.rejected_share,
         );
         gauge(
@@ -134,7 +134,7 @@ impl Metrics {
         );
         gauge(
             "node_distance",
-            "Distance of a node that identifies for itself from the others",
+            "Distance of a distributed node from the others",
             &self.node_distance,
         );
         gauge(
@@ -144,33 +144,33 @@ impl Metrics {
         );
         gauge(
             "measured_age_seconds",
-            "Time since something was heard of a structure",
+            "Time since the last data of a structure was received",
             &self.age,
         );
         gauge(
             "lag_seconds",
-            "Wall clock less time of the last frame done, by service, of samples that come as they are measured",
+            "Wall clock minus time of the last processed frame, by service, for live samples",
             &self.lag,
         );
         gauge(
             "frames_behind",
-            "Frames that ingest has made and a service has not done",
+            "Frames that ingest has published and a service has not processed",
             &self.behind,
         );
-        gauge("up", "1 if a service has shown that it is there", &self.up);
+        gauge("up", "1 if a service is alive", &self.up);
         registry.register(
             "channel_rejected",
-            "Samples of a channel that were rejected",
+            "Rejected samples of a channel",
             self.rejected.clone(),
         );
         registry.register(
             "frames_done",
-            "Frames, or messages, that a service has done",
+            "Frames or messages that a service has processed",
             self.done.clone(),
         );
         registry.register(
             "dropped",
-            "What a service has dropped, by reason",
+            "Items that a service has dropped, by reason",
             self.dropped.clone(),
         );
         registry.register("restarts", "Restarts of a filter", self.restarts.clone());

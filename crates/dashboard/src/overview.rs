@@ -207,7 +207,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     let told = || concerns.iter().map(|(_, sentence)| sentence.as_str());
     if store.is_stale() {
         // Open concerns remain when the data stops.
-        let as_it_was = "nothing is measured: what is shown is how it was";
+        let as_it_was = "no new data; this page shows the last state";
         return (
             Level::Stale,
             told().chain([as_it_was]).collect::<Vec<_>>().join("; "),
@@ -217,7 +217,8 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
         return (*most_urgent, told().collect::<Vec<_>>().join("; "));
     }
     if store.data_heard().is_none() && store.now >= NEVER_MEASURED_AFTER {
-        let sentence = "nothing has been measured since this page was started: see which services and sensors are there";
+        let sentence =
+            "no data since this page was started; check which services and sensors are running";
         return (Level::Stale, sentence.to_owned());
     }
     if store.data_heard().is_none() {
@@ -232,18 +233,15 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if alerts_in(store, AlertState::Learning).next().is_some() {
         return (
             Level::Learning,
-            "the sound values are being learnt".to_owned(),
+            "the reference values are being learnt".to_owned(),
         );
     }
     if store.alerts.is_empty() {
-        return (
-            Level::Learning,
-            "no alert has been decided on yet".to_owned(),
-        );
+        return (Level::Learning, "no alert decision yet".to_owned());
     }
     (
         Level::Normal,
-        "no loss was found that the rules ask about".to_owned(),
+        "no loss found that satisfies a rule".to_owned(),
     )
 }
 
@@ -257,7 +255,7 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
     };
     let troubled = (!sensors.troubled.is_empty()).then(|| {
         format!(
-            "not used: {}; the estimates rest on the other sensors",
+            "not used: {}; the estimates use the other sensors",
             sensors.troubled.join(", ")
         )
     });

@@ -43,7 +43,7 @@ impl Places {
             taken.refused += 1;
             let refused = taken.refused;
             if refused.is_power_of_two() {
-                warn!(%address, of_address, in_all = taken.all, refused, "too many connections to the page, one more is closed");
+                warn!(%address, of_address, in_all = taken.all, refused, "too many connections to the page; closing the new connection");
             }
             return None;
         }

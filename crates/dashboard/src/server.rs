@@ -199,7 +199,7 @@ impl Server {
             asked.spawn(async move {
                 let answers = bus.ask::<HistorySpan>(&selector, HISTORY_WITHIN).await;
                 let answers = answers
-                    .inspect_err(|error| warn!(%error, "cannot ask for the history"))
+                    .inspect_err(|error| warn!(%error, "cannot query the history"))
                     .ok()?;
                 // If several services reply, take the reply with the most rows.
                 let most = answers

@@ -196,7 +196,7 @@ impl DashboardService {
 
 fn broken(served: Result<(), tokio::task::JoinError>) -> DashboardError {
     let source = match served {
-        Ok(()) => io::Error::other("ended before its time"),
+        Ok(()) => io::Error::other("ended unexpectedly"),
         Err(source) => io::Error::other(source),
     };
     DashboardError::Serve { source }
@@ -230,7 +230,7 @@ async fn bind(page: &PageSettings) -> Result<TcpListener, DashboardError> {
         Err(source) if may_move && source.kind() == io::ErrorKind::AddrInUse => {
             warn!(
                 taken = address,
-                "the usual address of the page is taken, a free port is used instead"
+                "the default address of the page is in use; using a free port instead"
             );
             let free = "127.0.0.1:0";
             let listener = TcpListener::bind(free).await;

@@ -458,7 +458,7 @@ async fn a_socket_ends_with_the_session_of_its_browser() {
     };
     assert_eq!(
         (why.code, why.reason.as_str()),
-        (CloseCode::Policy, "the session is over")
+        (CloseCode::Policy, "the session has ended")
     );
     // A connection with a token has no session that could end.
     for _ in 0..10 {

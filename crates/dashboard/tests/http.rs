@@ -444,10 +444,10 @@ async fn mistakes_are_answered_with_what_is_wrong_and_what_is_allowed() {
         .expect_refused(404, "structure `tower` is not known");
     site.get("/api/nothing")
         .await
-        .expect_refused(404, "nothing is at /api/nothing");
+        .expect_refused(404, "unknown path /api/nothing");
     site.request("POST", "/api/structures", "", "")
         .await
-        .expect_refused(405, "does not take POST");
+        .expect_refused(405, "does not support POST");
     let history = "/api/structures/demo/history";
     site.get(&format!("{history}?points=none"))
         .await

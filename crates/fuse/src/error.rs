@@ -18,7 +18,7 @@ pub enum FuseError {
         structure: String,
     },
     /// The station rejected its settings.
-    #[error("station of structure {structure} cannot be made")]
+    #[error("cannot create the station of structure {structure}")]
     Station {
         /// The structure.
         structure: String,
@@ -26,7 +26,7 @@ pub enum FuseError {
         source: FilterError,
     },
     /// A name cannot be part of a key expression.
-    #[error("name in structure {structure} cannot be a key")]
+    #[error("a name in structure {structure} is not a valid key")]
     Name {
         /// The structure.
         structure: String,

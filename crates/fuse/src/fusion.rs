@@ -398,8 +398,8 @@ impl Fusion {
         }
         if let Some(time_ns) = self.done_ns() {
             let (what, why) = (
-                "no node is there any more",
-                "the liveliness tokens of all workers of nodes are gone",
+                "no nodes are left",
+                "the liveliness tokens of all node workers have disappeared",
             );
             self.tell(
                 EventKind::NodeSilent,
@@ -612,11 +612,11 @@ impl Fusion {
         }
         self.show_nodes(time_ns, outputs);
         if fused.started_anew {
-            let why = "a fused parameter was outside of what is sound".to_owned();
+            let why = "a fused parameter was outside its plausible range".to_owned();
             self.tell(
                 EventKind::Restart,
                 "fuse",
-                "the station begins anew from the prior",
+                "the station restarts from the prior",
                 why,
                 time_ns,
                 outputs,
@@ -624,8 +624,8 @@ impl Fusion {
         }
         if fused.adopted {
             let (what, why) = (
-                "the station takes over what the nodes know",
-                "they have been fused by a station before this one",
+                "the station takes over the knowledge of the nodes",
+                "a previous station has already fused them",
             );
             self.tell(
                 EventKind::Restart,
@@ -643,12 +643,12 @@ impl Fusion {
             (true, SILENT_FUSIONS..) => Some((
                 EventKind::Gap,
                 "nothing to fuse",
-                "no node has sent anything that could be used",
+                "no node has sent usable data",
             )),
             (false, 0) => Some((
                 EventKind::NodeBack,
                 "nodes are fused again",
-                "something has come that can be used",
+                "usable data have arrived",
             )),
             (true, _) | (false, _) => None,
         };

@@ -206,7 +206,7 @@ impl Node {
                 let seconds = time_ns.saturating_sub(since_ns) as f64 * 1e-9;
                 news.push((
                     EventKind::NodeBack,
-                    "the node is heard again",
+                    "the node sends again",
                     format!("it was silent for {seconds:.0} s"),
                 ));
             }
@@ -227,10 +227,10 @@ impl Node {
 
     fn why_silent(&self, is_heard: bool) -> &'static str {
         match (is_heard, self.heard_ever, self.present) {
-            (true, ..) => "its worker has no samples: what it sends is predicted",
-            (false, false, false) => "nothing was heard of it yet, and its worker is not there",
-            (false, true, false) => "its worker is gone: its liveliness token is not there",
-            (false, _, true) => "its worker is there, but nothing came that could be fused",
+            (true, ..) => "its worker has no samples and sends predictions",
+            (false, false, false) => "it has not sent anything yet, and its worker is not running",
+            (false, true, false) => "its worker is not running: its liveliness token is missing",
+            (false, _, true) => "its worker is running, but has sent nothing that can be fused",
         }
     }
 
@@ -247,14 +247,17 @@ impl Node {
         let (kind, what) = match often {
             true => (
                 EventKind::NodeExcluded,
-                "the node disagrees with the others and is left out",
+                "the node disagrees with the others and is excluded",
             ),
             false => (EventKind::NodeBack, "the node agrees with the others again"),
         };
         Some((
             kind,
             what,
-            format!("left out in {:.0} % of late", self.excluded_share * 100.0),
+            format!(
+                "recently excluded in {:.0} % of fusions",
+                self.excluded_share * 100.0
+            ),
         ))
     }
 

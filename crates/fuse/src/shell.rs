@@ -239,10 +239,7 @@ impl FuseService {
 
     async fn take(&mut self, key: &str, message: LocalMessage) -> Result<(), FuseError> {
         let Some(node) = self.positions.get(key).copied() else {
-            warn!(
-                key,
-                "message of a node that the structure file does not have"
-            );
+            warn!(key, "message from a node that is not in the structure file");
             return Ok(());
         };
         let bytes = message.encode().map_or(0, |payload| payload.len() as u64);

@@ -10,7 +10,7 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum IdentifyError {
     /// The filter rejected its settings.
-    #[error("filter of structure {structure} cannot be made")]
+    #[error("cannot create the filter of structure {structure}")]
     Filter {
         /// The structure.
         structure: String,
@@ -19,14 +19,14 @@ pub enum IdentifyError {
     },
     /// The nodes do not run their own identification, or there is no such node.
     #[error(
-        "structure {structure} has no such node that identifies for itself; see identification = \"distributed\""
+        "structure {structure} has no such node with its own identification; see identification = \"distributed\""
     )]
     NotDistributed {
         /// The structure.
         structure: String,
     },
     /// A name cannot be part of a key expression.
-    #[error("name in structure {structure} cannot be a key")]
+    #[error("a name in structure {structure} is not a valid key")]
     Name {
         /// The structure.
         structure: String,
@@ -35,8 +35,8 @@ pub enum IdentifyError {
     },
     /// The state is too large to be transferred to a standby.
     #[error(
-        "structure {structure} cannot have a standby: its state has {bytes} bytes, must have at most {most} to be handed over; \
-         leave --standby out"
+        "structure {structure} cannot have a standby: its state has {bytes} bytes, must have at \
+         most {most} to be transferred; omit --standby"
     )]
     StateTooLarge {
         /// The structure.
@@ -53,7 +53,7 @@ pub enum IdentifyError {
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The thread that ran a filter panicked, and the filter was lost with it.
-    #[error("filter of structure {structure} was lost with its thread")]
+    #[error("filter thread of structure {structure} panicked")]
     ThreadLost {
         /// The structure.
         structure: String,

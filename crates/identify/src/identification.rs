@@ -472,8 +472,8 @@ impl Identification {
             outputs.push(self.event(
                 block.header.time_ns,
                 EventKind::Restart,
-                "motion of the structure forgotten, parameters kept",
-                "the source of frames began a new epoch",
+                "motion of the structure reset, parameters kept",
+                "the source of frames started a new epoch",
             ));
         }
         self.stream = Some(Stream {
@@ -532,7 +532,7 @@ impl Identification {
         } else if beyond_recovery {
             outputs.push(self.restart(
                 time_ns,
-                "the particles had lost the state, and did not find it again",
+                "the particles lost the state and did not recover it",
             ));
         } else {
             self.tell_particles(time_ns, had_lost_state, outputs);
@@ -577,9 +577,9 @@ impl Identification {
             outputs.push(self.event(
                 grid.time_ns(from),
                 EventKind::Gap,
-                &format!("{lost} frames are lost for good"),
+                &format!("{lost} frames are permanently lost"),
                 if forgets {
-                    "longer than can be bridged: parameters kept, motion forgotten"
+                    "gap too long to bridge: parameters kept, motion reset"
                 } else {
                     "bridged by predictions"
                 },

@@ -78,7 +78,8 @@ impl Memory {
             self.terms.forget_before(None)
         };
         if let Err(error) = block_in_place(keep) {
-            warn!(%error, term, "term not kept: if the clock is set back before the next start, readers will prefer this life to that one");
+            warn!(%error, term, "term not saved; if the clock is set back before the next start, \
+                subscribers will prefer this run to the next one");
         }
     }
 
@@ -104,7 +105,8 @@ impl Memory {
                 if refused > 0 {
                     warn!(
                         refused,
-                        "no checkpoint fits: starts from the prior and identifies the recorded frames again"
+                        "no usable checkpoint; starting from the prior and identifying the \
+                         recorded frames again"
                     );
                 }
                 return Ok(core);

@@ -59,7 +59,7 @@ impl ClassView {
         match event {
             ClassEvent::Leading { from, to } => Told {
                 kind: EventKind::LeadingClass,
-                what: format!("class {} leads, before it was {}", name(to), name(from)),
+                what: format!("class {} leads, previously {}", name(to), name(from)),
                 why: format!(
                     "it has been the most plausible one for {}",
                     self.persistence
@@ -89,14 +89,14 @@ impl ClassView {
                 let suspect = name(&ClassId::Substructure(*substructure));
                 Told {
                     kind: EventKind::LeadingClass,
-                    what: format!("the parts of {suspect} are compared from now on"),
-                    why: format!("{suspect} has changed against the rest"),
+                    what: format!("now comparing the parts of {suspect}"),
+                    why: format!("{suspect} has changed relative to the rest"),
                 }
             }
             ClassEvent::LevelDown { .. } => Told {
                 kind: EventKind::LeadingClass,
-                what: "whole substructures are compared again".to_owned(),
-                why: "no part has to be singled out any more".to_owned(),
+                what: "now comparing whole substructures again".to_owned(),
+                why: "no part needs to be singled out any more".to_owned(),
             },
             ClassEvent::Restarted { class } => {
                 let leader = bank

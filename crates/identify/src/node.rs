@@ -355,11 +355,11 @@ impl NodeIdentification {
         *self.dropped.entry("missing-samples").or_default() += missing;
         if missing as f64 > BRIDGED_GAP_S * self.rate_hz {
             self.skip(missing);
-            let why = "longer than can be bridged: parameters kept, motion forgotten";
+            let why = "gap too long to bridge: parameters kept, motion reset";
             outputs.push(self.event(
                 time_ns,
                 EventKind::Gap,
-                &format!("{missing} samples are lost for good"),
+                &format!("{missing} samples are permanently lost"),
                 why,
             ));
             return true;
@@ -397,11 +397,11 @@ impl NodeIdentification {
                     u64::try_from(ahead)
                         .unwrap_or_else(|_| ahead.rem_euclid(period as i64).unsigned_abs()),
                 );
-                let why = "its source of samples began a new epoch";
+                let why = "its source of samples started a new epoch";
                 outputs.push(self.event(
                     time_ns,
                     EventKind::Restart,
-                    "motion forgotten, parameters kept",
+                    "motion reset, parameters kept",
                     why,
                 ));
             }
@@ -574,11 +574,11 @@ impl NodeIdentification {
         if self.filter.restarts() > self.restarts {
             self.restarts = self.filter.restarts();
             let time_ns = self.stream.map_or(0, |stream| stream.last_ns);
-            let why = "it diverged, or left the range of sound values";
+            let why = "it diverged or left the range of plausible values";
             outputs.push(self.event(
                 time_ns,
                 EventKind::Restart,
-                "filter of the node started anew",
+                "filter of the node restarted",
                 why,
             ));
         }

@@ -54,20 +54,21 @@ impl NodeScreening {
                     EventKind::ChannelExcluded,
                     "the sensor is faulty: its samples are not used",
                     why.unwrap_or_else(|| {
-                        "its samples are far from what the structure does".to_owned()
+                        "its samples are far from the predicted response of the structure"
+                            .to_owned()
                     }),
                 ),
                 false => (
                     EventKind::ChannelBack,
                     "the sensor is used again",
-                    why.unwrap_or_else(|| "its screening began anew with the filter".to_owned()),
+                    why.unwrap_or_else(|| "its screening restarted with the filter".to_owned()),
                 ),
             });
         }
         match change {
             Some((OutlierChange::Rescaled, why)) => Some((
                 EventKind::Calibration,
-                "the scale of its residuals was estimated anew",
+                "the scale of its residuals was re-estimated",
                 why,
             )),
             Some(_) | None => None,

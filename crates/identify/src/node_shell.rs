@@ -177,7 +177,7 @@ impl NodeService {
                     },
                     () = tokio::time::sleep(ANSWER_WITHIN), if waits => {
                         let (structure, node) = (self.structure.as_str(), self.node.as_str());
-                        warn!(structure, node, "no answer of the station: going on without it");
+                        warn!(structure, node, "no reply from the station; continuing without it");
                         self.take(NodeInput::NoAnswer).await?;
                     }
                     _ = status.tick() => self.put_status().await?,
@@ -296,10 +296,10 @@ impl NodeService {
                 kind: EventKind::Restart,
                 subject: self.node.to_string(),
                 what: format!(
-                    "samples {from} to {} are set aside: they count as missing",
+                    "samples {from} to {} are skipped and count as missing",
                     to.saturating_sub(1)
                 ),
-                why: "the filter of the node has panicked in them".to_owned(),
+                why: "they caused a panic in the filter of the node".to_owned(),
             };
             log_event(&event, None);
             self.events.put(&event).await?;

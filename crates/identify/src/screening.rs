@@ -60,7 +60,10 @@ impl ScreeningView {
         match screen.change()? {
             change @ OutlierChange::FaultBegan => Some((
                 change,
-                format!("{share:.0} % of its recent samples are far from what the structure does"),
+                format!(
+                    "{share:.0} % of its recent samples are far from the predicted response \
+                    of the structure"
+                ),
             )),
             change @ OutlierChange::FaultEnded => Some((
                 change,
@@ -69,7 +72,7 @@ impl ScreeningView {
             change @ OutlierChange::Rescaled => Some((
                 change,
                 format!(
-                    "too many samples were rejected; residuals now count in {:.2e}",
+                    "too many samples were rejected; the scale of the residuals is now {:.2e}",
                     screen.scale()
                 ),
             )),

@@ -153,7 +153,7 @@ impl IdentifyService {
             match precedence {
                 Precedence::Leads => {
                     service.begin().await?;
-                    service.lead("it has been started").await?;
+                    service.lead("the process was started").await?;
                 }
                 Precedence::StandsBy if leader.is_none() => service.begin().await?,
                 Precedence::StandsBy => {}
@@ -245,7 +245,7 @@ impl IdentifyService {
                 if block.state == StreamState::Ended {
                     debug!(
                         structure = self.keys.structure().as_str(),
-                        "last frames have come"
+                        "received the last frames"
                     );
                 }
                 Input::Frames(block)
@@ -357,13 +357,10 @@ impl IdentifyService {
         self.last_time_ns = core.last_time_ns();
         self.core = Some(core);
         let what = match set_aside {
-            Some(frame) => format!("frame {frame} is set aside: it counts as missing"),
-            None => format!("identification goes on from frame {first}"),
+            Some(frame) => format!("frame {frame} is skipped and counts as missing"),
+            None => format!("identification resumes from frame {first}"),
         };
-        let why = format!(
-            "it has panicked in frames {from} to {}",
-            to.saturating_sub(1)
-        );
+        let why = format!("it panicked in frames {from} to {}", to.saturating_sub(1));
         self.tell(EventKind::Restart, what, why).await
     }
 

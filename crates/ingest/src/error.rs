@@ -9,7 +9,7 @@ use crate::layout::LayoutError;
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
     /// The structure has no valid frame layout.
-    #[error("nodes of structure {structure} make no frames")]
+    #[error("cannot form frames from the nodes of structure {structure}")]
     Layout {
         /// Name of the structure.
         structure: String,
@@ -17,16 +17,16 @@ pub enum IngestError {
         source: LayoutError,
     },
     /// A name is not a valid chunk of a key expression.
-    #[error("name is no key")]
+    #[error("name is not a valid key")]
     Name(#[from] NameError),
     /// The recording cannot be opened or closed.
     #[error(transparent)]
     Record(#[from] RecordError),
     /// The operating system cannot start a thread to write recordings.
-    #[error("no thread for the recording")]
+    #[error("cannot start the recording thread")]
     NoThread(#[source] std::io::Error),
     /// The thread that writes recordings panicked and lost the recording.
-    #[error("the recording of structure {structure} was lost with a panic of its thread")]
+    #[error("the recording thread of structure {structure} panicked")]
     RecordingLost {
         /// Name of the structure.
         structure: String,

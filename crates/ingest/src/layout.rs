@@ -25,7 +25,7 @@ pub struct Layout {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LayoutError {
     /// The name of a node is not a valid chunk of a key expression.
-    #[error("node name is no key")]
+    #[error("node name is not a valid key")]
     Name(#[from] NameError),
     /// The sampling rate is outside the range for frames.
     #[error("sampling rate is {found} Hz, must lie between 0.001 and 1000000")]

@@ -85,11 +85,12 @@ impl Recorder {
             warn!(
                 structure,
                 bytes = opened.torn_bytes,
-                "the recording was torn: what was half written is cut off"
+                "the recording ended in an incomplete record, which was removed"
             );
         }
         for path in &opened.set_aside {
-            warn!(structure, file = %path.display(), "no part of this recording can be read; it is set aside");
+            warn!(structure, file = %path.display(), "no part of this recording is readable; file \
+                set aside");
         }
         let is_whole = opened.is_complete != Some(false) && (opened.was_closed || opened.same_boot);
         let past = opened.last.map(|last| Past {
@@ -216,7 +217,8 @@ impl Recorder {
                 Ok(()) => self.waiting.written(blocks),
                 Err(error) => {
                     if self.refused_at.is_none() {
-                        warn!(structure, %error, "the recording cannot be written: frames wait in memory and are watched all the same");
+                        warn!(structure, %error, "recording write failed; retrying, frames stay \
+                            in memory and monitoring continues");
                     }
                     self.refused_at = Some(Instant::now());
                     // Save the mark before publishing any of these frames, because their numbers
@@ -225,7 +227,8 @@ impl Recorder {
                         match log.note_complete(false) {
                             Ok(()) => self.is_noted_complete = Some(false),
                             Err(error) => {
-                                warn!(structure, %error, "a crash before the disk takes the recording again goes unnoticed")
+                                warn!(structure, %error, "recording not marked as incomplete; a \
+                                    crash before the next successful write stays undetected")
                             }
                         }
                     }
@@ -238,7 +241,7 @@ impl Recorder {
                 structure,
                 written = before,
                 lost = self.waiting.lost(),
-                "the disk takes the recording again"
+                "recording write succeeded again"
             );
         }
         // If this write fails, it is retried. Until it succeeds, a crash leads to a new epoch.
@@ -252,7 +255,7 @@ impl Recorder {
             return;
         };
         if let Ok(Err(error)) = syncing.await {
-            warn!(structure = self.structure, %error, "the recording cannot be forced to the disk");
+            warn!(structure = self.structure, %error, "recording not synchronised to disk");
         }
     }
 }
@@ -277,7 +280,7 @@ impl Archive<FrameBlock> for RecordedFrames {
         match self.reader.read(epoch, after, limit, bytes) {
             Ok(frames) => frames.map(to_block),
             Err(error) => {
-                warn!(%error, "the recording cannot be read");
+                warn!(%error, "recording read failed");
                 None
             }
         }

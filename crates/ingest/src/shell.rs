@@ -199,7 +199,7 @@ impl IngestService {
                 info!(
                     structure = keys.structure().as_str(),
                     frame = last.end(),
-                    "goes on where its recording ended"
+                    "resuming where the recording ended"
                 );
                 (stream.epoch, stream.first, stream.state) =
                     (last.header.epoch, last.end(), last.state);
@@ -459,7 +459,7 @@ impl IngestService {
                 warn!(
                     structure,
                     node = name,
-                    "node is gone, frames no longer wait for it"
+                    "node disappeared; frames no longer wait for it"
                 );
                 self.handle(Input::Lost { node }).await?;
             }

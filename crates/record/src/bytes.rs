@@ -56,10 +56,10 @@ impl<'a> Bytes<'a> {
     pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], Fault> {
         if count > self.left() {
             let (left, position) = (self.left(), self.position);
-            let found = format!("{left} bytes to the end");
+            let found = format!("{left} bytes");
             return Err(Fault::at_byte(
                 position,
-                "what is left",
+                "remaining data",
                 found,
                 format!("at least {count}"),
             ));
@@ -75,7 +75,7 @@ impl<'a> Bytes<'a> {
             let found = format!("byte {position}");
             return Err(Fault::at_byte(
                 self.position,
-                "what follows",
+                "next position",
                 found,
                 format!("at most {}", self.data.len()),
             ));
@@ -126,7 +126,7 @@ mod tests {
         let fault = bytes.u32().unwrap_err();
         assert_eq!(
             fault.to_string(),
-            "byte 2: what is left is 1 bytes to the end, must be at least 4"
+            "byte 2: remaining data is 1 bytes, must be at least 4"
         );
         assert!(bytes.seek(4).is_err());
     }

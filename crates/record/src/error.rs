@@ -16,7 +16,7 @@ pub enum RecordError {
         source: std::io::Error,
     },
     /// Neither the content nor the name of a file matches a known format.
-    #[error("{}: is of no known format, must be one of {}", path.display(), allowed.join(", "))]
+    #[error("{}: unknown format, must be one of {}", path.display(), allowed.join(", "))]
     UnknownFormat {
         /// The file.
         path: PathBuf,
@@ -53,7 +53,7 @@ pub enum RecordError {
     },
     /// The file does not state the sampling rate of a channel.
     #[error(
-        "{}: states no sampling rate of channel `{channel}`; declare one",
+        "{}: no sampling rate for channel `{channel}`; declare one",
         path.display()
     )]
     NoSamplingRate {
@@ -64,7 +64,8 @@ pub enum RecordError {
     },
     /// Channels have different sampling rates and therefore no common rows.
     #[error(
-        "{}: channel `{channel}` is sampled at {found_hz:.4} Hz, must be {first_hz:.4} Hz as `{first}`; resample them",
+        "{}: channel `{channel}` is sampled at {found_hz:.4} Hz, must be {first_hz:.4} Hz like \
+         `{first}`; resample them",
         path.display()
     )]
     UnequalRates {
@@ -81,7 +82,8 @@ pub enum RecordError {
     },
     /// One channel has dates, and another has times relative to the start of the recording.
     #[error(
-        "{}: channels `{first}` and `{channel}`: one has a date and the other has none, must be both or neither",
+        "{}: only one of the channels `{first}` and `{channel}` has a date, must be both or \
+         neither",
         path.display()
     )]
     UnequalOrigins {
@@ -94,8 +96,8 @@ pub enum RecordError {
     },
     /// The ratio of two sampling rates is not suitable for a filter.
     #[error(
-        "{}: channel `{channel}` cannot be resampled from {from_hz} Hz to {to_hz} Hz: their ratio must be one of whole \
-         numbers up to {largest}",
+        "{}: channel `{channel}` cannot be resampled from {from_hz} Hz to {to_hz} Hz: their ratio \
+         must be a ratio of whole numbers up to {largest}",
         path.display()
     )]
     Resampling {
@@ -145,14 +147,15 @@ pub enum RecordError {
         source: Box<mcap::McapError>,
     },
     /// Another process or log has the folder of a frame log open.
-    #[error("{}: the frame log is in use, must be opened by one at a time; stop the other, or give another folder", folder.display())]
+    #[error("{}: another process is using the frame log; stop that process, or choose another folder", folder.display())]
     LogInUse {
         /// The folder.
         folder: PathBuf,
     },
     /// The folder of a frame log contains frames of another layout.
     #[error(
-        "{}: the frame log is of another layout: {what} is `{found}`, must be `{expected}`; move the folder away, or give another",
+        "{}: the frame log has another layout: {what} is `{found}`, must be `{expected}`; move \
+         the folder, or choose another one",
         folder.display()
     )]
     OtherLog {
@@ -221,7 +224,7 @@ pub enum RecordError {
         found: Vec<String>,
     },
     /// A required column occurs more than once in the header.
-    #[error("{}:{line}: column `{column}` is there more than once, must be there once", path.display())]
+    #[error("{}:{line}: column `{column}` occurs more than once, must occur once", path.display())]
     RepeatedColumn {
         /// The file.
         path: PathBuf,
@@ -231,7 +234,7 @@ pub enum RecordError {
         column: String,
     },
     /// A row has more or fewer fields than the header.
-    #[error("{}:{line}: row has {found} fields, must have {expected} as the header", path.display())]
+    #[error("{}:{line}: row has {found} fields, must have {expected} like the header", path.display())]
     RaggedRow {
         /// The file.
         path: PathBuf,
@@ -271,7 +274,8 @@ pub enum RecordError {
     },
     /// A time is not later than the previous one.
     #[error(
-        "{}:{line}: time {found_s} s is not later than {previous_s} s of the row before, must increase",
+        "{}:{line}: time {found_s} s is not later than {previous_s} s of the previous row, must \
+         increase",
         path.display()
     )]
     TimeNotIncreasing {
@@ -285,7 +289,7 @@ pub enum RecordError {
         previous_s: String,
     },
     /// The file has fewer than two rows and therefore no sampling rate.
-    #[error("{}: has {rows} rows, must have at least 2 to have a sampling rate", path.display())]
+    #[error("{}: has {rows} rows, must have at least 2 to determine a sampling rate", path.display())]
     TooShort {
         /// The file.
         path: PathBuf,
@@ -318,7 +322,9 @@ pub enum RecordError {
         allowed: Vec<&'static str>,
     },
     /// A scale is zero or not finite, or an offset is not finite.
-    #[error("channel `{channel}`: {setting} is {found}, must be finite, and a scale not zero")]
+    #[error(
+        "channel `{channel}`: {setting} is {found}, must be finite, and a scale must not be zero"
+    )]
     Calibration {
         /// The channel.
         channel: String,

@@ -333,7 +333,7 @@ impl FrameLog {
                     })
                 };
                 if block.epoch < end.epoch {
-                    let allowed = format!("{} as that of the last frames, or higher", end.epoch);
+                    let allowed = format!("at least {}, the epoch of the last frames", end.epoch);
                     return refused("epoch", block.epoch.to_string(), allowed);
                 }
                 if block.epoch == end.epoch {
@@ -344,7 +344,7 @@ impl FrameLog {
                     }
                     if end.ended {
                         let allowed =
-                            format!("below {} where epoch {} has ended", end.next, end.epoch);
+                            format!("below {}, where epoch {} ended", end.next, end.epoch);
                         return refused(
                             "number of the last frame",
                             (block.end() - 1).to_string(),

@@ -165,7 +165,7 @@ impl McapWriter {
         let (channel_id, sequence) = *self
             .channels
             .get(place)
-            .ok_or_else(|| refused("there must be such a channel"))?;
+            .ok_or_else(|| refused("the channel must exist"))?;
         if let Some((_, sequence)) = self.channels.get_mut(place) {
             *sequence = sequence.wrapping_add(1);
         }

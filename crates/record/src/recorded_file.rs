@@ -222,7 +222,7 @@ impl<'a> Reading<'a> {
                     .budget
                     .unpack(flate2::read::MultiGzDecoder::new(bytes.as_slice()))
                     .map_err(|found| {
-                        refused(Fault::of_file("compressed content", found, "data of gzip"))
+                        refused(Fault::of_file("compressed content", found, "gzip data"))
                     })?;
                 return self.bytes(inner, &path.with_extension(""), depth + 1);
             }
@@ -288,10 +288,7 @@ impl<'a> Reading<'a> {
             ));
         }
         if !left_out.is_empty() {
-            remarks.push(format!(
-                "left out, of no known format: {}",
-                left_out.join(", ")
-            ));
+            remarks.push(format!("skipped, unknown format: {}", left_out.join(", ")));
         }
         let mut times: BTreeMap<String, usize> = BTreeMap::new();
         for (_, channel) in &channels {
@@ -419,7 +416,7 @@ fn frame_log_folder(path: &Path) -> Result<Contents, RecordError> {
     }
     if !left_out.is_empty() {
         remarks.push(format!(
-            "left out, no segments of the frame log: {}",
+            "skipped, not segments of the frame log: {}",
             left_out.join(", ")
         ));
     }

@@ -29,10 +29,7 @@ impl UnpackingBudget {
                 self.left = left;
                 Ok(bytes)
             }
-            None => Err(format!(
-                "more than {} GiB with what stands before it",
-                MOST_BYTES >> 30
-            )),
+            None => Err(format!("more than {} GiB in total", MOST_BYTES >> 30)),
         }
     }
 }

@@ -7,7 +7,7 @@ use spandrel_record::RecordError;
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
     /// The name of a node is not a valid chunk of a key expression.
-    #[error("name of a node is no key")]
+    #[error("name of a node is not a valid key")]
     Name(#[from] NameError),
     /// The bus rejected a declaration or is closed.
     #[error(transparent)]

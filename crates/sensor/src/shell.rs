@@ -242,7 +242,7 @@ impl SensorService {
                 let (structure, service) = (self.keys.structure().as_str(), service.as_str());
                 warn!(
                     structure,
-                    "waiting for the {service} service on this bus before anything is sent"
+                    "waiting for the {service} service on this bus before sending samples"
                 );
                 watch.some().await;
             }
@@ -267,7 +267,7 @@ impl SensorService {
         info!(
             structure = self.keys.structure().as_str(),
             frame = last.end(),
-            "nodes go on where the frames end"
+            "nodes resume where the frames end"
         );
         let nodes = self.cutter.nodes().to_vec();
         let cutter =
@@ -383,7 +383,7 @@ impl SensorService {
                         warn!(
                             structure,
                             service = service.as_str(),
-                            "service has not done all samples"
+                            "service has not processed all samples"
                         );
                         break;
                     }

@@ -74,7 +74,7 @@ fn warnings_are_no_failure() {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let page = text(&output.stdout);
     assert!(
-        page.contains("\nwarning: storey-1 rests on the level and the colour of ground"),
+        page.contains("\nwarning: storey-1 depends on the level and the spectrum of ground"),
         "{page}"
     );
 }

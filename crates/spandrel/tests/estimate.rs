@@ -234,7 +234,7 @@ fn channels_that_are_swapped_are_warned_of() {
     );
     let warning = told["warnings"][0].as_str().unwrap();
     assert!(
-        warning.starts_with("noise of floors is ") && warning.contains("a channel swapped"),
+        warning.starts_with("noise of floors is ") && warning.contains("a swapped channel"),
         "{warning}"
     );
 }

@@ -131,7 +131,8 @@ impl<'t> StructureFile<'t> {
             .as_ref()
             .filter(|distributed| *distributed.get_ref() && declared == 0)
         {
-            let allowed = "must not be distributed without a [[parameter]]: parameters are what nodes find and share";
+            let allowed = "must not be distributed without a [[parameter]]: nodes identify and \
+                share parameters";
             diagnostics.report(
                 distributed.span(),
                 "structure.identification",
@@ -180,7 +181,8 @@ impl<'t> StructureFile<'t> {
             .as_ref()
             .filter(|is| *is.get_ref() && !responses.is_empty())
         {
-            let allowed = "must not be distributed beside [[response]]: a station follows parameters, not the motion";
+            let allowed = "must not be distributed with [[response]]: a station estimates \
+                parameters, not the motion";
             diagnostics.report(
                 distributed.span(),
                 "structure.identification",
@@ -359,7 +361,7 @@ fn check_unique(section: &Section<'_>, key: &str, names: &[Spanned<String>]) {
             .iter()
             .any(|earlier| earlier.get_ref() == name.get_ref())
         {
-            let found = format!("is \"{}\" once more", name.get_ref());
+            let found = format!("repeats \"{}\"", name.get_ref());
             section
                 .diagnostics()
                 .report(name.span(), key, found, "must be unique");

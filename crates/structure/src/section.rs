@@ -396,7 +396,7 @@ impl<'t> Section<'t> {
         let value = self.value(key)?;
         let text = value.get_ref().as_str();
         if text.is_none() {
-            self.refuse(key, value, "must be a text in quotes");
+            self.refuse(key, value, "must be a quoted string");
         }
         text.map(|text| Spanned::new(value.span(), text.to_owned()))
     }
@@ -542,7 +542,7 @@ impl<'t> Section<'t> {
             self.refuse(
                 key,
                 value,
-                format!("must be a list, each the number or the name of a {of}"),
+                format!("must be a list with the number or the name of each {of}"),
             );
             return None;
         };

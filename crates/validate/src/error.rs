@@ -17,7 +17,7 @@ pub enum ValidateError {
     #[error("the structure of the case is wrong: {0}")]
     Structure(#[from] spandrel_structure::StructureError),
     /// An example contradicts itself.
-    #[error("the {what} of the example does not hold together")]
+    #[error("the {what} of the example is inconsistent")]
     Example {
         /// Inconsistent part of the example.
         what: &'static str,
@@ -35,7 +35,7 @@ pub enum ValidateError {
     #[error("stopped")]
     Stopped,
     /// No case has this name.
-    #[error("there is no case {found}; cases are {known}")]
+    #[error("unknown case {found}, must be one of: {known}")]
     UnknownCase {
         /// Requested name.
         found: String,

@@ -339,7 +339,7 @@ mod tests {
             "{page}"
         );
         assert!(
-            page.contains("No outcome is kept of") && page.contains("`ekf.tower`"),
+            page.contains("No stored outcome of") && page.contains("`ekf.tower`"),
             "{page}"
         );
     }

@@ -24,7 +24,8 @@ impl Seeds {
 pub enum SeedsError {
     /// The text is neither a number nor two numbers separated by two full stops.
     #[error(
-        "`{found}` is no range of seeds, must be a number such as 5 (seeds 1 to 5) or a range such as 4..8"
+        "invalid range of seeds `{found}`, must be a number such as 5 (seeds 1 to 5) or a range \
+         such as 4..8"
     )]
     Form {
         /// Invalid text.

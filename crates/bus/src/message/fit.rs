@@ -41,7 +41,7 @@ impl FitVerdict {
     pub fn words(self) -> &'static str {
         match self {
             Self::Supported => "the data support the model",
-            Self::Doubtful => "the model leaves out something that matters",
+            Self::Doubtful => "the model omits a significant effect",
             Self::Contradicted => "the data contradict the model",
         }
     }
@@ -101,11 +101,11 @@ impl FitReason {
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
-            Self::InnovationBurst => "the innovations have burst",
-            Self::ParameterAtBound => "a parameter rests on its bound",
+            Self::InnovationBurst => "the innovations suddenly became large",
+            Self::ParameterAtBound => "a parameter is at its bound",
             Self::FarFromPrior => "a parameter lies far outside its prior",
             Self::LittleExplained => "the model explains too little of the response",
-            Self::ExcessNoise => "the noise found is much larger than the noise stated",
+            Self::ExcessNoise => "the estimated noise is much larger than the stated noise",
             Self::CorrelatedInnovations => "the innovations are correlated over time",
             Self::WanderingParameters => {
                 "the corrections of a parameter keep their sign for too long"
@@ -179,7 +179,7 @@ impl<'de> Deserialize<'de> for FitReasons {
         match bits & !known.0 {
             0 => Ok(Self(bits)),
             unknown => Err(D::Error::custom(format_args!(
-                "bits {unknown:#b} are no reasons of a fit"
+                "bits {unknown:#b} are not reasons of a fit"
             ))),
         }
     }
@@ -187,7 +187,7 @@ impl<'de> Deserialize<'de> for FitReasons {
 
 /// Describes a verdict and its reasons.
 ///
-/// Example: `the data contradict the model: a parameter rests on its bound`.
+/// Example: `the data contradict the model: a parameter is at its bound`.
 #[must_use]
 pub fn fit_in_words(verdict: FitVerdict, reasons: FitReasons) -> String {
     match verdict {
@@ -243,12 +243,13 @@ impl UndecidedBecause {
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
-            Self::NoiseTraining => "the filter still learns its noise levels",
-            Self::ExcitationSilent => "a measured excitation delivers no samples that can be used",
+            Self::NoiseTraining => "the filter is still learning its noise levels",
+            Self::ExcitationSilent => "a measured excitation delivers no usable samples",
             Self::FitContradicted => FitVerdict::Contradicted.words(),
-            Self::ParameterAtBound => "the estimate rests on a bound of the parameter",
+            Self::ParameterAtBound => "the estimate is at a bound of the parameter",
             Self::NothingLearnt => {
-                "the estimate or its reference is too uncertain to show twice the loss of the rule"
+                "the estimate or its reference is too uncertain to reveal even twice the loss of \
+                 the rule"
             }
         }
     }
@@ -295,7 +296,7 @@ impl FitDisplay {
     #[must_use]
     pub fn words(&self) -> String {
         let followed = if self.follows_jump {
-            "; a sudden change is being followed"
+            "; the filter is tracking a sudden change"
         } else {
             ""
         };
@@ -417,7 +418,7 @@ mod tests {
         let words = display(FitVerdict::Doubtful, &[FitReason::CorrelatedInnovations]).words();
         assert_eq!(
             words,
-            "the model leaves out something that matters: the innovations are correlated over time"
+            "the model omits a significant effect: the innovations are correlated over time"
         );
         let shown = FitDisplay {
             follows_jump: true,
@@ -425,7 +426,7 @@ mod tests {
         };
         assert_eq!(
             shown.words(),
-            "the data support the model; a sudden change is being followed"
+            "the data support the model; the filter is tracking a sudden change"
         );
     }
 

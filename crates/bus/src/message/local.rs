@@ -73,7 +73,7 @@ impl ToldSamples {
 
     fn check(&self) -> Result<(), Malformed> {
         check_count(
-            "channels of told samples",
+            "channels of sent samples",
             self.exponents.len(),
             1,
             MAX_CHANNELS,
@@ -91,7 +91,7 @@ impl ToldSamples {
         match self.units.len() == expected {
             true => Ok(()),
             false => Err(Malformed::Length {
-                what: "told samples",
+                what: "sent samples",
                 found: self.units.len(),
                 expected,
             }),

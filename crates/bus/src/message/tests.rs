@@ -400,8 +400,8 @@ fn told_samples_that_cannot_be_are_refused() {
     };
     assert!(local(ToldSamples::new(&[1.0; 4], &[0, 0])).check().is_ok());
     for (samples, exponents, what) in [
-        (3, vec![0, 0], "told samples"),
-        (1, vec![], "channels of told samples"),
+        (3, vec![0, 0], "sent samples"),
+        (1, vec![], "channels of sent samples"),
         (1, vec![1001], "exponent of a unit"),
     ] {
         let error = local(ToldSamples::new(&vec![1.0; samples], &exponents))

@@ -15,7 +15,7 @@ pub(super) fn check_text(what: &'static str, text: &str) -> Result<(), Malformed
         Some(found) => Err(Malformed::Control {
             what,
             found,
-            allowed: "none but line breaks and tabs",
+            allowed: "none except line breaks and tabs",
         }),
         None => Ok(()),
     }

@@ -98,7 +98,7 @@ fn the_key_of_another_certificate_is_refused() {
     .unwrap();
     refused(
         &files.tls,
-        &["own.key", "is not that of certificate", "own.pem"],
+        &["own.key", "does not match certificate", "own.pem"],
     );
 }
 
@@ -114,5 +114,5 @@ fn the_certificate_of_another_authority_is_refused() {
         authority: Some(theirs.tls.authority()),
         ..ours.tls.clone()
     };
-    refused(&mixed, &["own.pem", "has not issued it"]);
+    refused(&mixed, &["own.pem", "did not issue it"]);
 }

@@ -146,7 +146,9 @@ fn a_structure_of_which_nothing_ever_comes_needs_attention() {
     let found = overview(&store);
     assert_eq!(found.level, Level::Stale);
     assert!(
-        found.sentence.contains("nothing has been measured"),
+        found
+            .sentence
+            .contains("no data since this page was started"),
         "{}",
         found.sentence
     );
@@ -167,17 +169,17 @@ fn an_alert_that_somebody_has_seen_is_still_told_when_data_stop() {
     let found = overview(&store);
     assert_eq!(found.level, Level::Stale);
     assert!(
-        found.sentence.starts_with(&why) && found.sentence.contains("nothing is measured"),
+        found.sentence.starts_with(&why) && found.sentence.contains("no new data"),
         "{}",
         found.sentence
     );
 }
 
-/// Regression test: only "nothing is measured" was shown above the button that acknowledges a
+/// Regression test: only "no new data" was shown above the button that acknowledges a
 /// cleared alert.
 #[test]
 fn what_somebody_should_look_at_is_told_when_data_stop() {
-    let as_it_was = "nothing is measured: what is shown is how it was";
+    let as_it_was = "no new data; this page shows the last state";
     for state in [AlertState::Cleared, AlertState::Pending] {
         let mut store = demo();
         store.handle(parameter("storey-2", 1, 0.85, 1.0));
@@ -203,8 +205,8 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
     store.handle(Input::Alert(alert("storey-2", 1, AlertState::Cleared)));
     store.handle(Input::Alert(alert("storey-3", 1, AlertState::Acknowledged)));
     store.handle(at(60.0));
-    let all = "not used: floor-3; the estimates rest on the other sensors; the service alert is gone; storey-2 is cleared; \
-               storey-3 is acknowledged; ";
+    let all = "not used: floor-3; the estimates use the other sensors; the service alert is gone; \
+               storey-2 is cleared; storey-3 is acknowledged; ";
     assert_eq!(overview(&store).sentence, format!("{all}{as_it_was}"));
 }
 
@@ -473,7 +475,7 @@ fn contradicted_fit_warns_also_where_no_rule_watches() {
     store.handle(fit(FitVerdict::Contradicted, &[FitReason::ExcessNoise]));
     let found = overview(&store);
     let words =
-        "the data contradict the model: the noise found is much larger than the noise stated";
+        "the data contradict the model: the estimated noise is much larger than the stated noise";
     assert_eq!(
         (found.level, found.sentence.as_str(), found.fit),
         (Level::Warning, words, Some(FitVerdict::Contradicted))

@@ -14,7 +14,7 @@ impl Identification {
         if step.training_ended {
             let why = match self.estimator.settings().noise_settings.rule {
                 NoiseRule::HalfOrDouble => {
-                    "neither halving nor doubling a level has improved on them for ten frames"
+                    "halving or doubling a level has not improved them for ten frames"
                 }
                 NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => {
                     "their relative deviations are below 10 % and the innovations agree with them"
@@ -25,9 +25,10 @@ impl Identification {
         if step.training_overdue {
             let name = self.most_uncertain_level();
             let why = format!(
-                "the level of {name} is hardly informed by these sensors; see spandrel check"
+                "the sensors provide little information about the level of {name}; see spandrel \
+                 check"
             );
-            let what = "noise levels still in training: no alert is decided on";
+            let what = "noise levels still in training: alerts are suspended";
             outputs.push(self.event(time_ns, EventKind::Unidentified, what, &why));
         }
         if step.training_restarted {
@@ -78,20 +79,21 @@ impl Identification {
             let (kind, what, why) = match change {
                 Some(Heard::Silent) => (
                     EventKind::Unidentified,
-                    format!("{name} is to be measured and has no samples"),
-                    "stiffness rests on a level of it that nobody knows: no alert is decided on",
+                    format!("{name} is declared as measured but has no samples"),
+                    "stiffness estimates depend on its unknown level: alerts are suspended",
                 ),
                 Some(Heard::Stuck) => (
                     EventKind::ChannelExcluded,
                     format!(
-                        "the sensor of {name} is stuck at one value while the structure moves: it is not used"
+                        "the sensor of {name} is stuck at one value while the structure moves: \
+                         its samples are not used"
                     ),
-                    "what shakes the structure is not known: no alert is decided on",
+                    "the excitation of the structure is not known: alerts are suspended",
                 ),
                 Some(Heard::Again) => (
                     EventKind::Calibration,
                     format!("{name} is measured again"),
-                    "the estimates have had time to follow it: alerts are decided on",
+                    "the estimates have had time to settle: alerts are active again",
                 ),
                 None => continue,
             };
@@ -145,7 +147,7 @@ impl Identification {
             return;
         };
         let why = format!(
-            "{:.0} of {} particles count, and the innovations squared are {:.1} times what they predict",
+            "effective particles: {:.0} of {}; squared innovations: {:.1} times their prediction",
             health.effective_share() * particles.count() as f64,
             particles.count(),
             health.misfit(),
@@ -153,7 +155,7 @@ impl Identification {
         let (kind, what) = match health.is_lost() {
             true => (
                 EventKind::Unidentified,
-                "the particles have lost the state: no alert is decided on",
+                "the particles lost the state: alerts are suspended",
             ),
             false => (
                 EventKind::Calibration,
@@ -180,7 +182,7 @@ impl Identification {
                 OutlierChange::FaultEnded => (EventKind::ChannelBack, "the sensor is used again"),
                 OutlierChange::Rescaled | OutlierChange::Trained => (
                     EventKind::Calibration,
-                    "the scale of its residuals was estimated anew",
+                    "the scale of its residuals was re-estimated",
                 ),
             };
             outputs.push(Output::Event(Event {

@@ -200,7 +200,7 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
         .unwrap();
     assert!(is_lost(&ended), "{ended:?}");
     let expected = format!(
-        "samples {poisoned} to {} are set aside: they count as missing",
+        "samples {poisoned} to {} are skipped and count as missing",
         poisoned + BLOCK - 1
     );
     let told = async { while events.messages().recv_async().await.unwrap().1.what != expected {} };

@@ -28,9 +28,12 @@ impl IdentifyService {
         let (kind, what) = match self.load.load() {
             Load::DisplayShed => (
                 EventKind::Overloaded,
-                "values for people are put at a tenth of their rate",
+                "display values are published at a tenth of their rate",
             ),
-            Load::Normal => (EventKind::CaughtUp, "values for people are put as ever"),
+            Load::Normal => (
+                EventKind::CaughtUp,
+                "display values are published at their normal rate",
+            ),
             Load::Behind | Load::CatchingUp => return Ok(true),
         };
         if matches!(self.seat, Seat::Leading(_)) {

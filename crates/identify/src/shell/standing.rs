@@ -125,8 +125,8 @@ impl IdentifyService {
     /// status tick retries.
     async fn join(&mut self, leader: &Claim) -> Result<(), IdentifyError> {
         let failed = match self.bus.ask_for_state(&self.keys, STATE_WITHIN).await? {
-            None => "no answer".to_owned(),
-            Some(message) if message.term != leader.term() => "another one answered".to_owned(),
+            None => "no reply".to_owned(),
+            Some(message) if message.term != leader.term() => "another process replied".to_owned(),
             Some(message) => match identity(&self.structure).open(&message.checkpoint) {
                 Err(why) => why.to_string(),
                 Ok(state) => {
@@ -134,7 +134,7 @@ impl IdentifyService {
                     match core.restore(state) {
                         Err(why) => why.to_string(),
                         Ok(()) => {
-                            info!(structure = self.keys.structure().as_str(), %leader, frame = core.done(), "stands by");
+                            info!(structure = self.keys.structure().as_str(), %leader, frame = core.done(), "standing by");
                             self.failed_joins = 0;
                             return self.stand_by(core, Some(leader.clone())).await;
                         }
@@ -148,7 +148,8 @@ impl IdentifyService {
         // A process that has just taken over might not reply yet.
         if self.failed_joins > 1 && self.failed_joins.is_power_of_two() {
             let (structure, times) = (self.keys.structure().as_str(), self.failed_joins);
-            warn!(structure, %leader, why = failed, times, "cannot stand by: no state of the one that leads");
+            warn!(structure, %leader, why = failed, times, "cannot stand by: no state from the \
+                leader");
         }
         Ok(())
     }
@@ -210,7 +211,7 @@ impl IdentifyService {
         if ingest?.is_empty() || leader.is_some() {
             return Ok(()); // the claim will appear or disappear
         }
-        self.lead("nobody else leads").await
+        self.lead("no other process leads").await
     }
 
     /// Claims the lead, and leads unless another process makes a higher claim at the same time.
@@ -277,7 +278,7 @@ impl IdentifyService {
             self.displays.put(&output).await?;
         }
         self.awake = Instant::now();
-        let what = format!("identification is led by {claim} from now on");
+        let what = format!("identification is now led by {claim}");
         info!(structure = self.keys.structure().as_str(), %claim, why, frame = position.map(|(_, done)| done), "leads");
         self.seat = Seat::Leading(Leading {
             claim,
@@ -288,7 +289,7 @@ impl IdentifyService {
             _description: description,
         });
         if in_step_with.is_some() {
-            let why = format!("the one that led in term {former} is gone");
+            let why = format!("the leader of term {former} has disappeared");
             self.tell(EventKind::Takeover, what, why).await?;
         }
         Ok(())
@@ -296,7 +297,8 @@ impl IdentifyService {
 
     /// Stops publishing because another process leads. Subscribers would reject further messages.
     async fn step_back(&mut self, leader: Claim) -> Result<(), IdentifyError> {
-        warn!(structure = self.keys.structure().as_str(), %leader, "superseded: another one leads, this one puts nothing more");
+        warn!(structure = self.keys.structure().as_str(), %leader, "superseded: another process \
+            leads, this process stops publishing");
         self.hear(Some(&leader));
         self.leave();
         self.join(&leader).await
@@ -367,7 +369,7 @@ impl IdentifyService {
                 }
             };
             if let Err(error) = Handle::current().block_on(answered) {
-                warn!(%error, "state not given to one that would stand by");
+                warn!(%error, "state not sent to a standby");
             }
         });
     }

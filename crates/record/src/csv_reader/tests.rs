@@ -172,7 +172,7 @@ fn errors_name_file_line_found_and_allowed() {
     );
     assert_eq!(
         message("time,a,b\n0,1\n"),
-        "hall.csv:2: row has 2 fields, must have 3 as the header"
+        "hall.csv:2: row has 2 fields, must have 3 like the header"
     );
     assert_eq!(
         message("time,a,b\nnoon,1,2\n"),
@@ -184,7 +184,7 @@ fn errors_name_file_line_found_and_allowed() {
     );
     assert_eq!(
         message("time,a,b\n0,1,2\n0.5,1,2\n0.5,1,2\n"),
-        "hall.csv:4: time 0.5 s is not later than 0.5 s of the row before, must increase"
+        "hall.csv:4: time 0.5 s is not later than 0.5 s of the previous row, must increase"
     );
 }
 

@@ -129,7 +129,7 @@ fn read_channel(
         .trim_end_matches('.')
         .to_owned();
     let columns =
-        format_of(&lower).ok_or_else(|| refused("columns", "`Format=(8F10.5)` or alike"))?;
+        format_of(&lower).ok_or_else(|| refused("columns", "`Format=(8F10.5)` or similar"))?;
     let samples = lines.numbers(columns, count, quantity)?;
     let end = lines.line("the end of the channel")?;
     if !end
@@ -137,7 +137,7 @@ fn read_channel(
         .replace('-', " ")
         .contains("end of data")
     {
-        let allowed = "`End-of-data` behind the samples";
+        let allowed = "`End-of-data` after the samples";
         return Err(Fault::at_line(
             lines.number(),
             "line",
@@ -198,7 +198,7 @@ fn counted(lines: &mut TextLines<'_>, what: &str) -> Result<(usize, NumberColumn
             lines.number(),
             "columns",
             format!("`{}`", line.trim()),
-            "`Format= (10I8)` or alike",
+            "`Format= (10I8)` or similar",
         )
     };
     Ok((

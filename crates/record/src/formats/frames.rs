@@ -51,9 +51,9 @@ impl FrameRows {
         let refused = |found: String| {
             Fault::at_byte(
                 place,
-                "message of frames before here",
+                "preceding message of frames",
                 found,
-                "as its schema says",
+                "as specified by its schema",
             )
         };
         let block = decode_frames(message)
@@ -103,7 +103,7 @@ impl FrameRows {
         if order.len() < times_ns.len() {
             let left_out = times_ns.len() - order.len();
             remarks.push(format!(
-                "{left_out} frames are of times that another frame has, and are left out"
+                "{left_out} frames have the time of another frame and are skipped"
             ));
         }
         let sorted_ns: Vec<i64> = order.iter().map(|row| times_ns[*row]).collect();

@@ -46,7 +46,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     };
     let version = file.u16()?;
     if version != LEVEL_5 {
-        let allowed = "level 5 (0100): save it with `-v7`; version 7.3 is HDF5 and is not read";
+        let allowed = "level 5 (0100): save it with `-v7`; version 7.3 is HDF5 and is not \
+            supported";
         return Err(Fault::at_byte(
             HEADER_BYTES - 4,
             "version of the MAT-file",
@@ -64,16 +65,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
             COMPRESSED => {
                 let decoder = flate2::read::ZlibDecoder::new(data);
                 let element = budget.unpack(decoder).map_err(|found| {
-                    Fault::at_byte(start, "compressed element", found, "data of zlib")
+                    Fault::at_byte(start, "compressed element", found, "zlib data")
                 })?;
                 let mut element = Bytes::new(&element, file.order);
                 let (kind, data) = tagged(&mut element).map_err(|_| {
-                    Fault::at_byte(
-                        start,
-                        "compressed element",
-                        "shorter than it states",
-                        "whole",
-                    )
+                    Fault::at_byte(start, "compressed element", "shorter than stated", "whole")
                 })?;
                 if kind == MATRIX {
                     // Positions in decompressed data are meaningless to the user.
@@ -81,8 +77,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
                         Fault::at_byte(
                             start,
                             "compressed variable",
-                            format!("wrong inside ({fault})"),
-                            "an array of MATLAB",
+                            format!("invalid ({fault})"),
+                            "a MATLAB array",
                         )
                     })?;
                     variables.extend(named);

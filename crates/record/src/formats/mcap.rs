@@ -46,7 +46,7 @@ struct Topic {
 }
 
 /// Remark on a file without an end.
-const CUT_OFF: &str = "the file was cut off: it is read up to its last whole chunk";
+const CUT_OFF: &str = "the file is truncated: only its complete chunks are read";
 
 /// Reads the frames of a frame log segment. Returns remarks for the user.
 pub(crate) fn read_frames(bytes: &[u8], frames: &mut FrameRows) -> Result<Vec<String>, Fault> {
@@ -97,7 +97,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), 
     }
     if !others.is_empty() {
         remarks.push(format!(
-            "topics that are not JSON are left out: {}",
+            "skipped topics that are not JSON: {}",
             others.join(", ")
         ));
     }
@@ -127,17 +127,18 @@ fn each_record(
                 used += given;
             }
             Ok(LinearReadEvent::Record { data, opcode }) => {
-                let record = parse_record(opcode, data)
-                    .map_err(|error| Fault::at_byte(used, "record", told(&error), "one of MCAP"))?;
+                let record = parse_record(opcode, data).map_err(|error| {
+                    Fault::at_byte(used, "record", told(&error), "an MCAP record")
+                })?;
                 take(used, record)?;
             }
             Err(McapError::UnexpectedEof) if used == bytes.len() => return Ok(false),
             Err(error) => {
                 return Err(Fault::at_byte(
                     used,
-                    "record before here",
+                    "preceding record",
                     told(&error),
-                    "whole and undamaged",
+                    "complete and undamaged",
                 ));
             }
         }
@@ -147,7 +148,7 @@ fn each_record(
 
 /// Formats an error of the crate `mcap`.
 fn told(error: &McapError) -> String {
-    format!("wrong ({error})")
+    format!("invalid ({error})")
 }
 
 fn take(
@@ -175,7 +176,7 @@ fn take(
                     place,
                     "channel of a message",
                     header.channel_id,
-                    "one that the file states before it",
+                    "declared earlier in the file",
                 )
             })?;
             if topic.encoding == FRAMES_ENCODING {
@@ -196,7 +197,7 @@ fn take(
                 Fault::at_byte(
                     place,
                     format!("message of {}", topic.name),
-                    format!("wrong ({error})"),
+                    format!("invalid ({error})"),
                     "JSON",
                 )
             })?;
@@ -271,11 +272,11 @@ impl Topic {
             };
             samples.sort_by_key(|(time_ns, _)| *time_ns);
             if let Some(pair) = samples.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-                let found = format!("there twice at {} ns", pair[0].0);
+                let found = format!("present twice at {} ns", pair[0].0);
                 return Err(Fault::of_file(
                     format!("sample of {name}"),
                     found,
-                    "there once at any time",
+                    "present at most once per time",
                 ));
             }
             let (times_ns, values): (Vec<i64>, Vec<f64>) = samples.into_iter().unzip();

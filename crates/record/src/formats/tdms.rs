@@ -120,7 +120,7 @@ fn read_segment(
         Ok(next) if next <= left => next,
         _ if is_unfinished => left,
         _ => {
-            let allowed = format!("{left}, the bytes to the end of the file, or less");
+            let allowed = format!("at most {left}, the bytes to the end of the file");
             return Err(Fault::at_byte(12, "length of the segment", next, allowed));
         }
     };

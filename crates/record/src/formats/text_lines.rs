@@ -115,7 +115,7 @@ impl<'a> TextLines<'a> {
                     self.number,
                     what,
                     found,
-                    "a whole last line",
+                    "a complete last line",
                 ));
             }
             if read.len() != expected {
@@ -259,7 +259,7 @@ mod tests {
         );
         assert_eq!(
             told("1.0   2.0\n3.0   4."),
-            "line 2: velocity is cut off after `3.0   4.`, must be a whole last line"
+            "line 2: velocity is cut off after `3.0   4.`, must be a complete last line"
         );
         assert_eq!(
             told("1.0 2.0\n"),

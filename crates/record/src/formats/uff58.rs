@@ -218,7 +218,7 @@ fn read_dataset(
                     start,
                     "abscissa",
                     found,
-                    "later than the one before",
+                    "later than the previous one",
                 ));
             }
             RecordedChannel::from_times(name, None, &times_ns, &samples)
@@ -512,7 +512,7 @@ fn end_of_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
                 let found = format!("`{}`", line.trim_end());
                 return Err(Fault::at_byte(
                     at,
-                    "line behind the values",
+                    "line after the values",
                     found,
                     "`    -1`",
                 ));

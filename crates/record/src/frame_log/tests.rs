@@ -416,11 +416,11 @@ fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
         ),
         (
             frames(4, 0, 2),
-            "epoch is 4, must be 5 as that of the last frames, or higher",
+            "epoch is 4, must be at least 5, the epoch of the last frames",
         ),
         (
             frames(5, 9, 2),
-            "number of the last frame is 10, must be below 10 where epoch 5 has ended",
+            "number of the last frame is 10, must be below 10, where epoch 5 ended",
         ),
     ];
     for (block, expected) in refused {

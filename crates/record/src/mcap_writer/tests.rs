@@ -63,7 +63,7 @@ fn killed_writer_loses_its_last_chunk_alone() {
     }
     assert_eq!(
         file.remarks(),
-        ["the file was cut off: it is read up to its last whole chunk"]
+        ["the file is truncated: only its complete chunks are read"]
     );
 }
 
@@ -108,7 +108,7 @@ fn damage_within_a_chunk_is_told_with_its_place() {
     bytes[middle as usize] ^= 0x40;
     let told = read(&bytes).unwrap_err().to_string();
     assert!(
-        told.contains("MCAP: byte ") && told.contains("must be whole and undamaged"),
+        told.contains("MCAP: byte ") && told.contains("must be complete and undamaged"),
         "{told}"
     );
 }

@@ -54,7 +54,7 @@ fn archive_gives_its_recordings_and_tells_what_is_none() {
         file.channels()[1].samples().collect::<Vec<_>>(),
         [0.75, -0.5]
     );
-    assert_eq!(file.remarks(), ["left out, of no known format: ReadMe.txt"]);
+    assert_eq!(file.remarks(), ["skipped, unknown format: ReadMe.txt"]);
 }
 
 #[test]

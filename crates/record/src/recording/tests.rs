@@ -137,7 +137,7 @@ fn unknown_format_names_the_known_ones() {
         .to_string();
     assert!(
         error.ends_with(
-            "is of no known format, must be one of text table (CSV), miniSEED, COSMOS, CSMIP volume 2, \
+            "unknown format, must be one of text table (CSV), miniSEED, COSMOS, CSMIP volume 2, \
         MATLAB level 5, universal file (58), PEER AT2, SMC, TDMS, MCAP, gzip, zip archive, folder"
         ),
         "{error}"

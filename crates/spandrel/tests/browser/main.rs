@@ -264,7 +264,7 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
         .await;
     for (column, shape) in [
         (2, r"^[\d.]+ \([\d.]+\)$"),
-        (3, r"^\d{4}-\d\d-\d\d .* UTC \(\d+ % of late\)$"),
+        (3, r"^\d{4}-\d\d-\d\d .* UTC \(\d+ % recently\)$"),
         (4, r"^\d{4}-\d\d-\d\d .* UTC$"),
         (5, r"^[\d.]+ kB$"),
         (6, r"^[\d.]+ kB$"),
@@ -431,7 +431,7 @@ async fn model_classes_and_rejected_samples_are_plotted() {
     browser.screenshot("classes").await;
     browser.wait("outliers", &shown("outliers")).await;
     let rejected = "document.querySelector('#group-outliers .readout').textContent";
-    let shape = r"/^.* · [\d.]+ % of the late samples · \d+ rejected here$/";
+    let shape = r"/^.* · [\d.]+ % of the recent samples · \d+ rejected here$/";
     browser
         .wait("what was rejected", &format!("{shape}.test({rejected})"))
         .await;

@@ -34,13 +34,22 @@ impl fmt::Display for Assumption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Masses => {
-                "masses: what is heavier by 10 % than the file says reads as 10 % more stiffness, a learnt reference removes that"
+                "masses: a mass error of 10 % appears as a stiffness error of 10 %, unless the \
+                 reference is learnt"
             }
-            Self::Damping => "damping: it is fixed, and rarely known to a factor of two",
-            Self::Connections => "connections: joints, walls and fittings carry as the model says, and nothing yields or rattles",
+            Self::Damping => "damping: fixed, although rarely known to a factor of two",
+            Self::Connections => {
+                "connections: joints, walls and fittings behave as modelled; \
+                nothing yields or rattles"
+            }
             Self::Soil => "soil: the foundation neither rocks nor slides",
-            Self::SensorPositions => "sensors: each is where the file has it, with its sign, its unit and its axis",
-            Self::Temperature => "temperature: a daily cycle of stiffness, often some per cent, reads as damage and repair",
+            Self::SensorPositions => {
+                "sensors: the file states the correct position, sign, unit and axis of each sensor"
+            }
+            Self::Temperature => {
+                "temperature: the daily cycle of stiffness, often several per \
+                cent, looks like damage and repair"
+            }
         })
     }
 }

@@ -55,9 +55,9 @@ impl Structure {
         }
         // The period is proportional to the square root of mass over stiffness.
         let cause = if plausible(period_s * UNIT.sqrt()) {
-            Some("masses in tonnes would do that: they are in kg here")
+            Some("masses must be in kg; masses in tonnes have this effect")
         } else if plausible(period_s / UNIT.sqrt()) {
-            Some("stiffnesses in kN/m would do that: they are in N/m here")
+            Some("stiffnesses must be in N/m; stiffnesses in kN/m have this effect")
         } else {
             None
         };

@@ -260,11 +260,12 @@ impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotObservable => f.write_str(
-                "some mode is neither damped nor seen by a sensor: no filter settles on it",
+                "a mode is neither damped nor observed by a sensor: no filter converges",
             ),
             Self::Uninformed { parameter, ratio } => write!(
                 f,
-                "{parameter}: these sensors hardly inform it, its standard deviation stays at {:.0} % of the prior",
+                "{parameter}: the sensors provide little information about it; its standard \
+                 deviation stays at {:.0} % of the prior",
                 100.0 * ratio
             ),
             Self::ParametersConfounded {
@@ -274,7 +275,8 @@ impl fmt::Display for Finding {
             } => {
                 write!(
                     f,
-                    "{first} and {second} cannot be told apart by these sensors (correlation {correlation:.3})"
+                    "the sensors cannot distinguish {first} from {second} (correlation \
+                     {correlation:.3})"
                 )
             }
             Self::LevelConfounded {
@@ -286,14 +288,15 @@ impl fmt::Display for Finding {
             } => {
                 write!(
                     f,
-                    "{parameter} and the level of {level} cannot be told apart reliably by these sensors: a level stated 10 % too \
+                    "the sensors cannot reliably distinguish {parameter} from the level of \
+                     {level}: a level stated 10 % too \
                      high shifts {parameter} by {:+.1} % (correlation {correlation:.2})",
                     100.0 * shift
                 )?;
                 f.write_str(if *adapted {
-                    "; but the file asks to adapt that level: state it, or measure it"
+                    "; the file requests to adapt that level: state or measure it instead"
                 } else {
-                    "; the result rests on the level that the file states, do not adapt it"
+                    "; the result depends on the stated level, do not adapt it"
                 })
             }
             Self::SlowToSettle {
@@ -302,8 +305,8 @@ impl fmt::Display for Finding {
                 memory_s,
             } if settling_s.is_infinite() => write!(
                 f,
-                "{parameter}: the filter hardly forgets an error, although its memory is {memory_s:.0} s, and reports an interval \
-                 that is too narrow"
+                "{parameter}: an error of the filter hardly decays, although its memory is \
+                 {memory_s:.0} s, and the reported interval is too narrow"
             ),
             Self::SlowToSettle {
                 parameter,
@@ -311,18 +314,19 @@ impl fmt::Display for Finding {
                 memory_s,
             } => write!(
                 f,
-                "{parameter}: the filter takes {settling_s:.0} s to forget an error, not the {memory_s:.0} s of its memory, \
-                 and reports an interval that is too narrow meanwhile"
+                "{parameter}: an error of the filter decays within {settling_s:.0} s instead of \
+                 the {memory_s:.0} s of its memory, and the reported interval is too narrow until \
+                 then"
             ),
             Self::HastyLevel { level, haste } => write!(
                 f,
-                "the level of {level} would be adapted {haste:.0} times faster than its half-life says: give a \
-                 noise-half-life-s that much longer, or state the level"
+                "the level of {level} would be adapted {haste:.0} times faster than its half-life \
+                 allows: increase noise-half-life-s by that factor, or state the level"
             ),
             Self::BandLimited { frequency_hz } => write!(
                 f,
-                "the deviations are those of the whole band: above the declared limit of {frequency_hz} Hz the data are cut off, \
-                 and what remains holds less"
+                "the deviations apply to the whole band, but the data are cut off above the \
+                 declared limit of {frequency_hz} Hz and contain less information"
             ),
             Self::AliasedModes {
                 modes,
@@ -330,8 +334,9 @@ impl fmt::Display for Finding {
                 nyquist_hz,
             } => write!(
                 f,
-                "{modes} of {of} modes lie above {nyquist_hz} Hz, half the sampling rate: what shakes them shows at lower \
-                 frequencies unless it is filtered off before it is sampled; a higher rate or a coarser model has no such modes"
+                "{modes} of {of} modes lie above {nyquist_hz} Hz, half the sampling rate: their \
+                 vibration aliases to lower frequencies unless it is filtered before sampling; \
+                 use a higher rate or a coarser model"
             ),
             Self::SubstepsNeeded {
                 substeps,
@@ -347,7 +352,8 @@ impl fmt::Display for Finding {
                 error,
             } => write!(
                 f,
-                "{parameter} rests on the level and the colour of {excitations}, which nobody measures: they leave it uncertain by \
+                "{parameter} depends on the level and the spectrum of {excitations}, which no \
+                 sensor measures: it stays uncertain by \
                  {:.1} %, however long the record",
                 100.0 * error
             ),
@@ -377,8 +383,8 @@ impl fmt::Display for Finding {
             } => {
                 write!(f, "between frames the measured excitation ")?;
                 match *delay_s > 0.0 {
-                    true => write!(f, "is held, and late by {:.1} ms: ", 1e3 * delay_s)?,
-                    false => write!(f, "runs straight: ")?,
+                    true => write!(f, "is held, which delays it by {:.1} ms: ", 1e3 * delay_s)?,
+                    false => write!(f, "is interpolated linearly: ")?,
                 }
                 write!(
                     f,
@@ -409,11 +415,13 @@ impl fmt::Display for Finding {
             ),
             Self::LightFloors { heaviest_kg } => write!(
                 f,
-                "no floor weighs more than {heaviest_kg} kg: right for a bench model; if it is a building, masses are in kg here"
+                "no floor weighs more than {heaviest_kg} kg: plausible for a bench model; for a \
+                 building, masses must be in kg"
             ),
             Self::ImplausibleLevel { excitation, std } => write!(
                 f,
-                "{excitation} moves by {std:e} m/s2, which no ground does: its unit is m/s2, not g, cm/s2 or mm/s2"
+                "{excitation} has a standard deviation of {std:e} m/s2, which is implausible for \
+                 a ground motion: its unit must be m/s2, not g, cm/s2 or mm/s2"
             ),
             Self::NoiseAboveSignal {
                 channel,
@@ -422,8 +430,9 @@ impl fmt::Display for Finding {
                 unit,
             } => write!(
                 f,
-                "{channel} has a noise of {noise:.2e} {unit}, and {signal:.2e} {unit} of motion to show: a better sensor, a stronger \
-                 excitation, or is one of the two in another unit (g for m/s2)?"
+                "{channel} has a noise of {noise:.2e} {unit}, and {signal:.2e} {unit} of expected \
+                 motion: use a better sensor or a stronger excitation, or check the units of both \
+                 (g instead of m/s2)"
             ),
             Self::ParticlesInTime { needed_s, step_s } => write!(
                 f,
@@ -433,20 +442,22 @@ impl fmt::Display for Finding {
             ),
             Self::ParticlesTooSlow { needed_s, step_s } => write!(
                 f,
-                "a step of the particles takes about {:.1} ms on one core, and frames come every {:.1} ms: the service falls \
-                 behind; give fewer particles, density = \"prior\", or a lower sampling rate",
+                "a step of the particles takes about {:.1} ms on one core, and frames come every \
+                 {:.1} ms: the service falls behind; use fewer particles, density = \"prior\", or \
+                 a lower sampling rate",
                 1e3 * needed_s,
                 1e3 * step_s
             ),
             Self::ParticlesTooFew { states, particles } => write!(
                 f,
-                "{particles} particles for {states} states and parameters: the particles needed grow exponentially with them, and \
-                 with too few the intervals are much too narrow"
+                "{particles} particles for {states} states and parameters: the required number of \
+                 particles grows exponentially with them, and with too few particles the \
+                 intervals are much too narrow"
             ),
             Self::ModesMissMass { modes, missed } => write!(
                 f,
-                "the {modes} modes that nodes send miss {:.0} % of the mass that the excitation sets going: give more modes, or none, \
-                 which keeps as many as are needed",
+                "the {modes} modes that nodes send miss {:.0} % of the excited mass: specify more \
+                 modes, or omit the setting to send as many as necessary",
                 100.0 * missed
             ),
         }

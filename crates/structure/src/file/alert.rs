@@ -189,7 +189,7 @@ fn read_reference(
             table.diagnostics().report(
                 table.span(),
                 table.key("learn-s"),
-                "is given beside mean or std",
+                "is given together with mean or std",
                 allowed,
             );
         }
@@ -198,7 +198,7 @@ fn read_reference(
         })
     } else {
         let mean = table.require("mean", "must be given (or learn-s, or design-std)", mean);
-        let std = table.require("std", "must be given beside mean", std);
+        let std = table.require("std", "must be given together with mean", std);
         mean.zip(std)
             .map(|(mean, std)| Reference::Given { mean, std })
     };
@@ -211,11 +211,11 @@ fn read_design(mut table: Section<'_>, watched: usize) -> Option<Reference> {
     let std = table.number_for_each("design-std", Allowed::RATIO_DEVIATION, watched);
     for other in ["learn-s", "mean", "std"] {
         if table.contains(other) {
-            let allowed = "must stand alone: the mean is that of the design, 1";
+            let allowed = "must be given alone: the mean is that of the design, 1";
             table.diagnostics().report(
                 table.span(),
                 table.key("design-std"),
-                format!("is given beside {other}"),
+                format!("is given together with {other}"),
                 allowed,
             );
         }

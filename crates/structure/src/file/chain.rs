@@ -156,7 +156,7 @@ const EQUAL: [&str; 4] = [
 fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     let given = |keys: &[&'static str]| keys.iter().copied().find(|key| section.contains(key));
     if let (Some(single), Some(equal)) = (given(&SINGLE), given(&EQUAL)) {
-        let found = format!("is given beside {single}");
+        let found = format!("is given together with {single}");
         let allowed = "must give either masses-kg and stiffnesses-n-per-m, one number per storey, or storeys and mass-kg \
                        with stiffness-n-per-m or first-frequency-hz, for equal storeys";
         section
@@ -214,7 +214,7 @@ fn read_uniform_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     if section.contains("first-frequency-hz") == section.contains("stiffness-n-per-m") {
         let (found, key) = if section.contains("stiffness-n-per-m") {
             (
-                "is given beside stiffness-n-per-m",
+                "is given together with stiffness-n-per-m",
                 section.key("first-frequency-hz"),
             )
         } else {

@@ -227,7 +227,7 @@ fn read_groups(
                 Some(component) if taken[component] => {
                     let (found, allowed) = (
                         format!("names \"{}\" twice", name.get_ref()),
-                        "must name it once at most",
+                        "must name it at most once",
                     );
                     section
                         .diagnostics()
@@ -341,9 +341,10 @@ fn make_groupings(
                 classes[earlier].name.get_ref()
             );
             let allowed = match kind {
-                Kind::Predefined => "must tell every class from the others",
+                Kind::Predefined => "must distinguish every class from the others",
                 Kind::SelfCalibrating | Kind::Hierarchical => {
-                    "must tell every class from the others: to single parts out is to single out all others"
+                    "must distinguish every class from the others: singling out some parts is the \
+                     same as singling out all others"
                 }
             };
             report(section, class.span.clone(), found, allowed);
@@ -396,7 +397,8 @@ fn make_hierarchy(
             counted(classes.len(), "substructure", "substructures")
         );
         let allowed = format!(
-            "must have at least {LEAST_SUBSTRUCTURES}: of two, one against the rest is the other against the rest"
+            "must have at least {LEAST_SUBSTRUCTURES}: with two, both comparisons against the \
+             rest are the same"
         );
         report(section, section.span(), found, &allowed);
         right = false;

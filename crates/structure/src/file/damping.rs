@@ -55,7 +55,7 @@ fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Op
     let coefficients = section.contains("alpha-per-s") || section.contains("beta-s");
     if section.contains("ratio") == coefficients {
         let found = if coefficients {
-            "is given beside alpha-per-s or beta-s"
+            "is given together with alpha-per-s or beta-s"
         } else {
             "is missing"
         };
@@ -164,7 +164,7 @@ fn read_damping_matrix(
             named.span,
             named.key,
             found,
-            format!("must have {len} as the model"),
+            format!("must have {len} like the model"),
         );
         return None;
     }

@@ -49,7 +49,7 @@ pub(super) fn read_excitations(
     if sections.is_empty() {
         file.require(
             "excitation",
-            "must declare what shakes the structure: [[excitation]]",
+            "must declare an excitation: [[excitation]]",
             None::<()>,
         );
     }
@@ -103,7 +103,8 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
     let measured =
         measured_on.and_then(|channel| read_measured(&section, kind, &channel, context.channels?));
     if section.contains("measured-on") && level.factor.is_some() {
-        let allowed = "must not stand beside measured-on: what the level of a measured excitation is, its channel says";
+        let allowed = "must not be given together with measured-on: the channel specifies the \
+            level of a measured excitation";
         section.diagnostics().report(
             section.span(),
             section.key("level-factor"),
@@ -149,8 +150,7 @@ fn read_level(section: &mut Section<'_>) -> Level {
         .number("level-factor", Allowed::FACTOR)
         .map(Spanned::into_inner);
     if adapt == Some(true) && factor == Some(1.0) {
-        let allowed =
-            "must be above 1 beside adapt = true: a level that is known needs no adaptation";
+        let allowed = "must be above 1 with adapt = true: a known level needs no adaptation";
         section
             .diagnostics()
             .report(section.span(), section.key("level-factor"), "is 1", allowed);
@@ -165,7 +165,7 @@ fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
     let intensity = section.number("spectral-intensity", Allowed::DEVIATION);
     if section.contains("std") == section.contains("spectral-intensity") {
         let found = if section.contains("std") {
-            "is given beside spectral-intensity"
+            "is given together with spectral-intensity"
         } else {
             "is missing"
         };
@@ -188,13 +188,13 @@ fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Opti
     let Some(direction) = section.text("direction") else {
         let geometry = system.is_some_and(|system| !system.ground_directions.is_empty());
         if geometry && !section.contains("influence") {
-            let allowed = "must say in which direction the ground moves (or give influence)";
+            let allowed = "must specify the direction of the ground motion (or give influence)";
             section.require("direction", allowed, None::<()>);
         }
         return read_influence(section, system);
     };
     if section.contains("influence") {
-        let allowed = "must not stand beside direction, which says the same";
+        let allowed = "must not be given together with direction, which specifies the same";
         section.diagnostics().report(
             section.span(),
             section.key("influence"),
@@ -300,7 +300,7 @@ fn read_measured(
                 .map(|read| read.channel.name.as_str())
                 .collect::<Vec<_>>()[..]
             {
-                [] => format!("must be a channel of {expected}, of which none is declared"),
+                [] => format!("must be a channel of {expected}, but none is declared"),
                 right => format!("must be a channel of {expected}: {}", right.join(", ")),
             };
             let found = format!("is \"{}\"{of}", channel.get_ref());
@@ -336,7 +336,7 @@ fn check_each_channel_is_used_once(
                 channel.name.span(),
                 "node.channel.name",
                 format!(
-                    "is \"{}\", which measures {} for nothing",
+                    "is \"{}\", which measures {} for no excitation",
                     channel.channel.name, channel.channel.quantity
                 ),
                 "must be named by measured-on of an [[excitation]]",
@@ -348,7 +348,7 @@ fn check_each_channel_is_used_once(
                     "is \"{}\", which already measures {}",
                     channel.channel.name, first.excitation.name
                 ),
-                "must be a channel of its own",
+                "must be a separate channel",
             ),
         }
     }

@@ -123,11 +123,11 @@ fn read_particles(section: &mut Section<'_>) -> Option<ParticleKeys> {
         .map_or(Kind::Kalman, toml::Spanned::into_inner);
     if kind == Kind::Kalman {
         for key in OF_PARTICLES.into_iter().filter(|key| section.contains(key)) {
-            let allowed = "must not be there without kind = \"particle\"";
+            let allowed = "must not be given without kind = \"particle\"";
             section.diagnostics().report(
                 section.span_of(key),
                 section.key(key),
-                "is of no use",
+                "has no effect",
                 allowed,
             );
         }
@@ -161,16 +161,17 @@ pub(super) fn check_particles(
     for (table, why) in [
         (
             "outliers",
-            "must not be there with filter.kind = \"particle\": particles take every sample",
+            "must not be given with filter.kind = \"particle\": particles use every sample",
         ),
         (
             "classes",
-            "must not be there with filter.kind = \"particle\": particles take all parameters singly",
+            "must not be given with filter.kind = \"particle\": particles take all parameters \
+             singly",
         ),
     ] {
         if file.contains(table) {
             file.diagnostics()
-                .report(file.span_of(table), table, "is there", why);
+                .report(file.span_of(table), table, "is given", why);
         }
     }
     if let Some(distributed) = distributed.filter(|is| *is.get_ref()) {

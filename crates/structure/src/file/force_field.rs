@@ -46,7 +46,8 @@ pub(super) fn read_force_field(
     let mean = mean.unwrap_or_else(|| vec![0.0; len]);
     let covariance = if section.contains("covariance") {
         for key in FORMULA_KEYS.into_iter().filter(|key| section.contains(key)) {
-            let allowed = "must not stand beside covariance, which says it all";
+            let allowed = "must not be given together with covariance, which specifies the whole \
+                field";
             section
                 .diagnostics()
                 .report(section.span(), section.key(key), "is given", allowed);
@@ -63,7 +64,7 @@ pub(super) fn read_force_field(
     };
     let covariance = covariance?;
     let Some(factor) = Cholesky::new(covariance.clone()) else {
-        let allowed = "must scatter in a way that is positive definite: no two forces may be one and the same";
+        let allowed = "must have a positive definite covariance: no two forces may be identical";
         section.diagnostics().report(
             section.span(),
             section.key("covariance"),
@@ -105,7 +106,7 @@ fn read_dofs(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
     let repeated = (0..dofs.len()).find(|index| dofs[..*index].contains(&dofs[*index]));
     if dofs.is_empty() || repeated.is_some() {
         let found = repeated.map_or("is empty".to_owned(), |index| {
-            format!("has entry {} once more", index + 1)
+            format!("repeats entry {}", index + 1)
         });
         section
             .diagnostics()
@@ -125,7 +126,7 @@ fn read_deviations(
     let intensity = section.number("intensity", Allowed::POSITIVE);
     if section.contains("std") == section.contains("intensity") {
         let found = if section.contains("std") {
-            "is given beside intensity"
+            "is given together with intensity"
         } else {
             "is missing"
         };
@@ -145,7 +146,7 @@ fn read_deviations(
             intensity.span(),
             section.key("intensity"),
             found,
-            "must have mean forces, or be std",
+            "must have nonzero mean forces, or be given as std",
         );
         return None;
     }
@@ -161,7 +162,7 @@ fn read_correlation(section: &mut Section<'_>, len: usize) -> Option<DMatrix<f64
     let length = section.number("correlation-length", Allowed::POSITIVE);
     let positions = section.numbers("positions", Allowed::ANY);
     if section.contains("positions") && !section.contains("correlation-length") {
-        let allowed = "must have correlation-length beside it, in the same unit";
+        let allowed = "must be given together with correlation-length, in the same unit";
         section.diagnostics().report(
             section.span(),
             section.key("positions"),

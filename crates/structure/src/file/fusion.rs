@@ -103,7 +103,7 @@ pub(super) fn read_fusion(
     else {
         if let Some(mut section) = section {
             let allowed =
-                "must not be there unless identification = \"distributed\" in [structure]";
+                "must not be given unless identification = \"distributed\" in [structure]";
             section
                 .diagnostics()
                 .report(section.span(), "fusion", "is given", allowed);
@@ -133,7 +133,7 @@ pub(super) fn read_fusion(
         file.diagnostics().report(
             span,
             "structure.identification",
-            "is \"distributed\" beside [classes]",
+            "is \"distributed\" with [classes]",
             allowed,
         );
     }
@@ -167,7 +167,7 @@ pub(super) fn read_fusion(
     };
     if let (Rule::Published, Some(sharing)) = (rule, &sharing) {
         let allowed =
-            "must not stand beside rule = \"published\", which takes nodes as independent";
+            "must not be given together with rule = \"published\", which assumes independent nodes";
         section.diagnostics().report(
             sharing.span(),
             section.key("sharing-factor"),
@@ -245,7 +245,8 @@ pub(super) fn read_fusion(
     if let Some(feedback) = feedback.filter(|feedback| *feedback.get_ref() == FeedbackRule::Reset)
         && motion != Motion::Modes
     {
-        let allowed = "must stand beside motion = \"modes\", from which the motion is set anew";
+        let allowed = "must be given together with motion = \"modes\", from which the motion is \
+            reset";
         section.diagnostics().report(
             feedback.span(),
             section.key("feedback"),
@@ -257,8 +258,7 @@ pub(super) fn read_fusion(
         && motion == Motion::Samples
         && let Some(span) = &feedback_span
     {
-        let allowed =
-            "must not be \"none\" beside motion = \"samples\", which come with the answers";
+        let allowed = "must not be \"none\" with motion = \"samples\", which come with the answers";
         section.diagnostics().report(
             span.clone(),
             section.key("feedback"),
@@ -272,7 +272,8 @@ pub(super) fn read_fusion(
             .any(|channel| channel.quantity().is_told_as_response())
     };
     if motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
-        let allowed = "must not be given where no node measures a displacement, a velocity or a strain, which is what nodes tell";
+        let allowed = "must not be given unless a node measures a displacement, a velocity or a \
+            strain, because nodes send only these";
         section.diagnostics().report(
             motion_span,
             section.key("motion"),
@@ -324,7 +325,7 @@ fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
                 .find(|(_, choice)| *choice == detector)
                 .unwrap_or(&DETECTORS[0]);
             let allowed =
-                format!("must not be given beside detector = \"{name}\", which does not read it");
+                format!("must not be given together with detector = \"{name}\", which ignores it");
             section
                 .diagnostics()
                 .report(span, section.key(key), "is given", allowed);

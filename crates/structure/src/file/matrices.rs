@@ -54,7 +54,7 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
                     "degrees of freedom"
                 )
             );
-            let allowed = format!("must have {len} as the mass matrix");
+            let allowed = format!("must have {len} like the mass matrix");
             section
                 .diagnostics()
                 .report(part.span.clone(), &part.key, found, allowed);

@@ -201,7 +201,7 @@ fn read_places(section: &mut Section<'_>, kind: MeshKind) -> Option<Places> {
             let allowed = match (places.dimension, kind.coordinates()) {
                 (0, [only]) => format!("must have {only}"),
                 (0, several) => format!("must have one of {several:?}"),
-                (dimension, _) => format!("must have {dimension} as the nodes before"),
+                (dimension, _) => format!("must have {dimension} like the previous nodes"),
             };
             section.diagnostics().report(
                 at.span(),

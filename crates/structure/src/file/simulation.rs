@@ -142,7 +142,7 @@ fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> 
             height.span(),
             section.key("height"),
             "is given",
-            "must stand beside kind = \"bias\"",
+            "must be given together with kind = \"bias\"",
         );
     }
     let node =

@@ -365,21 +365,21 @@ fn what_is_scaled_twice_is_refused() {
 fn names_that_occur_twice_are_refused() {
     assert_eq!(
         mistakes_after("name = \"storey-2\"", "name = \"storey-1\"")[0],
-        "parameter.name: is \"storey-1\" once more, must be unique"
+        "parameter.name: repeats \"storey-1\", must be unique"
     );
     assert_eq!(
         mistakes_after(
             "[[node]]\nname = \"floor-2\"",
             "[[node]]\nname = \"floor-1\""
         ),
-        ["node.name: is \"floor-1\" once more, must be unique"]
+        ["node.name: repeats \"floor-1\", must be unique"]
     );
     assert_eq!(
         mistakes_after(
             "[[node.channel]]\nname = \"floor-2\"",
             "[[node.channel]]\nname = \"floor-1\""
         ),
-        ["node.channel.name: is \"floor-1\" once more, must be unique"]
+        ["node.channel.name: repeats \"floor-1\", must be unique"]
     );
 }
 
@@ -398,7 +398,7 @@ fn a_ground_channel_that_nothing_uses_is_refused() {
     assert_eq!(
         mistakes_after("measured-on = \"ground\"\n", ""),
         [
-            "node.channel.name: is \"ground\", which measures ground-acceleration for nothing, must be named by \
+            "node.channel.name: is \"ground\", which measures ground-acceleration for no excitation, must be named by \
           measured-on of an [[excitation]]"
         ]
     );
@@ -667,7 +667,10 @@ noise-std = 1e-4
         assert_eq!(key, "model.substructures.lower");
         assert_eq!(
             (found.as_str(), allowed.as_str()),
-            ("has 3 degrees of freedom", "must have 2 as the mass matrix")
+            (
+                "has 3 degrees of freedom",
+                "must have 2 like the mass matrix"
+            )
         );
     }
 
@@ -864,7 +867,8 @@ fn mistakes_of_a_field_of_forces_are_told() {
     assert_eq!(
         found("intensity = 0.2", "std = 1\nintensity = 0.2"),
         [
-            "excitation.std: is given beside intensity, must give either std (of one sample of each force, N), intensity (a \
+            "excitation.std: is given together with intensity, must give either std (of one \
+             sample of each force, N), intensity (a \
           share of mean) or covariance"
         ]
     );
@@ -914,10 +918,10 @@ fn what_needs_a_parameter_is_refused_without_one() {
             "identification = \"distributed\"\ndisplay-rate-hz"
         )),
         [
-            "structure.identification: is \"distributed\", must not be distributed without a [[parameter]]: parameters are what \
-          nodes find and share",
-            "structure.identification: is \"distributed\", must not be distributed beside [[response]]: a station follows \
-          parameters, not the motion"
+            "structure.identification: is \"distributed\", must not be distributed without a \
+             [[parameter]]: nodes identify and share parameters",
+            "structure.identification: is \"distributed\", must not be distributed with \
+             [[response]]: a station estimates parameters, not the motion"
         ]
     );
     assert!(
@@ -946,7 +950,7 @@ fn a_response_is_a_displacement_a_velocity_or_a_strain() {
     let twice = with("displacement").replace("name = \"roof\"", "name = \"storey-1\"");
     assert_eq!(
         mistakes(&twice),
-        ["response.name: is \"storey-1\" once more, must be unique"]
+        ["response.name: repeats \"storey-1\", must be unique"]
     );
 }
 
@@ -990,7 +994,8 @@ fn a_design_without_a_deviation_is_refused_with_what_to_write() {
     assert_eq!(
         found("{ design-std = 0.05, learn-s = 3 }"),
         [
-            "alert.reference.design-std: is given beside learn-s, must stand alone: the mean is that of the design, 1"
+            "alert.reference.design-std: is given together with learn-s, must be given alone: the \
+             mean is that of the design, 1"
         ]
     );
     assert_eq!(found("{ design-std = 0 }").len(), 1);
@@ -1097,11 +1102,11 @@ fn what_particles_cannot_do_and_their_keys_without_them_are_refused() {
     for (added, told) in [
         (
             "\n[outliers]\n",
-            "outliers: is there, must not be there with filter.kind",
+            "outliers: is given, must not be given with filter.kind",
         ),
         (
             "\n[classes]\nkind = \"self-calibrating\"\n",
-            "classes: is there, must not be there with filter.kind",
+            "classes: is given, must not be given with filter.kind",
         ),
     ] {
         let found = mistakes(&(PARTICLES.to_owned() + added));
@@ -1120,7 +1125,7 @@ fn what_particles_cannot_do_and_their_keys_without_them_are_refused() {
     );
     let found = mistakes(&PARTICLES.replace("kind = \"particle\"", ""));
     let told = |key: &str| {
-        format!("filter.{key}: is of no use, must not be there without kind = \"particle\"")
+        format!("filter.{key}: has no effect, must not be given without kind = \"particle\"")
     };
     assert_eq!(found, [told("particles"), told("density")]);
     let found = mistakes(&PARTICLES.replace("particles = 500", "particles = 1"));

@@ -140,7 +140,7 @@ mod tests {
         );
         assert_eq!(
             mistakes_after("name = \"mast\"", "name = \"main\"")[0],
-            "model.segment.name: is \"main\" once more, must be unique"
+            "model.segment.name: repeats \"main\", must be unique"
         );
     }
 }

@@ -206,25 +206,24 @@ pub(super) fn introduction(report: &Report) -> Vec<String> {
             holds + missed,
             env!("CARGO_PKG_VERSION"),
         ),
-        "A figure *holds* when the number of every seed is what is required, or, where the requirement says so, their mean or \
-         that of two seeds in three; otherwise it is *MISSED*, and docs/validation.md says why. A *known* miss has been looked \
-         into: its requirement is that of the specification, and its reason follows. A *reported* figure is shown \
-         and not judged: a limit of the method, or a quantity of one record. *Published* is what the source printed. Tables \
-         and diagrams are of the first seed. Seconds are of wall time, beside the runs that went on at the same time."
+        "A figure *holds* if the number of every seed meets the requirement. Some requirements \
+         apply to the mean or to two seeds in three instead. Any other figure is *MISSED*, and \
+         docs/validation.md gives the reason. A *known* miss has been examined: its requirement is \
+         that of the specification, and its reason follows. A *reported* figure is shown without a \
+         verdict: it is a limit of the method, or a quantity of one record. *Published* is the \
+         value in the source. Tables and diagrams are of the first seed. Seconds are wall time, \
+         with other runs in parallel."
             .to_owned(),
     ];
     if on_page.iter().any(|case| case.program == Program::Another) {
-        paragraphs.push(
-            "Cases marked with * were run by another build of the program than wrote this page."
-                .to_owned(),
-        );
+        paragraphs.push("Another build of the program ran the cases marked with *.".to_owned());
     }
     let absent = cases()
         .iter()
         .filter(|case| !on_page.iter().any(|on_page| on_page.name == case.name));
     let absent: Vec<String> = absent.map(|case| format!("`{}`", case.name)).collect();
     if !absent.is_empty() {
-        paragraphs.push(format!("No outcome is kept of {}.", absent.join(", ")));
+        paragraphs.push(format!("No stored outcome of {}.", absent.join(", ")));
     }
     paragraphs
 }

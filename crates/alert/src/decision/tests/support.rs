@@ -17,8 +17,8 @@ fn nothing_is_decided_while_the_data_contradict_the_model() {
     );
     assert_eq!(
         told.why,
-        "no decision on storey-2: the data contradict the model: the noise found is much larger \
-         than the noise stated"
+        "no decision on storey-2: the data contradict the model: the estimated noise is much \
+         larger than the stated noise"
     );
     drive.estimates(40..60, SOUND, SURE);
     assert_eq!(drive.states()[1..], [(Normal, 41)]);

@@ -94,7 +94,7 @@ impl Array {
                 start,
                 "number of values",
                 values.len(),
-                format!("{stated} as the array states"),
+                format!("{stated} as stated by the array"),
             ));
         }
         let rows = usize::try_from(shape.first().copied().unwrap_or(0)).unwrap_or(0);

@@ -79,7 +79,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
             first_blockette,
             "blockette 1000",
             "absent",
-            "there: it states encoding and length",
+            "present: it specifies encoding and length",
         ));
     };
     if !LENGTHS.contains(&length) {

@@ -62,7 +62,7 @@ fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fa
             .any(|(there, again)| there.to_bits() != again.to_bits())
         {
             let (found, allowed) = (
-                "other samples for times that are there",
+                "different samples for times that already have samples",
                 "the same samples, or later ones",
             );
             return Err(Fault::at_byte(

@@ -248,7 +248,8 @@ fn repeated_record_counts_once_and_a_contradiction_is_refused() {
     let told = read(&[first, other].concat()).unwrap_err().to_string();
     assert!(
         told.starts_with(
-            "byte 256: record of XX.TEST.00.HNZ is other samples for times that are there"
+            "byte 256: record of XX.TEST.00.HNZ is different samples for times that already have \
+             samples"
         ),
         "{told}"
     );

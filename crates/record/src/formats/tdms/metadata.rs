@@ -70,7 +70,7 @@ impl Metadata {
                         start,
                         format!("index of {path}"),
                         "as before",
-                        "stated, there is none before",
+                        "stated, because no index precedes it",
                     )
                 })?),
                 code @ (DAQMX_FORMAT_CHANGING | DAQMX_DIGITAL_LINE) => {
@@ -146,7 +146,7 @@ fn values(data: &mut Bytes<'_>) -> Result<Index, Fault> {
                 start,
                 "number of values",
                 count,
-                "one whose bytes can be counted",
+                "small enough that its size in bytes fits 64 bits",
             )
         })?,
         (other, None) => {

@@ -34,9 +34,8 @@ pub(super) fn read(
             Index::Values { bytes, .. } => sum.checked_add(*bytes),
             Index::Daqmx { .. } => Some(sum),
         });
-    let chunk_bytes = chunk_bytes.ok_or_else(|| {
-        Fault::at_byte(0, "bytes of a chunk", "beyond counting", "fewer than 2^64")
-    })?;
+    let chunk_bytes = chunk_bytes
+        .ok_or_else(|| Fault::at_byte(0, "bytes of a chunk", "too large", "fewer than 2^64"))?;
     if chunk_bytes == 0 {
         return match data.left() {
             0 => Ok(()),
@@ -44,7 +43,7 @@ pub(super) fn read(
                 0,
                 "raw data",
                 format!("{left} bytes"),
-                "none: no channel has values here",
+                "empty: no channel has values here",
             )),
         };
     }
@@ -124,7 +123,7 @@ fn read_interleaved(
                 data.position(),
                 format!("type of {path}"),
                 "text",
-                "numbers, for data in turn",
+                "numbers, for interleaved data",
             )
         })?;
         kinds.push((path, *kind, size as usize));
@@ -161,7 +160,7 @@ fn read_daqmx(
                 0,
                 format!("raw data of {path}"),
                 "plain values",
-                "DAQmx data as those beside it",
+                "DAQmx data like the adjacent channels",
             ));
         };
         // All channels state the widths of the same buffers.
@@ -201,7 +200,7 @@ fn read_daqmx(
                 0,
                 "raw data",
                 format!("{left} bytes"),
-                "none: no channel has values here",
+                "empty: no channel has values here",
             )),
         };
     };

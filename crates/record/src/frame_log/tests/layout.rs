@@ -45,7 +45,7 @@ fn a_folder_of_another_layout_is_refused_by_what_differs() {
             .to_string();
         let place = folder.path().display();
         let expected = format!(
-            "{place}: the frame log is of another layout: {expected}; move the folder away, or give another"
+            "{place}: the frame log has another layout: {expected}; move the folder, or choose another one"
         );
         assert_eq!(error, expected);
     }

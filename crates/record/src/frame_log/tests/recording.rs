@@ -93,7 +93,7 @@ fn a_segment_is_a_recording_also_while_it_is_written() {
     assert_eq!(samples(&recording, 2), expected(&[frames(1, 0, 5)], 2));
     assert_eq!(
         recording.remarks(),
-        ["the file was cut off: it is read up to its last whole chunk"]
+        ["the file is truncated: only its complete chunks are read"]
     );
     drop(log);
     open(folder.path());
@@ -135,8 +135,8 @@ fn of_epochs_that_overlap_in_time_the_first_frame_stays_and_it_is_told() {
     assert_eq!(
         recording.remarks(),
         [
-            "left out, no segments of the frame log: notes.txt",
-            "5 frames are of times that another frame has, and are left out",
+            "skipped, not segments of the frame log: notes.txt",
+            "5 frames have the time of another frame and are skipped",
         ]
     );
 }

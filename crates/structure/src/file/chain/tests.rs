@@ -34,7 +34,9 @@ fn storeys_given_both_singly_and_as_equal_ones_are_one_mistake() {
         panic!("{found:?}")
     };
     assert!(
-        one.starts_with("model.storeys: is given beside masses-kg, must give either masses-kg and"),
+        one.starts_with(
+            "model.storeys: is given together with masses-kg, must give either masses-kg and"
+        ),
         "{one}"
     );
 }

@@ -121,7 +121,7 @@ fn mistake_of_a_class_is_told_at_its_line() {
             "self-calibrating",
             vec![("one", "[\"storey-1\"]"), ("high", high), ("four", four)],
             9,
-            "groups \"four\" as \"one\" does, must tell every class",
+            "groups \"four\" as \"one\" does, must distinguish every class",
         ),
         (
             "self-calibrating",

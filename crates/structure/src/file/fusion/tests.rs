@@ -91,7 +91,7 @@ fn responses_need_a_node_that_tells_some() {
         .unwrap_err()
         .to_string();
     assert!(
-        error.contains("fusion.motion: is \"responses\", must not be given where no node measures"),
+        error.contains("fusion.motion: is \"responses\", must not be given unless a node measures"),
         "{error}"
     );
 }
@@ -113,19 +113,19 @@ fn bad_input_names_the_key_and_what_is_allowed() {
         ),
         (
             "exclusion = 0.9",
-            "fusion.exclusion: is given, must not be given beside detector = \"one-at-a-time\"",
+            "fusion.exclusion: is given, must not be given together with detector = \"one-at-a-time\"",
         ),
         (
             "detector = \"none\"\nscreening = 0.9",
-            "fusion.screening: is given, must not be given beside detector = \"none\"",
+            "fusion.screening: is given, must not be given together with detector = \"none\"",
         ),
         (
             "detector = \"none\"\nreadmission = 2",
-            "fusion.readmission: is given, must not be given beside detector = \"none\"",
+            "fusion.readmission: is given, must not be given together with detector = \"none\"",
         ),
         (
             "detector = \"none\"\nweighting = \"graded\"",
-            "fusion.weighting: is given, must not be given beside detector = \"none\"",
+            "fusion.weighting: is given, must not be given together with detector = \"none\"",
         ),
         (
             "weighting = \"half\"",
@@ -141,15 +141,15 @@ fn bad_input_names_the_key_and_what_is_allowed() {
         ),
         (
             "motion = \"samples\"\nfeedback = \"none\"",
-            "fusion.feedback: is \"none\", must not be \"none\" beside motion",
+            "fusion.feedback: is \"none\", must not be \"none\" with motion",
         ),
         (
             "feedback = \"reset\"",
-            "fusion.feedback: is \"reset\", must stand beside motion = \"modes\"",
+            "fusion.feedback: is \"reset\", must be given together with motion = \"modes\"",
         ),
         (
             "rule = \"published\"\nsharing-factor = 2",
-            "fusion.sharing-factor: is given, must not stand beside rule",
+            "fusion.sharing-factor: is given, must not be given together with rule",
         ),
         ("sharing-factor = 0.5", "fusion.sharing-factor: is 0.5"),
         ("motion = \"all\"", "fusion.motion: is \"all\""),

@@ -256,7 +256,7 @@ fn unknown_sections_directions_and_nodes_are_refused() {
 fn coordinates_must_have_the_dimension_of_the_model() {
     assert_eq!(
         mistakes_after("10 = [6, 4]", "10 = [6, 4, 1]"),
-        ["12: model.nodes.10: has 3 coordinates, must have 2 as the nodes before"]
+        ["12: model.nodes.10: has 3 coordinates, must have 2 like the previous nodes"]
     );
     let truss = PORTAL
         .replace("kind = \"frame\"", "kind = \"truss\"")
@@ -265,7 +265,7 @@ fn coordinates_must_have_the_dimension_of_the_model() {
     assert_eq!(error.diagnostics()[0].found(), "has 2 coordinates");
     assert_eq!(
         error.diagnostics()[0].allowed(),
-        "must have 3 as the nodes before"
+        "must have 3 like the previous nodes"
     );
 }
 
@@ -274,7 +274,8 @@ fn the_ground_of_a_model_with_geometry_needs_a_direction() {
     assert_eq!(
         mistakes_after("direction = \"x\"\n", ""),
         [
-            "49: excitation.direction: is missing, must say in which direction the ground moves (or give influence)"
+            "49: excitation.direction: is missing, must specify the direction of the ground \
+             motion (or give influence)"
         ]
     );
     assert_eq!(

@@ -264,7 +264,7 @@ fn strong(
     events: &[Event],
     baselines: &[Baseline],
 ) -> Result<Row, RecordsError> {
-    let required = "no alert that stands at the end of a record that recovers";
+    let required = "no alert remains at the end of a record that recovers";
     let mut row = Row::new("highway bridge: strong events", required);
     let (mut courses, mut lasting) = (Vec::new(), 0);
     let replay = Replay::new(structure);
