@@ -1,4 +1,4 @@
-//! Checkpoints: whole files, and files whose label and checksum are right, so that what is in them is looked at.
+//! Reads checkpoints: arbitrary files, and files with a valid label and checksum, so that their content is parsed.
 
 #![no_main]
 

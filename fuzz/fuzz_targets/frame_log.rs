@@ -1,4 +1,4 @@
-//! Segments of a frame log: what can be read of them is kept, what cannot is cut off or set aside, and the log goes on.
+//! Reads segments of a frame log. The log keeps intact data, removes or sets aside the rest, and continues.
 
 #![no_main]
 
