@@ -178,6 +178,15 @@ impl Figure {
         self
     }
 
+    /// States why this figure is known to miss its requirement, and how far: a miss beyond the limits is a surprise.
+    #[must_use]
+    pub fn known_miss_within(self, limits: Required, reason: &str) -> Self {
+        match self.measured {
+            Some(measured) if limits.holds(measured) => self.known_miss(reason),
+            _ => self,
+        }
+    }
+
     /// Asks for the requirement in another way than of each seed.
     #[must_use]
     pub fn judged(mut self, judgement: Judgement) -> Self {

@@ -1,6 +1,6 @@
 //! Fifty-storey shear building under ground motion or wind, with its records: Yuen, Liang & Kuok (2013).
 //!
-//! Self-contained: the tests of the filter use it too. The published outputs are absolute accelerations; turbulence does not reach them directly, the mean wind
+//! The published outputs are absolute accelerations; turbulence does not reach them directly, the mean wind
 //! does, which is how the published data must have been generated.
 
 use nalgebra::{DMatrix, DVector};
@@ -13,35 +13,35 @@ use spandrel_filter::{
 };
 use std::f64::consts::{PI, TAU};
 
-pub const FLOORS: usize = 50;
-pub const STEP_S: f64 = 0.01;
+pub(crate) const FLOORS: usize = 50;
+pub(crate) const STEP_S: f64 = 0.01;
 /// kg, every floor
-pub const FLOOR_MASS: f64 = 4.00e5;
+pub(crate) const FLOOR_MASS: f64 = 4.00e5;
 /// N/m, every storey
-pub const STOREY_STIFFNESS: f64 = 652.9e6;
+pub(crate) const STOREY_STIFFNESS: f64 = 652.9e6;
 /// `α_M` (1/s) and `α_K` (s)
-pub const RAYLEIGH: [f64; 2] = [1.885e-2, 3.980e-3];
+pub(crate) const RAYLEIGH: [f64; 2] = [1.885e-2, 3.980e-3];
 /// Floors with an accelerometer, counted from 1.
-pub const SENSED: [usize; 6] = [1, 10, 20, 30, 40, 50];
+pub(crate) const SENSED: [usize; 6] = [1, 10, 20, 30, 40, 50];
 /// Floors in the published tables, counted from 1.
-pub const TABULATED: [usize; 10] = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50];
+pub(crate) const TABULATED: [usize; 10] = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50];
 /// `S₀` (m²/s³), two-sided over circular frequency
-pub const GROUND_INTENSITY: f64 = 1.20e-4;
+pub(crate) const GROUND_INTENSITY: f64 = 1.20e-4;
 /// m²/s⁴, of the published realisation
-pub const PRINTED_SENSOR_VARIANCE: f64 = 1.320e-4;
+pub(crate) const PRINTED_SENSOR_VARIANCE: f64 = 1.320e-4;
 /// Variance of every displacement (m²) and velocity (m²/s²) before the first datum.
-pub const PRIOR_VARIANCE: f64 = 1e-4;
+pub(crate) const PRIOR_VARIANCE: f64 = 1e-4;
 /// Sensor noise over the response of the top floor, root mean squares.
 const NOISE_SHARE: f64 = 0.05;
 
 /// Variance of a white process of two-sided intensity `s_0` that is held over steps: `2π S₀/Δt`.
-pub fn held_variance(s_0: f64, step_s: f64) -> f64 {
+pub(crate) fn held_variance(s_0: f64, step_s: f64) -> f64 {
     TAU * s_0 / step_s
 }
 
 /// The three published cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Case {
+pub(crate) enum Case {
     /// Stationary ground motion and noise.
     Ground,
     /// Modulated ground motion, stationary noise.
@@ -52,7 +52,7 @@ pub enum Case {
 
 impl Case {
     /// `A_f(t)`.
-    pub fn modulation(self, t: f64) -> f64 {
+    pub(crate) fn modulation(self, t: f64) -> f64 {
         match self {
             Self::Ground => 1.0,
             Self::ModulatedGround if t < 300.0 => 1.0 + 0.2 * (2.0 * PI * t / 50.0).sin(),
@@ -66,7 +66,7 @@ impl Case {
     }
 
     /// `θ_f` that belongs to the instant `t` (s): a variance (m²/s⁴) of the ground motion, a factor on [`turbulence`].
-    pub fn excitation_level(self, t: f64) -> f64 {
+    pub(crate) fn excitation_level(self, t: f64) -> f64 {
         let unit = if self == Self::Wind {
             1.0
         } else {
@@ -76,7 +76,7 @@ impl Case {
     }
 
     /// `A_f²` of the sensor noise.
-    pub fn noise_modulation(self, t: f64) -> f64 {
+    pub(crate) fn noise_modulation(self, t: f64) -> f64 {
         if self == Self::Wind {
             self.modulation(t).powi(2)
         } else {
@@ -85,7 +85,7 @@ impl Case {
     }
 
     /// The matrix that `θ_f` multiplies (N_f × N_f).
-    pub fn excitation_pattern(self) -> DMatrix<f64> {
+    pub(crate) fn excitation_pattern(self) -> DMatrix<f64> {
         if self == Self::Wind {
             turbulence()
         } else {
@@ -94,7 +94,7 @@ impl Case {
     }
 
     /// Known part of the excitation (N_f): the mean wind, or nothing.
-    pub fn known_excitation(self) -> DVector<f64> {
+    pub(crate) fn known_excitation(self) -> DVector<f64> {
         if self == Self::Wind {
             mean_wind()
         } else {
@@ -103,7 +103,7 @@ impl Case {
     }
 
     /// `T` (N_d × N_f).
-    pub fn distribution(self) -> DMatrix<f64> {
+    pub(crate) fn distribution(self) -> DMatrix<f64> {
         if self == Self::Wind {
             DMatrix::identity(FLOORS, FLOORS)
         } else {
@@ -124,7 +124,7 @@ impl Case {
 }
 
 /// `M`, `L`, `K` (N_d × N_d).
-pub fn matrices() -> [DMatrix<f64>; 3] {
+pub(crate) fn matrices() -> [DMatrix<f64>; 3] {
     let mass = DMatrix::identity(FLOORS, FLOORS) * FLOOR_MASS;
     let stiffness = DMatrix::from_fn(FLOORS, FLOORS, |i, j| match i.abs_diff(j) {
         0 if i + 1 == FLOORS => STOREY_STIFFNESS,
@@ -137,7 +137,7 @@ pub fn matrices() -> [DMatrix<f64>; 3] {
 }
 
 /// `C_d` (N_0 × 2 N_d): absolute accelerations of the sensed floors.
-pub fn observation() -> DMatrix<f64> {
+pub(crate) fn observation() -> DMatrix<f64> {
     let [_, damping, stiffness] = matrices();
     let mut observation = DMatrix::zeros(SENSED.len(), 2 * FLOORS);
     for (row, floor) in SENSED.into_iter().enumerate() {
@@ -155,7 +155,7 @@ fn height(i: usize) -> f64 {
 }
 
 /// Mean wind force on every floor (N).
-pub fn mean_wind() -> DVector<f64> {
+pub(crate) fn mean_wind() -> DVector<f64> {
     let (density, reference_height, speed, drag, area, exponent) =
         (1.20, 10.0, 10.0_f64, 2.03, 20.0 * 2.5, 0.3);
     DVector::from_fn(FLOORS, |i, _| {
@@ -169,7 +169,7 @@ pub fn mean_wind() -> DVector<f64> {
 }
 
 /// Covariance of the turbulence at unit modulation (N_d × N_d, N²).
-pub fn turbulence() -> DMatrix<f64> {
+pub(crate) fn turbulence() -> DMatrix<f64> {
     let (intensity, reference_height) = (0.2_f64, 10.0);
     let wind = mean_wind();
     DMatrix::from_fn(FLOORS, FLOORS, |i, j| {
@@ -181,7 +181,7 @@ pub fn turbulence() -> DMatrix<f64> {
 }
 
 /// The building in physical coordinates.
-pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
+pub(crate) fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
     let [mass, damping, stiffness] = matrices();
     StateSpace::second_order(
         [&mass, &damping, &stiffness],
@@ -192,7 +192,7 @@ pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
 }
 
 /// The same building in modal coordinates.
-pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
+pub(crate) fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
     let [mass, damping, stiffness] = matrices();
     ModalModel::new(
         [&mass, &damping, &stiffness],
@@ -203,7 +203,7 @@ pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
 }
 
 /// The discrete system for the closed forms, with the two noise levels.
-pub fn discrete_model(
+pub(crate) fn discrete_model(
     case: Case,
     excitation_level: f64,
     sensor_variance: f64,
@@ -220,7 +220,7 @@ pub fn discrete_model(
 }
 
 /// Displacement under the known excitation at rest (N_d): where every record and every filter starts.
-pub fn static_displacement(case: Case) -> DVector<f64> {
+pub(crate) fn static_displacement(case: Case) -> DVector<f64> {
     if case != Case::Wind {
         return DVector::zeros(FLOORS); // the known part is zero
     }
@@ -234,38 +234,29 @@ pub fn static_displacement(case: Case) -> DVector<f64> {
 }
 
 /// The 20 quantities of the tables at one instant: displacements (m), then velocities (m/s), of [`TABULATED`].
-pub type Tabulated = [f64; 2 * TABULATED.len()];
+pub(crate) type Tabulated = [f64; 2 * TABULATED.len()];
 
 /// Picks the tabulated quantities out of `[x, ẋ]`.
-pub fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
+pub(crate) fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
     std::array::from_fn(|k| {
         let half = k / TABULATED.len();
         state(half * FLOORS + TABULATED[k % TABULATED.len()] - 1)
     })
 }
 
-/// Names of the 20 quantities.
-pub fn tabulated_name(k: usize) -> String {
-    format!(
-        "{}{}",
-        if k < TABULATED.len() { "x" } else { "v" },
-        TABULATED[k % TABULATED.len()]
-    )
-}
-
 /// One simulated record; entry `k` belongs to the instant `(k + 1) Δt`.
 #[derive(Debug, Clone)]
-pub struct Record {
-    pub case: Case,
-    pub data: Vec<[f64; SENSED.len()]>,
-    pub truth: Vec<Tabulated>,
+pub(crate) struct Record {
+    pub(crate) case: Case,
+    pub(crate) data: Vec<[f64; SENSED.len()]>,
+    pub(crate) truth: Vec<Tabulated>,
     /// Variance of the sensor noise at unit modulation (m²/s⁴): 5 % of the top floor's root mean square.
-    pub sensor_variance: f64,
+    pub(crate) sensor_variance: f64,
 }
 
 impl Record {
     /// Actual `[θ_f, θ_n]` for the datum `k`; the force is that of the step before it.
-    pub fn actual_levels(&self, k: usize) -> [f64; 2] {
+    pub(crate) fn actual_levels(&self, k: usize) -> [f64; 2] {
         let (force_t, datum_t) = (k as f64 * STEP_S, (k + 1) as f64 * STEP_S);
         [
             self.case.excitation_level(force_t),
@@ -275,7 +266,7 @@ impl Record {
 }
 
 /// Simulates `seconds` of a case with the exact transition in physical coordinates.
-pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterError> {
+pub(crate) fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterError> {
     let model = physical_model(case)?;
     let (transition, held) = LinearModel::discretise(model.system(), model.input(), STEP_S);
     let (outputs, known) = (observation(), case.known_excitation());
@@ -337,7 +328,7 @@ pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterErr
 
 /// What a filter is told of the noise levels `[θ_f, θ_n]`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Levels {
+pub(crate) enum Levels {
     /// The actual ones at every instant.
     Actual,
     /// The same ones always.
@@ -347,7 +338,7 @@ pub enum Levels {
 }
 
 /// The noise model with both levels as parameters; their deviations are a third of the starts.
-pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
+pub(crate) fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
     let inputs = case.distribution().ncols();
     let parameter = |name: &str, target, pattern, start: f64| NoiseParameter {
         name: name.to_owned(),
@@ -381,7 +372,7 @@ pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
 /// Settings for [`modal_model`]: the published ones, with a half-life of the noise parameters in steps.
 ///
 /// The prior variances of the physical state become modal ones; floors of equal mass keep them uncorrelated.
-pub fn filter_settings(
+pub(crate) fn filter_settings(
     model: &ModalModel,
     case: Case,
     levels: Levels,
@@ -409,8 +400,8 @@ pub fn filter_settings(
 }
 
 /// A filter on its way through a record of the building.
-pub struct Run<'a> {
-    pub filter: ExtendedKalmanFilter<ModalModel>,
+pub(crate) struct Run<'a> {
+    pub(crate) filter: ExtendedKalmanFilter<ModalModel>,
     record: &'a Record,
     levels: Levels,
     known: DVector<f64>,
@@ -420,23 +411,13 @@ pub struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// Starts at `t = 0`, one step before the first datum.
-    pub fn new(
+    pub(crate) fn new(
         record: &'a Record,
         levels: Levels,
         half_life_steps: f64,
     ) -> Result<Self, FilterError> {
         let model = modal_model(record.case)?;
         let settings = filter_settings(&model, record.case, levels, half_life_steps);
-        Self::with_settings(model, settings, record, levels)
-    }
-
-    /// The same with other settings.
-    pub fn with_settings(
-        model: ModalModel,
-        settings: FilterSettings,
-        record: &'a Record,
-        levels: Levels,
-    ) -> Result<Self, FilterError> {
         let shapes = DMatrix::from_fn(TABULATED.len(), FLOORS, |i, j| {
             model.shapes()[(TABULATED[i] - 1, j)]
         });
@@ -457,7 +438,7 @@ impl<'a> Run<'a> {
     }
 
     /// Takes the datum `k`.
-    pub fn step(&mut self, k: usize) -> Result<Step, FilterError> {
+    pub(crate) fn step(&mut self, k: usize) -> Result<Step, FilterError> {
         if self.levels == Levels::Actual {
             self.filter
                 .set_noise_parameters(&self.record.actual_levels(k))?;
@@ -469,7 +450,7 @@ impl<'a> Run<'a> {
     }
 
     /// Returns filtered minus true values of the tabulated quantities after the datum `k`.
-    pub fn errors(&self, k: usize) -> Tabulated {
+    pub(crate) fn errors(&self, k: usize) -> Tabulated {
         let mean = self.filter.mean();
         std::array::from_fn(|i| {
             let (half, floor) = (i / TABULATED.len(), i % TABULATED.len());
@@ -487,14 +468,14 @@ impl<'a> Run<'a> {
 
 /// Root mean square and largest absolute value of the errors of the tabulated quantities.
 #[derive(Debug, Clone, Default)]
-pub struct ErrorStatistics {
+pub(crate) struct ErrorStatistics {
     squares: Tabulated,
-    pub largest: Tabulated,
+    pub(crate) largest: Tabulated,
     count: f64,
 }
 
 impl ErrorStatistics {
-    pub fn add(&mut self, errors: &Tabulated) {
+    pub(crate) fn add(&mut self, errors: &Tabulated) {
         for (k, error) in errors.iter().enumerate() {
             self.squares[k] += error * error;
             self.largest[k] = self.largest[k].max(error.abs());
@@ -502,7 +483,7 @@ impl ErrorStatistics {
         self.count += 1.0;
     }
 
-    pub fn rms(&self) -> Tabulated {
+    pub(crate) fn rms(&self) -> Tabulated {
         self.squares.map(|sum| (sum / self.count).sqrt())
     }
 }

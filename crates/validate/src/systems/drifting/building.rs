@@ -1,18 +1,16 @@
 //! Linear shear building of four storeys whose properties drift (Ching et al. 2006, example 1), with its data.
-//!
-//! Self-contained: the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ContinuousSystem, Drifting, FilterError, IncrementTime};
 
-pub const STOREYS: usize = 4;
+pub(crate) const STOREYS: usize = 4;
 /// State: displacements (m), velocities (m/s), stiffness (MN/m), damping (kN·s/m), noise levels (m/s²).
-pub const STATE: usize = 5 * STOREYS;
-pub const STIFFNESS: usize = 2 * STOREYS;
-pub const DAMPING: usize = 3 * STOREYS;
-pub const NOISE: usize = 4 * STOREYS;
-pub const STEP_S: f64 = 0.02;
+pub(crate) const STATE: usize = 5 * STOREYS;
+pub(crate) const STIFFNESS: usize = 2 * STOREYS;
+pub(crate) const DAMPING: usize = 3 * STOREYS;
+pub(crate) const NOISE: usize = 4 * STOREYS;
+pub(crate) const STEP_S: f64 = 0.02;
 /// t
 const MASS: f64 = 250.0;
 const INITIAL_STIFFNESS: f64 = 300.0;
@@ -21,7 +19,7 @@ const INITIAL_DAMPING: f64 = 600.0;
 const DRIFT: f64 = 0.02;
 
 #[derive(Debug, Clone, Default)]
-pub struct Building;
+pub(crate) struct Building;
 
 /// Absolute accelerations (m/s²) from the storey forces, from the base upwards.
 fn absolute_acceleration(state: &[f64], out: &mut [f64]) {
@@ -69,16 +67,16 @@ impl ContinuousSystem for Building {
 }
 
 /// A simulated record; the k-th input acts from the k-th instant to the next one.
-pub struct Record {
-    pub input: Vec<f64>,
-    pub truth: Vec<[f64; STATE]>,
-    pub data: Vec<[f64; STOREYS]>,
-    pub noise_std: [f64; STOREYS],
+pub(crate) struct Record {
+    pub(crate) input: Vec<f64>,
+    pub(crate) truth: Vec<[f64; STATE]>,
+    pub(crate) data: Vec<[f64; STOREYS]>,
+    pub(crate) noise_std: [f64; STOREYS],
 }
 
 impl Record {
     /// Simulates `steps` steps; the second storey loses half its stiffness between 8 and 10 s, the rest drifts.
-    pub fn simulate(seed: u64, steps: usize) -> Self {
+    pub(crate) fn simulate(seed: u64, steps: usize) -> Self {
         let mut normal = Normal::seeded(seed);
         let mut path = |initial: f64, low: f64, high: f64| loop {
             let mut value = initial;
@@ -151,7 +149,7 @@ impl Record {
     }
 
     /// The model of the filter: everything drifts by 2 % of its initial value per step, also what in truth does not.
-    pub fn model(&self) -> Result<Drifting<Building>, FilterError> {
+    pub(crate) fn model(&self) -> Result<Drifting<Building>, FilterError> {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value).collect();
         let lower = initial.iter().map(|value| 0.02 * value).collect();
@@ -159,7 +157,7 @@ impl Record {
     }
 
     /// The prior: mean, and covariance with deviations of 30 % (stiffness), 50 % (damping, noise) and the RMS response.
-    pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
+    pub(crate) fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
         let mean = DVector::from_fn(STATE, |j, _| {
             if j < STIFFNESS {

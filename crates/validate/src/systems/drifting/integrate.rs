@@ -1,12 +1,10 @@
 //! Moves the mechanical states of a system.
-//!
-//! Self-contained: the tests of the filter use it too.
 
 use nalgebra::DVector;
 use spandrel_filter::ContinuousSystem;
 
 /// Integrates the mechanical states of a system over one step with held input, by classical Runge-Kutta substeps.
-pub fn integrate(
+pub(crate) fn integrate(
     system: &impl ContinuousSystem,
     state: &mut [f64],
     input: &[f64],

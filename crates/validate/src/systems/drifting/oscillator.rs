@@ -1,14 +1,12 @@
 //! Hysteretic oscillator with drifting parameters (Ching et al. 2006, example 2), with its data.
-//!
-//! Self-contained: the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ContinuousSystem, Drifting, FilterError, IncrementTime};
 
 /// State: x (m), ẋ (m/s), r (N), θ₁ to θ₄, h (m/s²); the mass is 1 kg.
-pub const STATE: usize = 8;
-pub const STEP_S: f64 = 0.5;
+pub(crate) const STATE: usize = 8;
+pub(crate) const STEP_S: f64 = 0.5;
 const INITIAL: [f64; 4] = [6.0, 0.9, -0.08, 1.0];
 /// Where the actual parameters stay, the ranges of the source's figure.
 const RANGES: [(f64, f64); 4] = [(4.0, 7.5), (0.5, 1.3), (-0.14, -0.02), (0.6, 1.4)];
@@ -16,7 +14,7 @@ const RANGES: [(f64, f64); 4] = [(4.0, 7.5), (0.5, 1.3), (-0.14, -0.02), (0.6, 1
 const DRIFT: f64 = 0.02;
 
 #[derive(Debug, Clone, Default)]
-pub struct Oscillator;
+pub(crate) struct Oscillator;
 
 impl ContinuousSystem for Oscillator {
     fn mechanical_len(&self) -> usize {
@@ -50,15 +48,15 @@ impl ContinuousSystem for Oscillator {
 }
 
 /// A simulated record; the k-th input acts from the k-th instant to the next one.
-pub struct Record {
-    pub input: Vec<f64>,
-    pub truth: Vec<[f64; STATE]>,
-    pub data: Vec<f64>,
-    pub noise_std: f64,
+pub(crate) struct Record {
+    pub(crate) input: Vec<f64>,
+    pub(crate) truth: Vec<[f64; STATE]>,
+    pub(crate) data: Vec<f64>,
+    pub(crate) noise_std: f64,
 }
 
 impl Record {
-    pub fn simulate(seed: u64, steps: usize) -> Self {
+    pub(crate) fn simulate(seed: u64, steps: usize) -> Self {
         let mut normal = Normal::seeded(seed);
         let parameters: Vec<[f64; 4]> = loop {
             let mut value = INITIAL;
@@ -111,7 +109,7 @@ impl Record {
     }
 
     /// The model of the filter: the noise level drifts too, which in truth it does not.
-    pub fn model(&self) -> Result<Drifting<Oscillator>, FilterError> {
+    pub(crate) fn model(&self) -> Result<Drifting<Oscillator>, FilterError> {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value.abs()).collect();
         // an exponent of 5 % is the least at which the restoring force still means anything; θ₃ may have either sign
@@ -126,7 +124,7 @@ impl Record {
     }
 
     /// The prior: mean and covariance, deviations of 1 for the motion, 20 % for the parameters, 50 % for the noise level.
-    pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
+    pub(crate) fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
         let mean = DVector::from_fn(STATE, |j, _| if j < 3 { 0.0 } else { initial[j - 3] });
         let std = DVector::from_fn(STATE, |j, _| match j {
