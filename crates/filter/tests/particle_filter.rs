@@ -8,54 +8,76 @@
     reason = "a test fails by panicking"
 )]
 
-mod systems;
-
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector4};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
 use spandrel_filter::{
-    ExcitedSystem, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, GaussianStart,
-    ImportanceDensity, InputHold, NoiseModel, ObservationModel, ParticleFilter, ParticleSettings,
-    ProcessModel, WarmStartedParticleFilter,
+    ContinuousSystem, Drifting, ExcitedSystem, ExtendedKalmanFilter, FilterError, FilterSettings,
+    Frame, GaussianStart, ImportanceDensity, IncrementTime, InputHold, Interval, KalmanFilter,
+    LinearModel, NoiseModel, ObservationModel, ParticleFilter, ParticleModel, ParticleSettings,
+    ProcessModel, Resampling, WarmStartedParticleFilter,
 };
-use systems::{Normal, Oscillator, hysteretic, rms};
 
 const STEP_S: f64 = 0.05;
 const FREQUENCY: f64 = 3.0;
 const DAMPING: f64 = 0.05;
 
-/// ẍ + 2ζω ẋ + ω² x = f + w with known ω and ζ; displacement and relative acceleration are
-/// observed.
-///
-/// The acceleration responds directly to the force.
-#[derive(Debug, Clone)]
-struct Felt {
-    process: [f64; 2],
-    observed: [f64; 2],
-    force: [f64; 2],
-    direct: DMatrix<f64>,
+/// Independent standard normal numbers.
+struct Normal(ChaCha8Rng);
+
+impl Normal {
+    fn seeded(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    fn draw(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
 }
 
-impl Felt {
-    fn new() -> Self {
-        let direct = DMatrix::from_row_slice(2, 1, &[0.0, 1.0]);
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// ẍ + 2ζω ẋ + ω² x = f + w, y = [x, ẋ, ω, ζ]; displacement is observed, and velocity or the acceleration, which feels the force.
+#[derive(Debug, Clone, Default)]
+struct Oscillator {
+    process: [f64; 4],
+    observed: [f64; 4],
+    force: [f64; 2],
+    /// the direct term of sensors that feel the force
+    felt: Option<DMatrix<f64>>,
+}
+
+impl Oscillator {
+    fn felt() -> Self {
         Self {
-            process: [0.0; 2],
-            observed: [0.0; 2],
-            force: [0.0; 2],
-            direct,
+            felt: Some(DMatrix::from_row_slice(2, 1, &[0.0, 1.0])),
+            ..Self::default()
         }
     }
 }
 
-fn restoring(x: f64, v: f64) -> f64 {
-    2.0 * DAMPING * FREQUENCY * v + FREQUENCY * FREQUENCY * x
+fn acceleration([x, v, omega, zeta]: [f64; 4], force: f64) -> f64 {
+    force - 2.0 * zeta * omega * v - omega * omega * x
 }
 
-impl ProcessModel for Felt {
+/// Derivative of the acceleration along a column.
+fn along([x, v, omega, zeta]: [f64; 4], columns: &DMatrix<f64>, j: usize) -> f64 {
+    let (by_x, by_v) = (-omega * omega, -2.0 * zeta * omega);
+    let (by_omega, by_zeta) = (-2.0 * (omega * x + zeta * v), -2.0 * omega * v);
+    columns
+        .column(j)
+        .dot(&Vector4::new(by_x, by_v, by_omega, by_zeta))
+}
+
+impl ProcessModel for Oscillator {
     fn state_len(&self) -> usize {
-        2
+        4
     }
     fn parameter_len(&self) -> usize {
-        0
+        2
     }
     fn excitation_len(&self) -> usize {
         1
@@ -65,24 +87,26 @@ impl ProcessModel for Felt {
         self.force[0] = excitation[0];
     }
     fn derivative(&self, out: &mut [f64]) {
-        let [x, v] = self.process;
-        out.copy_from_slice(&[v, self.force[0] - restoring(x, v)]);
+        let rate = acceleration(self.process, self.force[0]);
+        out.copy_from_slice(&[self.process[1], rate, 0.0, 0.0]);
     }
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        out.fill(0.0);
         for j in 0..columns.ncols() {
             out[(0, j)] = columns[(1, j)];
-            out[(1, j)] = -restoring(columns[(0, j)], columns[(1, j)]);
+            out[(1, j)] = along(self.process, columns, j);
         }
     }
     fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
-        out.copy_from_slice(&[0.0, 1.0]);
+        out.copy_from_slice(&[0.0, 1.0, 0.0, 0.0]);
     }
     fn rate_bound(&self) -> f64 {
-        FREQUENCY * (1.0 + 2.0 * DAMPING)
+        let [_, _, omega, zeta] = self.process;
+        omega.abs() * (1.0 + 2.0 * zeta.abs())
     }
 }
 
-impl ObservationModel for Felt {
+impl ObservationModel for Oscillator {
     fn observation_len(&self) -> usize {
         2
     }
@@ -91,18 +115,59 @@ impl ObservationModel for Felt {
         self.force[1] = excitation[0];
     }
     fn observe(&self, out: &mut [f64]) {
-        let [x, v] = self.observed;
-        out.copy_from_slice(&[x, self.force[1] - restoring(x, v)]);
+        out.copy_from_slice(&self.observed[..2]);
+        if self.felt.is_some() {
+            out[1] = acceleration(self.observed, self.force[1]);
+        }
     }
     fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        for j in 0..columns.ncols() {
-            out[(0, j)] = columns[(0, j)];
-            out[(1, j)] = -restoring(columns[(0, j)], columns[(1, j)]);
+        out.copy_from(&columns.rows(0, 2));
+        if self.felt.is_some() {
+            (0..columns.ncols()).for_each(|j| out[(1, j)] = along(self.observed, columns, j));
         }
     }
     fn feedthrough(&self) -> Option<&DMatrix<f64>> {
-        Some(&self.direct)
+        self.felt.as_ref()
     }
+}
+
+/// ẋ = −θ x + u with a rate and a noise level that drift; x is observed.
+#[derive(Debug, Clone)]
+struct Decay;
+
+impl ContinuousSystem for Decay {
+    fn mechanical_len(&self) -> usize {
+        1
+    }
+    fn drifting_len(&self) -> usize {
+        2
+    }
+    fn input_len(&self) -> usize {
+        1
+    }
+    fn observation_len(&self) -> usize {
+        1
+    }
+    fn derivative(&self, state: &[f64], input: &[f64], out: &mut [f64]) {
+        out[0] = input[0] - state[1] * state[0];
+    }
+    fn output(&self, state: &[f64], _: &[f64], out: &mut [f64]) {
+        out[0] = state[0];
+    }
+    fn noise_std(&self, state: &[f64], out: &mut [f64]) {
+        out[0] = state[2];
+    }
+}
+
+fn decay_filter(settings: ParticleSettings) -> ParticleFilter<Drifting<Decay>> {
+    let start = GaussianStart {
+        mean: DVector::from_row_slice(&[0.0, 1.0, 0.1]),
+        covariance: DMatrix::from_diagonal(&DVector::from_row_slice(&[1.0, 0.04, 1e-3])),
+        previous_input: None,
+    };
+    let (drift, lower) = (vec![0.02, 0.002], vec![0.02, 0.002]);
+    let model = Drifting::new(Decay, STEP_S, 4, IncrementTime::Start, drift, lower).unwrap();
+    ParticleFilter::new(model, settings, start).unwrap()
 }
 
 /// Known and unknown force, held over each step, and the state at each frame.
@@ -123,9 +188,10 @@ fn simulate(seed: u64, steps: usize) -> Motion {
             if k > 0 {
                 let h = STEP_S / f64::from(substeps);
                 for _ in 0..substeps {
-                    // Midpoint rule.
+                    // midpoint rule
+                    let force = known[k - 1] + unknown[k - 1];
                     let slope =
-                        |[x, v]: [f64; 2]| [v, known[k - 1] + unknown[k - 1] - restoring(x, v)];
+                        |[x, v]: [f64; 2]| [v, acceleration([x, v, FREQUENCY, DAMPING], force)];
                     let first = slope(state);
                     let second =
                         slope([state[0] + 0.5 * h * first[0], state[1] + 0.5 * h * first[1]]);
@@ -199,7 +265,7 @@ fn compare<M: ProcessModel + ObservationModel + Clone + Send>(
     }
     let ratio = ratios.iter().sum::<f64>() / ratios.len() as f64;
     Comparison {
-        mean: rms(errors.into_iter()),
+        mean: rms(&errors),
         ratio,
         log_evidence,
         misfit: misfits[0] / misfits[1],
@@ -292,7 +358,7 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
         // Prior sampling wastes many draws of a directly measured excitation. It needs noisy
         // sensors and more particles.
         let cases = [
-            (ImportanceDensity::Optimal, [0.05, 0.2], 2000, 0.12, 1.0),
+            (ImportanceDensity::Optimal, [0.05, 0.2], 3000, 0.12, 1.0),
             (ImportanceDensity::Optimal, [0.2, 1.0], 2000, 0.12, 1.0),
             (ImportanceDensity::Prior, [0.2, 1.0], 16_000, 0.15, 1.5),
         ];
@@ -301,7 +367,8 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
             let frames: Vec<_> = (0..200)
                 .map(|k| {
                     let [x, v] = motion.states[k];
-                    let clean = [x, motion.known[k] + motion.unknown[k] - restoring(x, v)];
+                    let force = motion.known[k] + motion.unknown[k];
+                    let clean = [x, acceleration([x, v, FREQUENCY, DAMPING], force)];
                     (
                         [0, 1].map(|j| clean[j] + sensor_std[j] * normal.draw()),
                         [motion.known[k]],
@@ -309,9 +376,9 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
                 })
                 .collect();
             for frames in [frames.clone(), with_gaps(frames)] {
-                let std = DVector::from_row_slice(&[0.2, 0.6]);
-                let settings =
-                    FilterSettings::new(STEP_S, DVector::zeros(2), std, noises(sensor_std));
+                let prior = DVector::from_row_slice(&[0.0, 0.0, FREQUENCY, DAMPING]);
+                let std = DVector::from_row_slice(&[0.2, 0.6, 0.0, 0.0]);
+                let settings = FilterSettings::new(STEP_S, prior, std, noises(sensor_std));
                 let particle_settings = ParticleSettings {
                     particles,
                     density,
@@ -319,7 +386,7 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
                     threads: 2,
                     ..Default::default()
                 };
-                let found = compare(Felt::new(), settings, particle_settings, &frames);
+                let found = compare(Oscillator::felt(), settings, particle_settings, &frames);
                 let Comparison {
                     mean,
                     ratio,
@@ -457,20 +524,12 @@ fn resumed_filter_gives_the_same_bits_with_any_number_of_threads() {
 #[test]
 fn step_allocates_nothing() {
     for density in [ImportanceDensity::Optimal, ImportanceDensity::Prior] {
-        let record = hysteretic::Record::simulate(1, 200);
-        let (mean, covariance) = record.prior();
-        let start = GaussianStart {
-            mean,
-            covariance,
-            previous_input: None,
-        };
-        let settings = ParticleSettings {
+        let mut filter = decay_filter(ParticleSettings {
             particles: 200,
             density,
             kernel: 0.95,
             ..ParticleSettings::default()
-        };
-        let mut filter = ParticleFilter::new(record.model().unwrap(), settings, start).unwrap();
+        });
         let frames = with_gaps(oscillator_frames(1, 200));
         let mut excited = warm_started(300, 1, 1);
         for (observations, excitation) in &frames[..40] {
@@ -483,15 +542,13 @@ fn step_allocates_nothing() {
         }
         let mut resampled = 0;
         let counted = allocation_counter::measure(|| {
-            for (datum, input) in record.data.iter().zip(&record.input) {
-                let step = filter
-                    .step(Frame {
-                        observations: &[*datum],
-                        excitation: &[*input],
-                    })
-                    .unwrap();
-                filter.credible_interval(3, 0.95).unwrap();
-                resampled += usize::from(step.resampled);
+            for k in 0..200 {
+                let frame = Frame {
+                    observations: &[(0.05 * f64::from(k)).sin()],
+                    excitation: &[(0.05 * f64::from(k)).cos()],
+                };
+                resampled += usize::from(filter.step(frame).unwrap().resampled);
+                filter.credible_interval(1, 0.95).unwrap();
             }
             for (observations, excitation) in &frames[40..] {
                 resampled += usize::from(
@@ -512,21 +569,13 @@ fn step_allocates_nothing() {
 
 #[test]
 fn impossible_datum_is_an_error_and_a_restart_gives_the_first_bits_again() {
-    let record = hysteretic::Record::simulate(3, 20);
-    let (mean, covariance) = record.prior();
-    let start = GaussianStart {
-        mean,
-        covariance,
-        previous_input: None,
-    };
-    let settings = ParticleSettings {
+    let mut filter = decay_filter(ParticleSettings {
         particles: 100,
         ..ParticleSettings::default()
-    };
-    let mut filter = ParticleFilter::new(record.model().unwrap(), settings, start).unwrap();
+    });
     let frame = Frame {
-        observations: &[record.data[0]],
-        excitation: &[record.input[0]],
+        observations: &[0.3],
+        excitation: &[0.5],
     };
     let first = filter.step(frame).unwrap();
     let missing = filter
@@ -563,4 +612,165 @@ fn impossible_datum_is_an_error_and_a_restart_gives_the_first_bits_again() {
     ));
     filter.restart();
     assert_eq!(filter.step(frame).unwrap(), first);
+}
+
+/// Turning state of two entries, both disturbed, the first one observed.
+#[derive(Debug, Clone)]
+struct Turning;
+
+const TURNING: [[f64; 2]; 2] = [[0.95, 0.2], [-0.2, 0.95]];
+const LOADING: [f64; 2] = [0.1, 0.3];
+const SENSOR_STD: f64 = 0.2;
+
+impl ParticleModel for Turning {
+    fn state_len(&self) -> usize {
+        2
+    }
+    fn input_len(&self) -> usize {
+        0
+    }
+    fn disturbance_len(&self) -> usize {
+        2
+    }
+    fn observation_len(&self) -> usize {
+        1
+    }
+    fn propagate(&mut self, interval: Interval<'_>, disturbance: &[f64], state: &mut [f64]) {
+        if interval.previous.is_some() {
+            let old = [state[0], state[1]];
+            for i in 0..2 {
+                state[i] =
+                    TURNING[i][0] * old[0] + TURNING[i][1] * old[1] + LOADING[i] * disturbance[i];
+            }
+        }
+    }
+    fn observe(&mut self, _: Interval<'_>, state: &[f64], out: &mut [f64]) {
+        out[0] = state[0];
+    }
+    fn sensor_covariance(&mut self, _: &[f64], out: &mut DMatrix<f64>) {
+        out[(0, 0)] = SENSOR_STD * SENSOR_STD;
+    }
+}
+
+struct LinearCheck {
+    /// RMS of (particle mean − Kalman mean)/(Kalman deviation)
+    error: f64,
+    /// mean ratio of the deviations
+    ratio: f64,
+    log_evidence: f64,
+    exact_log_evidence: f64,
+}
+
+fn linear_check(seed: u64, settings: ParticleSettings) -> LinearCheck {
+    let mut normal = Normal::seeded(100 + seed);
+    let mut state = [normal.draw(), normal.draw()];
+    let linear = LinearModel {
+        transition: DMatrix::from_fn(2, 2, |i, j| TURNING[i][j]),
+        input: DMatrix::from_diagonal(&DVector::from_row_slice(&LOADING)),
+        observation: DMatrix::from_row_slice(1, 2, &[1.0, 0.0]),
+        excitation_covariance: DMatrix::identity(2, 2),
+        sensor_covariance: DMatrix::from_element(1, 1, SENSOR_STD * SENSOR_STD),
+    };
+    let mut exact = KalmanFilter::new(linear, DVector::zeros(2), DMatrix::identity(2, 2)).unwrap();
+    let start = GaussianStart {
+        mean: DVector::zeros(2),
+        covariance: DMatrix::identity(2, 2),
+        previous_input: Some(DVector::zeros(0)),
+    };
+    let particles = settings.particles as f64;
+    let mut filter = ParticleFilter::new(Turning, settings, start).unwrap();
+    let (mut errors, mut ratios, mut exact_log_evidence) = (Vec::new(), Vec::new(), 0.0);
+    for _ in 0..200 {
+        state = [0, 1].map(|i| {
+            TURNING[i][0] * state[0] + TURNING[i][1] * state[1] + LOADING[i] * normal.draw()
+        });
+        let datum = [state[0] + SENSOR_STD * normal.draw()];
+        exact.predict(&[0.0, 0.0]);
+        exact_log_evidence += exact.update(&datum).unwrap().log_evidence;
+        let step = filter
+            .step(Frame {
+                observations: &datum,
+                excitation: &[],
+            })
+            .unwrap();
+        // §5 check 1
+        let identity = particles / (1.0 + step.coefficient_of_variation.powi(2));
+        assert!((step.effective_size / identity - 1.0).abs() < 1e-12);
+        for i in 0..2 {
+            let deviation = exact.covariance()[(i, i)].sqrt();
+            errors.push((filter.mean()[i] - exact.mean()[i]) / deviation);
+            ratios.push(filter.std()[i] / deviation);
+        }
+    }
+    LinearCheck {
+        error: rms(&errors),
+        ratio: ratios.iter().sum::<f64>() / ratios.len() as f64,
+        log_evidence: filter.log_evidence(),
+        exact_log_evidence,
+    }
+}
+
+#[test]
+fn linear_gaussian_system_gives_the_kalman_filter_and_its_evidence() {
+    // Ching et al. (2006), §5 checks 2 and 3
+    for seed in [1, 2, 3] {
+        for resampling in [Resampling::Systematic, Resampling::Multinomial] {
+            let run = |density, particles| {
+                let settings = ParticleSettings {
+                    particles,
+                    density,
+                    resampling,
+                    seed,
+                    ..Default::default()
+                };
+                let check = linear_check(seed, settings);
+                println!(
+                    "seed {seed}, {resampling:?}, {density:?}, N = {particles}: error {:.3}, ratio {:.3}, evidence {:+.2}",
+                    check.error,
+                    check.ratio,
+                    check.log_evidence - check.exact_log_evidence
+                );
+                check
+            };
+            let name = format!("seed {seed}, {resampling:?}");
+            let middle = run(ImportanceDensity::Optimal, 2000);
+            assert!(middle.error <= 0.08, "{name}: {}", middle.error);
+            assert!(
+                (0.98..1.02).contains(&middle.ratio),
+                "{name}: {}",
+                middle.ratio
+            );
+            assert!(
+                (middle.log_evidence - middle.exact_log_evidence).abs() <= 1.0,
+                "{name}"
+            );
+            let large = run(ImportanceDensity::Optimal, 8000);
+            let allowed = if resampling == Resampling::Systematic {
+                0.6
+            } else {
+                1.0
+            }; // more variance
+            assert!(
+                (large.log_evidence - large.exact_log_evidence).abs() <= allowed,
+                "{name}"
+            );
+            let halves = middle.error / large.error;
+            assert!(
+                (1.5..2.7).contains(&halves),
+                "{name}: error falls by {halves} for four times the particles"
+            );
+            // prior sampling is right too, but scatters more where a datum lies far off
+            let prior = run(ImportanceDensity::Prior, 8000);
+            assert!(prior.error <= 0.05, "{name}: {}", prior.error);
+            assert!(
+                (0.98..1.02).contains(&prior.ratio),
+                "{name}: {}",
+                prior.ratio
+            );
+            assert!(
+                (prior.log_evidence - prior.exact_log_evidence).abs() <= 1.0,
+                "{name}"
+            );
+        }
+    }
 }

@@ -184,6 +184,15 @@ impl Figure {
         self
     }
 
+    /// States why this figure is known to miss its requirement, and how far: a miss beyond the limits is a surprise.
+    #[must_use]
+    pub fn known_miss_within(self, limits: Required, reason: &str) -> Self {
+        match self.measured {
+            Some(measured) if limits.holds(measured) => self.known_miss(reason),
+            _ => self,
+        }
+    }
+
     /// Sets the number of seeds that must meet the requirement, which is every seed by default.
     #[must_use]
     pub fn judged(mut self, judgement: Judgement) -> Self {

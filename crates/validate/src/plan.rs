@@ -397,6 +397,34 @@ mod tests {
         );
     }
 
+    fn misses_by_more(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+        let figure = Figure::new("known", run.seed as f64, Required::AtMost(1.0))
+            .known_miss_within(Required::AtMost(101.0), "the record is short");
+        Ok(Outcome {
+            figures: vec![figure],
+            ..Outcome::default()
+        })
+    }
+
+    #[test]
+    fn a_known_miss_beyond_its_limits_fails_the_run() {
+        let case = Box::leak(Box::new(Case {
+            name: "test.missed-by-more",
+            run: misses_by_more,
+            ..MISSED
+        }));
+        for (seeds, passed) in [
+            (vec![101], true),
+            (vec![101, 102], false),
+            (vec![102, 101], false),
+        ] {
+            let report = Plan::new(vec![&*case], seeds, Length::Full)
+                .run(&Quiet)
+                .unwrap();
+            assert_eq!(report.passed(), passed, "{}", report.text());
+        }
+    }
+
     #[test]
     fn a_case_without_result_fails_and_the_others_go_on() {
         let report = Plan::new(vec![&FAILED, &PLAIN], vec![1, 2, 3], Length::Full)

@@ -137,6 +137,7 @@ impl CaseReport {
 
     fn take(&mut self, position: usize, outcome: Outcome) {
         for figure in outcome.figures {
+            let known_miss = figure.known_miss.clone();
             let known = self
                 .figures
                 .iter()
@@ -155,7 +156,10 @@ impl CaseReport {
                 });
                 self.figures.len() - 1
             });
-            self.figures[at].measured[position] = figure.measured;
+            let merged = &mut self.figures[at];
+            merged.measured[position] = figure.measured;
+            // a miss is known only if that of every seed is
+            merged.known_miss = merged.known_miss.take().and(known_miss);
         }
         if self.plots.is_empty() && self.tables.is_empty() {
             (self.plots, self.tables) = (outcome.plots, outcome.tables);

@@ -1,7 +1,7 @@
 use super::*;
 use crate::{
     ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold, NoiseModel,
-    NoiseParameter, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings,
+    NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings,
 };
 
 /// Three unequal masses in a row with Rayleigh damping and two forces. The first and the last have
@@ -314,4 +314,158 @@ fn outliers_are_screened_alike_with_and_without_a_constant_transition() {
         }
         assert_eq!(constant.rejected(), stepwise.rejected());
     }
+}
+
+/// A datum without noise; the levels are those of `settings`.
+fn step_without_excitation<M: ProcessModel + ObservationModel>(
+    filter: &mut ExtendedKalmanFilter<M>,
+    k: usize,
+) {
+    let t = 0.05 * k as f64;
+    let observations = [(3.0 * t).sin() - 0.4 * (11.0 * t).cos(), (4.1 * t).cos()];
+    let frame = Frame {
+        observations: &observations,
+        excitation: &[0.0; 2],
+    };
+    filter.step(frame).unwrap();
+}
+
+/// Both noise levels times a factor, all deviations of the prior times another.
+fn scaled(levels: f64, prior: f64) -> ExtendedKalmanFilter<StateSpace> {
+    let (model, _) = pair();
+    let mut settings = settings(&model, NoiseRule::Fixed, InputHold::Zero);
+    settings.noise.excitation *= levels;
+    for parameter in &mut settings.noise.parameters {
+        parameter.start *= levels;
+    }
+    settings.prior_std *= prior;
+    ExtendedKalmanFilter::new(model, settings).unwrap()
+}
+
+#[test]
+fn scaling_all_noises_scales_the_covariances_and_not_the_estimates() {
+    // ch3 §5 A4 with ρ = 7, with fading
+    let rho = 7.0_f64;
+    let (mut plain, mut scaled) = (scaled(1.0, 1.0), scaled(rho, rho.sqrt()));
+    for k in 0..800 {
+        step_without_excitation(&mut plain, k);
+        step_without_excitation(&mut scaled, k);
+    }
+    let difference = scaled.covariance() - plain.covariance() * rho;
+    let std = plain.covariance().diagonal().map(f64::sqrt);
+    let scale = &std * std.transpose() * rho;
+    assert!(difference.component_div(&scale).amax() < 1e-9);
+    assert!((plain.mean() - scaled.mean()).amax() < 1e-9 * plain.mean().amax());
+}
+
+#[test]
+fn levels_of_the_same_ratio_give_the_same_state() {
+    // Yuen et al. (2013), acceptance 10: once the prior is forgotten, the ratio of the levels is all that a gain knows
+    let (mut large, mut small) = (scaled(1.0, 1.0), scaled(0.01, 1.0));
+    let mut differences = [0.0; 2];
+    for k in 0..4000 {
+        step_without_excitation(&mut large, k);
+        step_without_excitation(&mut small, k);
+        let difference = (large.mean() - small.mean()).amax();
+        let late = usize::from(k >= 3000);
+        differences[late] = f64::max(differences[late], difference);
+    }
+    assert!(
+        differences[0] > 1e-3,
+        "the prior was never felt: {differences:?}"
+    );
+    assert!(differences[1] < 1e-12, "{differences:?}");
+}
+
+#[test]
+fn modal_and_physical_coordinates_give_the_same_estimates() {
+    let (physical, modal) = pair();
+    let modal_from_physical = modal.modal_from_physical();
+    let physical_from_modal = modal.physical_from_modal();
+    // Φᵀ M Φ = I: variances in inverse proportion to the masses are equal ones of the modes
+    let mut of_physical = settings(&physical, NoiseRule::HalfOrDouble, InputHold::Zero);
+    let masses = matrices().0[0].diagonal();
+    of_physical.prior_std = DVector::from_fn(6, |j, _| 0.3 / masses[j % 3].sqrt());
+    let mut of_modal = of_physical.clone();
+    of_modal.prior_mean = modal_from_physical * &of_physical.prior_mean;
+    of_modal.prior_std.fill(0.3);
+    let (physical, modal) = (run(physical, of_physical), run(modal, of_modal));
+    let difference = physical.mean() - &physical_from_modal * modal.mean();
+    assert!(
+        difference.amax() < 1e-10 * physical.mean().amax(),
+        "{difference}"
+    );
+    let ratio = physical.noise().mean.component_div(&modal.noise().mean);
+    assert!(
+        ratio.iter().all(|ratio| (ratio - 1.0).abs() < 1e-8),
+        "{ratio}"
+    );
+}
+
+#[test]
+fn gap_ages_the_levels_and_nothing_else() {
+    let (_, model) = pair();
+    let mut settings = settings(&model, NoiseRule::HalfOrDouble, InputHold::Zero);
+    settings.noise_settings.fading = 2f64.powf(2.0 / 1000.0);
+    let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
+    (0..300).for_each(|k| step_without_excitation(&mut filter, k));
+    let before = filter.noise().clone();
+    assert_eq!(before.phase, NoisePhase::Working);
+    for _ in 0..500 {
+        let frame = Frame {
+            observations: &[f64::NAN; 2],
+            excitation: &[0.0; 2],
+        };
+        filter.step(frame).unwrap();
+    }
+    // λ^(N_s/2) = 2
+    let after = filter.noise();
+    assert_eq!(after.mean, before.mean);
+    let difference = &after.covariance - &before.covariance * 2.0;
+    assert!(difference.amax() < 1e-10 * before.covariance.amax());
+}
+
+#[test]
+fn displacement_that_nothing_observes_winds_up_alone() {
+    // Huang & Yuen (2023), chapter 2, §5 check 12: fading alone makes 2^75 = 3.8e22 of its deviation in 150 000 steps of half-life
+    // 2000; here a mass on a dashpot, whose displacement appears in no equation
+    let filter = |kept: usize| {
+        let system = DMatrix::from_row_slice(2, 2, &[0.0, 1.0, 0.0, -0.5]);
+        let input = DMatrix::from_row_slice(2, 1, &[0.0, 1.0]);
+        let first = 1 - kept;
+        let model = StateSpace::new(
+            system.view((first, first), (1 + kept, 1 + kept)).into(),
+            input.rows(first, 1 + kept).into(),
+            DMatrix::from_fn(1, 1 + kept, |_, j| if j == kept { 1.0 } else { 0.0 }),
+            DirectTerm::None,
+        );
+        let noise = NoiseModel::known(DMatrix::identity(1, 1), DMatrix::identity(1, 1) * 1e-2);
+        let n = 1 + kept;
+        let mut settings =
+            FilterSettings::new(0.002, DVector::zeros(n), DVector::repeat(n, 1e-2), noise);
+        settings.fading = FadingFactor::from_half_life(2000.0).unwrap();
+        ExtendedKalmanFilter::new(model.unwrap(), settings).unwrap()
+    };
+    let (mut with, mut without) = (filter(1), filter(0));
+    let mut start = 0.0;
+    for k in 0..150_000 {
+        let frame = Frame {
+            observations: &[(0.01 * f64::from(k)).sin()],
+            excitation: &[0.0],
+        };
+        with.step(frame).unwrap();
+        without.step(frame).unwrap();
+        if k == 0 {
+            start = with.covariance()[(0, 0)].sqrt();
+        }
+    }
+    let growth = with.covariance()[(0, 0)].sqrt() / start;
+    assert!((1e22..1e24).contains(&growth), "grew by {growth:e}");
+    let (a, b) = (with.mean()[1], without.mean()[0]);
+    let std = without.covariance()[(0, 0)].sqrt();
+    assert!(
+        (a - b).abs() < 0.05 * std,
+        "velocity {a} with displacement, {b} ± {std} without"
+    );
+    assert!((with.covariance()[(1, 1)].sqrt() / std - 1.0).abs() < 1e-3);
 }

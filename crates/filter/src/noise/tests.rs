@@ -566,6 +566,47 @@ fn without_training_only_the_guard_keeps_the_levels_positive() {
 }
 
 #[test]
+fn short_half_life_needs_the_positivity_guard() {
+    // Yuen et al. (2013), §5, stress behaviour: after 6000 steps
+    for (seed, half_life, needs_guard) in (1..=3).flat_map(|seed| {
+        [(200.0, false), (50.0, true), (20.0, true)]
+            .map(|(half_life, guard)| (seed, half_life, guard))
+    }) {
+        let run = |positivity_guard: f64| {
+            let mut problem = TwoLevels::seeded(seed, [10.0, 10.0]);
+            let settings = NoiseSettings {
+                rule: NoiseRule::HalfOrDouble,
+                fading: 2f64.powf(2.0 / half_life),
+                training_steps: 500,
+                positivity_guard,
+                ..NoiseSettings::default()
+            };
+            let mut state = NoiseState::start(&problem.model, &settings);
+            let mut objective = Objective::new(6, 2);
+            let positive = (0..6000).all(|_| {
+                let innovation = problem.innovation();
+                problem.set(&mut objective, &innovation);
+                state.update(&problem.model, &settings, &mut objective);
+                state.mean.min() > 0.0
+            });
+            (positive, state.limited)
+        };
+        let (unguarded, guarded) = (run(f64::INFINITY), run(2.0));
+        println!("seed {seed}, half-life {half_life}: {unguarded:?}, {guarded:?}");
+        assert_eq!(
+            unguarded.0, !needs_guard,
+            "seed {seed}, half-life {half_life}"
+        );
+        assert!(guarded.0, "seed {seed}, half-life {half_life}");
+        assert_eq!(
+            guarded.1 > 0,
+            needs_guard,
+            "seed {seed}, half-life {half_life}"
+        );
+    }
+}
+
+#[test]
 fn settings_that_the_two_stage_rule_cannot_have_are_refused() {
     let settings = NoiseSettings {
         rule: NoiseRule::HalfOrDouble,

@@ -5,7 +5,7 @@ use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
 use crate::outcome::{Outcome, Plot, Series, SeriesKind};
 use crate::run::Run;
-use crate::statistics::{Accuracy, Normal, rms};
+use crate::statistics::{Accuracy, Mean, Normal, rms};
 use crate::systems::oscillator::Oscillator;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
@@ -67,7 +67,10 @@ struct Tracked {
     curves: [Vec<[f32; 3]>; 2],
 }
 
-fn track(record: &Record, half_life_steps: Option<f64>) -> Result<Tracked, ValidateError> {
+fn filter(
+    record: &Record,
+    half_life_steps: Option<f64>,
+) -> Result<ExtendedKalmanFilter<Oscillator>, ValidateError> {
     let noise = NoiseModel::known(
         DMatrix::from_element(1, 1, record.excitation_variance),
         DMatrix::from_diagonal(&DVector::from_row_slice(
@@ -79,8 +82,11 @@ fn track(record: &Record, half_life_steps: Option<f64>) -> Result<Tracked, Valid
     if let Some(steps) = half_life_steps {
         settings.fading = FadingFactor::from_half_life(steps).map_err(ValidateError::setting)?;
     }
-    let mut filter = ExtendedKalmanFilter::new(Oscillator::default(), settings)
-        .map_err(ValidateError::setting)?;
+    ExtendedKalmanFilter::new(Oscillator::default(), settings).map_err(ValidateError::setting)
+}
+
+fn track(record: &Record, half_life_steps: Option<f64>) -> Result<Tracked, ValidateError> {
+    let mut filter = filter(record, half_life_steps)?;
     let mut tracked = Tracked {
         late: Default::default(),
         last: [(0.0, 0.0); 4],
@@ -122,10 +128,18 @@ fn track(record: &Record, half_life_steps: Option<f64>) -> Result<Tracked, Valid
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let record = simulate(run.seed, 40_000);
     let published = track(&record, Some(2000.0))?;
-    run.advance(0.4);
+    run.advance(0.1);
     let endless = track(&record, None)?;
-    run.advance(0.7);
+    run.advance(0.2);
     let short = track(&record, Some(400.0))?;
+    run.advance(0.3);
+    let mut mean_stds = [Mean::default(); 2];
+    for seed in 1..=8 {
+        let tracked = track(&simulate(seed, 40_000), Some(2000.0))?;
+        for (mean, accuracy) in mean_stds.iter_mut().zip(&tracked.late[2..]) {
+            mean.take(accuracy.mean_std());
+        }
+    }
 
     let lambda: f64 = 2f64.powf(1e-3);
     let mut figures = vec![
@@ -151,6 +165,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     ];
     let late = || record.truth[10_000..].iter();
     let power = [0, 1].map(|j| rms(late().map(|u| u[j])).powi(2));
+    // the deviations are inverse to the rms of the record, which scatters by a factor of two and a half, as a record of 200 s has
+    // few independent swings: beside the bound of each record they are judged singly, and in the mean over eight
     for (j, name, low, high) in [(2, "ω (rad/s)", 0.05, 0.08), (3, "ζ", 0.07, 0.12)] {
         let accuracy = &published.late[j];
         let bound =
@@ -167,6 +183,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 Required::Between { low, high },
             )
             .known_miss("inverse to the rms of the record, which scatters by seed"),
+            Figure::new(
+                format!("{name}: mean deviation after 50 s, mean of the records 1 to 8"),
+                mean_stds[j - 2].value(),
+                Required::Between { low, high },
+            ),
             Figure::new(
                 format!("{name}: deviation over the information bound"),
                 accuracy.mean_std() / bound,
@@ -189,7 +210,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             ),
         ]);
     }
-    for (j, name, truth) in [(2, "ω (rad/s)", FREQUENCY), (3, "ζ", DAMPING)] {
+    for (j, name, truth, low, high) in [
+        (2, "ω (rad/s)", FREQUENCY, 0.006, 0.024),
+        (3, "ζ", DAMPING, 0.008, 0.034),
+    ] {
         let (mean, std) = endless.last[j];
         figures.push(Figure::new(
             format!("{name} without forgetting: error at the end over its deviation"),
@@ -199,10 +223,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         figures.push(Figure::new(
             format!("{name} without forgetting: deviation at the end"),
             std,
-            Required::Between {
-                low: 0.006,
-                high: 0.034,
-            },
+            Required::Between { low, high },
         ));
     }
     figures.push(Figure::new(
@@ -241,4 +262,113 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         tables: Vec::new(),
         plots: plots.collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Estimates of [x, ẋ, ω, ζ] at every step.
+    fn estimates(record: &Record, half_life_steps: Option<f64>) -> Vec<DVector<f64>> {
+        let mut filter = filter(record, half_life_steps).unwrap();
+        let estimates = record.data.iter().map(|datum| {
+            let frame = Frame {
+                observations: datum,
+                excitation: &[0.0],
+            };
+            filter.step(frame).unwrap();
+            filter.mean().clone()
+        });
+        estimates.collect()
+    }
+
+    /// The same filter by dense matrices, (2.60) to (2.65); as printed in (2.78) and (2.81), `B_i` and `δ_i` have `A_y` in
+    /// place of `A_y⁻¹`.
+    fn estimates_by_dense_matrices(
+        record: &Record,
+        lambda: f64,
+        misprinted: bool,
+    ) -> Vec<DVector<f64>> {
+        let mut y = DVector::from_row_slice(&[0.0, 0.0, 1.0, 1.0]);
+        let mut sigma = DMatrix::<f64>::identity(4, 4);
+        let observation = DMatrix::<f64>::identity(2, 4);
+        let variances = record.noise_std.map(|std| std * std);
+        let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(&variances));
+        let mut estimates = Vec::new();
+        for (i, datum) in record.data.iter().enumerate() {
+            if i > 0 {
+                let (x, v, omega, zeta) = (y[0], y[1], y[2], y[3]);
+                let [stiff, damped] = [omega * omega, 2.0 * zeta * omega];
+                let [by_omega, by_zeta] = [-2.0 * (omega * x + zeta * v), -2.0 * omega * v];
+                let rate = -stiff * x - damped * v;
+                // [A_y B_y g; 0], whose exponential holds A_i, Γ B_y and Γ g
+                let mut augmented = DMatrix::zeros(6, 6);
+                augmented
+                    .row_mut(0)
+                    .copy_from_slice(&[0.0, 1.0, 0.0, 0.0, 0.0, v]);
+                augmented
+                    .row_mut(1)
+                    .copy_from_slice(&[-stiff, -damped, by_omega, by_zeta, 1.0, rate]);
+                let exponential = (&augmented * STEP_S).exp();
+                let transition = exponential.view((0, 0), (4, 4)).into_owned();
+                let (input, step) = if misprinted {
+                    let a_y = augmented.view((0, 0), (4, 4));
+                    let factor = a_y * (&transition - DMatrix::identity(4, 4));
+                    let delta = &factor * (augmented.view((0, 5), (4, 1)) - a_y * &y);
+                    (factor.column(1).into_owned(), &transition * &y + delta - &y)
+                } else {
+                    let column = |j| exponential.view((0, j), (4, 1)).column(0).into_owned();
+                    (column(4), column(5))
+                };
+                y += step;
+                sigma = (&transition * sigma * transition.transpose()
+                    + &input * record.excitation_variance * input.transpose())
+                    * lambda;
+            }
+            let s = &observation * &sigma * observation.transpose() + &sensors;
+            let gain = &sigma * observation.transpose() * s.try_inverse().unwrap();
+            y += &gain * (DVector::from_row_slice(datum) - &observation * &y);
+            sigma = &sigma - &gain * &observation * &sigma;
+            sigma = (&sigma + sigma.transpose()) * 0.5;
+            estimates.push(y.clone());
+        }
+        estimates
+    }
+
+    #[test]
+    fn without_fading_it_is_the_plain_extended_filter() {
+        // chapter 2, §5 check 3, by a second route; to rounding, because series and exponential round differently
+        for seed in [1, 2, 3] {
+            let record = simulate(seed, 2_000);
+            let dense = estimates_by_dense_matrices(&record, 1.0, false);
+            for (i, (mean, expected)) in estimates(&record, None).iter().zip(&dense).enumerate() {
+                for j in 0..4 {
+                    let error = (mean[j] - expected[j]).abs();
+                    assert!(
+                        error < 1e-8 * (1.0 + expected[j].abs()),
+                        "seed {seed}, step {i}, state {j}: {error:e}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn misprinted_discretisation_moves_the_parameters() {
+        // chapter 2, §5 check 12: by 0.4 to 0.6 in the second half of a 40 to 50 s record
+        for seed in [1, 2, 3] {
+            let record = simulate(seed, 9_000);
+            let right = estimates(&record, Some(2000.0));
+            let wrong = estimates_by_dense_matrices(&record, 2f64.powf(1.0 / 1000.0), true);
+            let moved = right.iter().zip(&wrong).skip(4_500);
+            let moved = moved
+                .map(|(right, wrong)| (right - wrong).rows(2, 2).amax())
+                .fold(0.0, f64::max);
+            println!("seed {seed}: moved by {moved}");
+            assert!(
+                moved > 0.4,
+                "seed {seed}: the misprint moves the parameters by {moved} only"
+            );
+        }
+    }
 }

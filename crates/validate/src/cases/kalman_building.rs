@@ -16,41 +16,59 @@ const FLOORS: usize = 60;
 const OF_THE_RECORD: &str = "200 s are 33 periods of the first mode: the motion, and the noise that is 5 % of it, scatter by seed";
 const STEP_S: f64 = 0.005;
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
-/// Number of steps after which errors count (20 s).
+const STEPS: usize = 40_000;
+/// Steps after which errors count (20 s).
 const SETTLED: usize = 4_000;
 /// Number of steps after which the deviations are steady (10 s).
 const STEADY: usize = 2_000;
 
-pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let steps = run.pick(40_000, 12_000);
-    let stiffness = linear::chain(FLOORS, 1632.0);
-    let (system, input) = linear::under_ground_motion(&stiffness, 0.0157, 0.0048);
+/// Steady deviations of displacement (m) and velocity (m/s) of floors 1, 30, 60 in a run that is independent of this one.
+const STEADY_STD: [[f64; 2]; 3] = [[4.1e-6, 2.1e-4], [9.3e-5, 2.5e-4], [1.3e-4, 2.7e-4]];
+
+/// `M⁻¹ K` (1/s²).
+fn stiffness() -> DMatrix<f64> {
+    linear::chain(FLOORS, 1632.0)
+}
+
+/// The building with sensors that have no noise yet.
+fn building() -> LinearModel {
+    let (system, input) = linear::under_ground_motion(&stiffness(), 0.0157, 0.0048);
     let (transition, held) = LinearModel::discretise(&system, &input, STEP_S);
     let observation = DMatrix::from_fn(SENSED.len(), 2 * FLOORS, |c, j| {
         system[(FLOORS + SENSED[c] - 1, j)]
     });
-    let variance = 2.0 * PI * 1.6e-5 / STEP_S;
-    let mut normal = Normal::stream(run.seed, 0);
-    let mut u = DVector::zeros(2 * FLOORS);
-    let mut truth = Vec::with_capacity(steps);
-    for _ in 0..steps {
-        u = &transition * &u + &held * (variance.sqrt() * normal.draw());
-        truth.push(u.clone());
-    }
-    let clean: Vec<DVector<f64>> = truth.iter().map(|u| &observation * u).collect();
-    let noise_std = DVector::from_fn(SENSED.len(), |c, _| 0.05 * rms(clean.iter().map(|z| z[c])));
-    let model = LinearModel {
+    LinearModel {
         transition,
         input: held,
         observation,
-        excitation_covariance: DMatrix::from_element(1, 1, variance),
-        sensor_covariance: DMatrix::from_diagonal(&noise_std.map(|std| std * std)),
-    };
+        excitation_covariance: DMatrix::from_element(1, 1, 2.0 * PI * 1.6e-5 / STEP_S),
+        sensor_covariance: DMatrix::zeros(SENSED.len(), SENSED.len()),
+    }
+}
+
+/// The filter of the source: it knows nothing of the start.
+fn filter(mut model: LinearModel, noise_std: &DVector<f64>) -> Result<KalmanFilter, ValidateError> {
+    model.sensor_covariance = DMatrix::from_diagonal(&noise_std.map(|std| std * std));
     let start = (
         DVector::zeros(2 * FLOORS),
         DMatrix::identity(2 * FLOORS, 2 * FLOORS),
     ); // (2.43), (2.44)
-    let mut filter = KalmanFilter::new(model, start.0, start.1).map_err(ValidateError::setting)?;
+    KalmanFilter::new(model, start.0, start.1).map_err(ValidateError::setting)
+}
+
+pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    let model = building();
+    let variance = model.excitation_covariance[(0, 0)];
+    let mut normal = Normal::stream(run.seed, 0);
+    let mut u = DVector::zeros(2 * FLOORS);
+    let mut truth = Vec::with_capacity(STEPS);
+    for _ in 0..STEPS {
+        u = &model.transition * &u + &model.input * (variance.sqrt() * normal.draw());
+        truth.push(u.clone());
+    }
+    let clean: Vec<DVector<f64>> = truth.iter().map(|u| &model.observation * u).collect();
+    let noise_std = DVector::from_fn(SENSED.len(), |c, _| 0.05 * rms(clean.iter().map(|z| z[c])));
+    let mut filter = filter(model, &noise_std)?;
     let mut noise = Normal::stream(run.seed, 1);
     let mut accuracy = vec![Accuracy::default(); 2 * FLOORS];
     let mut chi_squared = Mean::default();
@@ -115,20 +133,23 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 accuracy.take(filter.mean()[j], std(j), u[j]);
             }
         }
-        if i % 1_000 == 0 && !run.advance(i as f64 / steps as f64) {
+        if i % 1_000 == 0 && !run.advance(i as f64 / STEPS as f64) {
             return Err(ValidateError::Stopped);
         }
     }
 
-    let omega = stiffness.clone().symmetric_eigenvalues().map(f64::sqrt);
+    let omega = stiffness().symmetric_eigenvalues().map(f64::sqrt);
     let mut frequencies: Vec<f64> = omega.iter().map(|omega| omega / (2.0 * PI)).collect();
     frequencies.sort_by(f64::total_cmp);
     let damping = |mode: usize| {
         let omega = 2.0 * PI * frequencies[mode];
         0.5 * (0.0157 / omega + 0.0048 * omega)
     };
-    // Figures that depend on the rms of the record are judged on the full record only.
-    let full = |required: Required| run.pick(required, Required::Reported);
+    let velocity_error = |name: String, error: f64| {
+        let between = |low, high| Required::Between { low, high };
+        Figure::new(name, error, between(2.1e-4, 2.8e-4))
+            .known_miss_within(between(2.05e-4, 2.85e-4), OF_THE_RECORD)
+    };
     let mut figures = vec![
         Figure::new(
             "f1 (Hz)",
@@ -177,18 +198,13 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("floor {floor}: relative error of the velocity after 20 s"),
                 velocity.relative_error(),
-                full(Required::AtMost(0.10)),
+                Required::AtMost(0.10),
             )
-            .known_miss(OF_THE_RECORD),
-            Figure::new(
+            .known_miss_within(Required::AtMost(0.12), OF_THE_RECORD),
+            velocity_error(
                 format!("floor {floor}: rms error of the velocity after 20 s (m/s)"),
                 velocity.rms_error(),
-                full(Required::Between {
-                    low: 2.1e-4,
-                    high: 2.8e-4,
-                }),
-            )
-            .known_miss(OF_THE_RECORD),
+            ),
         ]);
     }
     let (displacements, velocities) = accuracy.split_at(FLOORS);
@@ -198,12 +214,6 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .iter()
         .map(Accuracy::rms_error)
         .fold(f64::INFINITY, f64::min);
-    let of_velocity = || {
-        full(Required::Between {
-            low: 2.1e-4,
-            high: 2.8e-4,
-        })
-    };
     figures.extend([
         Figure::new(
             "every floor: largest relative error of the displacement after 20 s",
@@ -213,21 +223,17 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Figure::new(
             "every floor: largest relative error of the velocity after 20 s",
             largest(velocities, Accuracy::relative_error),
-            full(Required::AtMost(0.10)),
+            Required::AtMost(0.10),
         )
-        .known_miss(OF_THE_RECORD),
-        Figure::new(
-            "every floor: least rms error of the velocity (m/s)",
+        .known_miss_within(Required::AtMost(0.12), OF_THE_RECORD),
+        velocity_error(
+            "every floor: least rms error of the velocity (m/s)".to_owned(),
             least_velocity,
-            of_velocity(),
-        )
-        .known_miss(OF_THE_RECORD),
-        Figure::new(
-            "every floor: largest rms error of the velocity (m/s)",
+        ),
+        velocity_error(
+            "every floor: largest rms error of the velocity (m/s)".to_owned(),
             largest(velocities, Accuracy::rms_error),
-            of_velocity(),
-        )
-        .known_miss(OF_THE_RECORD),
+        ),
         Figure::new(
             "every state: largest change of its deviation from 10 s on, over its value",
             drift,
@@ -244,25 +250,17 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Figure::new(
             "rms of error over deviation, all states",
             rms(accuracy.iter().map(Accuracy::normalised_error)),
-            full(Required::Between {
-                low: 0.97,
-                high: 1.03,
-            }),
+            Required::Within { of: 1.0, by: 0.03 },
         )
-        .known_miss(OF_THE_RECORD),
+        .known_miss_within(Required::Within { of: 1.0, by: 0.06 }, OF_THE_RECORD),
         Figure::new(
             "mean χ² per channel",
             chi_squared.value(),
             Required::Within { of: 1.0, by: 0.02 },
         ),
     ]);
-    for (k, (floor, displacement, velocity)) in [
-        (1, 4.1e-6, 2.1e-4),
-        (30, 9.3e-5, 2.5e-4),
-        (60, 1.3e-4, 2.7e-4),
-    ]
-    .into_iter()
-    .enumerate()
+    for (k, (floor, [displacement, velocity])) in
+        [1, 30, 60].into_iter().zip(STEADY_STD).enumerate()
     {
         figures.extend([
             Figure::new(
@@ -278,15 +276,15 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("floor {floor}: steady deviation of the displacement (m)"),
                 accuracy[floor - 1].mean_std(),
-                full(Required::relative(displacement, 0.05)),
+                Required::relative(displacement, 0.05),
             )
             .known_miss(OF_THE_RECORD),
             Figure::new(
                 format!("floor {floor}: steady deviation of the velocity (m/s)"),
                 accuracy[FLOORS + floor - 1].mean_std(),
-                full(Required::relative(velocity, 0.05)),
+                Required::relative(velocity, 0.05),
             )
-            .known_miss(OF_THE_RECORD),
+            .known_miss_within(Required::relative(velocity, 0.10), OF_THE_RECORD),
         ]);
     }
     let mut plots: Vec<Plot> = curves
@@ -327,4 +325,62 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         tables: Vec::new(),
         plots,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_filter::steady::lyapunov_by_doubling;
+
+    #[test]
+    fn one_strength_of_the_first_mode_gives_all_six_deviations() {
+        // chapter 2, §5 check 6: 4.1e-6, 9.3e-5, 1.3e-4 m and 2.1, 2.5, 2.7e-4 m/s, ± 5 %, reached within 10 s. They depend on the
+        // record through nothing but the noise, 5 % of what it shows, and a record of 200 s differs from the stationary response in
+        // its first mode above all, of which it has 33 periods. How strong that one was is the unknown: found from the
+        // displacement of the roof, it has to give the other five
+        let model = building();
+        let excited = &model.input * &model.excitation_covariance * model.input.transpose();
+        let covariance = lyapunov_by_doubling(model.transition.clone(), excited).unwrap();
+        let modes = stiffness().symmetric_eigen();
+        let shape = modes.eigenvectors.column(modes.eigenvalues.imin());
+        let projection = DMatrix::identity(2, 2).kronecker(&(shape * shape.transpose()));
+        let first_mode = &projection * &covariance * &projection;
+        let shown = |covariance: &DMatrix<f64>| {
+            (&model.observation * covariance * model.observation.transpose()).diagonal()
+        };
+        let (all, first) = (shown(&covariance), shown(&first_mode));
+        let steady = |strength: f64| {
+            let noise_std = (&all + &first * (strength * strength - 1.0))
+                .map(|variance| 0.05 * variance.sqrt());
+            let mut filter = filter(model.clone(), &noise_std).unwrap();
+            for _ in 0..STEADY {
+                filter.predict(&[0.0]);
+                filter.update(&[0.0; SENSED.len()]).unwrap();
+            }
+            let std = |j: usize| filter.covariance()[(j, j)].sqrt();
+            [1, 30, 60].map(|floor| [std(floor - 1), std(FLOORS + floor - 1)])
+        };
+        let (mut weak, mut strong) = (0.8, 1.6);
+        for _ in 0..8 {
+            let middle = 0.5 * (weak + strong);
+            (weak, strong) = if steady(middle)[2][0] < STEADY_STD[2][0] {
+                (middle, strong)
+            } else {
+                (weak, middle)
+            };
+        }
+        let found = steady(weak);
+        println!(
+            "strength {weak:.3}: {found:?}; of the stationary response {:?}",
+            steady(1.0)
+        );
+        // as records of 200 s scatter
+        assert!((0.8..=1.5).contains(&weak), "strength {weak}");
+        for (found, expected) in found.iter().flatten().zip(STEADY_STD.iter().flatten()) {
+            assert!(
+                (found / expected - 1.0).abs() <= 0.05,
+                "{found:e}, expected {expected:e}"
+            );
+        }
+    }
 }

@@ -136,20 +136,30 @@ fn with_fixed_levels(
     })
 }
 
-/// Identifies the level of the sensors from `ψ = 1`.
-fn with_identified_level(
+/// Identifies the level of the sensors from `ψ = 1`, and that of the force if asked.
+fn with_identified_levels(
     record: &Record,
     rule: NoiseRule,
+    force: bool,
 ) -> Result<ExtendedKalmanFilter<Chain>, ValidateError> {
-    let excitation = DMatrix::from_element(1, 1, excitation_variance());
+    let known = if force { 0.0 } else { excitation_variance() };
+    let excitation = DMatrix::from_element(1, 1, known);
     let mut noise = NoiseModel::known(excitation, DMatrix::zeros(MASSES, MASSES));
-    noise.parameters.push(NoiseParameter {
-        name: "sensors".to_owned(),
-        target: NoiseTarget::Sensors,
-        pattern: DMatrix::identity(MASSES, MASSES),
+    let level = |name: &str, target, size| NoiseParameter {
+        name: name.to_owned(),
+        target,
+        pattern: DMatrix::identity(size, size),
         start: 1.0,
         start_std: 1.0 / 3.0,
-    });
+    };
+    if force {
+        noise
+            .parameters
+            .push(level("force", NoiseTarget::Excitation, 1));
+    }
+    noise
+        .parameters
+        .push(level("sensors", NoiseTarget::Sensors, MASSES));
     let mut settings = settings(noise)?;
     settings.noise_settings = NoiseSettings {
         rule,
@@ -233,7 +243,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             weak.beta.coverage(),
             Required::AtMost(0.0),
         )
-        .known_miss(
+        .known_miss_within(
+            Required::AtMost(0.5),
             "in some records the estimate passes the truth on its way, for up to 3 of the 10 s",
         ),
         Figure::new(
@@ -271,7 +282,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ("published", NoiseRule::Published),
         ("fisher", NoiseRule::Fisher),
     ] {
-        let filter = with_identified_level(&long, rule)?;
+        let filter = with_identified_levels(&long, rule, false)?;
         let noise = filter.noise();
         let level = noise.mean[0] / long.noise_variance;
         let trained = f64::from(u8::from(noise.phase == NoisePhase::Working));
@@ -318,4 +329,27 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         tables: Vec::new(),
         plots,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn level_that_the_data_hardly_inform_stays_uncertain() {
+        // ch3 §5, failure signatures: a force needs more than one sample to reach the sensors while the likelihood sees one
+        // step. The published rule takes a level as known once training has ended, so it must stay in training. The scoring rule
+        // goes on learning, so its training ends at its limit, 40 periods = 12.5 s, and the level stays as uncertain as it is.
+        for (rule, seconds, phase) in [
+            (NoiseRule::Published, 20.0, NoisePhase::Training),
+            (NoiseRule::Fisher, 12.0, NoisePhase::Training),
+            (NoiseRule::Fisher, 20.0, NoisePhase::Working),
+        ] {
+            let filter = with_identified_levels(&simulate(1, seconds), rule, true).unwrap();
+            let (found, std) = (filter.noise().phase, filter.noise().largest_relative_std());
+            println!("{rule:?}, {seconds} s: relative sd {std:.3}");
+            assert_eq!(found, phase, "{rule:?}, {seconds} s");
+            assert!(std > 0.1, "{rule:?}, {seconds} s: {std}");
+        }
+    }
 }

@@ -13,10 +13,13 @@ use crate::run::Run;
 use crate::scene::Course;
 use crate::statistics::Mean;
 use crate::systems::tall_building::{
-    self, Case, ErrorStatistics, Levels, Record, STEP_S, TABULATED, Tabulated, held_variance,
-    simulate,
+    self, Case, ErrorStatistics, FLOORS, GROUND_INTENSITY, Levels, PRINTED_SENSOR_VARIANCE, Record,
+    SENSED, STEP_S, TABULATED, Tabulated, discrete_model, held_variance, mean_wind, modal_model,
+    simulate, tabulated,
 };
 use crate::tracking::{agreement, lag};
+use spandrel_filter::FilterError;
+use spandrel_filter::steady::{lyapunov_by_doubling, stationary_error_covariance, stationary_gain};
 
 /// Half-life of the levels (steps).
 const HALF_LIFE: f64 = 1000.0;
@@ -111,6 +114,140 @@ fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
     )
 }
 
+/// Stationary errors of filters with the right levels and with those of [`START`].
+fn closed_form(case: Case, levels: [f64; 2]) -> Result<[Tabulated; 2], FilterError> {
+    let truth = discrete_model(case, levels[0], levels[1])?;
+    let believed = discrete_model(case, START[0], START[1])?;
+    let right = stationary_error_covariance(&truth, &stationary_gain(&truth)?.gain)?;
+    let wrong = stationary_error_covariance(&truth, &stationary_gain(&believed)?.gain)?;
+    Ok([right, wrong].map(|covariance| tabulated(|j| covariance[(j, j)].sqrt())))
+}
+
+/// The building, its motion and its stationary errors, of which no record is needed.
+fn figures_of_the_building() -> Result<Vec<Figure>, FilterError> {
+    let level = held_variance(GROUND_INTENSITY, STEP_S);
+    let within = |of, by| Required::Within { of, by };
+    let mut figures = vec![
+        Figure::new(
+            "variance of a sample of the ground motion (m²/s⁴)",
+            level,
+            within(0.075_398_2, 1e-6),
+        )
+        .published(0.0754),
+    ];
+    let modal = modal_model(Case::Ground)?;
+    for (mode, of, by) in [
+        (1, 0.199_997, 2e-6),
+        (2, 0.5998, 5e-5),
+        (3, 0.9990, 5e-5),
+        (FLOORS, 12.854, 5e-4),
+    ] {
+        let found = modal.angular_frequencies()[mode - 1] / std::f64::consts::TAU;
+        figures.push(Figure::new(format!("f{mode} (Hz)"), found, within(of, by)));
+    }
+    for (mode, of) in [(1, 0.010_000), (2, 0.010_000), (3, 0.013_993)] {
+        let name = format!("damping ratio of mode {mode}");
+        figures.push(Figure::new(
+            name,
+            modal.damping_ratios()[mode - 1],
+            within(of, 1e-6),
+        ));
+    }
+    let model = discrete_model(Case::Ground, level, PRINTED_SENSOR_VARIANCE)?;
+    let noise = &model.input * &model.excitation_covariance * model.input.transpose();
+    let top = model.observation.row(SENSED.len() - 1);
+    let rms = lyapunov_by_doubling(model.transition, noise).map_or(f64::NAN, |covariance| {
+        (top * covariance * top.transpose())[(0, 0)].sqrt()
+    });
+    figures.push(Figure::new(
+        "stationary rms of the top floor's absolute acceleration (m/s²)",
+        rms,
+        within(0.2518, 5e-5),
+    ));
+    let found = closed_form(Case::Ground, [level, PRINTED_SENSOR_VARIANCE])?;
+    for ((found, derived), levels) in found
+        .iter()
+        .zip(&published::STATIONARY_1)
+        .zip(["actual levels", "[10, 10]"])
+    {
+        figures.push(Figure::new(
+            format!("stationary errors, {levels}, against the derived ones: largest difference"),
+            worst(found, derived),
+            Required::AtMost(0.001),
+        ));
+    }
+    Ok(figures)
+}
+
+/// Table 1: estimates from five starts meet.
+fn figures_of_five_starts(record: &Record, run: &Run<'_>) -> Result<Vec<Figure>, ValidateError> {
+    const WITHIN_S: f64 = 150.0;
+    let starts = [
+        [
+            held_variance(GROUND_INTENSITY, STEP_S),
+            record.sensor_variance,
+        ],
+        START,
+        [10.0, 1e-5],
+        [1e-3, 10.0],
+        [1e-3, 1e-5],
+    ];
+    let mut filters = Vec::new();
+    for start in starts {
+        let levels = Levels::Online(start);
+        filters.push(
+            tall_building::Run::new(record, levels, HALF_LIFE).map_err(ValidateError::setting)?,
+        );
+    }
+    // when a trial last was apart from the first, and any from another
+    let (mut apart_s, mut all_apart_s) = ([0.0; 5], 0.0);
+    for k in 0..(WITHIN_S / STEP_S) as usize {
+        let time_s = (k + 1) as f64 * STEP_S;
+        let mut estimates = [[0.0; 2]; 5];
+        for (filter, estimate) in filters.iter_mut().zip(&mut estimates) {
+            filter.step(k).map_err(ValidateError::at(time_s))?;
+            let mean = &filter.filter.noise().mean;
+            *estimate = [mean[0], mean[1]];
+        }
+        let meet = |trials: &[[f64; 2]]| {
+            let apart = |level: usize| {
+                let of_level = || trials.iter().map(move |trial| trial[level]);
+                of_level().fold(0.0, f64::max) / of_level().fold(f64::INFINITY, f64::min)
+            };
+            apart(0).max(apart(1)) <= 1.02
+        };
+        for (trial, apart_s) in apart_s.iter_mut().enumerate() {
+            if !meet(&[estimates[0], estimates[trial]]) {
+                *apart_s = time_s;
+            }
+        }
+        if !meet(&estimates) {
+            all_apart_s = time_s;
+        }
+        if k % 2000 == 0 && !run.advance(0.0) {
+            return Err(ValidateError::Stopped);
+        }
+    }
+    let [_, second, others @ .., last] = apart_s;
+    Ok(vec![
+        Figure::new(
+            "five starts: time until they stay within 2 % (s)",
+            all_apart_s,
+            Required::AtMost(WITHIN_S - 2.0 * STEP_S),
+        ),
+        Figure::new(
+            "five starts: trial 2 joins trial 1 before the next one (s)",
+            others.into_iter().fold(last, f64::min) - second,
+            Required::AtLeast(0.5 * STEP_S),
+        ),
+        Figure::new(
+            "five starts: trial 5 joins it after all others (s)",
+            last - others.into_iter().fold(second, f64::max),
+            Required::AtLeast(0.5 * STEP_S),
+        ),
+    ])
+}
+
 /// Tabulates published and measured values for each quantity.
 fn table<const N: usize>(
     title: &str,
@@ -148,7 +285,7 @@ fn table<const N: usize>(
 }
 
 fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
-    let (seconds, from_s) = run.pick((1000.0, 100.0), (120.0, 50.0));
+    let (seconds, from_s) = run.pick((1000.0, 100.0), (150.0, 50.0));
     let record = simulate(case, run.seed, seconds).map_err(ValidateError::setting)?;
     // The second case has two additional filters.
     let share = if case == Case::ModulatedGround {
@@ -178,11 +315,11 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     );
 
     let full = |required: Required| run.pick(required, Required::Reported);
-    // Records of 120 s contain fewer correlation times of the states.
+    // records of 150 s hold fewer of the states' own correlation times
     let (most, published_most) = match case {
-        Case::Ground => (run.pick(0.0005, 0.002), 1.87e-4),
-        Case::ModulatedGround => (run.pick(0.005, 0.01), 2.4e-3),
-        Case::Wind => (run.pick(0.0015, 0.003), 1.2e-3),
+        Case::Ground => (run.pick(0.0005, 0.001), 1.87e-4),
+        Case::ModulatedGround => (0.005, 2.4e-3),
+        Case::Wind => (0.0015, 1.2e-3),
     };
     let (least_ratio, largest_ratio) = ratios(&far, &rms);
     let mut figures = vec![
@@ -200,7 +337,13 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
         Figure::new(
             "replaced Hessians in the training",
             online.replaced[0] as f64,
-            Required::Reported,
+            match case {
+                Case::Ground => Required::Between {
+                    low: 17.0,
+                    high: 26.0,
+                },
+                Case::ModulatedGround | Case::Wind => Required::Reported,
+            },
         ),
         Figure::new(
             "replaced Hessians later",
@@ -239,18 +382,8 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
         );
     }
     if case == Case::Ground {
-        let variance = held_variance(tall_building::GROUND_INTENSITY, STEP_S);
-        figures.push(
-            Figure::new(
-                "variance of a sample of the ground motion (m²/s⁴)",
-                variance,
-                Required::Within {
-                    of: 0.075_398_2,
-                    by: 1e-6,
-                },
-            )
-            .published(0.0754),
-        );
+        figures.extend(figures_of_the_building().map_err(ValidateError::setting)?);
+        figures.extend(figures_of_five_starts(&record, run)?);
         let published: Tabulated = std::array::from_fn(|k| published::RMS_1[k][0]);
         figures.push(Figure::new(
             "rms errors with actual levels against table 2: largest difference",
@@ -269,11 +402,11 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
         let (required, covered) = match (case, name) {
             (Case::Ground, _) => (
                 Required::Within { of: 1.0, by: 0.02 },
-                full(Required::AtLeast(0.99)),
+                Required::AtLeast(0.99),
             ),
             (Case::Wind, _) => (
                 Required::Within { of: 1.0, by: 0.03 },
-                full(Required::AtLeast(0.99)),
+                Required::AtLeast(0.99),
             ),
             (Case::ModulatedGround, "sensors") => (
                 Required::Within { of: 1.0, by: 0.02 },
@@ -320,7 +453,7 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
                 Figure::new(
                     format!("{name}: stated relative deviation"),
                     stated,
-                    full(Required::relative(of_stated, 0.15)),
+                    Required::relative(of_stated, 0.15),
                 )
                 .judged(Judgement::Mean),
             );
@@ -406,6 +539,37 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
             ));
         }
         Case::Wind => {
+            let top = mean_wind()[FLOORS - 1];
+            let required = Required::Within {
+                of: 27_718.0,
+                by: 0.5,
+            };
+            figures.push(Figure::new(
+                "mean wind force on the top floor (N)",
+                top,
+                required,
+            ));
+            // both levels follow A_f², whose mean over 100 to 1000 s is 2.458; 1.08e-6 is the ensemble value of the 5 % rule
+            let squares = (0..90_000).map(|k| case.modulation(100.0 + 0.01 * f64::from(k)).powi(2));
+            let level = squares.sum::<f64>() / 9e4;
+            let [right, _] =
+                closed_form(case, [level, 1.08e-6 * level]).map_err(ValidateError::setting)?;
+            let printed: Tabulated = std::array::from_fn(|k| published::RMS_3[k][0]);
+            figures.extend([
+                Figure::new(
+                    "mean of A_f² over 100 to 1000 s",
+                    level,
+                    Required::Within {
+                        of: 2.458,
+                        by: 1e-3,
+                    },
+                ),
+                Figure::new(
+                    "stationary errors with actual levels against table 5: largest difference",
+                    worst(&right, &printed),
+                    Required::AtMost(0.016),
+                ),
+            ]);
             let heads = ["actual levels", "[10, 10]", "online"];
             tables.push(table(
                 "Table 5: rms errors",

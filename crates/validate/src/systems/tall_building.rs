@@ -1,7 +1,7 @@
 //! A fifty-storey shear building under ground motion or wind, with its records: Yuen, Liang & Kuok
 //! (2013).
 //!
-//! This file is self-contained because the tests of the filter use it too. The published outputs
+//! The published outputs
 //! are absolute accelerations. Turbulence has no direct effect on them, but the mean wind does. The
 //! published data must have been generated in this way.
 
@@ -15,36 +15,36 @@ use spandrel_filter::{
 };
 use std::f64::consts::{PI, TAU};
 
-pub const FLOORS: usize = 50;
-pub const STEP_S: f64 = 0.01;
+pub(crate) const FLOORS: usize = 50;
+pub(crate) const STEP_S: f64 = 0.01;
 /// Mass of every floor (kg).
-pub const FLOOR_MASS: f64 = 4.00e5;
+pub(crate) const FLOOR_MASS: f64 = 4.00e5;
 /// Stiffness of every storey (N/m).
-pub const STOREY_STIFFNESS: f64 = 652.9e6;
+pub(crate) const STOREY_STIFFNESS: f64 = 652.9e6;
 /// Rayleigh coefficients `α_M` (1/s) and `α_K` (s).
-pub const RAYLEIGH: [f64; 2] = [1.885e-2, 3.980e-3];
+pub(crate) const RAYLEIGH: [f64; 2] = [1.885e-2, 3.980e-3];
 /// Floors with an accelerometer, counted from 1.
-pub const SENSED: [usize; 6] = [1, 10, 20, 30, 40, 50];
+pub(crate) const SENSED: [usize; 6] = [1, 10, 20, 30, 40, 50];
 /// Floors in the published tables, counted from 1.
-pub const TABULATED: [usize; 10] = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50];
+pub(crate) const TABULATED: [usize; 10] = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50];
 /// Intensity `S₀` (m²/s³), two-sided over circular frequency.
-pub const GROUND_INTENSITY: f64 = 1.20e-4;
+pub(crate) const GROUND_INTENSITY: f64 = 1.20e-4;
 /// Sensor noise variance of the published realisation (m²/s⁴).
-pub const PRINTED_SENSOR_VARIANCE: f64 = 1.320e-4;
+pub(crate) const PRINTED_SENSOR_VARIANCE: f64 = 1.320e-4;
 /// Variance of every displacement (m²) and velocity (m²/s²) before the first datum.
-pub const PRIOR_VARIANCE: f64 = 1e-4;
+pub(crate) const PRIOR_VARIANCE: f64 = 1e-4;
 /// Sensor noise relative to the response of the top floor (root mean squares).
 const NOISE_SHARE: f64 = 0.05;
 
 /// Returns the variance `2π S₀/Δt` of a white process of two-sided intensity `s_0` that is constant
 /// within each step.
-pub fn held_variance(s_0: f64, step_s: f64) -> f64 {
+pub(crate) fn held_variance(s_0: f64, step_s: f64) -> f64 {
     TAU * s_0 / step_s
 }
 
 /// The three published cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Case {
+pub(crate) enum Case {
     /// Stationary ground motion and noise.
     Ground,
     /// Modulated ground motion and stationary noise.
@@ -56,7 +56,7 @@ pub enum Case {
 
 impl Case {
     /// Returns the modulation `A_f(t)`.
-    pub fn modulation(self, t: f64) -> f64 {
+    pub(crate) fn modulation(self, t: f64) -> f64 {
         match self {
             Self::Ground => 1.0,
             Self::ModulatedGround if t < 300.0 => 1.0 + 0.2 * (2.0 * PI * t / 50.0).sin(),
@@ -71,7 +71,7 @@ impl Case {
 
     /// Returns `θ_f` at the time `t` (s): a variance (m²/s⁴) of the ground motion, or a factor on
     /// [`turbulence`].
-    pub fn excitation_level(self, t: f64) -> f64 {
+    pub(crate) fn excitation_level(self, t: f64) -> f64 {
         let unit = if self == Self::Wind {
             1.0
         } else {
@@ -81,7 +81,7 @@ impl Case {
     }
 
     /// Returns `A_f²` of the sensor noise.
-    pub fn noise_modulation(self, t: f64) -> f64 {
+    pub(crate) fn noise_modulation(self, t: f64) -> f64 {
         if self == Self::Wind {
             self.modulation(t).powi(2)
         } else {
@@ -90,7 +90,7 @@ impl Case {
     }
 
     /// Returns the matrix that `θ_f` multiplies (N_f × N_f).
-    pub fn excitation_pattern(self) -> DMatrix<f64> {
+    pub(crate) fn excitation_pattern(self) -> DMatrix<f64> {
         if self == Self::Wind {
             turbulence()
         } else {
@@ -99,7 +99,7 @@ impl Case {
     }
 
     /// Returns the known part of the excitation (N_f): the mean wind, or zero.
-    pub fn known_excitation(self) -> DVector<f64> {
+    pub(crate) fn known_excitation(self) -> DVector<f64> {
         if self == Self::Wind {
             mean_wind()
         } else {
@@ -108,7 +108,7 @@ impl Case {
     }
 
     /// Returns the distribution matrix `T` (N_d × N_f).
-    pub fn distribution(self) -> DMatrix<f64> {
+    pub(crate) fn distribution(self) -> DMatrix<f64> {
         if self == Self::Wind {
             DMatrix::identity(FLOORS, FLOORS)
         } else {
@@ -129,7 +129,7 @@ impl Case {
 }
 
 /// Returns `M`, `L` and `K` (N_d × N_d).
-pub fn matrices() -> [DMatrix<f64>; 3] {
+pub(crate) fn matrices() -> [DMatrix<f64>; 3] {
     let mass = DMatrix::identity(FLOORS, FLOORS) * FLOOR_MASS;
     let stiffness = DMatrix::from_fn(FLOORS, FLOORS, |i, j| match i.abs_diff(j) {
         0 if i + 1 == FLOORS => STOREY_STIFFNESS,
@@ -143,7 +143,7 @@ pub fn matrices() -> [DMatrix<f64>; 3] {
 
 /// Returns the observation matrix `C_d` (N_0 × 2 N_d) of the absolute accelerations of the sensed
 /// floors.
-pub fn observation() -> DMatrix<f64> {
+pub(crate) fn observation() -> DMatrix<f64> {
     let [_, damping, stiffness] = matrices();
     let mut observation = DMatrix::zeros(SENSED.len(), 2 * FLOORS);
     for (row, floor) in SENSED.into_iter().enumerate() {
@@ -161,7 +161,7 @@ fn height(i: usize) -> f64 {
 }
 
 /// Returns the mean wind force on every floor (N).
-pub fn mean_wind() -> DVector<f64> {
+pub(crate) fn mean_wind() -> DVector<f64> {
     let (density, reference_height, speed, drag, area, exponent) =
         (1.20, 10.0, 10.0_f64, 2.03, 20.0 * 2.5, 0.3);
     DVector::from_fn(FLOORS, |i, _| {
@@ -175,7 +175,7 @@ pub fn mean_wind() -> DVector<f64> {
 }
 
 /// Returns the covariance of the turbulence at unit modulation (N_d × N_d, N²).
-pub fn turbulence() -> DMatrix<f64> {
+pub(crate) fn turbulence() -> DMatrix<f64> {
     let (intensity, reference_height) = (0.2_f64, 10.0);
     let wind = mean_wind();
     DMatrix::from_fn(FLOORS, FLOORS, |i, j| {
@@ -187,7 +187,7 @@ pub fn turbulence() -> DMatrix<f64> {
 }
 
 /// Returns the building in physical coordinates.
-pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
+pub(crate) fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
     let [mass, damping, stiffness] = matrices();
     StateSpace::second_order(
         [&mass, &damping, &stiffness],
@@ -198,7 +198,7 @@ pub fn physical_model(case: Case) -> Result<StateSpace, FilterError> {
 }
 
 /// Returns the building in modal coordinates.
-pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
+pub(crate) fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
     let [mass, damping, stiffness] = matrices();
     ModalModel::new(
         [&mass, &damping, &stiffness],
@@ -209,7 +209,7 @@ pub fn modal_model(case: Case) -> Result<ModalModel, FilterError> {
 }
 
 /// Returns the discrete system for the closed forms, with the two noise levels.
-pub fn discrete_model(
+pub(crate) fn discrete_model(
     case: Case,
     excitation_level: f64,
     sensor_variance: f64,
@@ -227,7 +227,7 @@ pub fn discrete_model(
 
 /// Returns the static displacement under the known excitation (N_d), from which every record and
 /// every filter starts.
-pub fn static_displacement(case: Case) -> DVector<f64> {
+pub(crate) fn static_displacement(case: Case) -> DVector<f64> {
     if case != Case::Wind {
         return DVector::zeros(FLOORS); // no known excitation
     }
@@ -243,39 +243,30 @@ pub fn static_displacement(case: Case) -> DVector<f64> {
 
 /// The 20 quantities of the tables at one time: displacements (m), then velocities (m/s), of
 /// [`TABULATED`].
-pub type Tabulated = [f64; 2 * TABULATED.len()];
+pub(crate) type Tabulated = [f64; 2 * TABULATED.len()];
 
 /// Selects the tabulated quantities from `[x, ẋ]`.
-pub fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
+pub(crate) fn tabulated(state: impl Fn(usize) -> f64) -> Tabulated {
     std::array::from_fn(|k| {
         let half = k / TABULATED.len();
         state(half * FLOORS + TABULATED[k % TABULATED.len()] - 1)
     })
 }
 
-/// Returns the name of a quantity.
-pub fn tabulated_name(k: usize) -> String {
-    format!(
-        "{}{}",
-        if k < TABULATED.len() { "x" } else { "v" },
-        TABULATED[k % TABULATED.len()]
-    )
-}
-
 /// A simulated record. Entry `k` belongs to the time `(k + 1) Δt`.
 #[derive(Debug, Clone)]
-pub struct Record {
-    pub case: Case,
-    pub data: Vec<[f64; SENSED.len()]>,
-    pub truth: Vec<Tabulated>,
+pub(crate) struct Record {
+    pub(crate) case: Case,
+    pub(crate) data: Vec<[f64; SENSED.len()]>,
+    pub(crate) truth: Vec<Tabulated>,
     /// Variance of the sensor noise at unit modulation (m²/s⁴), from 5 % of the top floor's root
     /// mean square.
-    pub sensor_variance: f64,
+    pub(crate) sensor_variance: f64,
 }
 
 impl Record {
     /// Returns the actual `[θ_f, θ_n]` for the datum `k`. The force is that of the preceding step.
-    pub fn actual_levels(&self, k: usize) -> [f64; 2] {
+    pub(crate) fn actual_levels(&self, k: usize) -> [f64; 2] {
         let (force_t, datum_t) = (k as f64 * STEP_S, (k + 1) as f64 * STEP_S);
         [
             self.case.excitation_level(force_t),
@@ -285,7 +276,7 @@ impl Record {
 }
 
 /// Simulates `seconds` of a case with the exact transition in physical coordinates.
-pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterError> {
+pub(crate) fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterError> {
     let model = physical_model(case)?;
     let (transition, held) = LinearModel::discretise(model.system(), model.input(), STEP_S);
     let (outputs, known) = (observation(), case.known_excitation());
@@ -347,7 +338,7 @@ pub fn simulate(case: Case, seed: u64, seconds: f64) -> Result<Record, FilterErr
 
 /// Noise levels `[θ_f, θ_n]` of a filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Levels {
+pub(crate) enum Levels {
     /// Actual levels at every time.
     Actual,
     /// Constant levels.
@@ -358,7 +349,7 @@ pub enum Levels {
 
 /// Returns the noise model with both levels as parameters. Their deviations are a third of the
 /// start values.
-pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
+pub(crate) fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
     let inputs = case.distribution().ncols();
     let parameter = |name: &str, target, pattern, start: f64| NoiseParameter {
         name: name.to_owned(),
@@ -394,7 +385,7 @@ pub fn noise_model(case: Case, [excitation, sensors]: [f64; 2]) -> NoiseModel {
 ///
 /// The prior variances of the physical state are converted to modal ones. Floors of equal mass keep
 /// them uncorrelated.
-pub fn filter_settings(
+pub(crate) fn filter_settings(
     model: &ModalModel,
     case: Case,
     levels: Levels,
@@ -422,8 +413,8 @@ pub fn filter_settings(
 }
 
 /// A filter and its position in a record of the building.
-pub struct Run<'a> {
-    pub filter: ExtendedKalmanFilter<ModalModel>,
+pub(crate) struct Run<'a> {
+    pub(crate) filter: ExtendedKalmanFilter<ModalModel>,
     record: &'a Record,
     levels: Levels,
     known: DVector<f64>,
@@ -433,7 +424,7 @@ pub struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// Creates a filter at `t = 0`, one step before the first datum.
-    pub fn new(
+    pub(crate) fn new(
         record: &'a Record,
         levels: Levels,
         half_life_steps: f64,
@@ -444,7 +435,7 @@ impl<'a> Run<'a> {
     }
 
     /// Creates a filter with other settings.
-    pub fn with_settings(
+    pub(crate) fn with_settings(
         model: ModalModel,
         settings: FilterSettings,
         record: &'a Record,
@@ -470,7 +461,7 @@ impl<'a> Run<'a> {
     }
 
     /// Processes the datum `k`.
-    pub fn step(&mut self, k: usize) -> Result<Step, FilterError> {
+    pub(crate) fn step(&mut self, k: usize) -> Result<Step, FilterError> {
         if self.levels == Levels::Actual {
             self.filter
                 .set_noise_parameters(&self.record.actual_levels(k))?;
@@ -482,7 +473,7 @@ impl<'a> Run<'a> {
     }
 
     /// Returns filtered minus true values of the tabulated quantities after the datum `k`.
-    pub fn errors(&self, k: usize) -> Tabulated {
+    pub(crate) fn errors(&self, k: usize) -> Tabulated {
         let mean = self.filter.mean();
         std::array::from_fn(|i| {
             let (half, floor) = (i / TABULATED.len(), i % TABULATED.len());
@@ -500,14 +491,14 @@ impl<'a> Run<'a> {
 
 /// Root mean square and largest absolute value of the errors of the tabulated quantities.
 #[derive(Debug, Clone, Default)]
-pub struct ErrorStatistics {
+pub(crate) struct ErrorStatistics {
     squares: Tabulated,
-    pub largest: Tabulated,
+    pub(crate) largest: Tabulated,
     count: f64,
 }
 
 impl ErrorStatistics {
-    pub fn add(&mut self, errors: &Tabulated) {
+    pub(crate) fn add(&mut self, errors: &Tabulated) {
         for (k, error) in errors.iter().enumerate() {
             self.squares[k] += error * error;
             self.largest[k] = self.largest[k].max(error.abs());
@@ -515,7 +506,7 @@ impl ErrorStatistics {
         self.count += 1.0;
     }
 
-    pub fn rms(&self) -> Tabulated {
+    pub(crate) fn rms(&self) -> Tabulated {
         self.squares.map(|sum| (sum / self.count).sqrt())
     }
 }

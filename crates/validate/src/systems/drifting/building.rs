@@ -1,20 +1,18 @@
 //! A linear shear building of four storeys with drifting properties (Ching et al. 2006, example 1),
 //! and its data.
-//!
-//! This file is self-contained because the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ContinuousSystem, Drifting, FilterError, IncrementTime};
 
-pub const STOREYS: usize = 4;
+pub(crate) const STOREYS: usize = 4;
 /// Length of the state: displacements (m), velocities (m/s), stiffness (MN/m), damping (kN·s/m),
 /// noise levels (m/s²).
-pub const STATE: usize = 5 * STOREYS;
-pub const STIFFNESS: usize = 2 * STOREYS;
-pub const DAMPING: usize = 3 * STOREYS;
-pub const NOISE: usize = 4 * STOREYS;
-pub const STEP_S: f64 = 0.02;
+pub(crate) const STATE: usize = 5 * STOREYS;
+pub(crate) const STIFFNESS: usize = 2 * STOREYS;
+pub(crate) const DAMPING: usize = 3 * STOREYS;
+pub(crate) const NOISE: usize = 4 * STOREYS;
+pub(crate) const STEP_S: f64 = 0.02;
 /// Mass of each storey (t).
 const MASS: f64 = 250.0;
 const INITIAL_STIFFNESS: f64 = 300.0;
@@ -23,7 +21,7 @@ const INITIAL_DAMPING: f64 = 600.0;
 const DRIFT: f64 = 0.02;
 
 #[derive(Debug, Clone, Default)]
-pub struct Building;
+pub(crate) struct Building;
 
 /// Writes the absolute accelerations (m/s²) that follow from the storey forces, from the base
 /// upwards.
@@ -72,17 +70,17 @@ impl ContinuousSystem for Building {
 }
 
 /// A simulated record. The k-th input acts from the k-th time to the next one.
-pub struct Record {
-    pub input: Vec<f64>,
-    pub truth: Vec<[f64; STATE]>,
-    pub data: Vec<[f64; STOREYS]>,
-    pub noise_std: [f64; STOREYS],
+pub(crate) struct Record {
+    pub(crate) input: Vec<f64>,
+    pub(crate) truth: Vec<[f64; STATE]>,
+    pub(crate) data: Vec<[f64; STOREYS]>,
+    pub(crate) noise_std: [f64; STOREYS],
 }
 
 impl Record {
     /// Simulates `steps` steps. The second storey loses half its stiffness between 8 and 10 s, and
     /// the other properties drift.
-    pub fn simulate(seed: u64, steps: usize) -> Self {
+    pub(crate) fn simulate(seed: u64, steps: usize) -> Self {
         let mut normal = Normal::seeded(seed);
         let mut path = |initial: f64, low: f64, high: f64| loop {
             let mut value = initial;
@@ -156,7 +154,7 @@ impl Record {
 
     /// Returns the model of the filter: all properties drift by 2 % of their initial value per
     /// step, including those that are constant in truth.
-    pub fn model(&self) -> Result<Drifting<Building>, FilterError> {
+    pub(crate) fn model(&self) -> Result<Drifting<Building>, FilterError> {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value).collect();
         let lower = initial.iter().map(|value| 0.02 * value).collect();
@@ -165,7 +163,7 @@ impl Record {
 
     /// Returns the mean and covariance of the prior, with deviations of 30 % (stiffness), 50 %
     /// (damping, noise) and the rms response.
-    pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
+    pub(crate) fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
         let mean = DVector::from_fn(STATE, |j, _| {
             if j < STIFFNESS {

@@ -1,13 +1,11 @@
 //! Integration of the mechanical states of a system.
-//!
-//! This file is self-contained because the tests of the filter use it too.
 
 use nalgebra::DVector;
 use spandrel_filter::ContinuousSystem;
 
 /// Integrates the mechanical states of a system over one step with constant input, by classical
 /// Runge-Kutta substeps.
-pub fn integrate(
+pub(crate) fn integrate(
     system: &impl ContinuousSystem,
     state: &mut [f64],
     input: &[f64],

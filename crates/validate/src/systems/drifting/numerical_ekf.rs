@@ -1,22 +1,20 @@
 //! Extended Kalman filter of a [`ParticleModel`] with numerical Jacobians, for warm start and
 //! comparison (Ching et al. 2006).
-//!
-//! This file is self-contained because the tests of the filter use it too.
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{Interval, ParticleModel};
 
 /// Mean and covariance of the augmented state after the last frame.
-pub struct NumericalEkf<M> {
+pub(crate) struct NumericalEkf<M> {
     model: M,
-    pub mean: DVector<f64>,
-    pub covariance: DMatrix<f64>,
+    pub(crate) mean: DVector<f64>,
+    pub(crate) covariance: DMatrix<f64>,
     /// Steps of the central differences.
     steps: DVector<f64>,
 }
 
 impl<M: ParticleModel> NumericalEkf<M> {
-    pub fn new(model: M, mean: DVector<f64>, covariance: DMatrix<f64>) -> Self {
+    pub(crate) fn new(model: M, mean: DVector<f64>, covariance: DMatrix<f64>) -> Self {
         let steps = covariance.diagonal().map(|variance| 1e-5 * variance.sqrt());
         Self {
             model,
@@ -28,7 +26,7 @@ impl<M: ParticleModel> NumericalEkf<M> {
 
     /// Processes one frame without gaps. `previous` is the input one step earlier, or `None` at the
     /// time of the prior.
-    pub fn step(&mut self, previous: Option<&[f64]>, current: &[f64], datum: &[f64]) {
+    pub(crate) fn step(&mut self, previous: Option<&[f64]>, current: &[f64], datum: &[f64]) {
         let (n, l) = (self.model.state_len(), self.model.disturbance_len());
         let interval = Interval {
             previous,

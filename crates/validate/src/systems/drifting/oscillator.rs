@@ -1,14 +1,12 @@
 //! A hysteretic oscillator with drifting parameters (Ching et al. 2006, example 2), and its data.
-//!
-//! This file is self-contained because the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{ContinuousSystem, Drifting, FilterError, IncrementTime};
 
 /// Length of the state: x (m), ẋ (m/s), r (N), θ₁ to θ₄, h (m/s²). The mass is 1 kg.
-pub const STATE: usize = 8;
-pub const STEP_S: f64 = 0.5;
+pub(crate) const STATE: usize = 8;
+pub(crate) const STEP_S: f64 = 0.5;
 const INITIAL: [f64; 4] = [6.0, 0.9, -0.08, 1.0];
 /// Ranges of the actual parameters, from the figure of the source.
 const RANGES: [(f64, f64); 4] = [(4.0, 7.5), (0.5, 1.3), (-0.14, -0.02), (0.6, 1.4)];
@@ -16,7 +14,7 @@ const RANGES: [(f64, f64); 4] = [(4.0, 7.5), (0.5, 1.3), (-0.14, -0.02), (0.6, 1
 const DRIFT: f64 = 0.02;
 
 #[derive(Debug, Clone, Default)]
-pub struct Oscillator;
+pub(crate) struct Oscillator;
 
 impl ContinuousSystem for Oscillator {
     fn mechanical_len(&self) -> usize {
@@ -50,15 +48,15 @@ impl ContinuousSystem for Oscillator {
 }
 
 /// A simulated record. The k-th input acts from the k-th time to the next one.
-pub struct Record {
-    pub input: Vec<f64>,
-    pub truth: Vec<[f64; STATE]>,
-    pub data: Vec<f64>,
-    pub noise_std: f64,
+pub(crate) struct Record {
+    pub(crate) input: Vec<f64>,
+    pub(crate) truth: Vec<[f64; STATE]>,
+    pub(crate) data: Vec<f64>,
+    pub(crate) noise_std: f64,
 }
 
 impl Record {
-    pub fn simulate(seed: u64, steps: usize) -> Self {
+    pub(crate) fn simulate(seed: u64, steps: usize) -> Self {
         let mut normal = Normal::seeded(seed);
         let parameters: Vec<[f64; 4]> = loop {
             let mut value = INITIAL;
@@ -112,7 +110,7 @@ impl Record {
 
     /// Returns the model of the filter. Its noise level drifts too, although the true one is
     /// constant.
-    pub fn model(&self) -> Result<Drifting<Oscillator>, FilterError> {
+    pub(crate) fn model(&self) -> Result<Drifting<Oscillator>, FilterError> {
         let initial = self.initial();
         let drift = initial.iter().map(|value| DRIFT * value.abs()).collect();
         // The restoring force is meaningless with an exponent below 0.05. θ₃ may have either sign.
@@ -128,7 +126,7 @@ impl Record {
 
     /// Returns the mean and covariance of the prior, with deviations of 1 for the motion, 20 % for
     /// the parameters and 50 % for the noise level.
-    pub fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
+    pub(crate) fn prior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let initial = self.initial();
         let mean = DVector::from_fn(STATE, |j, _| if j < 3 { 0.0 } else { initial[j - 3] });
         let std = DVector::from_fn(STATE, |j, _| match j {
