@@ -469,3 +469,26 @@ fn displacement_that_nothing_observes_winds_up_alone() {
     );
     assert!((with.covariance()[(1, 1)].sqrt() / std - 1.0).abs() < 1e-3);
 }
+
+#[test]
+fn checkpoint_in_either_stage_gives_the_same_bits() {
+    let filter = || {
+        let (_, model) = pair();
+        let settings = settings(&model, NoiseRule::HalfOrDouble, InputHold::Zero);
+        ExtendedKalmanFilter::new(model, settings).unwrap()
+    };
+    let (mut unbroken, mut broken) = (filter(), filter());
+    for (k, phase) in [(20, NoisePhase::Training), (200, NoisePhase::Working)] {
+        (k - 20..k).for_each(|k| step_without_excitation(&mut unbroken, k));
+        (k - 20..k).for_each(|k| step_without_excitation(&mut broken, k));
+        assert_eq!(unbroken.noise().phase, phase);
+        let bytes = postcard::to_stdvec(broken.state()).unwrap();
+        broken = filter();
+        broken
+            .restore(postcard::from_bytes(&bytes).unwrap())
+            .unwrap();
+        (k..k + 160).for_each(|k| step_without_excitation(&mut unbroken, k));
+        (k..k + 160).for_each(|k| step_without_excitation(&mut broken, k));
+    }
+    assert_eq!(unbroken.state(), broken.state());
+}
