@@ -540,8 +540,10 @@ fn baseline_that_is_of_no_use_is_told() {
         .unwrap()
         .replace("storey-2", "storey-two");
     let renamed = write(&folder, "house.baseline.json", &text);
-    estimate(&structure, &renamed)
-        .expect_told(&["storey-two; it has storey-1, storey-2", "lacks storey-2"]);
+    estimate(&structure, &renamed).expect_told(&[
+        "unknown parameters of house: storey-two, must be among storey-1, storey-2",
+        "lacks storey-2",
+    ]);
     // A configuration with a baseline for a structure that it does not name.
     let text = format!(
         "structures = [{:?}]\n[baselines]\ntower = {:?}\n",
@@ -551,7 +553,10 @@ fn baseline_that_is_of_no_use_is_told() {
     let configuration = write(&folder, "spandrel.toml", &text);
     finish(spandrel("run").arg("--config").arg(configuration))
         .expect_code(BAD_INPUT)
-        .expect_told(&["baseline of `tower`", "structures: house"]);
+        .expect_told(&[
+            "baseline of unknown structure `tower`",
+            "must be one of: house",
+        ]);
 }
 
 #[test]

@@ -206,7 +206,7 @@ export class StructurePage {
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
       const state = alert ? STATES[alert.state] : null;
       part.element.dataset.level = alert ? levelOf(alert) : "learning";
-      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no rule or no decision yet");
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no decision");
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
       const p = parameter.stiffness ? shown?.probability_of_loss : null;
