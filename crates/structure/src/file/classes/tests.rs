@@ -139,7 +139,7 @@ fn mistake_of_a_class_is_told_at_its_line() {
             "hierarchical",
             vec![("low", low), ("high", high)],
             1,
-            "has 2 substructures, must have at least 3: of two",
+            "has 2 substructures, must have at least 3: with two",
         ),
         (
             "hierarchical",
