@@ -330,7 +330,7 @@ mod tests {
         assert_eq!(names(&["kalman"]), ["kalman.vehicle", "kalman.building-60"]);
         let error = select(&["kalma".to_owned()]).unwrap_err().to_string();
         assert!(
-            error.contains("kalma;") && error.contains("kalman.vehicle"),
+            error.contains("unknown case kalma,") && error.contains("kalman.vehicle"),
             "{error}"
         );
     }
