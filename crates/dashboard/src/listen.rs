@@ -3,9 +3,9 @@
 use crate::store::Input;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, FitDisplay, HistoryLog,
-    Keys, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, ProgressWatch, Service, SpanQuery, Status, Subscription, Topic,
-    parse_key,
+    KeyFamily, Keys, LiveWatch, LossDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay, Progress, ProgressWatch, Service, SpanQuery, Status,
+    Subscription, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -32,6 +32,7 @@ pub(crate) struct Listening {
     bus: Bus,
     keys: Keys,
     parameters: Subscription<ParameterDisplay>,
+    losses: Subscription<LossDisplay>,
     noise: Subscription<NoiseDisplay>,
     outliers: Subscription<OutlierDisplay>,
     classes: Subscription<ModelClassDisplay>,
@@ -58,6 +59,7 @@ impl Listening {
         }
         let mut listening = Self {
             parameters: bus.subscribe(keys.all_parameters(), VALUES_WAITING).await?,
+            losses: bus.subscribe(keys.all_losses(), VALUES_WAITING).await?,
             noise: bus.subscribe(keys.all_noise(), VALUES_WAITING).await?,
             outliers: bus.subscribe(keys.all_outliers(), VALUES_WAITING).await?,
             classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
@@ -117,42 +119,49 @@ impl Listening {
         let keys = self.keys.clone();
         let root = keys.root();
         inputs.extend(self.statuses.gather(root, |_| None).map(Input::Status));
-        let of_parameter = |m: &ParameterDisplay| Topic::Parameter(m.parameter.clone());
+        let of_parameter = |m: &ParameterDisplay| Topic::new(KeyFamily::Parameter, &m.parameter);
         let parameters = self
             .parameters
             .gather(root, |m| Some((&m.structure, of_parameter(m))));
         inputs.extend(parameters.map(Input::Parameter));
-        let noise = self
-            .noise
-            .gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone()))));
+        let losses = self.losses.gather(root, |m| {
+            Some((&m.structure, Topic::new(KeyFamily::Loss, &m.parameter)))
+        });
+        inputs.extend(losses.map(Input::Loss));
+        let noise = self.noise.gather(root, |m| {
+            Some((&m.structure, Topic::new(KeyFamily::Noise, &m.name)))
+        });
         inputs.extend(noise.map(Input::Noise));
         let outliers = self.outliers.gather(root, |m| {
-            Some((&m.structure, Topic::Outlier(m.channel.clone())))
+            Some((&m.structure, Topic::new(KeyFamily::Outlier, &m.channel)))
         });
         inputs.extend(outliers.map(Input::Outlier));
-        let classes = self
-            .classes
-            .gather(root, |m| Some((&m.structure, Topic::ModelClass)));
+        let classes = self.classes.gather(root, |m| {
+            Some((&m.structure, Topic::single(KeyFamily::ModelClass)))
+        });
         inputs.extend(classes.map(Input::Classes));
-        let nodes = self
-            .nodes
-            .gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))));
+        let nodes = self.nodes.gather(root, |m| {
+            Some((&m.structure, Topic::new(KeyFamily::Node, &m.node)))
+        });
         inputs.extend(nodes.map(Input::Node));
-        let fits = self.fits.gather(root, |m| Some((&m.structure, Topic::Fit)));
+        let fits = self.fits.gather(root, |m| {
+            Some((&m.structure, Topic::single(KeyFamily::Fit)))
+        });
         inputs.extend(fits.map(Input::Fit));
         inputs.extend(self.estimates.gather(root, |_| None).map(Input::Estimates));
-        let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
+        let of_acknowledgement =
+            |m: &Acknowledgement| Topic::new(KeyFamily::Acknowledge, &m.parameter);
         let acknowledgements = self
             .acknowledgements
             .gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
         inputs.extend(acknowledgements.map(Input::Acknowledgement));
         let alerts = self.alerts.gather(root, |m| {
-            Some((&m.structure, Topic::Alert(m.parameter.clone())))
+            Some((&m.structure, Topic::new(KeyFamily::Alert, &m.parameter)))
         });
         inputs.extend(alerts.map(Input::Alert));
-        let events = self
-            .events
-            .gather(root, |m| Some((&m.structure, Topic::Event)));
+        let events = self.events.gather(root, |m| {
+            Some((&m.structure, Topic::single(KeyFamily::Event)))
+        });
         inputs.extend(events.map(Input::Event));
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
@@ -177,7 +186,13 @@ impl Listening {
     fn gather_present(&mut self, inputs: &mut Vec<Input>) {
         let keys = self.live.iter().flat_map(LiveWatch::present);
         let instance = |key: String| match parse_key(self.keys.root(), &key)? {
-            (_, Topic::Live(service, id)) => Some((service, id)),
+            (
+                _,
+                Topic {
+                    family: KeyFamily::Live(service),
+                    of: Some(id),
+                },
+            ) => Some((service, id)),
             _ => None,
         };
         let present: BTreeSet<(Service, Name)> = keys.filter_map(instance).collect();
@@ -205,6 +220,7 @@ impl Listening {
     pub(crate) fn refused(&self) -> std::collections::BTreeMap<String, u64> {
         let all = [
             self.parameters.refused(),
+            self.losses.refused(),
             self.noise.refused(),
             self.outliers.refused(),
             self.classes.refused(),

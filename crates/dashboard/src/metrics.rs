@@ -187,13 +187,11 @@ impl Metrics {
         for (name, display) in &store.parameters {
             set(&self.mean, "parameter", name, display.mean);
             set(&self.std, "parameter", name, display.std);
+        }
+        for (name, display) in &store.losses {
+            let probability = display.probability_of_loss;
             set(&self.reference, "parameter", name, display.reference);
-            set(
-                &self.probability,
-                "parameter",
-                name,
-                display.probability_of_loss,
-            );
+            set(&self.probability, "parameter", name, probability);
         }
         for (name, display) in &store.noise {
             set(&self.noise, "name", name, display.mean);
@@ -334,12 +332,12 @@ impl Metrics {
 mod tests {
     use super::*;
     use crate::store::Input;
-    use crate::testing::{alert, demo, fit, parameter, undecided};
+    use crate::testing::{alert, demo, fit, hear, undecided};
 
     #[test]
     fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
         let mut store = demo();
-        store.handle(parameter("storey-2", 5_000_000_000, 0.85, 0.997));
+        hear(&mut store, "storey-2", 5_000_000_000, 0.85, 0.997);
         store.handle(Input::Alert(alert(
             "storey-2",
             5_000_000_000,

@@ -6,9 +6,9 @@ use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event,
-    EventKind, FitDisplay, HistoryLog, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, Service, Status, is_without_date,
-    pace_told,
+    EventKind, FitDisplay, HistoryLog, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, Service, Status,
+    is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -31,6 +31,7 @@ pub(crate) enum Input {
     /// Time since a fixed moment. Later inputs are received at this time.
     Now(Duration),
     Parameter(ParameterDisplay),
+    Loss(LossDisplay),
     Noise(NoiseDisplay),
     Outlier(OutlierDisplay),
     Classes(ModelClassDisplay),
@@ -59,6 +60,8 @@ pub(crate) struct Store {
     pub(crate) now: Duration,
     pub(crate) time_ns: Option<i64>,
     pub(crate) parameters: BTreeMap<String, ParameterDisplay>,
+    /// Losses of the parameters with a rule, once their reference is known.
+    pub(crate) losses: BTreeMap<String, LossDisplay>,
     pub(crate) noise: BTreeMap<String, NoiseDisplay>,
     pub(crate) outliers: BTreeMap<String, OutlierDisplay>,
     pub(crate) classes: Option<ModelClassDisplay>,
@@ -95,6 +98,7 @@ impl Store {
             now: Duration::ZERO,
             time_ns: None,
             parameters: BTreeMap::new(),
+            losses: BTreeMap::new(),
             noise: BTreeMap::new(),
             outliers: BTreeMap::new(),
             classes: None,
@@ -120,6 +124,7 @@ impl Store {
         match input {
             Input::Now(now) => self.now = now,
             Input::Parameter(display) => self.take_parameter(display),
+            Input::Loss(display) => self.take_loss(display),
             Input::Noise(display) => {
                 if self
                     .about
@@ -224,10 +229,25 @@ impl Store {
             Kind::Parameter,
             name,
             display.time_ns,
-            &[display.mean, display.std, display.probability_of_loss],
+            &[display.mean, display.std],
         );
         self.parameters
             .insert(display.parameter.to_string(), display);
+    }
+
+    fn take_loss(&mut self, display: LossDisplay) {
+        let name = display.parameter.as_str();
+        if !self.about.parameters.iter().any(|known| known.name == name) {
+            return;
+        }
+        let values = [
+            display.loss,
+            display.interval.low,
+            display.interval.high,
+            display.probability_of_loss,
+        ];
+        self.push(Kind::Loss, name, display.time_ns, &values);
+        self.losses.insert(display.parameter.to_string(), display);
     }
 
     fn take_outlier(&mut self, display: OutlierDisplay) {
@@ -366,9 +386,7 @@ impl Store {
     }
 
     fn take_status(&mut self, status: Status) {
-        let service = Service::ALL
-            .into_iter()
-            .find(|service| service.as_str() == status.service.as_str());
+        let service = Service::from_name(status.service.as_str());
         let Some(service) = service else { return };
         let key = (service, status.id.clone());
         if self.has_room(&key) || self.statuses.contains_key(&key) {
@@ -459,9 +477,9 @@ impl Store {
         (same && !note.note.is_empty()).then_some(note.note.as_str())
     }
 
-    /// Returns the loss of an alert's parameter by its newest value, in words.
+    /// Returns the loss of an alert's parameter by its newest value, if that is newer than the alert.
     pub(crate) fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
-        alert.loss_by(self.parameters.get(alert.parameter.as_str())?)
+        self.losses.get(alert.parameter.as_str())?.since(alert)
     }
 
     /// Returns `true` if the samples come from a record or a simulation.
@@ -500,7 +518,7 @@ impl Store {
     pub(crate) fn may_have(&self, name: &SeriesName) -> bool {
         let of = name.of.as_str();
         match name.kind {
-            Kind::Parameter => self
+            Kind::Parameter | Kind::Loss => self
                 .about
                 .parameters
                 .iter()

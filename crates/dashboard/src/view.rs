@@ -4,8 +4,8 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Phase, Status,
+    AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay, Phase, Status,
 };
 use std::collections::BTreeMap;
 
@@ -18,6 +18,7 @@ const EVENTS_SHOWN: usize = 50;
 #[derive(Debug, Serialize)]
 pub(crate) struct Standing<'s> {
     parameters: &'s BTreeMap<String, ParameterDisplay>,
+    losses: &'s BTreeMap<String, LossDisplay>,
     noise: &'s BTreeMap<String, NoiseDisplay>,
     outliers: &'s BTreeMap<String, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
@@ -81,6 +82,7 @@ impl<'s> Standing<'s> {
         };
         Self {
             parameters: &store.parameters,
+            losses: &store.losses,
             noise: &store.noise,
             outliers: &store.outliers,
             classes: store.classes.as_ref(),

@@ -7,9 +7,9 @@ use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, Event, HistoryLog,
-    Keys, LiveToken, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Question, Questions, Service, SpanQuery, Status, Subscription, Topic,
-    parse_key,
+    KeyFamily, Keys, LiveToken, LiveWatch, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, Question, Questions, Service, SpanQuery,
+    Status, Subscription, Topic, parse_key,
 };
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
@@ -82,6 +82,7 @@ struct Source {
     keys: Keys,
     collector: Collector,
     parameters: Subscription<ParameterDisplay>,
+    losses: Subscription<LossDisplay>,
     noise: Subscription<NoiseDisplay>,
     outliers: Subscription<OutlierDisplay>,
     classes: Subscription<ModelClassDisplay>,
@@ -154,6 +155,7 @@ impl HistoryService {
         let source = Source {
             collector: Collector::new(structure, keys.root().as_str()),
             parameters: bus.subscribe(keys.all_parameters(), VALUES_WAITING).await?,
+            losses: bus.subscribe(keys.all_losses(), VALUES_WAITING).await?,
             noise: bus.subscribe(keys.all_noise(), VALUES_WAITING).await?,
             outliers: bus.subscribe(keys.all_outliers(), VALUES_WAITING).await?,
             classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
@@ -370,43 +372,56 @@ impl Source {
     fn take(&mut self) {
         let root = self.keys.root();
         let mut inputs = Vec::new();
-        let of_parameter = |m: &ParameterDisplay| Topic::Parameter(m.parameter.clone());
+        let of_parameter = |m: &ParameterDisplay| Topic::new(KeyFamily::Parameter, &m.parameter);
         inputs.extend(
             self.parameters
                 .gather(root, |m| Some((&m.structure, of_parameter(m))))
                 .map(Input::Parameter),
         );
+        let losses = self.losses.gather(root, |m| {
+            Some((&m.structure, Topic::new(KeyFamily::Loss, &m.parameter)))
+        });
+        inputs.extend(losses.map(Input::Loss));
         inputs.extend(
             self.noise
-                .gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone()))))
+                .gather(root, |m| {
+                    Some((&m.structure, Topic::new(KeyFamily::Noise, &m.name)))
+                })
                 .map(Input::Noise),
         );
         let outliers = self.outliers.gather(root, |m| {
-            Some((&m.structure, Topic::Outlier(m.channel.clone())))
+            Some((&m.structure, Topic::new(KeyFamily::Outlier, &m.channel)))
         });
         inputs.extend(outliers.map(Input::Outlier));
         inputs.extend(
             self.classes
-                .gather(root, |m| Some((&m.structure, Topic::ModelClass)))
+                .gather(root, |m| {
+                    Some((&m.structure, Topic::single(KeyFamily::ModelClass)))
+                })
                 .map(Input::Classes),
         );
         inputs.extend(
             self.nodes
-                .gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))))
+                .gather(root, |m| {
+                    Some((&m.structure, Topic::new(KeyFamily::Node, &m.node)))
+                })
                 .map(Input::Node),
         );
         let alerts = self.alerts.gather(root, |m| {
-            Some((&m.structure, Topic::Alert(m.parameter.clone())))
+            Some((&m.structure, Topic::new(KeyFamily::Alert, &m.parameter)))
         });
         inputs.extend(alerts.map(Input::Alert));
-        let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
+        let of_acknowledgement =
+            |m: &Acknowledgement| Topic::new(KeyFamily::Acknowledge, &m.parameter);
         let seen = self
             .acknowledgements
             .gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
         inputs.extend(seen.map(Input::Acknowledgement));
         inputs.extend(
             self.events
-                .gather(root, |m| Some((&m.structure, Topic::Event)))
+                .gather(root, |m| {
+                    Some((&m.structure, Topic::single(KeyFamily::Event)))
+                })
                 .map(Input::Event),
         );
         self.taken += inputs.len() as u64;
@@ -419,6 +434,7 @@ impl Source {
     fn refused(&self) -> BTreeMap<String, u64> {
         let all = [
             self.parameters.refused(),
+            self.losses.refused(),
             self.noise.refused(),
             self.outliers.refused(),
             self.classes.refused(),
@@ -556,7 +572,13 @@ async fn answer_spans(
 ) {
     let structure = format!("{}/{}", keys.root(), keys.structure());
     while let Some(question) = questions.next().await {
-        let Some((_, Topic::History(name))) = parse_key(keys.root(), question.key_expression())
+        let Some((
+            _,
+            Topic {
+                family: KeyFamily::History,
+                of: Some(name),
+            },
+        )) = parse_key(keys.root(), question.key_expression())
         else {
             question
                 .refuse("must be for one name, without wildcards")
@@ -589,7 +611,9 @@ async fn answer_spans(
 fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
     match series.kind {
         Kind::Class => true,
-        Kind::Parameter | Kind::Noise | Kind::Outlier | Kind::Node => named.contains(series),
+        Kind::Parameter | Kind::Loss | Kind::Noise | Kind::Outlier | Kind::Node => {
+            named.contains(series)
+        }
     }
 }
 

@@ -260,7 +260,7 @@ impl NotifyService {
             let in_place = source.alerts.gather(root, |alert| {
                 Some((
                     &alert.structure,
-                    spandrel_bus::Topic::Alert(alert.parameter.clone()),
+                    spandrel_bus::Topic::new(spandrel_bus::KeyFamily::Alert, &alert.parameter),
                 ))
             });
             for alert in in_place {

@@ -3,7 +3,7 @@
 use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Arrivals, Event, EventKind, FitDisplay, MAX_CHANNELS,
+    AlertMessage, AlertState, Arrivals, Event, EventKind, FitDisplay, LossDisplay, MAX_CHANNELS,
     ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, Pace, ParameterDisplay, Progress, Service,
     Status, is_without_date, pace_told,
 };
@@ -27,6 +27,7 @@ pub enum Input {
     /// Time since a fixed moment. Later inputs are received at this time.
     Now(Duration),
     Parameter(ParameterDisplay),
+    Loss(LossDisplay),
     Noise(NoiseDisplay),
     Classes(ModelClassDisplay),
     Node(NodeDisplay),
@@ -67,6 +68,8 @@ pub struct Heard {
 #[derive(Debug, Clone, Default)]
 pub struct StructureHeard {
     pub parameters: BTreeMap<NaturalName, ParameterHeard>,
+    /// Losses of the parameters with a rule, once their reference is known.
+    pub losses: BTreeMap<NaturalName, LossDisplay>,
     pub noise: BTreeMap<NaturalName, NoiseDisplay>,
     /// State of the model classes. `None` if there is a single model or no message has arrived.
     pub classes: Option<ModelClassDisplay>,
@@ -122,6 +125,7 @@ impl Heard {
         match input {
             Input::Now(now) => self.now = now,
             Input::Parameter(display) => self.take_parameter(display),
+            Input::Loss(display) => self.take_loss(display),
             Input::Noise(display) => self.take_noise(display),
             Input::Alert(alert) => self.take_alert(alert, changes),
             Input::StandingAlert(alert) => {
@@ -184,6 +188,18 @@ impl Heard {
             }
         };
         heard.trail.push(time_ns, mean);
+    }
+
+    fn take_loss(&mut self, display: LossDisplay) {
+        let Some(structure) = self.structure_mut(&display.structure) else {
+            return;
+        };
+        let name = NaturalName(display.parameter.clone());
+        if !has_room(&structure.losses, &name, MAX_CHANNELS) {
+            self.left_out += 1;
+            return;
+        }
+        structure.losses.insert(name, display);
     }
 
     fn take_node(&mut self, display: NodeDisplay) {
@@ -255,9 +271,7 @@ impl Heard {
 
     fn take_status(&mut self, status: Status) {
         let now = self.now;
-        let service = Service::ALL
-            .into_iter()
-            .find(|service| service.as_str() == status.service.as_str());
+        let service = Service::from_name(status.service.as_str());
         let Some(service) = service else {
             self.left_out += 1;
             return;
@@ -468,14 +482,10 @@ impl StructureHeard {
         )
     }
 
-    /// Returns the loss of an alert's parameter by its newest value, in words.
+    /// Returns the loss of an alert's parameter by its newest value, if that is newer than the alert.
     pub fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
-        alert.loss_by(
-            &self
-                .parameters
-                .get(&NaturalName(alert.parameter.clone()))?
-                .display,
-        )
+        let name = NaturalName(alert.parameter.clone());
+        self.losses.get(&name)?.since(alert)
     }
 
     /// Returns the alert of a parameter.

@@ -4,8 +4,8 @@ use super::heard::{Input, Instance};
 use super::topics::{KeyExpressions, OnTopic, ingested, input, instance};
 use crate::error::AppError;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, Event, FitDisplay, LiveWatch, ModelClassDisplay, Name,
-    NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Subscription,
+    AlertMessage, Bus, BusError, Event, FitDisplay, LiveWatch, LossDisplay, ModelClassDisplay,
+    Name, NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Subscription,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -30,6 +30,7 @@ pub struct Listening {
     root: Name,
     expressions: KeyExpressions,
     parameters: Subscription<ParameterDisplay>,
+    losses: Subscription<LossDisplay>,
     noise: Subscription<NoiseDisplay>,
     classes: Subscription<ModelClassDisplay>,
     fits: Subscription<FitDisplay>,
@@ -60,6 +61,9 @@ impl Listening {
             root: root.clone(),
             parameters: bus
                 .subscribe(expressions.parameters.clone(), VALUES_WAITING)
+                .await?,
+            losses: bus
+                .subscribe(expressions.losses.clone(), VALUES_WAITING)
                 .await?,
             noise: bus
                 .subscribe(expressions.noise.clone(), VALUES_WAITING)
@@ -111,6 +115,7 @@ impl Listening {
         inputs.extend(words.map(|(key, progress)| ingested(&self.root, &key, progress)));
         drain(&self.root, &self.statuses, &mut inputs);
         drain(&self.root, &self.parameters, &mut inputs);
+        drain(&self.root, &self.losses, &mut inputs);
         drain(&self.root, &self.noise, &mut inputs);
         drain(&self.root, &self.classes, &mut inputs);
         drain(&self.root, &self.fits, &mut inputs);

@@ -12,8 +12,8 @@ use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, FitDisplay, FitVerdict, Load, ModelClassDisplay, Name, NoiseDisplay, Service,
-    Standing,
+    AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, Name, NoiseDisplay,
+    Service, Standing,
 };
 
 /// Gap between columns.
@@ -61,7 +61,7 @@ impl StructurePanel {
         let all_marks = structure
             .parameters
             .iter()
-            .map(|(name, parameter)| Marks::new(&parameter.display, structure.alerts.get(name)));
+            .map(|(name, parameter)| Marks::new(&parameter.display, structure.losses.get(name)));
         let axis = Axis::around(all_marks.flat_map(|marks| marks.extent()));
         let losses = Losses::new(structure);
         let columns = Columns::new(structure, &losses, width);
@@ -72,7 +72,8 @@ impl StructurePanel {
                 Some(alert) => AlertCell::Of(alert),
                 None => AlertCell::Unheard,
             };
-            let row = row(axis, columns, &losses, parameter, alert);
+            let loss = structure.losses.get(name);
+            let row = row(axis, columns, &losses, (parameter, loss), alert);
             if is_stale {
                 row.patch_style(Modifier::DIM)
             } else {
@@ -144,18 +145,14 @@ struct Losses {
 
 impl Losses {
     fn new(structure: &StructureHeard) -> Self {
-        let mut losses = structure
-            .parameters
-            .values()
-            .map(|parameter| parameter.display.loss);
+        let mut losses = structure.losses.values().map(|loss| loss.rule_loss);
         let first = losses.next();
         let common = first.filter(|first| losses.all(|loss| loss == *first));
         let mut all = Self { common, width: 0 };
-        let cells = structure.parameters.iter().map(|(name, parameter)| {
-            all.cell(parameter, structure.alerts.get(name))
-                .chars()
-                .count()
-        });
+        let cells = structure
+            .losses
+            .values()
+            .map(|loss| all.cell(Some(loss)).chars().count());
         all.width = cells.max().unwrap_or(0).max(all.header().chars().count());
         all
     }
@@ -167,12 +164,14 @@ impl Losses {
         )
     }
 
-    fn cell(&self, parameter: &ParameterHeard, alert: Option<&AlertMessage>) -> String {
-        let asked = alert.map(|alert| alert.rule_credibility);
-        let found = probability(parameter.display.probability_of_loss, asked);
+    fn cell(&self, loss: Option<&LossDisplay>) -> String {
+        let Some(loss) = loss else {
+            return "–".to_owned();
+        };
+        let found = loss.shown_probability().percent();
         match self.common {
             Some(_) => found,
-            None => format!("> {}: {found}", share(parameter.display.loss)),
+            None => format!("> {}: {found}", share(loss.rule_loss)),
         }
     }
 }
@@ -246,16 +245,16 @@ fn row(
     axis: Axis,
     columns: Columns,
     losses: &Losses,
-    parameter: &ParameterHeard,
+    (parameter, loss): (&ParameterHeard, Option<&LossDisplay>),
     alert: AlertCell<'_>,
 ) -> Line<'static> {
     let ParameterHeard { display, trail } = parameter;
-    let (state, style, known) = match alert {
-        AlertCell::Unheard => ("–", Style::new(), None),
-        AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM), None),
-        AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state), Some(alert)),
+    let (state, style) = match alert {
+        AlertCell::Unheard => ("–", Style::new()),
+        AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM)),
+        AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state)),
     };
-    let bar = axis.bar(columns.bar, &Marks::new(display, known));
+    let bar = axis.bar(columns.bar, &Marks::new(display, loss));
     let interval = format!(
         "{:.3} to {:.3}",
         display.interval.low, display.interval.high
@@ -273,7 +272,7 @@ fn row(
         cell(&bar, columns.bar).map(|span| span.style(style)),
         right_cell(&estimate(display.mean, display.std), ESTIMATE),
         right_cell(&interval, columns.interval),
-        right_cell(&losses.cell(parameter, known), columns.loss),
+        right_cell(&losses.cell(loss), columns.loss),
         cell(state, STATE).map(|span| span.style(style)),
     ];
     Line::from_iter(spans.into_iter().flatten())

@@ -2,14 +2,16 @@
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name, NameError,
-    NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Topic, parse_key,
+    AlertMessage, Event, FitDisplay, KeyFamily, Keys, LossDisplay, Message, ModelClassDisplay,
+    Name, NameError, NodeDisplay, NoiseDisplay, ParameterDisplay, Progress, Service, Status, Topic,
+    parse_key,
 };
 
 /// Key expressions of the data for display.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeyExpressions {
     pub parameters: String,
+    pub losses: String,
     pub noise: String,
     pub classes: String,
     pub fits: String,
@@ -39,6 +41,7 @@ impl KeyExpressions {
         };
         Ok(Self {
             parameters: expression(keys.all_parameters()),
+            losses: expression(keys.all_losses()),
             noise: expression(keys.all_noise()),
             classes: expression(keys.model_class()),
             fits: expression(keys.fit()),
@@ -63,7 +66,10 @@ pub trait OnTopic: Message {
 
 impl OnTopic for ParameterDisplay {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::Parameter(self.parameter.clone())))
+        Some((
+            &self.structure,
+            Topic::new(KeyFamily::Parameter, &self.parameter),
+        ))
     }
 
     fn into_input(self) -> Input {
@@ -71,9 +77,22 @@ impl OnTopic for ParameterDisplay {
     }
 }
 
+impl OnTopic for LossDisplay {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((
+            &self.structure,
+            Topic::new(KeyFamily::Loss, &self.parameter),
+        ))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Loss(self)
+    }
+}
+
 impl OnTopic for NoiseDisplay {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::Noise(self.name.clone())))
+        Some((&self.structure, Topic::new(KeyFamily::Noise, &self.name)))
     }
 
     fn into_input(self) -> Input {
@@ -83,7 +102,7 @@ impl OnTopic for NoiseDisplay {
 
 impl OnTopic for ModelClassDisplay {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::ModelClass))
+        Some((&self.structure, Topic::single(KeyFamily::ModelClass)))
     }
 
     fn into_input(self) -> Input {
@@ -93,7 +112,7 @@ impl OnTopic for ModelClassDisplay {
 
 impl OnTopic for FitDisplay {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::Fit))
+        Some((&self.structure, Topic::single(KeyFamily::Fit)))
     }
 
     fn into_input(self) -> Input {
@@ -103,7 +122,7 @@ impl OnTopic for FitDisplay {
 
 impl OnTopic for NodeDisplay {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::Node(self.node.clone())))
+        Some((&self.structure, Topic::new(KeyFamily::Node, &self.node)))
     }
 
     fn into_input(self) -> Input {
@@ -113,7 +132,10 @@ impl OnTopic for NodeDisplay {
 
 impl OnTopic for AlertMessage {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::Alert(self.parameter.clone())))
+        Some((
+            &self.structure,
+            Topic::new(KeyFamily::Alert, &self.parameter),
+        ))
     }
 
     fn into_input(self) -> Input {
@@ -123,7 +145,7 @@ impl OnTopic for AlertMessage {
 
 impl OnTopic for Event {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        Some((&self.structure, Topic::Event))
+        Some((&self.structure, Topic::single(KeyFamily::Event)))
     }
 
     fn into_input(self) -> Input {
@@ -133,10 +155,11 @@ impl OnTopic for Event {
 
 impl OnTopic for Status {
     fn topic(&self) -> Option<(&Name, Topic)> {
-        let service = Service::ALL
-            .into_iter()
-            .find(|service| service.as_str() == self.service.as_str())?;
-        Some((&self.structure, Topic::Status(service, self.id.clone())))
+        let service = Service::from_name(self.service.as_str())?;
+        Some((
+            &self.structure,
+            Topic::new(KeyFamily::Status(service), &self.id),
+        ))
     }
 
     fn into_input(self) -> Input {
@@ -163,7 +186,13 @@ pub fn input<M: OnTopic>(root: &Name, key: &str, message: M) -> Input {
 /// Converts a progress message of ingest to an input. Only its key names the structure.
 pub fn ingested(root: &Name, key: &str, progress: Progress) -> Input {
     match parse_key(root, key) {
-        Some((structure, Topic::Progress(Service::Ingest))) => Input::Ingested(structure, progress),
+        Some((
+            structure,
+            Topic {
+                family: KeyFamily::Progress(Service::Ingest),
+                ..
+            },
+        )) => Input::Ingested(structure, progress),
         _ => Input::Misplaced,
     }
 }
@@ -171,7 +200,13 @@ pub fn ingested(root: &Name, key: &str, progress: Progress) -> Input {
 /// Returns the instance that a liveliness token represents.
 pub fn instance(root: &Name, key: &str) -> Option<Instance> {
     match parse_key(root, key)? {
-        (structure, Topic::Live(service, id)) => Some(Instance {
+        (
+            structure,
+            Topic {
+                family: KeyFamily::Live(service),
+                of: Some(id),
+            },
+        ) => Some(Instance {
             structure,
             service,
             id,
