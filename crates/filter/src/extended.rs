@@ -155,7 +155,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.check_frame(frame)?;
         self.take_excitation(frame);
         self.predict();
-        let (noise_events, rejected_channels) = self.predict_observation(frame);
+        let rejected_channels = self.predict_observation(frame);
+        let noise_events = self.update_noise(frame);
+        self.add_noises(frame);
         let used = update::leave_out_missing(&mut self.work.update, &mut self.work.p_ht);
         let evidence = update::factorise(&mut self.work.update, used)?;
         if !evidence.log_evidence.is_finite() {
@@ -167,17 +169,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.update_state();
         let per_channel = evidence.normalised_innovation_squared / used.max(1) as f64;
         self.answer_misfit(per_channel);
-        let (limited_states, rests_on_bound) = self.limit_state();
+        let limited = self.limit_state();
         let bounded_variances = self.bound_variances();
         self.check_result()?;
-        self.judge_fit(frame, per_channel, rests_on_bound);
+        self.judge_fit(frame, per_channel, limited.rests_on_bound);
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
             normalised_innovation_squared: evidence.normalised_innovation_squared,
             log_evidence: evidence.log_evidence,
             used_channels: used,
             rejected_channels,
-            limited_states,
+            limited_states: limited.states,
             bounded_variances,
             noise_phase: self.state.noise.phase,
             training_ended: noise_events.training_ended,

@@ -157,13 +157,15 @@ impl FuseService {
                 nodes = service.feedback.len(),
                 "station ready"
             );
-            if let Some((modes, missed)) = structure
+            if let Some(modes) = structure
                 .sent_modes()
-                .filter(|(_, missed)| *missed > MISSED_MASS)
+                .filter(|modes| modes.missed_mass > MISSED_MASS)
             {
                 warn!(
                     structure = structure.name(),
-                    modes, missed, "the modes that nodes send miss a share of the mass"
+                    modes = modes.count,
+                    missed = modes.missed_mass,
+                    "the modes that nodes send miss a share of the mass"
                 );
             }
             Ok(service)

@@ -25,6 +25,15 @@ const CREDIBLE: f64 = 25.0;
 /// Quantile of the standard normal distribution for a two-sided interval of 95 %.
 const QUANTILE_95: f64 = 1.96;
 
+/// The entries of the state that a step clamped to their limits.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Limited {
+    /// Number of clamped entries.
+    pub(super) states: usize,
+    /// The data moved a parameter to its limit, so that its interval excludes the prior mean.
+    pub(super) rests_on_bound: bool,
+}
+
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Updates mean and covariance with the innovation, equations (2.68) to (2.70).
     pub(super) fn update_state(&mut self) {
@@ -141,10 +150,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     /// Clamps the entries of the state to their limits. The covariance remains unchanged.
-    ///
-    /// Returns the number of clamped entries. Also returns `true` if the data moved a parameter to
-    /// its limit, so that its interval excludes the prior mean.
-    pub(super) fn limit_state(&mut self) -> (usize, bool) {
+    pub(super) fn limit_state(&mut self) -> Limited {
         let Self {
             model,
             settings,
@@ -159,21 +165,21 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 .as_ref()
                 .map_or(1.0, |misfit| misfit.variance_scale(j - first))
         };
-        let (mut limited, mut rests_on_bound) = (0, false);
+        let mut limited = Limited::default();
         for j in 0..work.mean.len() {
             let inside = work.mean[j].clamp(settings.lower[j], settings.upper[j]);
             // NaN does not count here, because `check_result` reports it.
             if inside != work.mean[j] && !work.mean[j].is_nan() {
                 work.mean[j] = inside;
-                limited += 1;
+                limited.states += 1;
                 if j >= first {
                     let off = inside - settings.prior_mean[j];
                     let variance = work.update.variances[j] * widening(j);
-                    rests_on_bound |= off * off > QUANTILE_95 * QUANTILE_95 * variance;
+                    limited.rests_on_bound |= off * off > QUANTILE_95 * QUANTILE_95 * variance;
                 }
             }
         }
-        (limited, rests_on_bound)
+        limited
     }
 
     /// Scales the covariance so that no variance exceeds its bound. Returns the number of variances

@@ -18,11 +18,10 @@ use nalgebra::DMatrix;
 const LARGEST_SCREENED_ANNEALING: f64 = 2.0;
 
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
-    /// Writes innovation, `S`, `P Hᵀ` and `P`. Screens outliers and updates the noise parameters in
-    /// between.
+    /// Writes innovation, `S₀` and `P Hᵀ` without the noise, and screens outliers.
     ///
-    /// Returns the noise events and the number of rejected channels.
-    pub(super) fn predict_observation(&mut self, frame: Frame<'_>) -> (NoiseEvents, usize) {
+    /// Returns the number of rejected channels.
+    pub(super) fn predict_observation(&mut self, frame: Frame<'_>) -> usize {
         let Self { model, work, .. } = self;
         model.linearise_observation(work.mean.as_slice(), work.newer.as_slice());
         model.observe(work.update.innovation.as_mut_slice());
@@ -61,12 +60,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if !is_time_invariant {
             model.observation_jacobian_mul(&work.input_matrix, &mut work.h_b);
         }
-
-        let rejected = self.screen_outliers(frame);
-        let events = self.update_noise(frame);
-        self.write_noise_covariances(frame);
-        self.add_noises();
-        (events, rejected)
+        self.screen_outliers(frame)
     }
 
     /// Rejects outliers, using the noise levels from before this step. Returns the number of
@@ -143,7 +137,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     /// Updates the noise parameters with this frame.
-    fn update_noise(&mut self, frame: Frame<'_>) -> NoiseEvents {
+    pub(super) fn update_noise(&mut self, frame: Frame<'_>) -> NoiseEvents {
         let fixed = self.settings.noise.parameters.is_empty()
             || self.settings.noise_settings.rule == NoiseRule::Fixed;
         if self.follows || fixed {
@@ -217,7 +211,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     /// Adds the noise covariances to `P Hᵀ` and `S`, and also to `P` for a time-invariant model.
-    fn add_noises(&mut self) {
+    pub(super) fn add_noises(&mut self, frame: Frame<'_>) {
+        self.write_noise_covariances(frame);
         let annealing = self.annealing();
         let Self {
             model,
