@@ -15,7 +15,7 @@ use spandrel_bus::{
     StreamSettings, StreamState,
 };
 use spandrel_identify::{FilterPool, IdentifyService, Precedence};
-use spandrel_ingest::{IngestService, IngestSettings, Waiting};
+use spandrel_ingest::{FrameWait, IngestService, IngestSettings};
 use spandrel_sensor::{Clocks, NodePlan, SensorService, SensorSettings, Speed, simulated_rows};
 use std::convert::Infallible;
 use std::io::BufRead;
@@ -292,7 +292,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let drops = Drops::watch(&bus, &keys).await;
 
     let id = |text: &str| Name::new(text).unwrap();
-    let waiting = Waiting::Limited(Duration::from_secs(2));
+    let waiting = FrameWait::Limited(Duration::from_secs(2));
     let settings = IngestSettings {
         id: id("ingest"),
         epoch: 1,

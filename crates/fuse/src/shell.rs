@@ -1,7 +1,7 @@
 //! Connects the station of one structure to the bus.
 
 use crate::error::FuseError;
-use crate::fusion::{Fusion, FusionState, Input, Output};
+use crate::fusion::{Fusion, FusionInput, FusionState, Output};
 use spandrel_bus::{
     BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event,
     FeedbackMessage, Keep, Keys, LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message,
@@ -201,7 +201,7 @@ impl FuseService {
                     },
                     _present = self.presence.changed() => self.note_presence().await?,
                     _ = clock.tick() => {
-                        self.handle(Input::Tick(now_ns())).await?;
+                        self.handle(FusionInput::Tick(now_ns())).await?;
                         ticks += 1;
                         if ticks % TICKS_PER_STATUS == 0 {
                             self.put_status().await?;
@@ -230,7 +230,7 @@ impl FuseService {
 
     async fn note_presence(&mut self) -> Result<(), FuseError> {
         let present = self.presence.present();
-        self.handle(Input::Present(
+        self.handle(FusionInput::Present(
             self.tokens
                 .iter()
                 .map(|token| present.contains(token))
@@ -246,7 +246,7 @@ impl FuseService {
         };
         let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
         let pace = self.core.pace();
-        self.handle(Input::Local {
+        self.handle(FusionInput::Local {
             node,
             message: Box::new(message),
             bytes,
@@ -260,7 +260,7 @@ impl FuseService {
         Ok(())
     }
 
-    async fn handle(&mut self, input: Input) -> Result<(), FuseError> {
+    async fn handle(&mut self, input: FusionInput) -> Result<(), FuseError> {
         let mut outputs = Vec::new();
         let before = self.core.done();
         self.core.handle(input, &mut outputs);

@@ -60,7 +60,7 @@ pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
 
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Input {
+pub enum IdentificationInput {
     /// Frames that continue the stream or start a new epoch.
     Frames(FrameBlock),
     /// Permanently missing frames of the current epoch, with numbers `from` to before `to`.
@@ -74,7 +74,7 @@ pub enum Input {
     },
 }
 
-impl Input {
+impl IdentificationInput {
     /// Creates a gap of permanently missing frames, with numbers `from` to before `to`.
     #[must_use]
     pub fn gap(from: u64, to: u64) -> Self {
@@ -323,7 +323,7 @@ impl Identification {
     }
 
     /// Processes one input and appends the outputs.
-    pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
+    pub fn handle(&mut self, input: IdentificationInput, outputs: &mut Vec<Output>) {
         let mut next = Some(input);
         while let Some(input) = next {
             next = self.handle_part(input, outputs);
@@ -335,15 +335,19 @@ impl Identification {
     /// Returns the rest of the gap, if any. The caller therefore need not hold all estimates at
     /// once. 4096 frames with 160 parameters would take about 400 MB.
     #[must_use]
-    pub fn handle_part(&mut self, input: Input, outputs: &mut Vec<Output>) -> Option<Input> {
+    pub fn handle_part(
+        &mut self,
+        input: IdentificationInput,
+        outputs: &mut Vec<Output>,
+    ) -> Option<IdentificationInput> {
         match input {
-            Input::Frames(block) => {
+            IdentificationInput::Frames(block) => {
                 self.take_block(&block, outputs);
                 None
             }
-            Input::Gap { since, from, to } => {
+            IdentificationInput::Gap { since, from, to } => {
                 let done = self.bridge(since, from, to, outputs);
-                (done < to).then_some(Input::Gap {
+                (done < to).then_some(IdentificationInput::Gap {
                     since,
                     from: done,
                     to,

@@ -24,7 +24,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 mod state;
 
-pub use state::NodeState;
+pub use state::NodeIdentificationState;
 
 /// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
 /// keeps the parameters.

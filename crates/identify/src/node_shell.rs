@@ -1,7 +1,7 @@
 //! Connects the identification by one sensor node to the bus.
 
 use crate::error::IdentifyError;
-use crate::node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
+use crate::node::{NodeIdentification, NodeIdentificationState, NodeInput, NodeOutput};
 use crate::pieces::Pieces;
 use crate::pool::FilterPool;
 use crate::set_aside::{SetAside, Span};
@@ -388,7 +388,7 @@ fn recall(
 ) -> Result<Keeper, IdentifyError> {
     let identity = Identity {
         kind: "node",
-        version: NodeState::VERSION,
+        version: NodeIdentificationState::VERSION,
         of: format!("{}/{node}", structure.name()),
         basis: structure.identification_basis(),
     };

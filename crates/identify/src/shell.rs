@@ -2,7 +2,7 @@
 
 use crate::displays::Displays;
 use crate::error::IdentifyError;
-use crate::identification::{Identification, Input, Output};
+use crate::identification::{Identification, IdentificationInput, Output};
 use crate::load::LoadState;
 use crate::memory::Memory;
 use crate::pieces::Pieces;
@@ -248,21 +248,21 @@ impl IdentifyService {
                         "received the last frames"
                     );
                 }
-                Input::Frames(block)
+                IdentificationInput::Frames(block)
             }
             Delivery::Gap(_) if self.is_in_step() => {
                 // The leader may have these frames, and its state includes them.
                 self.leave();
                 return Ok(());
             }
-            Delivery::Gap(gap) => Input::gap(gap.from, gap.to),
+            Delivery::Gap(gap) => IdentificationInput::gap(gap.from, gap.to),
         };
         for input in self.trouble.cut(input) {
             let mut left = Some(input);
             while let Some(input) = left {
                 let (from, to) = match &input {
-                    Input::Frames(block) => (block.header.sequence, block.end()),
-                    Input::Gap { from, to, .. } => (*from, *to),
+                    IdentificationInput::Frames(block) => (block.header.sequence, block.end()),
+                    IdentificationInput::Gap { from, to, .. } => (*from, *to),
                 };
                 let Some(mut core) = self.core.take() else {
                     return Err(IdentifyError::ThreadLost {

@@ -17,7 +17,7 @@ use crate::align::NodePlace;
 use crate::disk::DiskThread;
 use crate::error::IngestError;
 use crate::layout::Layout;
-use crate::waiting::Waiting;
+use crate::unrecorded::UnrecordedFrames;
 
 /// Pause before a failed write is retried.
 const RETRY: Duration = Duration::from_millis(500);
@@ -52,7 +52,7 @@ pub(crate) struct Recorder {
     disk: DiskThread,
     log: FrameLog,
     reader: FrameLogReader,
-    waiting: Waiting,
+    waiting: UnrecordedFrames,
     /// The completeness mark on disk: whether all published frames are recorded. `None` if there is
     /// no mark.
     is_noted_complete: Option<bool>,
@@ -103,7 +103,7 @@ impl Recorder {
             disk: DiskThread::start().map_err(IngestError::NoThread)?,
             reader: log.reader(),
             log,
-            waiting: Waiting::default(),
+            waiting: UnrecordedFrames::default(),
             is_noted_complete: opened.is_complete,
             refused_at: None,
             sync_every: settings.sync_every,

@@ -14,7 +14,7 @@ use spandrel_structure::Structure;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
-use crate::align::{Alignment, Input, NodePlace};
+use crate::align::{Alignment, AlignmentInput, NodePlace};
 use crate::error::IngestError;
 use crate::lateness::Lateness;
 use crate::layout::Layout;
@@ -48,7 +48,7 @@ const GRACE: Duration = Duration::from_secs(2);
 const GRACE_OF_ALL: Duration = Duration::from_secs(12);
 /// Policy for how long a frame waits for late samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Waiting {
+pub enum FrameWait {
     /// Frames wait indefinitely, so that the same record always gives the same frames. Intended for
     /// replay and simulation.
     Unlimited,
@@ -65,7 +65,7 @@ pub struct IngestSettings {
     /// Epoch of the first run. It must increase at each start, like the wall clock in ns.
     pub epoch: u64,
     /// How long frames wait for late samples.
-    pub waiting: Waiting,
+    pub waiting: FrameWait,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
     /// new epoch.
     pub recording: Option<RecordingSettings>,
@@ -248,8 +248,8 @@ impl IngestService {
             let service = Self {
                 core,
                 lateness: match waiting {
-                    Waiting::Unlimited => None,
-                    Waiting::Limited(allowed) => Some(Lateness::new(allowed, node_count)),
+                    FrameWait::Unlimited => None,
+                    FrameWait::Limited(allowed) => Some(Lateness::new(allowed, node_count)),
                 },
                 started: Instant::now(),
                 last_heard: vec![Duration::ZERO; node_count],
@@ -375,10 +375,10 @@ impl IngestService {
                 lateness.arrived(node, grid.time_ns(last), elapsed);
             }
         }
-        self.handle(Input::Samples { node, block }).await
+        self.handle(AlignmentInput::Samples { node, block }).await
     }
 
-    async fn handle(&mut self, input: Input) -> Result<(), IngestError> {
+    async fn handle(&mut self, input: AlignmentInput) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
         self.core.handle(input, &mut blocks);
         if let Some(recorder) = self.recorder.take_if(|_| !blocks.is_empty()) {
@@ -435,7 +435,7 @@ impl IngestService {
             for node in 0..self.signs.len() {
                 if !all_gone && self.signs[node] == Sign::Lost {
                     self.signs[node] = Sign::Gone;
-                    self.handle(Input::Back { node }).await?;
+                    self.handle(AlignmentInput::Back { node }).await?;
                 }
             }
         }
@@ -461,7 +461,7 @@ impl IngestService {
                     node = name,
                     "node disappeared; frames no longer wait for it"
                 );
-                self.handle(Input::Lost { node }).await?;
+                self.handle(AlignmentInput::Lost { node }).await?;
             }
         }
         if self.pace == Pace::Replayed {
@@ -473,7 +473,7 @@ impl IngestService {
             .as_mut()
             .and_then(|lateness| lateness.deadline_ns(elapsed));
         match deadline {
-            Some(time_ns) => self.handle(Input::Deadline { time_ns }).await,
+            Some(time_ns) => self.handle(AlignmentInput::Deadline { time_ns }).await,
             None => Ok(()),
         }
     }

@@ -10,7 +10,7 @@ use spandrel_dashboard::{DashboardService, Listen, PageSettings};
 use spandrel_fuse::FuseService;
 use spandrel_history::{Address, HistoryService, Keep};
 use spandrel_identify::{FilterPool, IdentifyService, NodeService, Precedence, SetAside};
-use spandrel_ingest::{IngestService, IngestSettings, Waiting};
+use spandrel_ingest::{FrameWait, IngestService, IngestSettings};
 use spandrel_notify::{NotifyService, NotifySettings};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
@@ -347,7 +347,7 @@ impl Running {
             let settings = IngestSettings {
                 id: Name::new("ingest")?,
                 epoch: epoch_now(),
-                waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
+                waiting: lateness.map_or(FrameWait::Unlimited, FrameWait::Limited),
                 recording: state.map(|state| state.recording(keys)),
             };
             let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());

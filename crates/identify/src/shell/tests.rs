@@ -64,11 +64,11 @@ fn without_the_frame() -> Vec<String> {
         );
         let holds_it = (block.header.sequence..block.end()).contains(&POISON);
         match holds_it {
-            false => core.handle(Input::Frames(block), &mut outputs),
+            false => core.handle(IdentificationInput::Frames(block), &mut outputs),
             true => {
-                core.handle(Input::Frames(before), &mut outputs);
-                core.handle(Input::gap(POISON, POISON + 1), &mut outputs);
-                core.handle(Input::Frames(after), &mut outputs);
+                core.handle(IdentificationInput::Frames(before), &mut outputs);
+                core.handle(IdentificationInput::gap(POISON, POISON + 1), &mut outputs);
+                core.handle(IdentificationInput::Frames(after), &mut outputs);
             }
         }
     }
