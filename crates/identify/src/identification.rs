@@ -25,7 +25,7 @@ use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 
 /// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
 /// keeps the parameters.
-const BRIDGED_GAP_S: f64 = 10.0;
+pub(crate) const BRIDGED_GAP_S: f64 = 10.0;
 
 /// Time (s) for which an excitation must repeat bit-identical samples before its sensor counts as
 /// stuck.

@@ -9,6 +9,7 @@
 //! the same results. Live samples do not wait.
 
 use crate::error::IdentifyError;
+use crate::identification::BRIDGED_GAP_S;
 use crate::node_screening::NodeScreening;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
@@ -25,10 +26,6 @@ use std::collections::{BTreeMap, VecDeque};
 mod state;
 
 pub use state::NodeIdentificationState;
-
-/// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
-/// keeps the parameters.
-const BRIDGED_GAP_S: f64 = 10.0;
 
 /// Clock drift (samples) at which a sample moves to the next grid position.
 ///

@@ -1,10 +1,10 @@
 //! Writes every frame to disk before it is published.
 
-use std::hash::{BuildHasher, RandomState};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
+use spandrel_checkpoint::moment_within;
 use spandrel_record::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition,
     RecordError,
@@ -107,7 +107,7 @@ impl Recorder {
             is_noted_complete: opened.is_complete,
             refused_at: None,
             sync_every: settings.sync_every,
-            synced: started_within(settings.sync_every),
+            synced: moment_within(settings.sync_every),
             syncing: None,
         };
         Ok((recorder, past))
@@ -258,15 +258,6 @@ impl Recorder {
             warn!(structure = self.structure, %error, "recording not synchronised to disk");
         }
     }
-}
-
-/// Returns a random instant within the last `period`, so that structures that start together do not
-/// all wait for the disk at the same moments.
-fn started_within(period: Duration) -> Instant {
-    let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
-    Instant::now()
-        .checked_sub(period.mul_f64(share))
-        .unwrap_or_else(Instant::now)
 }
 
 /// The archive of recorded frames, for queries that go back further than the frames in memory.
