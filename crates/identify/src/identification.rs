@@ -53,11 +53,6 @@ const EFFECTIVE_PARTICLES: &str = "effective-particles";
 
 pub use state::IdentificationState;
 
-/// Number of a frame that makes the identification panic, for tests of its recovery.
-#[cfg(test)]
-pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
-    std::sync::atomic::AtomicU64::new(u64::MAX);
-
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum IdentificationInput {
@@ -497,12 +492,6 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
-        #[cfg(test)]
-        assert!(
-            values.iter().all(|value| value.is_nan())
-                || number != POISONED.load(std::sync::atomic::Ordering::Relaxed),
-            "frame {number} is poisoned"
-        );
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);

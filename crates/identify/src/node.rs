@@ -33,11 +33,6 @@ pub use state::NodeIdentificationState;
 /// changes.
 const OFF_ITS_PLACE: f64 = 0.75;
 
-/// Number of a sample that makes the worker panic, for tests of its recovery.
-#[cfg(test)]
-pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
-    std::sync::atomic::AtomicU64::new(u64::MAX);
-
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NodeInput {
@@ -289,12 +284,6 @@ impl NodeIdentification {
         let count = (block.samples.len() / channels.max(1)) as u64;
         for number in 0..count {
             let start = number as usize * channels;
-            #[cfg(test)]
-            assert_ne!(
-                block.header.sequence + number,
-                POISONED.load(std::sync::atomic::Ordering::Relaxed),
-                "as it should"
-            );
             self.take_sample(&block.samples[start..start + channels]);
             if let Some(stream) = &mut self.stream {
                 stream.last_ns = grid.time_ns(number);

@@ -35,11 +35,15 @@ const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 /// Capacity of the queue for feedback. Only the newest message matters.
 const ANSWERS_WAITING: usize = 4;
 
+/// Processes one input on a thread of the pool, as [`NodeIdentification::handle`] does.
+type ProcessNodeInput = fn(&mut NodeIdentification, NodeInput, &mut Vec<NodeOutput>);
+
 /// The worker of one sensor node.
 #[derive(Debug)]
 pub struct NodeService {
     core: Option<NodeIdentification>,
     pool: FilterPool,
+    process: ProcessNodeInput,
     samples: Pieces<SampleBlock>,
     bus: Bus,
     buffer_key: String,
@@ -124,6 +128,7 @@ impl NodeService {
                 service: named(Service::Identify.as_str())?,
                 node,
                 core: Some(core),
+                process: NodeIdentification::handle,
             };
             info!(
                 structure = structure.name(),
@@ -262,9 +267,10 @@ impl NodeService {
             structure: self.structure.to_string(),
         };
         let mut core = self.core.take().ok_or_else(lost)?;
+        let process = self.process;
         let work = self.pool.run(move || {
             let mut outputs = Vec::new();
-            core.handle(input, &mut outputs);
+            process(&mut core, input, &mut outputs);
             (core, outputs)
         });
         let Some((core, outputs)) = work.await else {

@@ -38,6 +38,11 @@ const LAST_FRAMES: Duration = Duration::from_millis(100);
 /// send.
 const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
+/// Processes one input on a thread of the pool and returns the rest of a long gap, as
+/// [`Identification::handle_part`] does.
+type ProcessInput =
+    fn(&mut Identification, IdentificationInput, &mut Vec<Output>) -> Option<IdentificationInput>;
+
 /// The identification service of one structure.
 #[derive(Debug)]
 pub struct IdentifyService {
@@ -46,6 +51,7 @@ pub struct IdentifyService {
     structure: Structure,
     bus: Bus,
     pool: FilterPool,
+    process: ProcessInput,
     trouble: Trouble,
     /// `None` while joining.
     frames: Option<Pieces<FrameBlock>>,
@@ -110,6 +116,7 @@ impl IdentifyService {
             let mut service = Self {
                 structure: structure.clone(),
                 trouble: Trouble::default(),
+                process: Identification::handle_part,
                 pool,
                 frames: None,
                 seat: Seat::Joining,
@@ -270,9 +277,10 @@ impl IdentifyService {
                     });
                 };
                 core.thin_display(self.load.load() != Load::Normal);
+                let process = self.process;
                 let work = self.pool.run(move || {
                     let mut outputs = Vec::new();
-                    let left = core.handle_part(input, &mut outputs);
+                    let left = process(&mut core, input, &mut outputs);
                     (core, outputs, left)
                 });
                 let Some((mut core, outputs, rest)) = work.await else {

@@ -1,11 +1,9 @@
 use super::*;
-use crate::identification::POISONED;
 use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, Keep, NumberedStream};
 use std::num::NonZeroUsize;
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
-/// Far from the frame numbers of other tests in this process, which must not panic.
+/// Unlike the numbers of a stream from its start.
 const FIRST: u64 = 1_000_000;
 const POISON: u64 = FIRST + 333;
 const FRAMES: u64 = 600;
@@ -106,7 +104,7 @@ async fn estimates_of_a_service_that_dies(
     let frames = bus.publish_numbered::<FrameBlock>(stream).await.unwrap();
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let id = Name::new("identify").unwrap();
-    let service = IdentifyService::start(
+    let mut service = IdentifyService::start(
         &structure(),
         &bus,
         keys.clone(),
@@ -117,6 +115,13 @@ async fn estimates_of_a_service_that_dies(
     )
     .await
     .unwrap();
+    service.process = |core, input, outputs| {
+        if let IdentificationInput::Frames(block) = &input {
+            let numbers = block.header.sequence..block.end();
+            assert!(!numbers.contains(&POISON), "frame {POISON} is poisoned");
+        }
+        core.handle_part(input, outputs)
+    };
     let estimates = bus
         .follow::<EstimateBlock>(
             keys.estimates(),
@@ -172,7 +177,6 @@ async fn estimates_of_a_service_that_dies(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_frame_that_kills_the_identification_twice_is_set_aside_and_nothing_else_changes() {
-    POISONED.store(POISON, Ordering::Relaxed);
     let folder = tempfile::tempdir().unwrap();
     let remembering = Remembering {
         folder: folder.path().to_owned(),
