@@ -20,7 +20,14 @@ pub(super) enum Propagator {
     /// polynomials of the stiffness at every step.
     ProportionalDamping(Box<proportional::Transition>),
     /// Any other model: Taylor series of the Jacobian as an operator, at every step.
-    TaylorSeries(Box<discretise::Workspace>),
+    TaylorSeries(Box<TaylorSeries>),
+}
+
+/// The series of the last discretised step, with its scratch space.
+#[derive(Debug, Clone)]
+pub(super) struct TaylorSeries {
+    series: Series,
+    scratch: discretise::Workspace,
 }
 
 impl Propagator {
@@ -41,7 +48,10 @@ impl Propagator {
         }
         Ok(match model.proportional_form() {
             Some(form) => Self::ProportionalDamping(Box::new(proportional::Transition::new(&form))),
-            None => Self::TaylorSeries(Box::new(discretise::Workspace::new(n, inputs))),
+            None => Self::TaylorSeries(Box::new(TaylorSeries {
+                series: Series::choose(0.0, step_s),
+                scratch: discretise::Workspace::new(n, inputs),
+            })),
         })
     }
 
@@ -53,7 +63,8 @@ impl Propagator {
         }
     }
 
-    /// Discretises a step of `step_s` (s) at the linearisation point and integrates the inputs.
+    /// Discretises a step of `step_s` (s) at the linearisation point and integrates the inputs. The
+    /// other methods then refer to this step.
     ///
     /// It replaces `[g, B_y]` in `inputs` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`, as
     /// [`discretise::integrate_inputs`] does. A time-invariant model needs no such step.
@@ -74,9 +85,10 @@ impl Propagator {
                     transition.discretise(&form, step_s, rate_bound, inputs, ramp);
                 }
             }
-            Self::TaylorSeries(scratch) => {
-                let series = Series::choose(rate_bound, step_s);
-                discretise::integrate_inputs(model, step_s, series, inputs, ramp, scratch);
+            Self::TaylorSeries(taylor) => {
+                let TaylorSeries { series, scratch } = taylor.as_mut();
+                *series = Series::choose(rate_bound, step_s);
+                discretise::integrate_inputs(model, step_s, *series, inputs, ramp, scratch);
             }
         }
     }
@@ -98,9 +110,9 @@ impl Propagator {
             Self::ProportionalDamping(transition) => {
                 transition.propagate_covariance_to(covariance, fading, out);
             }
-            Self::TaylorSeries(scratch) => {
-                let series = Series::choose(model.rate_bound(), step_s);
-                discretise::propagate_covariance(model, step_s, series, covariance, out, scratch);
+            Self::TaylorSeries(taylor) => {
+                let TaylorSeries { series, scratch } = taylor.as_mut();
+                discretise::propagate_covariance(model, step_s, *series, covariance, out, scratch);
                 *out *= fading;
                 symmetrise_mut(out);
             }
@@ -117,9 +129,9 @@ impl Propagator {
                 transition.mul_mut(x, column);
             }
             Self::ProportionalDamping(transition) => transition.mul_mut(x),
-            Self::TaylorSeries(scratch) => {
-                let series = Series::choose(model.rate_bound(), step_s);
-                discretise::transition_mul_narrow(model, step_s, series, x, scratch);
+            Self::TaylorSeries(taylor) => {
+                let TaylorSeries { series, scratch } = taylor.as_mut();
+                discretise::transition_mul_narrow(model, step_s, *series, x, scratch);
             }
         }
     }
