@@ -21,7 +21,7 @@ use spandrel_bus::{
     AlertMessage, AlertState, Bus, BusConfig, FrameBlock, Header, HistoryLog, Mode, Name, Service,
     StreamState, Subscription,
 };
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_record::{FrameLog, LogLayout, LogSettings};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -301,7 +301,7 @@ impl Expected {
         let (mut outputs, mut alerts) = (Vec::new(), Vec::new());
         Identification::new(structure, "identify")
             .unwrap()
-            .handle(Input::Frames(block), &mut outputs);
+            .handle(IdentificationInput::Frames(block), &mut outputs);
         for output in outputs {
             if let Output::Estimates(block) = output {
                 watch.handle_block(&block, &mut alerts).unwrap();

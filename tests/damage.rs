@@ -9,7 +9,7 @@
 
 use serde_json::Value;
 use spandrel_bus::{AlertState, FrameBlock, Header, StreamState};
-use spandrel_identify::{Estimator, Identification, Input, Output};
+use spandrel_identify::{Estimator, Identification, IdentificationInput, Output};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -229,7 +229,7 @@ fn sound_hour(seed: u64) {
     let (mut covered, mut misfit, mut counted) = ([0.0; 5], [0.0; 5], 0.0);
     for frame in structure.simulator(seed).take(360_000) {
         core.handle(
-            Input::Frames(FrameBlock {
+            IdentificationInput::Frames(FrameBlock {
                 header: Header {
                     source: "simulator".into(),
                     epoch: 1,

@@ -26,7 +26,7 @@ use spandrel_bus::{
 use spandrel_checkpoint::{Checkpoints, Identity, Place, Refusal};
 use spandrel_fuse::{Fusion, FusionState};
 use spandrel_identify::{
-    Identification, IdentificationState, NodeIdentification, NodeInput, NodeState,
+    Identification, IdentificationState, NodeIdentification, NodeIdentificationState, NodeInput,
 };
 use spandrel_structure::Structure;
 use std::path::Path;
@@ -83,13 +83,16 @@ fn of_identification(structure: &Structure) -> IdentificationState {
             .collect(),
         state: StreamState::Running,
     };
-    core.handle(spandrel_identify::Input::Frames(block), &mut Vec::new());
+    core.handle(
+        spandrel_identify::IdentificationInput::Frames(block),
+        &mut Vec::new(),
+    );
     assert_eq!(core.done(), 300);
     core.state()
 }
 
 /// Returns the state of a worker after three seconds of samples.
-fn of_node(structure: &Structure) -> NodeState {
+fn of_node(structure: &Structure) -> NodeIdentificationState {
     let mut core = NodeIdentification::new(structure, 0, 5).unwrap();
     let node = &structure.nodes()[0];
     let rate_hz = structure.of_node(node.name()).unwrap().sampling_rate_hz();
@@ -148,10 +151,10 @@ fn of_station(structure: &Structure) -> FusionState {
         state: StreamState::Running,
     };
     let all = vec![true; structure.nodes().len()];
-    core.handle(spandrel_fuse::Input::Present(all), &mut Vec::new());
+    core.handle(spandrel_fuse::FusionInput::Present(all), &mut Vec::new());
     for index in 1..=3 {
         for node in 0..structure.nodes().len() {
-            let input = spandrel_fuse::Input::Local {
+            let input = spandrel_fuse::FusionInput::Local {
                 node,
                 message: Box::new(message(index)),
                 bytes: 500,
@@ -300,7 +303,7 @@ fn damaged_checkpoints_of_nodes_are_set_aside_and_the_one_before_taken() {
     let structure = distributed();
     let state = of_node(&structure);
     try_damages(
-        &identity("node", NodeState::VERSION, &structure),
+        &identity("node", NodeIdentificationState::VERSION, &structure),
         &state,
         |state| {
             let mut core = NodeIdentification::new(&structure, 0, 6).unwrap();

@@ -15,7 +15,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
 use spandrel_bus::{FrameBlock, Header, StreamState};
 use spandrel_filter::{ExtendedKalmanFilter, Frame as SamplesOfAFrame};
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_record::{ChannelColumn, ColumnMapping, OffsetRemoval, RecordReader, Recording};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
@@ -128,7 +128,7 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
     let top: Vec<f64> = block.iter().map(|(_, values)| values[3]).collect();
     let mut core = Identification::new(structure, "test").unwrap();
     let mut outputs = Vec::new();
-    core.handle(Input::Frames(block), &mut outputs);
+    core.handle(IdentificationInput::Frames(block), &mut outputs);
     assert_eq!(
         core.restarts(),
         0,

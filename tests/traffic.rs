@@ -23,7 +23,7 @@ use spandrel_bus::{
     Bus, BusConfig, Header, Keys, LocalMessage, Message, Mode, Name, NodeDisplay, Pace,
     SampleBlock, StreamState, ToldMotion, ToldSamples,
 };
-use spandrel_fuse::{Fusion, Input, Output};
+use spandrel_fuse::{Fusion, FusionInput, Output};
 use spandrel_identify::{NodeIdentification, NodeInput, NodeOutput};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
@@ -307,7 +307,10 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
         .map(|position| NodeIdentification::new(structure, position, epoch).unwrap());
     let mut workers: Vec<NodeIdentification> = workers.collect();
     let mut fusion = Fusion::new(structure, "fuse", epoch).unwrap();
-    fusion.handle(Input::Present(vec![true; names.len()]), &mut Vec::new());
+    fusion.handle(
+        FusionInput::Present(vec![true; names.len()]),
+        &mut Vec::new(),
+    );
     let mut traffic = Traffic::default();
     for period in 0..PERIODS {
         let mut fused = Vec::new();
@@ -339,7 +342,7 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
             let arrived_ns = NOW_NS + (period as i64 + 1) * SECOND_NS;
             let message = LocalMessage::clone(message);
             fusion.handle(
-                Input::Local {
+                FusionInput::Local {
                     node: position,
                     message: Box::new(message),
                     bytes: bytes as u64,

@@ -15,7 +15,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use spandrel_bus::{FrameBlock, Header, StreamState};
-use spandrel_identify::{Identification, Input};
+use spandrel_identify::{Identification, IdentificationInput};
 use spandrel_structure::Structure;
 use std::hint::black_box;
 use std::path::Path;
@@ -51,7 +51,7 @@ fn identification(criterion: &mut Criterion) {
             let mut core =
                 Identification::new(&structure, "bench").expect("the example has a filter");
             let mut outputs = Vec::new();
-            core.handle(Input::Frames(block.clone()), &mut outputs);
+            core.handle(IdentificationInput::Frames(block.clone()), &mut outputs);
             black_box(outputs.len())
         });
     });
@@ -95,7 +95,7 @@ fn an_hour(criterion: &mut Criterion) {
                 Identification::new(&structure, "bench").expect("the example has a filter");
             let (mut outputs, mut estimates) = (Vec::new(), 0);
             for block in &blocks {
-                core.handle(Input::Frames(block.clone()), &mut outputs);
+                core.handle(IdentificationInput::Frames(block.clone()), &mut outputs);
                 estimates += outputs.len();
                 outputs.clear();
             }

@@ -15,6 +15,7 @@
 //! - [`compression`]: reduced forms of the state and covariance of a node
 //! - [`samples`]: exchange of a few samples between nodes
 //! - [`local`]: the filter of a node, and its use of feedback
+//! - [`mean_limits`]: limits of the parameter means of a sound filter
 //! - [`station`]: fusion of the received estimates on the station's clock
 //! - [`detector`]: detection of faulty nodes
 //!
@@ -24,6 +25,7 @@ pub mod compression;
 pub mod detector;
 pub mod gaussian;
 pub mod local;
+pub mod mean_limits;
 pub mod samples;
 pub mod station;
 
@@ -35,6 +37,7 @@ pub use gaussian::{Gaussian, Information, product};
 pub use local::{
     Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, LocalState, NodeSettings, Taken,
 };
+pub use mean_limits::MeanLimits;
 pub use samples::{SampleExchange, unit_exponent};
 pub use station::{
     Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings, StationState,

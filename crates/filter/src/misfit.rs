@@ -272,18 +272,14 @@ impl MisfitState {
     /// Updates the published variance of parameter `j` and returns the accepted share of its
     /// correction.
     ///
-    /// If the sandwich variance would exceed the prior variance `prior`, the data contain less
+    /// If the sandwich variance would exceed the prior variance, the data contain less
     /// information than the prior. The correction is then reduced to the information in the data.
-    /// `step` contains the variance before the step and the information of the step.
-    fn weigh(
-        &mut self,
-        j: usize,
-        settings: &MisfitSettings,
-        fading: f64,
-        prior: f64,
-        step: (f64, f64),
-    ) -> f64 {
-        let (before, information) = step;
+    fn weigh(&mut self, j: usize, settings: &MisfitSettings, fading: f64, step: Learnt) -> f64 {
+        let Learnt {
+            prior,
+            before,
+            information,
+        } = step;
         let cautious = self.parameters[j].sums[0].cautious_ratio(settings.block_steps[0]);
         let ratio = self.variance_ratio(j).max(cautious);
         let ratio = if ratio <= EXPLAINED_BY_CHANCE {
@@ -308,6 +304,17 @@ impl MisfitState {
         let excess = (self.innovation_square / LARGEST_USUAL_SQUARE).max(1.0);
         (prior / (ratio * before)).min(1.0) / excess
     }
+}
+
+/// What one step has learnt about a parameter.
+#[derive(Debug, Clone, Copy)]
+struct Learnt {
+    /// Prior variance of the parameter.
+    prior: f64,
+    /// Its variance before the step.
+    before: f64,
+    /// Information of the step about it.
+    information: f64,
 }
 
 /// Scratch space of one step (N_θ).
@@ -391,8 +398,12 @@ impl Workspace {
             if before <= 0.0 {
                 continue;
             }
-            let prior = prior_std[at] * prior_std[at];
-            let believed = state.weigh(j, settings, fading, prior, (before, self.information[j]));
+            let learnt = Learnt {
+                prior: prior_std[at] * prior_std[at],
+                before,
+                information: self.information[j],
+            };
+            let believed = state.weigh(j, settings, fading, learnt);
             if believed < 1.0 {
                 mean[at] -= (1.0 - believed) * self.corrections[j];
                 covariance[(at, at)] += (1.0 - believed) * self.gains[j];

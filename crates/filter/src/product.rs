@@ -282,7 +282,7 @@ impl Multiplier {
         }
     }
 
-    fn sum(self, order: Order<'_>, start: impl Start, keep: impl Keep) {
+    fn sum(self, order: Order<'_>, start: impl Start, keep: impl Destination) {
         self.0.dispatch(Strips {
             order,
             place: Between { start, keep },
@@ -481,7 +481,7 @@ impl Start for Piece<'_> {
 }
 
 /// The destination of a block.
-trait Keep {
+trait Destination {
     /// Stores a block. `before` is the first of all requested rows.
     fn keep<F: Pod, const R: usize>(
         &mut self,
@@ -500,7 +500,7 @@ struct Plain<'m> {
     first_row: usize,
 }
 
-impl Keep for Plain<'_> {
+impl Destination for Plain<'_> {
     #[inline(always)]
     fn keep<F: Pod, const R: usize>(
         &mut self,
@@ -523,7 +523,7 @@ impl Keep for Plain<'_> {
 
 struct Mirrored<'m>(Target<'m>);
 
-impl Keep for Mirrored<'_> {
+impl Destination for Mirrored<'_> {
     #[inline(always)]
     fn keep<F: Pod, const R: usize>(
         &mut self,
@@ -549,7 +549,7 @@ struct Split<'m> {
     mirrored: Target<'m>,
 }
 
-impl Keep for Split<'_> {
+impl Destination for Split<'_> {
     #[inline(always)]
     fn keep<F: Pod, const R: usize>(
         &mut self,
@@ -572,8 +572,8 @@ impl Keep for Split<'_> {
 }
 
 /// The start values and the destination of sums.
-trait Place {
-    type Keep: Keep;
+trait Accumulator {
+    type Destination: Destination;
 
     fn sums<S: Simd, const R: usize>(
         &self,
@@ -582,7 +582,7 @@ trait Place {
         columns: &Range<usize>,
     ) -> [[S::f64s; R]; COLUMNS];
 
-    fn keep_mut(&mut self) -> &mut Self::Keep;
+    fn keep_mut(&mut self) -> &mut Self::Destination;
 }
 
 /// Separate start values and destination.
@@ -591,8 +591,8 @@ struct Between<B, K> {
     keep: K,
 }
 
-impl<B: Start, K: Keep> Place for Between<B, K> {
-    type Keep = K;
+impl<B: Start, K: Destination> Accumulator for Between<B, K> {
+    type Destination = K;
 
     #[inline(always)]
     fn sums<S: Simd, const R: usize>(
@@ -613,8 +613,8 @@ impl<B: Start, K: Keep> Place for Between<B, K> {
 /// A matrix that is both start value and destination.
 struct InPlace<'m>(Mirrored<'m>);
 
-impl<'m> Place for InPlace<'m> {
-    type Keep = Mirrored<'m>;
+impl<'m> Accumulator for InPlace<'m> {
+    type Destination = Mirrored<'m>;
 
     #[inline(always)]
     fn sums<S: Simd, const R: usize>(
@@ -643,7 +643,7 @@ struct Strips<'m, P> {
     place: P,
 }
 
-impl<P: Place> WithSimd for Strips<'_, P> {
+impl<P: Accumulator> WithSimd for Strips<'_, P> {
     type Output = ();
 
     #[inline(always)]
@@ -679,7 +679,7 @@ impl<P: Place> WithSimd for Strips<'_, P> {
     }
 }
 
-impl<P: Place> Strips<'_, P> {
+impl<P: Accumulator> Strips<'_, P> {
     /// Computes `R` registers of rows, starting at row `first`.
     #[inline(always)]
     fn strip<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {

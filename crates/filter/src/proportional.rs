@@ -66,6 +66,15 @@ pub struct ProportionalForm<'m> {
     pub reach: &'m [Range<usize>],
 }
 
+/// The part of a time step that one series covers.
+#[derive(Debug, Clone, Copy)]
+struct Substep {
+    /// Length (s).
+    length_s: f64,
+    /// Number of doublings that lead to the whole step.
+    doublings: usize,
+}
+
 /// The transition over one time step, recomputed at every step in the same storage.
 #[derive(Debug, Clone)]
 pub(crate) struct Transition {
@@ -112,24 +121,28 @@ impl Transition {
         ramp: Option<&[f64]>,
     ) {
         let free = form.stiffness.nrows();
-        let (mut h, mut doublings) = (step_s, 0);
+        let mut substep = Substep {
+            length_s: step_s,
+            doublings: 0,
+        };
         // The subsequent check of the filtered state detects a bound that is not finite.
-        while rate_bound.is_finite() && rate_bound * h > LARGEST_STEP {
-            h *= 0.5;
-            doublings += 1;
+        while rate_bound.is_finite() && rate_bound * substep.length_s > LARGEST_STEP {
+            substep.length_s *= 0.5;
+            substep.doublings += 1;
         }
+        let h = substep.length_s;
         let damping = [-form.alpha_per_s * h, form.beta_s / h];
         let polynomials = Polynomials::new(damping, rate_bound * h, form.stiffness_bound * h * h);
         let slope = ramp.map(|ramp| &ramp[free..2 * free]);
         self.through_accelerations =
-            doublings == 0 && Accelerations::are_shorter(form, &polynomials);
+            substep.doublings == 0 && Accelerations::are_shorter(form, &polynomials);
         if self.through_accelerations {
             self.accelerations.set(form, h, &polynomials);
             self.accelerations
                 .integrate_inputs(damping, &polynomials, inputs, slope);
         } else {
             self.blocks
-                .discretise(form, (h, doublings), damping, &polynomials, inputs, slope);
+                .discretise(form, substep, damping, &polynomials, inputs, slope);
         }
     }
 

@@ -34,7 +34,7 @@ const LONGEST_LOOK: f64 = 3.0;
 
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Input {
+pub enum FusionInput {
     /// A message from a node.
     Local {
         /// Index of the node in the structure file.
@@ -182,9 +182,9 @@ impl Fusion {
     }
 
     /// Processes one input and appends the outputs.
-    pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
+    pub fn handle(&mut self, input: FusionInput, outputs: &mut Vec<Output>) {
         match input {
-            Input::Local {
+            FusionInput::Local {
                 node,
                 message,
                 bytes,
@@ -192,8 +192,8 @@ impl Fusion {
             } => {
                 self.take(node, *message, bytes, arrived_ns, outputs);
             }
-            Input::Present(present) => self.note_presence(&present, outputs),
-            Input::Tick(now_ns) => {
+            FusionInput::Present(present) => self.note_presence(&present, outputs),
+            FusionInput::Tick(now_ns) => {
                 self.follow_clock(now_ns);
                 // After the end, a fusion would only repeat older estimates.
                 if !self.ended

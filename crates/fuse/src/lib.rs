@@ -13,5 +13,5 @@ mod node;
 pub mod shell;
 
 pub use error::FuseError;
-pub use fusion::{Fusion, FusionState, Input, Output};
+pub use fusion::{Fusion, FusionInput, FusionState, Output};
 pub use shell::{ESTIMATES_KEPT, FusePlan, FuseService};

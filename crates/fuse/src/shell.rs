@@ -1,7 +1,7 @@
 //! Connects the station of one structure to the bus.
 
 use crate::error::FuseError;
-use crate::fusion::{Fusion, FusionState, Input, Output};
+use crate::fusion::{Fusion, FusionInput, FusionState, Output};
 use spandrel_bus::{
     BoxedFuture, BusError, Description, DisplayPublisher, EstimateBlock, FeedbackMessage, Keep,
     LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay,
@@ -178,13 +178,15 @@ impl FuseService {
                 nodes = service.feedback.len(),
                 "station ready"
             );
-            if let Some((modes, missed)) = structure
+            if let Some(modes) = structure
                 .sent_modes()
-                .filter(|(_, missed)| *missed > MISSED_MASS)
+                .filter(|modes| modes.missed_mass > MISSED_MASS)
             {
                 warn!(
                     structure = structure.name(),
-                    modes, missed, "the modes that nodes send miss a share of the mass"
+                    modes = modes.count,
+                    missed = modes.missed_mass,
+                    "the modes that nodes send miss a share of the mass"
                 );
             }
             Ok(service)
@@ -208,7 +210,7 @@ impl FuseService {
                     },
                     _present = self.presence.changed() => self.note_presence().await?,
                     _ = clock.tick() => {
-                        self.handle(Input::Tick(self.clock.now_ns())).await?;
+                        self.handle(FusionInput::Tick(self.clock.now_ns())).await?;
                         ticks += 1;
                         if ticks % TICKS_PER_STATUS == 0 {
                             self.put_status().await?;
@@ -237,7 +239,7 @@ impl FuseService {
 
     async fn note_presence(&mut self) -> Result<(), FuseError> {
         let present = self.presence.present();
-        self.handle(Input::Present(
+        self.handle(FusionInput::Present(
             self.tokens
                 .iter()
                 .map(|token| present.contains(token))
@@ -253,7 +255,7 @@ impl FuseService {
         };
         let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
         let pace = self.core.pace();
-        self.handle(Input::Local {
+        self.handle(FusionInput::Local {
             node,
             message: Box::new(message),
             bytes,
@@ -267,7 +269,7 @@ impl FuseService {
         Ok(())
     }
 
-    async fn handle(&mut self, input: Input) -> Result<(), FuseError> {
+    async fn handle(&mut self, input: FusionInput) -> Result<(), FuseError> {
         let mut outputs = Vec::new();
         let before = self.core.done();
         self.core.handle(input, &mut outputs);

@@ -25,7 +25,7 @@ use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 
 /// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
 /// keeps the parameters.
-const BRIDGED_GAP_S: f64 = 10.0;
+pub(crate) const BRIDGED_GAP_S: f64 = 10.0;
 
 /// Time (s) for which an excitation must repeat bit-identical samples before its sensor counts as
 /// stuck.
@@ -53,14 +53,9 @@ const EFFECTIVE_PARTICLES: &str = "effective-particles";
 
 pub use state::IdentificationState;
 
-/// Number of a frame that makes the identification panic, for tests of its recovery.
-#[cfg(test)]
-pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
-    std::sync::atomic::AtomicU64::new(u64::MAX);
-
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Input {
+pub enum IdentificationInput {
     /// Frames that continue the stream or start a new epoch.
     Frames(FrameBlock),
     /// Permanently missing frames of the current epoch, with numbers `from` to before `to`.
@@ -74,7 +69,7 @@ pub enum Input {
     },
 }
 
-impl Input {
+impl IdentificationInput {
     /// Creates a gap of permanently missing frames, with numbers `from` to before `to`.
     #[must_use]
     pub fn gap(from: u64, to: u64) -> Self {
@@ -316,7 +311,7 @@ impl Identification {
     }
 
     /// Processes one input and appends the outputs.
-    pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
+    pub fn handle(&mut self, input: IdentificationInput, outputs: &mut Vec<Output>) {
         let mut next = Some(input);
         while let Some(input) = next {
             next = self.handle_part(input, outputs);
@@ -328,15 +323,19 @@ impl Identification {
     /// Returns the rest of the gap, if any. The caller therefore need not hold all estimates at
     /// once. 4096 frames with 160 parameters would take about 400 MB.
     #[must_use]
-    pub fn handle_part(&mut self, input: Input, outputs: &mut Vec<Output>) -> Option<Input> {
+    pub fn handle_part(
+        &mut self,
+        input: IdentificationInput,
+        outputs: &mut Vec<Output>,
+    ) -> Option<IdentificationInput> {
         match input {
-            Input::Frames(block) => {
+            IdentificationInput::Frames(block) => {
                 self.take_block(&block, outputs);
                 None
             }
-            Input::Gap { since, from, to } => {
+            IdentificationInput::Gap { since, from, to } => {
                 let done = self.bridge(since, from, to, outputs);
-                (done < to).then_some(Input::Gap {
+                (done < to).then_some(IdentificationInput::Gap {
                     since,
                     from: done,
                     to,
@@ -486,12 +485,6 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
-        #[cfg(test)]
-        assert!(
-            values.iter().all(|value| value.is_nan())
-                || number != POISONED.load(std::sync::atomic::Ordering::Relaxed),
-            "frame {number} is poisoned"
-        );
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);

@@ -40,8 +40,8 @@ mod trouble;
 
 pub use error::IdentifyError;
 pub use estimator::{Estimator, EstimatorState};
-pub use identification::{Identification, IdentificationState, Input, Output};
-pub use node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
+pub use identification::{Identification, IdentificationInput, IdentificationState, Output};
+pub use node::{NodeIdentification, NodeIdentificationState, NodeInput, NodeOutput};
 pub use node_shell::{NodeService, NodeServicePlan};
 pub use particles::{Health, ParticleMemory, ParticlePlan, Particles};
 pub use pool::FilterPool;

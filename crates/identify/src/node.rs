@@ -9,6 +9,7 @@
 //! the same results. Live samples do not wait.
 
 use crate::error::IdentifyError;
+use crate::identification::BRIDGED_GAP_S;
 use crate::node_screening::NodeScreening;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
@@ -24,22 +25,13 @@ use std::collections::{BTreeMap, VecDeque};
 
 mod state;
 
-pub use state::NodeState;
-
-/// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
-/// keeps the parameters.
-const BRIDGED_GAP_S: f64 = 10.0;
+pub use state::NodeIdentificationState;
 
 /// Clock drift (samples) at which a sample moves to the next grid position.
 ///
 /// It exceeds half a sample, so that jitter half-way between two positions causes no repeated
 /// changes.
 const OFF_ITS_PLACE: f64 = 0.75;
-
-/// Number of a sample that makes the worker panic, for tests of its recovery.
-#[cfg(test)]
-pub(crate) static POISONED: std::sync::atomic::AtomicU64 =
-    std::sync::atomic::AtomicU64::new(u64::MAX);
 
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
@@ -292,12 +284,6 @@ impl NodeIdentification {
         let count = (block.samples.len() / channels.max(1)) as u64;
         for number in 0..count {
             let start = number as usize * channels;
-            #[cfg(test)]
-            assert_ne!(
-                block.header.sequence + number,
-                POISONED.load(std::sync::atomic::Ordering::Relaxed),
-                "as it should"
-            );
             self.take_sample(&block.samples[start..start + channels]);
             if let Some(stream) = &mut self.stream {
                 stream.last_ns = grid.time_ns(number);

@@ -1,7 +1,7 @@
 //! Connects the identification by one sensor node to the bus.
 
 use crate::error::IdentifyError;
-use crate::node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
+use crate::node::{NodeIdentification, NodeIdentificationState, NodeInput, NodeOutput};
 use crate::pieces::Pieces;
 use crate::pool::FilterPool;
 use crate::set_aside::{SetAside, Span};
@@ -33,6 +33,9 @@ const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 /// Capacity of the queue for feedback. Only the newest message matters.
 const ANSWERS_WAITING: usize = 4;
 
+/// Processes one input on a thread of the pool, as [`NodeIdentification::handle`] does.
+type ProcessNodeInput = fn(&mut NodeIdentification, NodeInput, &mut Vec<NodeOutput>);
+
 /// What the worker of one sensor node needs to start.
 #[derive(Clone, Debug)]
 pub struct NodeServicePlan {
@@ -56,6 +59,7 @@ pub struct NodeServicePlan {
 pub struct NodeService {
     core: Option<NodeIdentification>,
     pool: FilterPool,
+    process: ProcessNodeInput,
     samples: Pieces<SampleBlock>,
     bus: Bus,
     buffer_key: String,
@@ -168,6 +172,7 @@ impl NodeService {
                 clock: *clock,
                 node,
                 core: Some(core),
+                process: NodeIdentification::handle,
             };
             info!(
                 structure = structure.name(),
@@ -286,9 +291,10 @@ impl NodeService {
             structure: self.structure.to_string(),
         };
         let mut core = self.core.take().ok_or_else(lost)?;
+        let process = self.process;
         let work = self.pool.run(move || {
             let mut outputs = Vec::new();
-            core.handle(input, &mut outputs);
+            process(&mut core, input, &mut outputs);
             (core, outputs)
         });
         let Some((core, outputs)) = work.await else {
@@ -385,7 +391,7 @@ fn recall(
 ) -> Result<Keeper, IdentifyError> {
     let identity = Identity {
         kind: "node",
-        version: NodeState::VERSION,
+        version: NodeIdentificationState::VERSION,
         of: format!("{}/{node}", structure.name()),
         basis: structure.identification_basis(),
     };

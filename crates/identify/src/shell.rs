@@ -2,7 +2,7 @@
 
 use crate::displays::Displays;
 use crate::error::IdentifyError;
-use crate::identification::{Identification, Input, Output};
+use crate::identification::{Identification, IdentificationInput, Output};
 use crate::load::LoadState;
 use crate::memory::Memory;
 use crate::pieces::Pieces;
@@ -35,6 +35,11 @@ const LAST_FRAMES: Duration = Duration::from_millis(100);
 /// send.
 const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
+/// Processes one input on a thread of the pool and returns the rest of a long gap, as
+/// [`Identification::handle_part`] does.
+type ProcessInput =
+    fn(&mut Identification, IdentificationInput, &mut Vec<Output>) -> Option<IdentificationInput>;
+
 /// What the identification of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct IdentifyPlan {
@@ -56,6 +61,7 @@ pub struct IdentifyService {
     structure: Arc<Structure>,
     bus: Bus,
     pool: FilterPool,
+    process: ProcessInput,
     trouble: Trouble,
     /// `None` while joining.
     frames: Option<Pieces<FrameBlock>>,
@@ -142,6 +148,7 @@ impl IdentifyService {
             let mut service = Self {
                 structure: structure.clone(),
                 trouble: Trouble::default(),
+                process: Identification::handle_part,
                 pool: pool.clone(),
                 frames: None,
                 seat: Seat::Joining,
@@ -258,21 +265,21 @@ impl IdentifyService {
                         "received the last frames"
                     );
                 }
-                Input::Frames(block)
+                IdentificationInput::Frames(block)
             }
             Delivery::Gap(_) if self.is_in_step() => {
                 // The leader may have these frames, and its state includes them.
                 self.leave();
                 return Ok(());
             }
-            Delivery::Gap(gap) => Input::gap(gap.from, gap.to),
+            Delivery::Gap(gap) => IdentificationInput::gap(gap.from, gap.to),
         };
         for input in self.trouble.cut(input) {
             let mut left = Some(input);
             while let Some(input) = left {
                 let (from, to) = match &input {
-                    Input::Frames(block) => (block.header.sequence, block.end()),
-                    Input::Gap { from, to, .. } => (*from, *to),
+                    IdentificationInput::Frames(block) => (block.header.sequence, block.end()),
+                    IdentificationInput::Gap { from, to, .. } => (*from, *to),
                 };
                 let Some(mut core) = self.core.take() else {
                     return Err(IdentifyError::ThreadLost {
@@ -280,9 +287,10 @@ impl IdentifyService {
                     });
                 };
                 core.thin_display(self.load.load() != Load::Normal);
+                let process = self.process;
                 let work = self.pool.run(move || {
                     let mut outputs = Vec::new();
-                    let left = core.handle_part(input, &mut outputs);
+                    let left = process(&mut core, input, &mut outputs);
                     (core, outputs, left)
                 });
                 let Some((mut core, outputs, rest)) = work.await else {

@@ -1,6 +1,6 @@
 //! Finds single frames that cause the identification to panic, and excludes them.
 
-use crate::identification::Input;
+use crate::identification::IdentificationInput;
 use spandrel_bus::Block;
 use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
@@ -29,8 +29,8 @@ pub(crate) struct Trouble {
 
 impl Trouble {
     /// Cuts an input into successive parts: suspect frames alone, and excluded frames as gaps.
-    pub(crate) fn cut(&self, input: Input) -> Vec<Input> {
-        let Input::Frames(mut rest) = input else {
+    pub(crate) fn cut(&self, input: IdentificationInput) -> Vec<IdentificationInput> {
+        let IdentificationInput::Frames(mut rest) = input else {
             return vec![input];
         };
         let (epoch, first, end) = (rest.header.epoch, rest.header.sequence, rest.end());
@@ -48,20 +48,20 @@ impl Trouble {
             let mut part = rest.clone();
             part.truncate(before);
             if before > 0 {
-                parts.push(Input::Frames(part));
+                parts.push(IdentificationInput::Frames(part));
             }
             rest.skip(before);
             let mut single = rest.clone();
             single.truncate(1);
             rest.skip(1);
             parts.push(match self.set_aside.contains(&(epoch, frame)) {
-                true => Input::gap(frame, frame + 1),
-                false => Input::Frames(single),
+                true => IdentificationInput::gap(frame, frame + 1),
+                false => IdentificationInput::Frames(single),
             });
         }
         // An end mark belongs to the last part, even if that part has no frames.
         if rest.count() > 0 || parts.is_empty() || rest.state == spandrel_bus::StreamState::Ended {
-            parts.push(Input::Frames(rest));
+            parts.push(IdentificationInput::Frames(rest));
         }
         parts
     }
@@ -125,12 +125,14 @@ mod tests {
 
     /// Returns first and end of each part. Gaps are negative.
     fn parts(trouble: &Trouble, input: FrameBlock) -> Vec<(i64, i64)> {
-        let span = |part: Input| match part {
-            Input::Frames(block) => (block.header.sequence as i64, block.end() as i64),
-            Input::Gap { from, to, .. } => (-(from as i64), -(to as i64)),
+        let span = |part: IdentificationInput| match part {
+            IdentificationInput::Frames(block) => {
+                (block.header.sequence as i64, block.end() as i64)
+            }
+            IdentificationInput::Gap { from, to, .. } => (-(from as i64), -(to as i64)),
         };
         trouble
-            .cut(Input::Frames(input))
+            .cut(IdentificationInput::Frames(input))
             .into_iter()
             .map(span)
             .collect()

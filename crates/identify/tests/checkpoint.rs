@@ -10,7 +10,7 @@
 
 use spandrel_bus::{FrameBlock, Header, StreamState};
 use spandrel_checkpoint::{Checkpoints, Identity, Place};
-use spandrel_identify::{Identification, IdentificationState, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, IdentificationState, Output};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 
@@ -31,7 +31,7 @@ fn examples() -> Vec<PathBuf> {
 }
 
 /// Returns simulated frames in blocks, with a missing block and missing samples.
-fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
+fn inputs(structure: &Structure, frames: usize) -> Vec<IdentificationInput> {
     let channels = structure.channel_count();
     let rows: Vec<Vec<f64>> = structure
         .simulator(7)
@@ -41,14 +41,14 @@ fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
     let block = |(number, rows): (usize, &[Vec<f64>])| {
         let first = (number * BLOCK) as u64;
         if number == 3 {
-            return Input::gap(first, first + rows.len() as u64);
+            return IdentificationInput::gap(first, first + rows.len() as u64);
         }
         let mut values = rows.concat();
         values
             .iter_mut()
             .step_by(37)
             .for_each(|value| *value = f64::NAN);
-        Input::Frames(FrameBlock {
+        IdentificationInput::Frames(FrameBlock {
             header: Header {
                 source: "ingest".into(),
                 epoch: 7,
@@ -66,7 +66,7 @@ fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
 }
 
 /// Returns all outputs after one input, with every digit.
-fn said(core: &mut Identification, input: Input) -> Vec<String> {
+fn said(core: &mut Identification, input: IdentificationInput) -> Vec<String> {
     let mut outputs: Vec<Output> = Vec::new();
     core.handle(input, &mut outputs);
     outputs.iter().map(|output| format!("{output:?}")).collect()

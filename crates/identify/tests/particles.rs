@@ -9,7 +9,7 @@
 )]
 
 use spandrel_bus::{Event, EventKind, FrameBlock, Header, Phase, StreamState};
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_structure::Structure;
 use std::path::Path;
 
@@ -50,7 +50,7 @@ fn run(block: FrameBlock) -> Vec<Output> {
     let mut outputs = Vec::new();
     Identification::new(&structure(), "identify")
         .unwrap()
-        .handle(Input::Frames(block), &mut outputs);
+        .handle(IdentificationInput::Frames(block), &mut outputs);
     outputs
 }
 

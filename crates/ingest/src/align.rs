@@ -24,7 +24,7 @@ const LONGEST_HOLE: i64 = 100_000;
 
 /// An input of the alignment; `node` is an index into the layout.
 #[derive(Clone, Debug)]
-pub enum Input {
+pub enum AlignmentInput {
     /// The next samples of a node, in order.
     Samples {
         /// Index of the node.
@@ -154,11 +154,11 @@ impl Alignment {
     }
 
     /// Processes an input, and appends the frames that it closes to `blocks`, in order.
-    pub fn handle(&mut self, input: Input, blocks: &mut Vec<FrameBlock>) {
+    pub fn handle(&mut self, input: AlignmentInput, blocks: &mut Vec<FrameBlock>) {
         let given = blocks.len();
         match input {
-            Input::Samples { node, block } => self.take(node, block, blocks),
-            Input::Lost { node } => {
+            AlignmentInput::Samples { node, block } => self.take(node, block, blocks),
+            AlignmentInput::Lost { node } => {
                 if let Some(queue) = self
                     .queues
                     .get_mut(node)
@@ -167,7 +167,7 @@ impl Alignment {
                     queue.presence = Presence::Lost;
                 }
             }
-            Input::Back { node } => {
+            AlignmentInput::Back { node } => {
                 if let Some(queue) = self
                     .queues
                     .get_mut(node)
@@ -176,7 +176,9 @@ impl Alignment {
                     queue.presence = Presence::Expected;
                 }
             }
-            Input::Deadline { time_ns } => self.deadline_ns = self.deadline_ns.max(time_ns),
+            AlignmentInput::Deadline { time_ns } => {
+                self.deadline_ns = self.deadline_ns.max(time_ns)
+            }
         }
         self.close_frames(blocks);
         self.end_if_over(given, blocks);

@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use spandrel_bus::{Header, Pace, SampleBlock, StreamState};
-//! use spandrel_ingest::{Alignment, Input, Layout, NodeLayout};
+//! use spandrel_ingest::{Alignment, AlignmentInput, Layout, NodeLayout};
 //!
 //! let node = |name: &str| Ok::<_, spandrel_bus::NameError>(NodeLayout { name: name.parse()?, ranges: vec![20.0] });
 //! let layout = Layout::new(vec![node("base")?, node("roof")?], 100.0, 0.005)?;
@@ -20,8 +20,8 @@
 //!     state: StreamState::Running,
 //! };
 //! let mut frames = Vec::new();
-//! alignment.handle(Input::Samples { node: 1, block: block("roof", 0.2) }, &mut frames);
-//! alignment.handle(Input::Samples { node: 0, block: block("base", 0.1) }, &mut frames);
+//! alignment.handle(AlignmentInput::Samples { node: 1, block: block("roof", 0.2) }, &mut frames);
+//! alignment.handle(AlignmentInput::Samples { node: 0, block: block("base", 0.1) }, &mut frames);
 //! assert_eq!(frames[0].values, [0.1, 0.2]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -44,12 +44,12 @@ mod disk;
 mod error;
 mod recorder;
 mod shell;
-mod waiting;
+mod unrecorded;
 
-pub use align::{Alignment, Input, NodePlace};
+pub use align::{Alignment, AlignmentInput, NodePlace};
 pub use counts::Counts;
 pub use error::IngestError;
 pub use lateness::Lateness;
 pub use layout::{Layout, LayoutError, NodeLayout};
 pub use recorder::RecordingSettings;
-pub use shell::{FRAMES_KEPT, IngestPlan, IngestService, IngestSettings, Waiting};
+pub use shell::{FRAMES_KEPT, FrameWait, IngestPlan, IngestService, IngestSettings};

@@ -1,10 +1,10 @@
 //! Writes every frame to disk before it is published.
 
-use std::hash::{BuildHasher, RandomState};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
+use spandrel_checkpoint::moment_within;
 use spandrel_record::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition,
     RecordError,
@@ -17,7 +17,7 @@ use crate::align::NodePlace;
 use crate::disk::DiskThread;
 use crate::error::IngestError;
 use crate::layout::Layout;
-use crate::waiting::Waiting;
+use crate::unrecorded::UnrecordedFrames;
 
 /// Pause before a failed write is retried.
 const RETRY: Duration = Duration::from_millis(500);
@@ -52,7 +52,7 @@ pub(crate) struct Recorder {
     disk: DiskThread,
     log: FrameLog,
     reader: FrameLogReader,
-    waiting: Waiting,
+    waiting: UnrecordedFrames,
     /// The completeness mark on disk: whether all published frames are recorded. `None` if there is
     /// no mark.
     is_noted_complete: Option<bool>,
@@ -103,11 +103,11 @@ impl Recorder {
             disk: DiskThread::start().map_err(IngestError::NoThread)?,
             reader: log.reader(),
             log,
-            waiting: Waiting::default(),
+            waiting: UnrecordedFrames::default(),
             is_noted_complete: opened.is_complete,
             refused_at: None,
             sync_every: settings.sync_every,
-            synced: started_within(settings.sync_every),
+            synced: moment_within(settings.sync_every),
             syncing: None,
         };
         Ok((recorder, past))
@@ -258,15 +258,6 @@ impl Recorder {
             warn!(structure = self.structure, %error, "recording not synchronised to disk");
         }
     }
-}
-
-/// Returns a random instant within the last `period`, so that structures that start together do not
-/// all wait for the disk at the same moments.
-fn started_within(period: Duration) -> Instant {
-    let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
-    Instant::now()
-        .checked_sub(period.mul_f64(share))
-        .unwrap_or_else(Instant::now)
 }
 
 /// The archive of recorded frames, for queries that go back further than the frames in memory.

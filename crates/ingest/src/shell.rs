@@ -13,7 +13,7 @@ use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublishe
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
-use crate::align::{Alignment, Input, NodePlace};
+use crate::align::{Alignment, AlignmentInput, NodePlace};
 use crate::error::IngestError;
 use crate::lateness::Lateness;
 use crate::layout::Layout;
@@ -45,7 +45,7 @@ const GRACE: Duration = Duration::from_secs(2);
 const GRACE_OF_ALL: Duration = Duration::from_secs(12);
 /// Policy for how long a frame waits for late samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Waiting {
+pub enum FrameWait {
     /// Frames wait indefinitely, so that the same record always gives the same frames. Intended for
     /// replay and simulation.
     Unlimited,
@@ -70,7 +70,7 @@ pub struct IngestPlan {
 #[derive(Clone, Debug)]
 pub struct IngestSettings {
     /// How long frames wait for late samples.
-    pub waiting: Waiting,
+    pub waiting: FrameWait,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
     /// new epoch.
     pub recording: Option<RecordingSettings>,
@@ -156,7 +156,7 @@ impl IngestService {
             .collect();
         let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
         let settings = IngestSettings {
-            waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
+            waiting: lateness.map_or(FrameWait::Unlimited, FrameWait::Limited),
             recording: plan.recording.clone(),
         };
         Self::start_with(layout, channels, &plan.instance, keys.clone(), settings).await
@@ -268,8 +268,8 @@ impl IngestService {
             let service = Self {
                 core,
                 lateness: match waiting {
-                    Waiting::Unlimited => None,
-                    Waiting::Limited(allowed) => Some(Lateness::new(allowed, node_count)),
+                    FrameWait::Unlimited => None,
+                    FrameWait::Limited(allowed) => Some(Lateness::new(allowed, node_count)),
                 },
                 started: Instant::now(),
                 last_heard: vec![Duration::ZERO; node_count],
@@ -380,10 +380,10 @@ impl IngestService {
                 lateness.arrived(node, grid.time_ns(last), elapsed);
             }
         }
-        self.handle(Input::Samples { node, block }).await
+        self.handle(AlignmentInput::Samples { node, block }).await
     }
 
-    async fn handle(&mut self, input: Input) -> Result<(), IngestError> {
+    async fn handle(&mut self, input: AlignmentInput) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
         self.core.handle(input, &mut blocks);
         if let Some(recorder) = self.recorder.take_if(|_| !blocks.is_empty()) {
@@ -440,7 +440,7 @@ impl IngestService {
             for node in 0..self.signs.len() {
                 if !all_gone && self.signs[node] == Sign::Lost {
                     self.signs[node] = Sign::Gone;
-                    self.handle(Input::Back { node }).await?;
+                    self.handle(AlignmentInput::Back { node }).await?;
                 }
             }
         }
@@ -466,7 +466,7 @@ impl IngestService {
                     node = name,
                     "node disappeared; frames no longer wait for it"
                 );
-                self.handle(Input::Lost { node }).await?;
+                self.handle(AlignmentInput::Lost { node }).await?;
             }
         }
         if self.pace == Pace::Replayed {
@@ -478,7 +478,7 @@ impl IngestService {
             .as_mut()
             .and_then(|lateness| lateness.deadline_ns(elapsed));
         match deadline {
-            Some(time_ns) => self.handle(Input::Deadline { time_ns }).await,
+            Some(time_ns) => self.handle(AlignmentInput::Deadline { time_ns }).await,
             None => Ok(()),
         }
     }

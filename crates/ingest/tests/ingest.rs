@@ -16,7 +16,7 @@ use spandrel_bus::{
     NumberedPublisher, NumberedStream, Pace, SampleBlock, Service, Start, Status, Stream,
     StreamSettings, StreamState,
 };
-use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
+use spandrel_ingest::{FrameWait, IngestService, IngestSettings, Layout, NodeLayout};
 use spandrel_service::{Clock, Instance, Service as _};
 use tokio::time::timeout;
 use zenoh::qos::CongestionControl;
@@ -51,14 +51,14 @@ fn name(text: &str) -> Name {
     Name::new(text).unwrap()
 }
 
-async fn start_ingest(bus: &Bus, waiting: Waiting) -> tokio::task::JoinHandle<()> {
+async fn start_ingest(bus: &Bus, waiting: FrameWait) -> tokio::task::JoinHandle<()> {
     start_ingest_of(bus, &["base", "roof"], waiting).await
 }
 
 async fn start_ingest_of(
     bus: &Bus,
     nodes: &[&str],
-    waiting: Waiting,
+    waiting: FrameWait,
 ) -> tokio::task::JoinHandle<()> {
     let nodes = nodes.iter().map(|node| NodeLayout {
         name: name(node),
@@ -133,7 +133,7 @@ async fn next(stream: &Stream<FrameBlock>) -> FrameBlock {
 #[tokio::test(flavor = "multi_thread")]
 async fn all_samples_become_frames_however_far_one_node_leads() {
     let (first, second) = pair().await;
-    let ingest = start_ingest(&second, Waiting::Unlimited).await;
+    let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
     let stream = frames(&first).await;
     for (publisher, node, size) in [(base, "base", 10), (roof, "roof", 16)] {
@@ -165,7 +165,7 @@ async fn all_samples_become_frames_however_far_one_node_leads() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_that_is_gone_is_no_longer_waited_for() {
     let (first, second) = pair().await;
-    let ingest = start_ingest(&second, Waiting::Unlimited).await;
+    let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
     let token = first
         .announce(keys().live(Service::Sensor, &name("roof")))
@@ -185,7 +185,7 @@ async fn a_node_that_is_gone_is_no_longer_waited_for() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_silent_node_is_waited_for_as_long_as_allowed_only() {
     let (first, second) = pair().await;
-    let ingest = start_ingest(&second, Waiting::Limited(Duration::from_millis(200))).await;
+    let ingest = start_ingest(&second, FrameWait::Limited(Duration::from_millis(200))).await;
     let base = node(&first, "base").await;
     let stream = frames(&first).await;
     base.put(samples("base", 1, 0, 3)).await.unwrap();
@@ -203,7 +203,7 @@ async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_on
     let (first, second) = pair().await;
     // Two nodes determine the lateness. The third one is late.
     let nodes = ["base", "middle", "roof"];
-    let ingest = start_ingest_of(&second, &nodes, Waiting::Limited(Duration::from_secs(4))).await;
+    let ingest = start_ingest_of(&second, &nodes, FrameWait::Limited(Duration::from_secs(4))).await;
     let (base, middle) = (node(&first, "base").await, node(&first, "middle").await);
     let stream = frames(&first).await;
     let mut ready = first
@@ -247,7 +247,7 @@ async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_on
 #[tokio::test(flavor = "multi_thread")]
 async fn the_status_counts_what_was_refused() {
     let (first, second) = pair().await;
-    let ingest = start_ingest(&second, Waiting::Unlimited).await;
+    let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let statuses = first
         .subscribe::<Status>(keys().all_statuses(), 16)
         .await

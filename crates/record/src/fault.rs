@@ -5,7 +5,7 @@ use std::fmt;
 /// A violation of a file format.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
-    place: Place,
+    place: FaultPosition,
     what: String,
     found: String,
     allowed: String,
@@ -13,7 +13,7 @@ pub struct Fault {
 
 /// A position in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Place {
+enum FaultPosition {
     /// Line, counted from 1.
     Line(u64),
     /// Byte, counted from 0.
@@ -31,7 +31,7 @@ impl Fault {
         allowed: impl Into<String>,
     ) -> Self {
         Self {
-            place: Place::Line(line),
+            place: FaultPosition::Line(line),
             what: what.into(),
             found: found.to_string(),
             allowed: allowed.into(),
@@ -46,7 +46,7 @@ impl Fault {
         allowed: impl Into<String>,
     ) -> Self {
         Self {
-            place: Place::Byte(byte as u64),
+            place: FaultPosition::Byte(byte as u64),
             what: what.into(),
             found: found.to_string(),
             allowed: allowed.into(),
@@ -60,7 +60,7 @@ impl Fault {
         allowed: impl Into<String>,
     ) -> Self {
         Self {
-            place: Place::File,
+            place: FaultPosition::File,
             what: what.into(),
             found: found.to_string(),
             allowed: allowed.into(),
@@ -70,7 +70,7 @@ impl Fault {
     /// Converts a byte position within a part of a file to a position in the file, where the part
     /// begins at byte `start`.
     pub(crate) fn moved_by(mut self, start: usize) -> Self {
-        if let Place::Byte(byte) = &mut self.place {
+        if let FaultPosition::Byte(byte) = &mut self.place {
             *byte = byte.saturating_add(start as u64);
         }
         self
@@ -80,9 +80,9 @@ impl Fault {
 impl fmt::Display for Fault {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.place {
-            Place::Line(line) => write!(formatter, "line {line}: ")?,
-            Place::Byte(byte) => write!(formatter, "byte {byte}: ")?,
-            Place::File => {}
+            FaultPosition::Line(line) => write!(formatter, "line {line}: ")?,
+            FaultPosition::Byte(byte) => write!(formatter, "byte {byte}: ")?,
+            FaultPosition::File => {}
         }
         write!(
             formatter,

@@ -3,6 +3,10 @@
 /// Relative tolerance within which a rate is rounded to a whole number of Hz.
 const WHOLE_HZ: f64 = 1e-9;
 
+/// Relative tolerance within which two sampling rates are equal. Clocks within one recorder differ
+/// by less.
+pub(crate) const SAME_RATE: f64 = 1e-4;
+
 /// Returns the sampling rate in Hz for a step in s. Removes rounding errors: a step of 2e-5 s gives
 /// exactly 50 kHz.
 pub(crate) fn rate_from_step(step_s: f64) -> f64 {

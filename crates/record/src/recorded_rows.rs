@@ -4,11 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::{
     ChannelColumn, ColumnMapping, RecordError, RecordReader, RecordedChannel, RecordedFile, Row,
-    TimeSource, column_mapping::places_of,
+    TimeSource, column_mapping::places_of, rate::SAME_RATE,
 };
-
-/// Relative tolerance of equal sampling rates. Clocks within one recorder differ by less.
-const RATE_TOLERANCE: f64 = 1e-4;
 
 /// A reader of the rows of a recording in memory.
 ///
@@ -84,7 +81,7 @@ impl RecordedRows {
         let first_rate_hz = first.map_or(Ok(1.0), rate)?;
         for (_, channel) in &channels {
             let (found_hz, first) = (rate(channel)?, first.unwrap_or(channel));
-            if (found_hz - first_rate_hz).abs() > RATE_TOLERANCE * first_rate_hz {
+            if (found_hz - first_rate_hz).abs() > SAME_RATE * first_rate_hz {
                 let (channel, first) = (channel.name().to_owned(), first.name().to_owned());
                 return Err(RecordError::UnequalRates {
                     path: path(),

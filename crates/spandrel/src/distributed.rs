@@ -7,7 +7,7 @@ use crate::error::AppError;
 use crate::summary::Collector;
 use spandrel_alert::{Baseline, Watch};
 use spandrel_bus::{EstimateBlock, LocalMessage};
-use spandrel_fuse::{Fusion, Input, Output};
+use spandrel_fuse::{Fusion, FusionInput, Output};
 use spandrel_identify::{NodeIdentification, NodeInput, NodeOutput};
 use spandrel_record::RecordError;
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
@@ -42,9 +42,10 @@ pub fn fuse(
         start_ns: None,
         local: VecDeque::new(),
     };
-    network
-        .fusion
-        .handle(Input::Present(vec![true; plans.len()]), &mut Vec::new());
+    network.fusion.handle(
+        FusionInput::Present(vec![true; plans.len()]),
+        &mut Vec::new(),
+    );
     let mut cutter = Cutter::new(plans, EPOCH, BLOCK_SAMPLES);
     let mut samples = Vec::new();
     for row in rows {
@@ -98,7 +99,7 @@ impl Network {
             let arrived_ns = message.header.time_ns;
             let mut outputs = Vec::new();
             self.fusion.handle(
-                Input::Local {
+                FusionInput::Local {
                     node,
                     message: Box::new(message),
                     bytes: 0,

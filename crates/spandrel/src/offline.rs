@@ -5,7 +5,7 @@ use crate::error::AppError;
 use crate::summary::{Collector, Samples};
 use spandrel_alert::{Baseline, Watch};
 use spandrel_bus::EstimateBlock;
-use spandrel_identify::{Estimator, Identification, Input, Output};
+use spandrel_identify::{Estimator, Identification, IdentificationInput, Output};
 use spandrel_ingest::{Alignment, IngestError, Layout};
 use spandrel_record::RecordError;
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
@@ -106,7 +106,7 @@ impl Chain {
         take: &mut impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
     ) -> Result<(), AppError> {
         self.alignment.handle(
-            spandrel_ingest::Input::Samples { node, block },
+            spandrel_ingest::AlignmentInput::Samples { node, block },
             &mut self.frames,
         );
         for frames in self.frames.drain(..) {
@@ -116,7 +116,7 @@ impl Chain {
                 self.last_ns = grid.time_ns(last);
             }
             self.identification
-                .handle(Input::Frames(frames), &mut self.outputs);
+                .handle(IdentificationInput::Frames(frames), &mut self.outputs);
         }
         let mut responses = Vec::new();
         for output in self.outputs.drain(..) {

@@ -78,6 +78,13 @@ pub struct DrawnSensor {
     pub point: Option<usize>,
 }
 
+/// A drawing without its sensors.
+struct Lines {
+    form: DrawingForm,
+    points: Vec<DrawnPoint>,
+    members: Vec<DrawnMember>,
+}
+
 impl Structure {
     /// Returns the drawing of the structure.
     ///
@@ -85,7 +92,11 @@ impl Structure {
     /// matrices.
     #[must_use]
     pub fn drawing(&self) -> Drawing {
-        let (form, points, members) = match &self.system.skeleton {
+        let Lines {
+            form,
+            points,
+            members,
+        } = match &self.system.skeleton {
             Some(skeleton) => self.drawn_members(skeleton),
             None if !self.system.storeys.is_empty() => self.drawn_storeys(),
             None => self.drawn_boxes(),
@@ -109,7 +120,7 @@ impl Structure {
         }
     }
 
-    fn drawn_storeys(&self) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+    fn drawn_storeys(&self) -> Lines {
         let floors = std::iter::once("ground")
             .chain(self.system.degrees_of_freedom.iter().map(String::as_str));
         let point = |(level, name): (usize, &str)| DrawnPoint {
@@ -123,17 +134,14 @@ impl Structure {
             .flat_map(|(part, group)| group.storeys.clone().map(move |storey| (part, storey)))
             .map(|(part, storey)| self.drawn_member(part..part + 1, [storey, storey + 1]))
             .collect();
-        (
-            DrawingForm::Storeys,
-            floors.enumerate().map(point).collect(),
+        Lines {
+            form: DrawingForm::Storeys,
+            points: floors.enumerate().map(point).collect(),
             members,
-        )
+        }
     }
 
-    fn drawn_members(
-        &self,
-        skeleton: &Skeleton,
-    ) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+    fn drawn_members(&self, skeleton: &Skeleton) -> Lines {
         let points = skeleton
             .points
             .iter()
@@ -151,10 +159,14 @@ impl Structure {
             .lines
             .iter()
             .map(|line| self.drawn_member(line.parts.clone(), line.ends));
-        (DrawingForm::Members, points.collect(), members.collect())
+        Lines {
+            form: DrawingForm::Members,
+            points: points.collect(),
+            members: members.collect(),
+        }
     }
 
-    fn drawn_boxes(&self) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+    fn drawn_boxes(&self) -> Lines {
         let parts = || self.system.substructures.iter().enumerate();
         let points = parts().map(|(index, part)| DrawnPoint {
             name: part.name.clone(),
@@ -163,7 +175,11 @@ impl Structure {
             held: false,
         });
         let members = parts().map(|(index, _)| self.drawn_member(index..index + 1, [index, index]));
-        (DrawingForm::Boxes, points.collect(), members.collect())
+        Lines {
+            form: DrawingForm::Boxes,
+            points: points.collect(),
+            members: members.collect(),
+        }
     }
 
     fn drawn_member(&self, parts: std::ops::Range<usize>, ends: [usize; 2]) -> DrawnMember {

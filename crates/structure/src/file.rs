@@ -145,14 +145,15 @@ impl<'t> StructureFile<'t> {
         } else {
             filter::Follows::MotionAlone
         };
-        let measured = match excitations
+        let measures = match excitations
             .iter()
             .any(|read| read.excitation.channel().is_some())
         {
             true => filter::Measures::Excitation,
             false => filter::Measures::ResponsesAlone,
         };
-        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, (follows, measured));
+        let task = filter::FilterTask { follows, measures };
+        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, task);
         filter::check_particles(&file, &plan, head.distributed.as_ref());
         plan.outliers = outliers::read_outliers(file.table("outliers"), head.rate_hz);
         let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
@@ -165,7 +166,11 @@ impl<'t> StructureFile<'t> {
             file.table("fusion"),
             head.distributed.as_ref(),
             &file,
-            (head.rate_hz, &nodes.nodes, classes.is_some()),
+            &fusion::FusionContext {
+                rate_hz: head.rate_hz,
+                nodes: &nodes.nodes,
+                has_classes: classes.is_some(),
+            },
         );
         let parameter_names: Vec<&str> = parameters
             .iter()
@@ -192,9 +197,12 @@ impl<'t> StructureFile<'t> {
         }
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
-        let watchable: Vec<(&str, bool)> = parameters
+        let watchable: Vec<alert::Watchable<'_>> = parameters
             .iter()
-            .map(|read| (read.parameter.name(), read.parameter.is_stiffness()))
+            .map(|read| alert::Watchable {
+                name: read.parameter.name(),
+                is_stiffness: read.parameter.is_stiffness(),
+            })
             .collect();
         let context = alert::Context {
             parameters: (declared == parameters.len()).then_some(&watchable[..]),

@@ -9,8 +9,8 @@ use nalgebra::{DMatrix, DVector};
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_filter::fusion::{
     CompressedMotion, CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector,
-    LocalFilter, ModalBasis, MotionExchange, NodeSettings, Responses, SampleExchange, Station,
-    StationSettings, Weights,
+    LocalFilter, MeanLimits, ModalBasis, MotionExchange, NodeSettings, Responses, SampleExchange,
+    Station, StationSettings, Weights,
 };
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
@@ -42,6 +42,24 @@ pub struct FusionPlan {
     pub(crate) motion: MotionPlan,
     pub(crate) detector: Option<GlobalDetector>,
     pub(crate) stale_periods: f64,
+}
+
+/// The modes in which nodes send their motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SentModes {
+    /// Number of modes.
+    pub count: usize,
+    /// Share of the excited mass that they omit, in the worst excitation direction.
+    pub missed_mass: f64,
+}
+
+/// Numbers that a node exchanges with the station in a fusion period.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PeriodNumbers {
+    /// Numbers that the node sends.
+    pub sent: usize,
+    /// Numbers that it receives.
+    pub received: usize,
 }
 
 impl FusionPlan {
@@ -181,7 +199,7 @@ impl Structure {
     }
 
     /// Returns the minimum and maximum sound mean of each parameter.
-    fn healthy_limits(&self) -> (DVector<f64>, DVector<f64>) {
+    fn healthy_limits(&self) -> MeanLimits {
         let limits = |of: fn((f64, f64)) -> f64| {
             let limit = |parameter: &crate::Parameter| match parameter.scales {
                 Scales::Stiffness(_) => of(HEALTHY_STIFFNESS),
@@ -189,27 +207,29 @@ impl Structure {
             };
             DVector::from_iterator(self.parameters.len(), self.parameters.iter().map(limit))
         };
-        (limits(|(low, _)| low), limits(|(_, high)| high))
+        MeanLimits {
+            lower: limits(|(low, _)| low),
+            upper: limits(|(_, high)| high),
+        }
     }
 
-    /// Returns the number of modes that nodes send, and the share of the excited mass that they
-    /// omit.
-    ///
-    /// The share is that of the worst excitation direction. The result is `None` if nodes send no
-    /// modes.
+    /// Returns the modes that nodes send; `None` if they send no modes.
     #[must_use]
-    pub fn sent_modes(&self) -> Option<(usize, f64)> {
+    pub fn sent_modes(&self) -> Option<SentModes> {
         let MotionPlan::Modes(asked) = self.fusion.as_ref()?.motion else {
             return None;
         };
         let (basis, missed) = self.modal_basis(asked)?;
-        Some((basis.modes(), missed))
+        Some(SentModes {
+            count: basis.modes(),
+            missed_mass: missed,
+        })
     }
 
     /// Returns how many numbers a node sends and receives in a fusion period; `None` if
     /// identification is not distributed.
     #[must_use]
-    pub fn numbers_per_period(&self, position: usize) -> Option<(usize, usize)> {
+    pub fn numbers_per_period(&self, position: usize) -> Option<PeriodNumbers> {
         let plan = self.fusion.as_ref()?;
         let parameters = self.parameters.len();
         let weights = match plan.covariance {
@@ -219,23 +239,29 @@ impl Structure {
         let with_modes = |modes| weights.message_numbers(self.system.len(), modes, parameters);
         let density = with_modes(0);
         Some(match self.motion_exchange().ok()? {
-            MotionExchange::None => (density, density),
-            MotionExchange::Modes(basis) => (with_modes(basis.modes()), with_modes(basis.modes())),
+            MotionExchange::None => PeriodNumbers {
+                sent: density,
+                received: density,
+            },
+            MotionExchange::Modes(basis) => PeriodNumbers {
+                sent: with_modes(basis.modes()),
+                received: with_modes(basis.modes()),
+            },
             MotionExchange::Responses(nodes) => {
                 let all: usize = nodes.iter().map(|node| 2 * node.rows().nrows()).sum();
-                (
-                    density + 2 * nodes.get(position)?.rows().nrows(),
-                    density + all,
-                )
+                PeriodNumbers {
+                    sent: density + 2 * nodes.get(position)?.rows().nrows(),
+                    received: density + all,
+                }
             }
             MotionExchange::Samples(exchange) => {
                 let all: usize = (0..exchange.nodes())
                     .map(|node| exchange.numbers(node))
                     .sum();
-                (
-                    density + exchange.numbers(position),
-                    density + all - exchange.numbers(position),
-                )
+                PeriodNumbers {
+                    sent: density + exchange.numbers(position),
+                    received: density + all - exchange.numbers(position),
+                }
             }
         })
     }

@@ -43,6 +43,13 @@ enum Unknown {
     Level(usize),
 }
 
+/// A change of one unknown: of a parameter, or of the logarithm of a variance.
+#[derive(Debug, Clone, Copy)]
+struct Change {
+    unknown: Unknown,
+    by: f64,
+}
+
 /// Two filters with one unknown increased and decreased.
 type Pair = [SteadyFilter; 2];
 
@@ -57,12 +64,13 @@ impl Information {
         let filter = nominal.filter()?;
         let pair = |unknown| {
             let [up, down] = [DIFFERENCE, -DIFFERENCE]
-                .map(|by| Moved::new(structure, Some((unknown, by))).filter());
+                .map(|by| Moved::new(structure, Some(Change { unknown, by })).filter());
             Some([up?, down?])
         };
         let held_pair = |unknown| {
-            [DIFFERENCE, -DIFFERENCE]
-                .map(|by| Moved::new(structure, Some((unknown, by))).filter_with_update_of(&filter))
+            [DIFFERENCE, -DIFFERENCE].map(|by| {
+                Moved::new(structure, Some(Change { unknown, by })).filter_with_update_of(&filter)
+            })
         };
         let mut pairs: Vec<Pair> = unknowns.into_iter().map(pair).collect::<Option<_>>()?;
         let mut held_pairs: Vec<Pair> = parameters.map(held_pair).collect();
@@ -107,7 +115,7 @@ struct Moved {
 }
 
 impl Moved {
-    fn new(structure: &Structure, moved: Option<(Unknown, f64)>) -> Self {
+    fn new(structure: &Structure, change: Option<Change>) -> Self {
         let mut theta: Vec<f64> = structure
             .parameters
             .iter()
@@ -117,10 +125,11 @@ impl Moved {
         let mut variances: Vec<f64> = (0..levels)
             .map(|level| structure.expected_level_std(level).powi(2))
             .collect();
-        match moved {
-            Some((Unknown::Parameter(parameter), by)) => theta[parameter] += by,
-            Some((Unknown::Level(level), by)) => variances[level] *= by.exp(),
-            None => {}
+        if let Some(Change { unknown, by }) = change {
+            match unknown {
+                Unknown::Parameter(parameter) => theta[parameter] += by,
+                Unknown::Level(level) => variances[level] *= by.exp(),
+            }
         }
         let inputs = structure.excitation_channels.len();
         let mut noise = NoiseCovariances {

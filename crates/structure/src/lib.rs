@@ -98,7 +98,7 @@ pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
 pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;
 pub use excitation::Excitation;
-pub use fusion_plan::FusionPlan;
+pub use fusion_plan::{FusionPlan, PeriodNumbers, SentModes};
 pub use model::StructureModel;
 pub use node::{Channel, Node, Quantity};
 pub use noise_level::{NoiseLevel, NoiseSource};

@@ -8,7 +8,7 @@
     reason = "helpers of tests are no tests to clippy"
 )]
 
-use spandrel_structure::Structure;
+use spandrel_structure::{PeriodNumbers, Structure};
 use std::path::Path;
 
 fn text(name: &str) -> String {
@@ -102,6 +102,13 @@ fn frequencies_and_damping_are_as_recomputed() {
     }
 }
 
+fn both_ways(numbers: usize) -> Option<PeriodNumbers> {
+    Some(PeriodNumbers {
+        sent: numbers,
+        received: numbers,
+    })
+}
+
 #[test]
 fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
     // Mixed weights use the full covariance of the parameters and the variances of the modes;
@@ -112,12 +119,8 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
     ] {
         let motion = format!("motion = \"modes\"\nmodes = {modes}");
         let structure = with_fusion(name, &motion);
-        assert_eq!(structure.sent_modes().map(|(kept, _)| kept), Some(modes));
-        assert_eq!(
-            structure.numbers_per_period(0),
-            Some((mixed, mixed)),
-            "{name}"
-        );
+        assert_eq!(structure.sent_modes().map(|modes| modes.count), Some(modes));
+        assert_eq!(structure.numbers_per_period(0), both_ways(mixed), "{name}");
         assert_eq!(
             structure.nodes().len() * mixed * seconds,
             total,
@@ -125,11 +128,7 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
         );
         assert_eq!(structure.nodes().len(), nodes);
         let structure = with_fusion(name, &format!("{motion}\ncovariance = \"variances\""));
-        assert_eq!(
-            structure.numbers_per_period(0),
-            Some((vector, vector)),
-            "{name}"
-        );
+        assert_eq!(structure.numbers_per_period(0), both_ways(vector), "{name}");
     }
     // Chapter 7: 128 bytes with variances and 352 with a full covariance, up and down; 0.8 and
     // 3.2 % of the raw samples.
@@ -140,7 +139,7 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
         let structure = with_fusion(name, "covariance = \"variances\"");
         assert_eq!(
             structure.numbers_per_period(0),
-            Some((128 / 8, 128 / 8)),
+            both_ways(128 / 8),
             "{name}"
         );
         let nodes = structure.nodes().len() as f64;
@@ -159,7 +158,7 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
         let structure = with_fusion(name, "covariance = \"full\"");
         assert_eq!(
             structure.numbers_per_period(0),
-            Some((352 / 8, 352 / 8)),
+            both_ways(352 / 8),
             "{name}"
         );
     }
@@ -171,7 +170,7 @@ fn modes_are_kept_by_the_mass_that_they_carry() {
     // zero in the other modes up to the eighth.
     let missed = |name: &str, modes: usize| {
         let structure = with_fusion(name, &format!("motion = \"modes\"\nmodes = {modes}"));
-        structure.sent_modes().unwrap().1
+        structure.sent_modes().unwrap().missed_mass
     };
     for (modes, kept) in [(1, 0.82), (2, 0.91), (5, 0.97)] {
         assert_close(

@@ -75,6 +75,15 @@ impl FilterState {
             .unwrap_or_default()
     }
 
+    /// Returns what is known about the excitation of the coming step.
+    pub(super) fn step_excitation(&self) -> StepExcitation<'_> {
+        match &self.posterior {
+            _ if self.fresh => StepExcitation::AtPrior,
+            Some(posterior) => StepExcitation::Inferred(posterior),
+            None => StepExcitation::WhiteNoise,
+        }
+    }
+
     /// Returns the state at the prior.
     pub(super) fn start(
         model: &(impl ProcessModel + ObservationModel),
@@ -107,4 +116,16 @@ impl FilterState {
                 .map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
         }
     }
+}
+
+/// What a filter knows about the unknown excitation that acts on the motion over the coming step.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum StepExcitation<'s> {
+    /// No excitation acts, because the motion is at its prior. The prior applies to the time of the
+    /// next frame.
+    AtPrior,
+    /// White noise with the covariance `Σ_f`: the sensors have not measured it yet.
+    WhiteNoise,
+    /// The previous frame has measured it through the direct term.
+    Inferred(&'s ExcitationPosterior),
 }

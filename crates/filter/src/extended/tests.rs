@@ -1,7 +1,9 @@
 use super::*;
 use crate::kalman::{KalmanFilter, LinearModel};
+use crate::noise::{NoiseRule, NoiseTarget};
 use crate::outlier::{OutlierTraining, Verdict};
 use crate::{CovarianceForm, FadingFactor, NoiseModel, NoiseSettings, OutlierSettings};
+use nalgebra::{DMatrix, DVector};
 
 /// A linear system without parameters, sparse enough to check by hand: two coupled oscillators,
 /// both with a sensor.

@@ -1,24 +1,21 @@
 //! Scratch space of a filter, allocated once.
 
+use super::Frame;
+use super::propagator::Propagator;
 use super::settings::FilterSettings;
-use crate::constant::ConstantPath;
 use crate::error::FilterError;
 use crate::misfit;
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::Objective;
 use crate::product::{Multiplier, Right};
-use crate::{discretise, proportional, update};
+use crate::update;
 use nalgebra::{DMatrix, DVector};
 
 #[derive(Debug, Clone)]
 pub(super) struct Workspace {
-    pub(super) discretise: discretise::Workspace,
     pub(super) update: update::Workspace,
     pub(super) objective: Objective,
-    /// Quantities that a linear time-invariant model computes only once.
-    pub(super) constant: Option<ConstantPath>,
-    /// Transition of a linear structure with proportional damping.
-    pub(super) proportional: Option<proportional::Transition>,
+    pub(super) propagator: Propagator,
     /// `P` (n × n), without the contribution of the unknown excitation of the step; then
     /// `(I − GH) P`.
     pub(super) covariance: DMatrix<f64>,
@@ -85,27 +82,16 @@ impl Workspace {
             model.observation_len(),
             model.excitation_len(),
         );
-        let constant = match model.constant_transition(settings.step_s) {
-            Some(transition) => {
-                transition.check(n, inputs)?;
-                Some(ConstantPath::new(transition, model, &settings.noise))
-            }
-            None => None,
+        let propagator = Propagator::new(model, settings.step_s, &settings.noise)?;
+        let (input_matrix, h_b) = match propagator.time_invariant() {
+            Some(constant) => (
+                constant.transition.held_input().clone(),
+                constant.h_b.clone(),
+            ),
+            None => (DMatrix::zeros(n, inputs), DMatrix::zeros(channels, inputs)),
         };
-        let h_b = constant.as_ref().map_or_else(
-            || DMatrix::zeros(channels, inputs),
-            |constant| constant.h_b.clone(),
-        );
-        let input_matrix = constant.as_ref().map_or_else(
-            || DMatrix::zeros(n, inputs),
-            |constant| constant.transition.held_input().clone(),
-        );
         Ok(Self {
-            constant,
-            proportional: model
-                .proportional_form()
-                .map(|form| proportional::Transition::new(&form)),
-            discretise: discretise::Workspace::new(n, inputs),
+            propagator,
             update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
             objective: Objective::new(channels, settings.noise.parameters.len()),
             covariance: DMatrix::zeros(n, n),
@@ -142,5 +128,18 @@ impl Workspace {
                     .map_or(0, |outliers| outliers.recent_len()),
             ),
         })
+    }
+
+    /// Adds the variance of missing samples to `Σ_f` of the coming step and of the frame.
+    ///
+    /// A missing sample of a measured excitation has the mean square of that excitation as its
+    /// variance.
+    pub(super) fn add_missing_excitation(&mut self, frame: Frame<'_>, mean_square: &DVector<f64>) {
+        for j in 0..self.older.len() {
+            self.step_excitation[(j, j)] += self.missing[j];
+            if frame.excitation[j].is_nan() {
+                self.frame_excitation[(j, j)] += mean_square[j];
+            }
+        }
     }
 }

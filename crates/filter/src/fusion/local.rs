@@ -5,7 +5,8 @@
 //! samples of other nodes, (7.20). An exchange of motion requires synchronised clocks.
 
 use super::compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange};
-use super::gaussian::{Gaussian, Information};
+use super::gaussian::Gaussian;
+use super::mean_limits::MeanLimits;
 use super::samples::{SampleExchange, Shared};
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterState, Frame, Step};
@@ -124,10 +125,8 @@ pub struct NodeSettings {
     pub motion: MotionExchange,
     /// Index of this node among all nodes, from 0.
     pub position: usize,
-    /// Lower and upper limits of the parameter means (N_θ each).
-    ///
-    /// A node with a mean outside these limits restarts from its prior.
-    pub healthy: (DVector<f64>, DVector<f64>),
+    /// Limits of the parameter means. A node with a mean outside restarts from its prior.
+    pub healthy: MeanLimits,
 }
 
 /// The outcome of feedback.
@@ -153,6 +152,22 @@ pub struct LocalState {
     restarts: u64,
 }
 
+/// The density of a message.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Sent {
+    pub(super) index: u64,
+    pub(super) density: Gaussian,
+}
+
+/// An answer that the node has applied.
+#[derive(Debug, Clone, Copy)]
+struct Applied {
+    /// Index of the answered message.
+    answers: u64,
+    /// Index of the last message that the node had sent by then.
+    last_sent: u64,
+}
+
 /// The filter state at the last message, and all frames since then.
 #[derive(Debug, Clone)]
 struct Rewind {
@@ -173,14 +188,14 @@ pub struct LocalFilter<M> {
     settings: NodeSettings,
     prior: Gaussian,
     counter: u64,
-    /// Index and density of the last messages.
-    sent: VecDeque<(u64, Gaussian)>,
+    /// The last messages.
+    sent: VecDeque<Sent>,
     rewind: Option<Rewind>,
     /// The message from which the next one starts, 0 for the prior. `None` until an answer provides
     /// one.
     from: Option<u64>,
-    /// Applied answers: index of the message, and index of the last message sent by then.
-    taken: VecDeque<(u64, u64)>,
+    /// Applied answers.
+    taken: VecDeque<Applied>,
     last_sent: u64,
     last_answer: u64,
     /// Data for the exchange of samples, if nodes exchange them.
@@ -208,18 +223,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 allowed: "at least 1",
             });
         }
-        for (what, found) in [
-            ("lower limit of health", settings.healthy.0.len()),
-            ("upper limit of health", settings.healthy.1.len()),
-        ] {
-            if found != parameters {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected: parameters,
-                });
-            }
-        }
+        settings.healthy.check(
+            parameters,
+            ["lower limit of health", "upper limit of health"],
+        )?;
         let expected = filter.mean().len() - parameters;
         let moving = match &settings.motion {
             MotionExchange::None => None,
@@ -464,8 +471,8 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         let answers = |own: u64| {
             self.taken
                 .iter()
-                .filter(|(_, sent)| *sent >= own)
-                .map(|(answered, _)| *answered)
+                .filter(|applied| applied.last_sent >= own)
+                .map(|applied| applied.answers)
                 .collect()
         };
         let lineage = self.from.map(|own| Lineage {
@@ -476,7 +483,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         if self.sent.len() == KEPT {
             self.sent.pop_front();
         }
-        self.sent.push_back((index, parameters.clone()));
+        self.sent.push_back(Sent {
+            index,
+            density: parameters.clone(),
+        });
         self.rewind = Some(Rewind {
             index,
             state: self.filter.state().clone(),
@@ -509,14 +519,11 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
 
     /// Applies the station's answer to one of the node's messages, however late.
     pub fn take(&mut self, feedback: &Feedback) -> Taken {
-        let sent = self
-            .sent
-            .iter()
-            .find(|(index, _)| *index == feedback.answers);
-        let Some((_, sent)) = sent.filter(|_| feedback.answers > self.last_answer) else {
+        let sent = self.sent.iter().find(|sent| sent.index == feedback.answers);
+        let Some(sent) = sent.filter(|_| feedback.answers > self.last_answer) else {
             return Taken::Stale;
         };
-        let sent = sent.clone();
+        let sent = sent.density.clone();
         if feedback.parameters.information().is_err() {
             return Taken::Refused;
         }
@@ -531,15 +538,19 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             return Taken::Refused;
         }
         self.from = Some(feedback.answers);
-        self.taken.retain(|(_, sent)| *sent >= feedback.answers);
+        self.taken
+            .retain(|applied| applied.last_sent >= feedback.answers);
         if self.settings.feedback != FeedbackRule::None {
-            self.taken.push_back((feedback.answers, self.last_sent));
+            self.taken.push_back(Applied {
+                answers: feedback.answers,
+                last_sent: self.last_sent,
+            });
         }
-        if is_within(&feedback.parameters.mean, &self.settings.healthy) {
+        if self.settings.healthy.contain(&feedback.parameters.mean) {
             self.fused = Some(feedback.parameters.mean.clone());
         }
         self.last_answer = feedback.answers;
-        self.sent.retain(|(index, _)| *index > feedback.answers);
+        self.sent.retain(|sent| sent.index > feedback.answers);
         Taken::Applied
     }
 
@@ -708,7 +719,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             information.gaussian()
         });
         match learnt {
-            Ok(learnt) if is_within(&learnt.mean, &self.settings.healthy) => Ok(learnt),
+            Ok(learnt) if self.settings.healthy.contain(&learnt.mean) => Ok(learnt),
             // The samples of other nodes contradict this node's information, so it ignores them.
             Ok(_) | Err(_) => {
                 self.filter.restore(without)?;
@@ -737,7 +748,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
 
     fn is_healthy(&self) -> bool {
         let parameters = self.filter.parameters();
-        is_within(&parameters.mean, &self.settings.healthy) && parameters.information().is_ok()
+        self.settings.healthy.contain(&parameters.mean) && parameters.information().is_ok()
     }
 
     /// Returns to the prior, with the parameters at the last fused means.
@@ -757,14 +768,6 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         (self.from, self.rewind) = (None, None);
         self.shared.iter_mut().for_each(Shared::forget);
     }
-}
-
-/// Returns `true` if all means lie between the limits (N_θ each).
-pub(super) fn is_within(means: &DVector<f64>, (low, high): &(DVector<f64>, DVector<f64>)) -> bool {
-    means
-        .iter()
-        .zip(low.iter().zip(high))
-        .all(|(mean, (low, high))| (low..=high).contains(&mean))
 }
 
 /// Overwrites parameters and motion, (6.17) and (6.21); the cross-covariances become zero.
@@ -796,23 +799,4 @@ fn reset<M: ProcessModel + ObservationModel>(
         .view_mut((moving, moving), (n - moving, n - moving))
         .copy_from(&parameters.covariance);
     filter.replace_state(&mean, &covariance)
-}
-
-/// Returns the information from which a node started, faded to period `index`.
-///
-/// It consists of the node's own message `own` and the changes by feedback since then.
-pub(super) fn base(
-    own: (u64, &Gaussian),
-    shifts: &[(u64, Gaussian, Gaussian)],
-    index: u64,
-    growth_per_period: f64,
-) -> Result<Information, FilterError> {
-    let growth = |since: u64| growth_per_period.powf(index.saturating_sub(since) as f64);
-    let mut base = own.1.information()?;
-    base.fade(growth(own.0));
-    for (answered, target, sent) in shifts {
-        base.add(1.0 / growth(*answered), &target.information()?);
-        base.add(-1.0 / growth(*answered), &sent.information()?);
-    }
-    Ok(base)
 }

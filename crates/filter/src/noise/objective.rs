@@ -1,7 +1,7 @@
 //! The objective `J(ψ)` of one frame (3.28), with its exact gradient and Hessian.
 
 use super::{NoiseModel, NoiseTarget};
-use crate::constant::NoiseSpread;
+use crate::constant::ConstantPath;
 use crate::dense::{
     add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut,
 };
@@ -41,9 +41,8 @@ pub(crate) enum ExcitationPath<'a> {
     Felt,
     /// Through `H B` (N_0 × N_f).
     Input(&'a DMatrix<f64>),
-    /// Through the constant `H B C Bᵀ Hᵀ` of each noise parameter; `None` for a parameter that
-    /// scales the sensor noise.
-    Constant(&'a [Option<NoiseSpread>]),
+    /// Through the constant `H B C Bᵀ Hᵀ` of each noise parameter.
+    Constant(&'a ConstantPath),
 }
 
 /// Scratch space of the rules (N_ψ).
@@ -122,8 +121,8 @@ impl Objective {
                                 fading,
                             );
                         }
-                        ExcitationPath::Constant(spreads) => {
-                            if let Some(spread) = &spreads[l] {
+                        ExcitationPath::Constant(constant) => {
+                            if let Some(spread) = &constant.levels[l] {
                                 add_scaled_mut(pattern, fading, &spread.datum);
                             }
                         }

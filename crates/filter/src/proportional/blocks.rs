@@ -3,7 +3,7 @@
 
 use super::band::around;
 use super::polynomials::Polynomials;
-use super::{ProportionalForm, extend_by_reached, near};
+use super::{ProportionalForm, Substep, extend_by_reached, near};
 use crate::dense::add_scaled_mut;
 use crate::product::{Extent, Left, Multiplier, Right, Sum};
 use nalgebra::{DMatrix, DVector};
@@ -88,7 +88,7 @@ impl Blocks {
         }
     }
 
-    /// Computes a step of `substep_s` (s) doubled `doublings` times, and integrates the inputs.
+    /// Computes a step, and integrates the inputs.
     ///
     /// It replaces `[g, B_y]` as [`Transition::discretise`](super::Transition::discretise) does.
     ///
@@ -97,16 +97,16 @@ impl Blocks {
     pub(super) fn discretise(
         &mut self,
         form: &ProportionalForm<'_>,
-        (substep_s, doublings): (f64, usize),
+        substep: Substep,
         damping: [f64; 2],
         polynomials: &Polynomials,
         inputs: &mut DMatrix<f64>,
         slope: Option<&[f64]>,
     ) {
-        self.substep_s = substep_s;
+        self.substep_s = substep.length_s;
         self.raise_to_powers(form);
         self.evaluate(form, polynomials, slope);
-        for _ in 0..doublings {
+        for _ in 0..substep.doublings {
             self.double(damping, slope);
         }
         self.integrate_inputs(damping, inputs, slope);

@@ -44,9 +44,9 @@ fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
     }
 }
 
-fn local(node: usize, message: LocalMessage) -> Input {
+fn local(node: usize, message: LocalMessage) -> FusionInput {
     let arrived_ns = message.header.time_ns;
-    Input::Local {
+    FusionInput::Local {
         node,
         message: Box::new(message),
         bytes: 500,
@@ -54,7 +54,7 @@ fn local(node: usize, message: LocalMessage) -> Input {
     }
 }
 
-fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Vec<Output> {
+fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = FusionInput>) -> Vec<Output> {
     let mut outputs = Vec::new();
     inputs
         .into_iter()
@@ -78,7 +78,7 @@ fn the_station_says_whether_its_nodes_measure_or_replay() {
         run(
             &mut fusion,
             [
-                Input::Present(vec![true; 16]),
+                FusionInput::Present(vec![true; 16]),
                 local(0, message(3, 1, pace, 0.95)),
             ],
         );
@@ -141,7 +141,7 @@ fn replayed_nodes_are_fused_when_all_have_spoken_and_answered_by_name() {
 fn a_replaying_node_that_is_gone_is_not_waited_for() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let mut present = vec![true; 16];
-    run(&mut fusion, [Input::Present(present.clone())]);
+    run(&mut fusion, [FusionInput::Present(present.clone())]);
     run(
         &mut fusion,
         (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))),
@@ -152,7 +152,7 @@ fn a_replaying_node_that_is_gone_is_not_waited_for() {
     );
     assert!(estimates(&outputs).is_empty());
     present[15] = false;
-    let outputs = run(&mut fusion, [Input::Present(present)]);
+    let outputs = run(&mut fusion, [FusionInput::Present(present)]);
     assert_eq!(estimates(&outputs).len(), 1);
     let states: Vec<NodeHealth> = outputs
         .iter()
@@ -170,7 +170,7 @@ fn a_replaying_node_that_is_gone_is_not_waited_for() {
 #[test]
 fn a_station_that_comes_late_begins_where_the_nodes_are() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     for index in [5000, 5001, u64::MAX] {
         let outputs = run(
             &mut fusion,
@@ -196,8 +196,8 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
     let outputs = run(
         &mut fusion,
         [
-            Input::Tick(SECOND_NS + SECOND_NS / 2),
-            Input::Tick(2 * SECOND_NS),
+            FusionInput::Tick(SECOND_NS + SECOND_NS / 2),
+            FusionInput::Tick(2 * SECOND_NS),
         ],
     );
     assert_eq!(estimates(&outputs).len(), 1);
@@ -211,7 +211,10 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
     };
     let outputs = run(
         &mut fusion,
-        [Input::Tick(3 * SECOND_NS), Input::Tick(4 * SECOND_NS)],
+        [
+            FusionInput::Tick(3 * SECOND_NS),
+            FusionInput::Tick(4 * SECOND_NS),
+        ],
     );
     let blocks = estimates(&outputs);
     assert_eq!(blocks.len(), 2);
@@ -224,15 +227,15 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
     // Three consecutive fusions without data cause one event, and so does their end.
     let outputs = run(
         &mut fusion,
-        (5..9).map(|second| Input::Tick(second * SECOND_NS)),
+        (5..9).map(|second| FusionInput::Tick(second * SECOND_NS)),
     );
     assert_eq!(told(&outputs), [EventKind::Gap]);
     let again = (0..9).map(|node| local(node, message(3, 9, Pace::Live, 0.95)));
     let outputs = run(
         &mut fusion,
         again.chain([
-            Input::Tick(9 * SECOND_NS + SECOND_NS / 2),
-            Input::Tick(10 * SECOND_NS),
+            FusionInput::Tick(9 * SECOND_NS + SECOND_NS / 2),
+            FusionInput::Tick(10 * SECOND_NS),
         ]),
     );
     // These nodes have received no feedback, so the station adopts their estimates.
@@ -262,7 +265,7 @@ fn old_messages_and_old_lives_are_refused_and_a_new_life_is_taken() {
     );
     run(&mut fusion, [local(0, message(4, 1, Pace::Live, 0.95))]);
     assert_eq!(fusion.refused().values().sum::<u64>(), 2);
-    let outputs = run(&mut fusion, [Input::Tick(2 * SECOND_NS)]);
+    let outputs = run(&mut fusion, [FusionInput::Tick(2 * SECOND_NS)]);
     assert!(
         outputs.iter().any(
             |output| matches!(output, Output::Feedback(0, feedback) if feedback.node_epoch == 4)
@@ -275,7 +278,7 @@ fn a_node_that_disagrees_is_left_out_and_told_of_once() {
     let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let mut events = 0;
     for index in 1..40 {
         let mean = |node| if node == 4 { 1.9 } else { 0.95 };
@@ -317,7 +320,7 @@ fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
     );
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let mut weights = Vec::new();
     for index in 1..20 {
         // Ten parameters differ by 0.3, with variances of 0.008 on both sides: d² = 56 exceeds the
@@ -376,13 +379,13 @@ fn the_last_block_says_that_it_is_the_last() {
 #[test]
 fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     run(
         &mut fusion,
         (0..16).map(|node| local(node, message(3, 1, Pace::Live, 0.95))),
     );
     assert_eq!(
-        estimates(&run(&mut fusion, [Input::Tick(2 * SECOND_NS)])).len(),
+        estimates(&run(&mut fusion, [FusionInput::Tick(2 * SECOND_NS)])).len(),
         1
     );
     // This message has a later epoch, so the station rejects the next messages of node 5.
@@ -397,7 +400,7 @@ fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
             (0..16).map(|node| local(node, message(3, index, Pace::Live, 0.95))),
         );
         assert_eq!(
-            estimates(&run(&mut fusion, [Input::Tick(second * SECOND_NS)])).len(),
+            estimates(&run(&mut fusion, [FusionInput::Tick(second * SECOND_NS)])).len(),
             1,
             "second {second}"
         );
@@ -415,7 +418,7 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
         let arrived_ns = index as i64 * SECOND_NS + jitter_ns;
         let message = message(3, index, Pace::Live, 0.95);
         fusion.handle(
-            Input::Local {
+            FusionInput::Local {
                 node: 0,
                 message: Box::new(message),
                 bytes: 500,
@@ -424,7 +427,7 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
             &mut outputs,
         );
         fusion.handle(
-            Input::Tick(index as i64 * SECOND_NS + SECOND_NS / 2),
+            FusionInput::Tick(index as i64 * SECOND_NS + SECOND_NS / 2),
             &mut outputs,
         );
     }
@@ -445,7 +448,7 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
         let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS - hour_ns;
         let message = message(3, index as u64, Pace::Live, 0.95);
         fusion.handle(
-            Input::Local {
+            FusionInput::Local {
                 node: 0,
                 message: Box::new(message),
                 bytes: 500,
@@ -455,7 +458,7 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
         );
         for tick in 0..20 {
             fusion.handle(
-                Input::Tick(arrived_ns + tick * SECOND_NS / 20),
+                FusionInput::Tick(arrived_ns + tick * SECOND_NS / 20),
                 &mut outputs,
             );
         }
@@ -480,7 +483,7 @@ fn a_clock_that_is_set_forward_makes_nothing_older() {
         let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS + hour_ns;
         let message = message(3, index as u64, Pace::Live, 0.95);
         fusion.handle(
-            Input::Local {
+            FusionInput::Local {
                 node: 0,
                 message: Box::new(message),
                 bytes: 500,
@@ -490,7 +493,7 @@ fn a_clock_that_is_set_forward_makes_nothing_older() {
         );
         for tick in 0..20 {
             fusion.handle(
-                Input::Tick(arrived_ns + tick * SECOND_NS / 20),
+                FusionInput::Tick(arrived_ns + tick * SECOND_NS / 20),
                 &mut outputs,
             );
         }
@@ -512,7 +515,7 @@ fn a_clock_that_is_set_forward_makes_nothing_older() {
 #[test]
 fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
     let mut fusion = Fusion::new(&structure(), "fuse", 8).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let known = |index| {
         let mut known = message(3, index, Pace::Live, 0.8);
         let density = known.density.as_mut().unwrap();
@@ -527,7 +530,7 @@ fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
         known
     };
     run(&mut fusion, (0..16).map(|node| local(node, known(500))));
-    let outputs = run(&mut fusion, [Input::Tick(501 * SECOND_NS)]);
+    let outputs = run(&mut fusion, [FusionInput::Tick(501 * SECOND_NS)]);
     let answers = outputs.iter().filter_map(|output| match output {
         Output::Feedback(_, feedback) => Some(feedback),
         _ => None,
@@ -549,7 +552,7 @@ fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
 #[test]
 fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     // Node 15 started five periods after the others.
     for index in 1..=10_u64 {
         let outputs = run(
@@ -623,7 +626,7 @@ fn live(
         }
         outputs.extend(run(
             fusion,
-            [Input::Tick(second as i64 * SECOND_NS + SECOND_NS / 2)],
+            [FusionInput::Tick(second as i64 * SECOND_NS + SECOND_NS / 2)],
         ));
     }
     outputs
@@ -633,7 +636,7 @@ fn live(
 #[test]
 fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let silent = |second| (10..20).contains(&second);
     let sends =
         |node, second| (node != 5 || !silent(second)).then(|| message(3, second, Pace::Live, 0.95));
@@ -680,7 +683,7 @@ fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
 #[test]
 fn a_node_without_samples_is_silent_though_its_worker_sends() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let sends = |node, second| {
         let samples = if node == 5 && second >= 10 { 0 } else { 250 };
         Some(LocalMessage {
@@ -698,7 +701,7 @@ fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
     let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let mean = |node, second| if node == 4 && second < 40 { 1.9 } else { 0.95 };
     let outputs = live(&mut fusion, 1..90, |node, second| {
         Some(message(3, second, Pace::Live, mean(node, second)))
@@ -722,7 +725,7 @@ fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
 fn the_last_nodes_that_end_are_told_to_have_ended() {
     for pace in [Pace::Replayed, Pace::Live] {
         let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-        run(&mut fusion, [Input::Present(vec![true; 16])]);
+        run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
         live(&mut fusion, 1..4, |_, second| {
             Some(message(3, second, pace, 0.95))
         });
@@ -763,16 +766,16 @@ fn the_last_nodes_that_end_are_told_to_have_ended() {
 #[test]
 fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     live(&mut fusion, 1..4, |_, second| {
         Some(message(3, second, Pace::Live, 0.95))
     });
     let one = (0..16).map(|node| node == 3).collect();
     assert!(
-        run(&mut fusion, [Input::Present(one)]).is_empty(),
+        run(&mut fusion, [FusionInput::Present(one)]).is_empty(),
         "one is there"
     );
-    let outputs = run(&mut fusion, [Input::Present(vec![false; 16])]);
+    let outputs = run(&mut fusion, [FusionInput::Present(vec![false; 16])]);
     assert_eq!(events(&outputs), [(EventKind::NodeSilent, "fuse", 3)]);
     assert!(
         (0..16).all(|node| health(&outputs, node) == [NodeHealth::Ended]),
@@ -788,7 +791,7 @@ fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
         "{:?}",
         events(&outputs)
     );
-    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let outputs = live(&mut fusion, 12..14, |_, second| {
         Some(message(3, second, Pace::Live, 0.95))
     });

@@ -34,7 +34,7 @@ fn run(blocks: Vec<FrameBlock>) -> Vec<Output> {
     let mut outputs = Vec::new();
     blocks
         .into_iter()
-        .for_each(|block| core.handle(Input::Frames(block), &mut outputs));
+        .for_each(|block| core.handle(IdentificationInput::Frames(block), &mut outputs));
     outputs
 }
 
@@ -141,9 +141,9 @@ fn lost_frames_are_bridged_and_numbering_goes_on() {
     let mut outputs = Vec::new();
     let mut blocks = cut(frames(400), &[200, 50]);
     let after = blocks.pop().unwrap();
-    core.handle(Input::Frames(blocks.remove(0)), &mut outputs);
-    core.handle(Input::gap(200, 250), &mut outputs);
-    core.handle(Input::Frames(after), &mut outputs);
+    core.handle(IdentificationInput::Frames(blocks.remove(0)), &mut outputs);
+    core.handle(IdentificationInput::gap(200, 250), &mut outputs);
+    core.handle(IdentificationInput::Frames(after), &mut outputs);
     let estimates = estimates(&outputs);
     assert_eq!((estimates.len(), core.done()), (400, 400));
     assert!(
@@ -163,13 +163,13 @@ fn lost_frames_are_bridged_and_numbering_goes_on() {
 fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
-    core.handle(Input::Frames(frames(3000)), &mut outputs);
+    core.handle(IdentificationInput::Frames(frames(3000)), &mut outputs);
     let mean = |core: &Identification| match core.estimator() {
         Estimator::Filter(filter) => filter.mean().clone(),
         Estimator::Classes(_) | Estimator::Particles(_) => panic!("the demo has one filter"),
     };
     let before = mean(&core);
-    core.handle(Input::gap(3000, 9000), &mut outputs);
+    core.handle(IdentificationInput::gap(3000, 9000), &mut outputs);
     assert_eq!(estimates(&outputs).len(), 9000);
     let after = mean(&core);
     assert!(
@@ -189,8 +189,8 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
 fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
-    core.handle(Input::Frames(frames(200)), &mut outputs);
-    core.handle(Input::gap(200, 9000), &mut outputs);
+    core.handle(IdentificationInput::Frames(frames(200)), &mut outputs);
+    core.handle(IdentificationInput::gap(200, 9000), &mut outputs);
     let (mut next, mut grid) = (0, None);
     let blocks = outputs.iter().filter_map(|output| match output {
         Output::Estimates(block) => Some(block),
@@ -221,7 +221,7 @@ fn responses_are_told_with_the_estimates_of_their_frames() {
     let mut core =
         Identification::new(&Structure::parse(&text, &path).unwrap(), "identify").unwrap();
     let mut outputs = Vec::new();
-    core.handle(Input::Frames(frames(8000)), &mut outputs);
+    core.handle(IdentificationInput::Frames(frames(8000)), &mut outputs);
     let lengths: Vec<usize> = outputs
         .iter()
         .filter_map(|output| match output {
@@ -244,7 +244,7 @@ fn responses_are_told_with_the_estimates_of_their_frames() {
 fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
     let begun = || {
         let mut core = Identification::new(&structure(), "identify").unwrap();
-        core.handle(Input::Frames(frames(200)), &mut Vec::new());
+        core.handle(IdentificationInput::Frames(frames(200)), &mut Vec::new());
         core
     };
     let said = |outputs: &[Output]| {
@@ -254,8 +254,12 @@ fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
             .collect::<Vec<_>>()
     };
     let (mut whole, mut outputs) = (begun(), Vec::new());
-    whole.handle(Input::gap(200, 9000), &mut outputs);
-    let (mut core, mut together, mut left) = (begun(), Vec::new(), Some(Input::gap(200, 9000)));
+    whole.handle(IdentificationInput::gap(200, 9000), &mut outputs);
+    let (mut core, mut together, mut left) = (
+        begun(),
+        Vec::new(),
+        Some(IdentificationInput::gap(200, 9000)),
+    );
     let mut dones = Vec::new();
     while let Some(input) = left {
         let mut part = Vec::new();
@@ -360,7 +364,7 @@ fn training_ends_although_the_level_of_an_unmeasured_excitation_stays_uncertain(
         .flat_map(|frame| frame.values)
         .collect();
     let mut outputs = Vec::new();
-    core.handle(Input::Frames(block), &mut outputs);
+    core.handle(IdentificationInput::Frames(block), &mut outputs);
     assert!(
         events(&outputs)
             .iter()
@@ -386,7 +390,7 @@ fn of_text(change: impl Fn(String) -> String, count: usize) -> (Structure, Frame
 fn identified(structure: &Structure, block: FrameBlock) -> Vec<Output> {
     let mut core = Identification::new(structure, "identify").unwrap();
     let mut outputs = Vec::new();
-    core.handle(Input::Frames(block), &mut outputs);
+    core.handle(IdentificationInput::Frames(block), &mut outputs);
     outputs
 }
 

@@ -9,7 +9,7 @@ use spandrel_filter::{BandLimit, FilterError};
 /// The state of a node's worker between two inputs, as stored in a checkpoint. It excludes samples
 /// that wait for feedback.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NodeState {
+pub struct NodeIdentificationState {
     epoch: u64,
     filter: LocalState,
     band_limit: Option<BandLimit>,
@@ -19,7 +19,7 @@ pub struct NodeState {
     sent: u64,
 }
 
-impl NodeState {
+impl NodeIdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
     pub const VERSION: u16 = 2;
@@ -28,8 +28,8 @@ impl NodeState {
 impl NodeIdentification {
     /// Returns the state for a checkpoint.
     #[must_use]
-    pub fn state(&self) -> NodeState {
-        NodeState {
+    pub fn state(&self) -> NodeIdentificationState {
+        NodeIdentificationState {
             epoch: self.epoch,
             filter: self.filter.state(),
             band_limit: self.band_limit.clone(),
@@ -44,7 +44,7 @@ impl NodeIdentification {
     ///
     /// # Errors
     /// Fails if the state does not match the node. The worker is then unchanged.
-    pub fn restore(&mut self, state: NodeState) -> Result<(), FilterError> {
+    pub fn restore(&mut self, state: NodeIdentificationState) -> Result<(), FilterError> {
         let sizes = [
             (
                 "band limit of a checkpoint",

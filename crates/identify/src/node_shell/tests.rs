@@ -1,16 +1,16 @@
 use super::*;
-use crate::node::POISONED;
 use spandrel_bus::{
     BusConfig, Header, Keep, Keys, NumberedPublisher, NumberedStream, Status, StreamState,
 };
 use spandrel_service::Service as _;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
-/// Far from the sample numbers of other tests in this process, which must not panic.
+/// Unlike the numbers of a stream from its start.
 const FIRST: u64 = 1_000_000;
 const BLOCK: u64 = 50;
+/// Value of a sample that makes the worker panic.
+const POISON: f64 = 4096.0;
 /// A sensor measures continuously, and a worker that starts meanwhile detects which samples belong
 /// to its own run.
 const BLOCK_EVERY: Duration = Duration::from_millis(20);
@@ -22,6 +22,8 @@ struct Lives {
     remembering: Remembering,
     samples: NumberedPublisher<SampleBlock>,
     put: u64,
+    /// Number of the poisoned sample.
+    poisoned: Option<u64>,
     _folder: tempfile::TempDir,
 }
 
@@ -60,6 +62,7 @@ impl Lives {
             remembering,
             samples,
             put: FIRST,
+            poisoned: None,
             _folder: folder,
         }
     }
@@ -77,7 +80,14 @@ impl Lives {
             pool,
             set_aside: set_aside.clone(),
         };
-        NodeService::start(&plan).await.unwrap()
+        let mut service = NodeService::start(&plan).await.unwrap();
+        service.process = |core, input, outputs| {
+            if let NodeInput::Samples(block) | NodeInput::Past(block) = &input {
+                assert!(!block.samples.contains(&POISON), "a sample is poisoned");
+            }
+            core.handle(input, outputs);
+        };
+        service
     }
 
     /// Publishes blocks until an event has arrived.
@@ -104,7 +114,10 @@ impl Lives {
             .unwrap()
             .sampling_rate_hz();
         let numbers = self.put..self.put + BLOCK;
-        let value = |number: u64| 0.001 * (number as f64 * 0.06).sin();
+        let value = |number: u64| match self.poisoned == Some(number) {
+            true => POISON,
+            false => 0.001 * (number as f64 * 0.06).sin(),
+        };
         let block = SampleBlock {
             header: Header {
                 source: node.name().to_owned(),
@@ -201,7 +214,7 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
         )
         .await;
     let poisoned = lives.put;
-    POISONED.store(poisoned + 20, Ordering::Relaxed);
+    lives.poisoned = Some(poisoned + 20);
     let ended = lives
         .measure_until("the end of the first life", first)
         .await

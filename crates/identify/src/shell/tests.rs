@@ -1,13 +1,11 @@
 use super::*;
-use crate::identification::POISONED;
 use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, Keep, NumberedStream};
 use spandrel_checkpoint::Remembering;
 use spandrel_service::Service as _;
 use std::num::NonZeroUsize;
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
-/// Far from the frame numbers of other tests in this process, which must not panic.
+/// Unlike the numbers of a stream from its start.
 const FIRST: u64 = 1_000_000;
 const POISON: u64 = FIRST + 333;
 const FRAMES: u64 = 600;
@@ -66,11 +64,11 @@ fn without_the_frame() -> Vec<String> {
         );
         let holds_it = (block.header.sequence..block.end()).contains(&POISON);
         match holds_it {
-            false => core.handle(Input::Frames(block), &mut outputs),
+            false => core.handle(IdentificationInput::Frames(block), &mut outputs),
             true => {
-                core.handle(Input::Frames(before), &mut outputs);
-                core.handle(Input::gap(POISON, POISON + 1), &mut outputs);
-                core.handle(Input::Frames(after), &mut outputs);
+                core.handle(IdentificationInput::Frames(before), &mut outputs);
+                core.handle(IdentificationInput::gap(POISON, POISON + 1), &mut outputs);
+                core.handle(IdentificationInput::Frames(after), &mut outputs);
             }
         }
     }
@@ -117,7 +115,14 @@ async fn estimates_of_a_service_that_dies(
         pool,
         precedence: Precedence::Leads,
     };
-    let service = IdentifyService::start(&plan).await.unwrap();
+    let mut service = IdentifyService::start(&plan).await.unwrap();
+    service.process = |core, input, outputs| {
+        if let IdentificationInput::Frames(block) = &input {
+            let numbers = block.header.sequence..block.end();
+            assert!(!numbers.contains(&POISON), "frame {POISON} is poisoned");
+        }
+        core.handle_part(input, outputs)
+    };
     let estimates = bus
         .follow::<EstimateBlock>(
             keys.estimates(),
@@ -173,7 +178,6 @@ async fn estimates_of_a_service_that_dies(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_frame_that_kills_the_identification_twice_is_set_aside_and_nothing_else_changes() {
-    POISONED.store(POISON, Ordering::Relaxed);
     let folder = tempfile::tempdir().unwrap();
     let remembering = Remembering {
         folder: folder.path().to_owned(),

@@ -47,7 +47,7 @@ fn ended(node: usize, time_ns: i64, values: &[f64]) -> SampleBlock {
 fn feed(alignment: &mut Alignment, blocks: Vec<(usize, SampleBlock)>) -> Vec<FrameBlock> {
     let mut out = Vec::new();
     for (node, block) in blocks {
-        alignment.handle(Input::Samples { node, block }, &mut out);
+        alignment.handle(AlignmentInput::Samples { node, block }, &mut out);
     }
     check(&out);
     out
@@ -139,7 +139,7 @@ fn a_lost_node_is_not_waited_for_and_is_taken_back() {
         &mut alignment,
         vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0, 20.0]))],
     );
-    alignment.handle(Input::Lost { node: 0 }, &mut out);
+    alignment.handle(AlignmentInput::Lost { node: 0 }, &mut out);
     assert_eq!(values(&out), [1.0, 10.0, -1.0, 20.0]);
     let back = vec![
         (0, block(0, T0 + 2 * STEP, &[3.0])),
@@ -194,7 +194,7 @@ fn nodes_that_begin_again_after_the_end_begin_a_new_epoch() {
 fn a_frame_whose_lateness_is_over_is_closed_and_what_comes_later_is_late() {
     let mut alignment = alignment(&[1, 1]);
     let mut out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0, 2.0]))]);
-    alignment.handle(Input::Deadline { time_ns: T0 }, &mut out);
+    alignment.handle(AlignmentInput::Deadline { time_ns: T0 }, &mut out);
     assert_eq!(values(&out), [1.0, -1.0]);
     let out = feed(
         &mut alignment,
@@ -402,7 +402,7 @@ fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come
         &mut alignment,
         vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0]))],
     );
-    alignment.handle(Input::Lost { node: 1 }, &mut out);
+    alignment.handle(AlignmentInput::Lost { node: 1 }, &mut out);
     for number in 1..4 {
         let at = T0 + number * STEP;
         let mut back = block(1, at, &[20.0]);
@@ -559,7 +559,7 @@ proptest! {
         let mut places = vec![NodePlace { epoch: 0, sequence: 0, ended: false }; records.len()];
         for (node, block) in mixed {
             let before = found.len();
-            killed.handle(Input::Samples { node, block }, &mut found);
+            killed.handle(AlignmentInput::Samples { node, block }, &mut found);
             if found.len() > before {
                 // Positions are recorded together with frames.
                 places = killed.places();

@@ -542,11 +542,14 @@ pub(super) fn find(
             highest_frequency_hz,
         });
     }
-    if let Some((modes, missed)) = structure
+    if let Some(modes) = structure
         .sent_modes()
-        .filter(|(_, missed)| *missed > MISSED_MASS)
+        .filter(|modes| modes.missed_mass > MISSED_MASS)
     {
-        findings.push(Finding::ModesMissMass { modes, missed });
+        findings.push(Finding::ModesMissMass {
+            modes: modes.count,
+            missed: modes.missed_mass,
+        });
     }
     findings.sort_by_key(Finding::severity);
     findings

@@ -87,7 +87,7 @@ pub(super) fn read_classes(
         }
         _ => None,
     };
-    if let (Some(floor), Some((names, _))) = (&floor, &plan) {
+    if let (Some(floor), Some(NamedClasses { names, .. })) = (&floor, &plan) {
         let most = names.len() + 1;
         if *floor.get_ref() * most as f64 >= 1.0 {
             let (found, allowed) = (
@@ -100,7 +100,7 @@ pub(super) fn read_classes(
         }
     }
     section.finish();
-    let (names, plan) = plan?;
+    let NamedClasses { names, plan } = plan?;
     let floor = floor.map(Spanned::into_inner);
     Some(ClassesPlan {
         names,
@@ -246,12 +246,18 @@ fn read_groups(
     right.then_some(groups)
 }
 
+/// The classes to compare, and their names.
+struct NamedClasses {
+    names: Vec<String>,
+    plan: ClassPlan,
+}
+
 fn make_plan(
     section: &Section<'_>,
     kind: Kind,
     components: &[&str],
     classes: Vec<Class>,
-) -> Option<(Vec<String>, ClassPlan)> {
+) -> Option<NamedClasses> {
     let count = components.len();
     if count < 2 {
         let found = format!(
@@ -310,7 +316,7 @@ fn make_plan(
             substructures: make_hierarchy(section, components, &classes)?,
         },
     };
-    Some((names, plan))
+    Some(NamedClasses { names, plan })
 }
 
 /// Creates the partition of each class. Identical partitions are a mistake, because their classes

@@ -59,19 +59,26 @@ pub(super) enum Measures {
     ResponsesAlone,
 }
 
+/// What the filter of a structure must do.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FilterTask {
+    pub(super) follows: Follows,
+    pub(super) measures: Measures,
+}
+
 /// Reads `[filter]`; a missing table is equivalent to an empty one.
 ///
 /// `rate_hz` is the sampling rate of the structure.
 pub(super) fn read_filter(
     section: Option<Section<'_>>,
     rate_hz: Option<f64>,
-    (follows, measures): (Follows, Measures),
+    task: FilterTask,
 ) -> FilterPlan {
     let mut plan = FilterPlan::default();
-    if measures == Measures::ResponsesAlone {
+    if task.measures == Measures::ResponsesAlone {
         plan.input_hold = InputHold::Zero;
     }
-    if follows == Follows::MotionAlone {
+    if task.follows == Follows::MotionAlone {
         plan.annealing.amount = 0.0; // a linear filter cannot lock in
     }
     let Some(mut section) = section else {

@@ -87,16 +87,27 @@ const DETECTOR: GlobalDetector = GlobalDetector {
 /// Default age (fusion periods) above which a message is stale: Huang & Yuen (2023), chapter 7.
 const STALE_PERIODS: f64 = 3.0;
 
+/// The parts of the file that `[fusion]` must fit.
+pub(super) struct FusionContext<'c> {
+    /// Sampling rate of the structure (Hz).
+    pub(super) rate_hz: Option<f64>,
+    pub(super) nodes: &'c [Node],
+    /// The file compares model classes.
+    pub(super) has_classes: bool,
+}
+
 /// Reads `[fusion]` of a structure with distributed identification.
-///
-/// The tuple contains the sampling rate of the structure, its nodes, and whether it has model
-/// classes.
 pub(super) fn read_fusion(
     section: Option<Section<'_>>,
     distributed: Option<&Spanned<bool>>,
     file: &Section<'_>,
-    (rate_hz, nodes, has_classes): (Option<f64>, &[Node], bool),
+    context: &FusionContext<'_>,
 ) -> Option<FusionPlan> {
+    let FusionContext {
+        rate_hz,
+        nodes,
+        has_classes,
+    } = *context;
     let Some(span) = distributed
         .filter(|distributed| *distributed.get_ref())
         .map(Spanned::span)

@@ -177,7 +177,11 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
                 .published(*frequency),
         );
     }
-    let (sent, _) = scene.structure.numbers_per_period(0).unwrap_or((0, 0));
+    let sent = scene
+        .structure
+        .numbers_per_period(0)
+        .unwrap_or_default()
+        .sent;
     let channels = scene.structure.nodes()[0].channels().len() as f64;
     let published_rate = example.full.0;
     figures.extend([
@@ -353,15 +357,15 @@ fn all_covered(courses: &[Course]) -> f64 {
 /// Tabulates the values that nodes send and receive, next to the samples that they replace.
 fn traffic_table(example: &Example, variants: [(&str, &Structure); 3], rate_hz: f64) -> Table {
     let rows = variants.map(|(what, structure)| {
-        let (up, down) = structure.numbers_per_period(0).unwrap_or((0, 0));
+        let numbers = structure.numbers_per_period(0).unwrap_or_default();
         let raw = structure.nodes()[0].channels().len() as f64 * example.full.0;
         vec![
             what.to_owned(),
-            up.to_string(),
-            down.to_string(),
+            numbers.sent.to_string(),
+            numbers.received.to_string(),
             format!("{raw}"),
-            format!("{:.3}", up as f64 / raw),
-            format!("{:.3}", (up + down) as f64 / raw),
+            format!("{:.3}", numbers.sent as f64 / raw),
+            format!("{:.3}", (numbers.sent + numbers.received) as f64 / raw),
         ]
     });
     let title = match rate_hz == example.full.0 {

@@ -6,7 +6,7 @@ use crate::error::ValidateError;
 use crate::run::Run;
 use spandrel_bus::{Estimate, EstimateBlock, Phase};
 use spandrel_filter::ChannelFit;
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_ingest::{Alignment, Layout};
 use spandrel_sensor::{Clocks, Cutter, NodePlan, simulated_rows};
 use spandrel_structure::Structure;
@@ -38,13 +38,13 @@ pub(super) fn run(
         cutter.push(row.time_ns, &row.values, &mut samples);
         for (node, block) in samples.drain(..) {
             alignment.handle(
-                spandrel_ingest::Input::Samples { node, block },
+                spandrel_ingest::AlignmentInput::Samples { node, block },
                 &mut aligned,
             );
         }
         aligned
             .drain(..)
-            .for_each(|block| judged.take(Input::Frames(block)));
+            .for_each(|block| judged.take(IdentificationInput::Frames(block)));
         if frame.is_multiple_of(TOLD) && !run.advance(frame as f64 / frames as f64) {
             return Err(ValidateError::Stopped);
         }
@@ -52,13 +52,13 @@ pub(super) fn run(
     cutter.end(&mut samples);
     for (node, block) in samples {
         alignment.handle(
-            spandrel_ingest::Input::Samples { node, block },
+            spandrel_ingest::AlignmentInput::Samples { node, block },
             &mut aligned,
         );
     }
     aligned
         .drain(..)
-        .for_each(|block| judged.take(Input::Frames(block)));
+        .for_each(|block| judged.take(IdentificationInput::Frames(block)));
     Ok(judged.shares)
 }
 
@@ -95,7 +95,7 @@ impl<'s> Judged<'s> {
         })
     }
 
-    fn take(&mut self, input: Input) {
+    fn take(&mut self, input: IdentificationInput) {
         let mut outputs = std::mem::take(&mut self.outputs);
         self.identification.handle(input, &mut outputs);
         let unmeasured = ChannelFit::default();

@@ -6,7 +6,7 @@ use super::file::{LEARN_S, STOREYS, Stated};
 use crate::error::ValidateError;
 use spandrel_alert::{Learning, ParameterEstimate, Reference, Watch, loss_estimate};
 use spandrel_bus::{AlertState, FrameBlock, Header, StreamState};
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_structure::Structure;
 use std::path::Path;
 
@@ -58,7 +58,7 @@ pub(super) fn run(
     let mut raised = [None::<f64>; STOREYS];
     for (number, block) in samples.chunks(BLOCK).enumerate() {
         let frames = frame_block(block, number, skipped, stated.rate_hz);
-        identification.handle(Input::Frames(frames), &mut outputs);
+        identification.handle(IdentificationInput::Frames(frames), &mut outputs);
         for output in outputs.drain(..) {
             let Output::Estimates(estimates) = output else {
                 continue;

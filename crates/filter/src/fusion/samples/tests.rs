@@ -3,7 +3,7 @@ use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, Frame};
 use crate::fading::FadingFactor;
 use crate::fusion::{
-    Feedback, FeedbackRule, Gaussian, LocalFilter, MotionExchange, NodeSettings, Taken,
+    Feedback, FeedbackRule, Gaussian, LocalFilter, MeanLimits, MotionExchange, NodeSettings, Taken,
 };
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::NoiseModel;
@@ -93,7 +93,10 @@ fn node(position: usize) -> Result<LocalFilter<Constants>, FilterError> {
         scheme: crate::fusion::CovarianceScheme::Full,
         motion: MotionExchange::Samples(SampleExchange::new(&[1, 1], INSTANTS)),
         position,
-        healthy: (DVector::repeat(2, -10.0), DVector::repeat(2, 10.0)),
+        healthy: MeanLimits {
+            lower: DVector::repeat(2, -10.0),
+            upper: DVector::repeat(2, 10.0),
+        },
     };
     LocalFilter::new(filter(), settings)
 }
@@ -271,7 +274,10 @@ fn instants_divide_the_samples_of_a_period() {
         scheme: crate::fusion::CovarianceScheme::Full,
         motion: MotionExchange::Samples(SampleExchange::new(&[1, 1], instants)),
         position: 0,
-        healthy: (DVector::repeat(2, -10.0), DVector::repeat(2, 10.0)),
+        healthy: MeanLimits {
+            lower: DVector::repeat(2, -10.0),
+            upper: DVector::repeat(2, 10.0),
+        },
     };
     assert!(LocalFilter::new(filter(), of(4)).is_err());
     assert!(LocalFilter::new(filter(), of(2)).is_ok());

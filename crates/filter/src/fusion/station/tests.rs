@@ -1,10 +1,14 @@
 mod restarts;
 
+use super::known::ANSWERS_KEPT;
 use super::*;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, Frame};
 use crate::fading::FadingFactor;
-use crate::fusion::local::{Lineage, LocalFilter, NodeSettings, Taken};
-use crate::fusion::{CovarianceScheme, SampleExchange, product};
+use crate::fusion::detector::PATIENCE;
+use crate::fusion::local::{FeedbackRule, Lineage, LocalFilter, NodeSettings, Taken};
+use crate::fusion::{
+    CovarianceScheme, GlobalDetector, MeanLimits, SampleExchange, Weighting, product,
+};
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::NoiseModel;
 use nalgebra::DMatrix;
@@ -91,7 +95,10 @@ fn node(row: [f64; 2], feedback: FeedbackRule) -> LocalFilter<Constants> {
         settings,
     )
     .unwrap();
-    let limits = (DVector::repeat(2, -1e3), DVector::repeat(2, 1e3));
+    let limits = MeanLimits {
+        lower: DVector::repeat(2, -1e3),
+        upper: DVector::repeat(2, 1e3),
+    };
     let settings = NodeSettings {
         steps_per_period: PERIOD,
         feedback,
@@ -118,7 +125,10 @@ fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
         same_instant: 0.5 / PERIOD as f64,
         detector: None,
         stale_periods: 3.0,
-        healthy: (DVector::repeat(2, 0.0), DVector::repeat(2, 5.0)),
+        healthy: MeanLimits {
+            lower: DVector::repeat(2, 0.0),
+            upper: DVector::repeat(2, 5.0),
+        },
     })
     .unwrap()
 }

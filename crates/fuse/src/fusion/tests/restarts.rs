@@ -42,15 +42,15 @@ fn sends(_: usize, second: u64) -> Option<LocalMessage> {
 #[test]
 fn a_station_that_is_started_again_goes_on_as_if_it_had_never_stopped() {
     let mut undisturbed = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut undisturbed, [Input::Present(vec![true; 16])]);
+    run(&mut undisturbed, [FusionInput::Present(vec![true; 16])]);
     live(&mut undisturbed, 1..7, sends);
     let mut again = next_life(&undisturbed, &structure(), 8);
     let expected = estimated(&live(&mut undisturbed, 7..12, sends));
     let told = run(
         &mut again,
         [
-            Input::Present(vec![true; 16]),
-            Input::Tick(6 * SECOND_NS + 600_000_000),
+            FusionInput::Present(vec![true; 16]),
+            FusionInput::Tick(6 * SECOND_NS + 600_000_000),
         ],
     );
     assert!(
@@ -93,10 +93,10 @@ fn a_life_has_a_higher_epoch_than_the_one_before_though_its_clock_was_set_back()
 #[test]
 fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
     let mut first = Fusion::new(&structure(), "fuse", 7).unwrap();
-    run(&mut first, [Input::Present(vec![true; 16])]);
+    run(&mut first, [FusionInput::Present(vec![true; 16])]);
     let last = estimated(&live(&mut first, 1..30, sends)).pop().unwrap();
     let mut second = next_life(&first, &structure(), 8);
-    run(&mut second, [Input::Present(vec![true; 16])]);
+    run(&mut second, [FusionInput::Present(vec![true; 16])]);
     let nameless = |node, second| {
         let mut message = sends(node, second)?;
         message.header.epoch = 4;

@@ -2,10 +2,8 @@
 
 use super::record::Record;
 use crate::fault::Fault;
+use crate::rate::SAME_RATE;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
-
-/// Relative tolerance within which two records have the same sampling rate.
-const RATE_TOLERANCE: f64 = 1e-4;
 
 /// Joins records, each with its byte position. The order of channels is that of their first
 /// records.
@@ -34,7 +32,7 @@ fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fa
     });
     let mut segments: Vec<(i64, Vec<f64>)> = Vec::new();
     for (place, record) in records {
-        if (record.rate_hz - rate_hz).abs() > RATE_TOLERANCE * rate_hz {
+        if (record.rate_hz - rate_hz).abs() > SAME_RATE * rate_hz {
             let found = format!("{} Hz", record.rate_hz);
             return Err(Fault::at_byte(
                 place,

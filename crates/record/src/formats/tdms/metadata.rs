@@ -31,12 +31,12 @@ pub(super) struct Scaler {
     pub(super) id: u32,
     pub(super) kind: u32,
     pub(super) buffer: u32,
-    pub(super) place: Place,
+    pub(super) place: StridePosition,
 }
 
 /// A position in a stride: a byte, or the bit of a digital line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum StridePosition {
     Byte(u32),
     Bit(u32),
 }
@@ -173,11 +173,11 @@ fn daqmx(data: &mut Bytes<'_>, code: u32) -> Result<Index, Fault> {
         let place = match code {
             DAQMX_DIGITAL_LINE => {
                 data.u8()?; // format of samples
-                Place::Bit(place)
+                StridePosition::Bit(place)
             }
             _ => {
                 data.u32()?; // format of samples
-                Place::Byte(place)
+                StridePosition::Byte(place)
             }
         };
         if daqmx_size(kind).is_none() {

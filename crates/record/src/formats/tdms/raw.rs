@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use super::Object;
-use super::metadata::{Index, Place, Scaler, daqmx_size, number, size};
+use super::metadata::{Index, Scaler, StridePosition, daqmx_size, number, size};
 use crate::bytes::{ByteOrder, Bytes};
 use crate::fault::Fault;
 
@@ -174,8 +174,10 @@ fn read_daqmx(
         {
             let width = own.get(*buffer as usize).copied().unwrap_or(0);
             let end = match place {
-                Place::Byte(byte) => u64::from(*byte) + daqmx_size(*kind).unwrap_or(0) as u64,
-                Place::Bit(bit) => u64::from(bit / 8) + 1,
+                StridePosition::Byte(byte) => {
+                    u64::from(*byte) + daqmx_size(*kind).unwrap_or(0) as u64
+                }
+                StridePosition::Bit(bit) => u64::from(bit / 8) + 1,
             };
             if end > u64::from(width) {
                 let found = format!("up to byte {end} of buffer {buffer}");
@@ -246,12 +248,12 @@ fn read_daqmx(
 /// Returns the value of a scaler in a stride.
 fn scaled_value(row: &[u8], scaler: &Scaler, order: ByteOrder) -> Option<f64> {
     let byte = match scaler.place {
-        Place::Bit(bit) => {
+        StridePosition::Bit(bit) => {
             return row
                 .get(bit as usize / 8)
                 .map(|byte| f64::from(byte >> (bit % 8) & 1));
         }
-        Place::Byte(byte) => byte as usize,
+        StridePosition::Byte(byte) => byte as usize,
     };
     let mut value = Bytes::new(row.get(byte..)?, order);
     match scaler.kind {

@@ -1,4 +1,4 @@
-use crate::Structure;
+use crate::{PeriodNumbers, Structure};
 use spandrel_filter::fusion::{FeedbackRule, Weighting};
 use std::path::Path;
 
@@ -19,12 +19,20 @@ fn nodes_that_tell_samples_see_the_channels_of_all() {
     let structure = with("motion = \"samples\"\nsamples-per-period = 5").unwrap();
     // 10 parameters: 65 numbers of the density; 5 instants of two channels each way, from sixteen
     // nodes.
-    assert_eq!(structure.numbers_per_period(3), Some((65 + 10, 65 + 150)));
+    let expected = PeriodNumbers {
+        sent: 65 + 10,
+        received: 65 + 150,
+    };
+    assert_eq!(structure.numbers_per_period(3), Some(expected));
     let node = structure.local_filter(3).unwrap().unwrap();
     assert_eq!(node.filter().observation_len(), 32);
     assert!(structure.fusion().unwrap().passes_motion_on());
     let structure = with("motion = \"samples\"").unwrap();
-    assert_eq!(structure.numbers_per_period(0), Some((65 + 20, 65 + 300)));
+    let expected = PeriodNumbers {
+        sent: 65 + 20,
+        received: 65 + 300,
+    };
+    assert_eq!(structure.numbers_per_period(0), Some(expected));
 }
 
 #[test]

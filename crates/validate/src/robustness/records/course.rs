@@ -4,7 +4,7 @@
 use super::RecordsError;
 use spandrel_alert::{Alert, Baseline, RecordSummary, ReferenceRule, Watch};
 use spandrel_bus::{AlertState, EstimateBlock, FitVerdict, FrameBlock, Phase, UndecidedBecause};
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_ingest::{Alignment, Layout};
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, open_record, recorded_rows};
 use spandrel_structure::Structure;
@@ -117,13 +117,19 @@ impl Course {
         for row in rows {
             cutter.push(row.time_ns, &row.values, &mut samples);
             for (node, block) in samples.drain(..) {
-                alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut frames);
+                alignment.handle(
+                    spandrel_ingest::AlignmentInput::Samples { node, block },
+                    &mut frames,
+                );
             }
             frames.drain(..).try_for_each(|block| chain.handle(block))?;
         }
         cutter.end(&mut samples);
         for (node, block) in samples {
-            alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut frames);
+            alignment.handle(
+                spandrel_ingest::AlignmentInput::Samples { node, block },
+                &mut frames,
+            );
         }
         frames.drain(..).try_for_each(|block| chain.handle(block))?;
         Ok(chain.finish())
@@ -262,7 +268,7 @@ impl Chain {
         }
         let mut outputs = Vec::new();
         self.identification
-            .handle(Input::Frames(block), &mut outputs);
+            .handle(IdentificationInput::Frames(block), &mut outputs);
         for output in outputs {
             if let Output::Estimates(estimates) = output {
                 for piece in pieces(&estimates) {

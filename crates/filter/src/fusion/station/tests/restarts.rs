@@ -75,7 +75,10 @@ fn a_state_of_other_sizes_is_refused_and_changes_nothing() {
     of_three.fused = longer.information().unwrap();
     assert!(refused(central.restore(of_three)));
     let mut of_three = before.clone();
-    of_three.known[2].own = Some((1, longer));
+    of_three.known[2].own = Some(Sent {
+        index: 1,
+        density: longer,
+    });
     assert!(refused(central.restore(of_three)));
     let mut flat = before.clone();
     flat.fused.matrix.fill(0.0);

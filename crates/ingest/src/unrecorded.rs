@@ -14,14 +14,14 @@ const PIECE_BYTES: usize = 4 << 20;
 
 /// Blocks that are not yet recorded, oldest first.
 #[derive(Debug, Default)]
-pub(crate) struct Waiting {
+pub(crate) struct UnrecordedFrames {
     blocks: VecDeque<LoggedFrames>,
     frames: u64,
     bytes: usize,
     lost: u64,
 }
 
-impl Waiting {
+impl UnrecordedFrames {
     /// Returns the number of waiting frames.
     pub(crate) fn frames(&self) -> u64 {
         self.frames
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn pieces_are_small_in_order_and_all_there_is() {
-        let mut waiting = Waiting::default();
+        let mut waiting = UnrecordedFrames::default();
         // Half a mebibyte each: 65,536 values.
         (0..20).for_each(|k| waiting.push(block(k * 64, 64, 1024)));
         let mut found = Vec::new();
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn many_channels_are_bounded_by_bytes_and_few_by_frames() {
-        let mut waiting = Waiting::default();
+        let mut waiting = UnrecordedFrames::default();
         for k in 0..40 {
             waiting.push(block(k * 128, 128, 4096));
             waiting.lose_what_is_too_much();
@@ -140,7 +140,7 @@ mod tests {
         );
         assert_eq!(waiting.lost(), 8 * 128);
         assert_eq!(waiting.piece()[0].sequence, 8 * 128, "the oldest are gone");
-        let mut waiting = Waiting::default();
+        let mut waiting = UnrecordedFrames::default();
         for k in 0..3 {
             waiting.push(block(k * 65_536, 65_536, 2));
             waiting.lose_what_is_too_much();
