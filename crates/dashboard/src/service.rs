@@ -5,12 +5,12 @@ use crate::api::router;
 use crate::door::{Door, PageCertificate};
 use crate::error::DashboardError;
 use crate::gate::Gate;
-use crate::listen::Listening;
 use crate::server::{Server, now_ns};
 use crate::serving::serve;
-use crate::store::{Input, Store};
+use crate::store::Store;
 use crate::tokens::Tokens;
 use spandrel_bus::{BoxedFuture, Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
+use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
 use spandrel_structure::Structure;
 use std::future::Future;
 use std::io;
@@ -25,6 +25,25 @@ use tracing::{info, warn};
 /// Address of the first dashboard on a machine, reachable only from this machine.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
+/// All topics for display, and the past from the history service.
+const NEEDS: Needs = Needs {
+    topics: &[
+        T::Ingested,
+        T::Statuses,
+        T::Parameters,
+        T::Noise,
+        T::Outliers,
+        T::Classes,
+        T::Nodes,
+        T::Fit,
+        T::Estimates,
+        T::Acknowledgements,
+        T::Alerts,
+        T::Events,
+    ],
+    services: &Service::ALL,
+    logs: &[Service::History],
+};
 /// Interval at which messages from the bus are processed.
 const GATHER_EVERY: Duration = Duration::from_millis(50);
 /// Interval at which the status is published.
@@ -81,10 +100,9 @@ pub struct DashboardService {
 #[derive(Debug)]
 struct Source {
     keys: Keys,
-    listening: Listening,
+    listener: Listener,
     status: DisplayPublisher<Status>,
     token: LiveToken,
-    taken: u64,
 }
 
 impl DashboardService {
@@ -118,13 +136,13 @@ impl DashboardService {
             for (structure, keys) in structures {
                 stores.push((keys.clone(), Store::new(About::new(structure))));
                 sources.push(Source {
-                    listening: Listening::start(bus, keys).await?,
+                    listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
+                        .await?,
                     status: bus
                         .publish_display(keys.status(Service::Dashboard, &id))
                         .await?,
                     token: bus.announce(keys.live(Service::Dashboard, &id)).await?,
                     keys: keys.clone(),
-                    taken: 0,
                 });
             }
             let server = Arc::new(Server::new(
@@ -257,20 +275,18 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
     let mut gather = tokio::time::interval(GATHER_EVERY);
     gather.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut status = tokio::time::interval(STATUS_EVERY);
-    let mut inputs = Vec::new();
     loop {
         tokio::select! {
             _ = gather.tick() => for source in &mut *sources {
-                source.listening.gather(&mut inputs);
-                source.taken += inputs.len() as u64;
+                let inputs = source.listener.gather();
                 if let Some(mut store) = server.store(source.keys.structure().as_str()) {
                     store.handle(Input::Now(start.elapsed()));
-                    inputs.drain(..).for_each(|input| store.handle(input));
+                    inputs.into_iter().for_each(|input| store.handle(input));
                 }
             },
             _ = status.tick() => for source in &*sources {
                 let time_ns = now_ns();
-                let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.time_ns);
+                let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.state.time_ns);
                 let status = Status {
                     structure: source.keys.structure().clone(),
                     service: service.clone(),
@@ -283,8 +299,8 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
                     fit: None,
                     undecided: std::collections::BTreeMap::new(),
                     state: None,
-                    done: source.taken,
-                    drops: source.listening.refused(),
+                    done: source.listener.taken(),
+                    drops: source.listener.refused(),
                     restarts: 0,
                     version: env!("CARGO_PKG_VERSION").to_owned(),
                 };

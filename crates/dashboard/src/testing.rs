@@ -1,11 +1,12 @@
 //! Messages and a store for tests.
 
 use crate::about::About;
-use crate::store::{Input, Store};
+use crate::store::Store;
 use spandrel_bus::{
-    AlertMessage, AlertState, FitDisplay, FitReason, FitVerdict, Name, ParameterDisplay,
+    AlertMessage, AlertState, FitDisplay, FitReason, FitVerdict, Name, ParameterDisplay, Service,
     UndecidedBecause,
 };
+use spandrel_listener::{Input, Instance};
 use spandrel_structure::Structure;
 use std::path::Path;
 use std::time::Duration;
@@ -35,6 +36,16 @@ pub(crate) fn parameter(of: &str, time_ns: i64, mean: f64, probability: f64) -> 
     );
     display.probability_of_loss = probability;
     Input::Parameter(display)
+}
+
+/// Returns the presence of these services and nodes, and of no others.
+pub(crate) fn present(instances: &[(Service, &str)]) -> Input {
+    let instance = |(service, id): &(Service, &str)| Instance {
+        structure: name("demo"),
+        service: *service,
+        id: name(id),
+    };
+    Input::Present(instances.iter().map(instance).collect())
 }
 
 pub(crate) fn fit(verdict: FitVerdict, reasons: &[FitReason]) -> Input {
