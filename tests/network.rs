@@ -192,7 +192,7 @@ impl Network {
     async fn fused(&self) -> Vec<Fused> {
         self.until(LENGTH_S).await;
         for (_, parameter) in self.parameters.messages().drain() {
-            let numbers = [parameter.mean, parameter.std, parameter.probability_of_loss];
+            let numbers = [parameter.mean, parameter.std];
             assert!(
                 numbers.iter().all(|number| number.is_finite()),
                 "{parameter:?}"

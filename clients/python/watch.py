@@ -55,13 +55,18 @@ def session(endpoint, certificate):
 def listen(session, below, seconds):
     def parameter(sample):
         m = json.loads(sample.payload.to_string())
-        print(f"{m['parameter']} {m['mean']:.4f} ± {m['std']:.4f}  P(loss) {m['probability_of_loss']:.3f}", flush=True)
+        print(f"{m['parameter']} {m['mean']:.4f} ± {m['std']:.4f}", flush=True)
+
+    def loss(sample):
+        m = json.loads(sample.payload.to_string())
+        print(f"{m['parameter']} loss {m['loss']:.3f}, above {m['rule_loss']} with probability {m['probability_of_loss']:.3f}", flush=True)
 
     def alert(sample):
         m = json.loads(sample.payload.to_string())
         print(f"ALERT {m['parameter']} {m['state']}: {m['why']}", flush=True)
 
-    kept = [session.declare_subscriber(f"{below}/parameter/*", parameter), session.declare_subscriber(f"{below}/alert/*", alert)]
+    readers = {"parameter": parameter, "loss": loss, "alert": alert}
+    kept = [session.declare_subscriber(f"{below}/{topic}/*", reader) for topic, reader in readers.items()]
     print(f"listening below {below}", flush=True)
     end = time.monotonic() + (seconds if seconds is not None else float("inf"))
     try:

@@ -48,8 +48,9 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 9] = [
+const DISPLAYED: [KeyFamily; 10] = [
     K::Parameter,
+    K::Loss,
     K::Noise,
     K::Outlier,
     K::ModelClass,
@@ -143,7 +144,10 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Alert => [
             each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
-            each(Right::Put, &[K::Alert, K::Progress(Service::Alert)]),
+            each(
+                Right::Put,
+                &[K::Alert, K::Loss, K::Progress(Service::Alert)],
+            ),
             each(Right::Query, &[K::EstimatesBuffer]),
             each(Right::Answer, &[K::Alert, K::AlertLog]),
             of_service(Service::Alert),
@@ -219,6 +223,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Estimates
         | K::EstimatesBuffer
         | K::Parameter
+        | K::Loss
         | K::Noise
         | K::ModelClass
         | K::Fit

@@ -221,9 +221,7 @@ fn between_routers(root: &Name) -> Rule {
 ///
 /// `**` does not match chunks that begin with `@`, so keys with such chunks are listed separately.
 fn all_keys(root: &Name) -> Vec<String> {
-    let families = KeyFamily::all()
-        .into_iter()
-        .map(|family| family.expression(root, None, None));
+    let families = KeyFamily::all().map(|family| family.expression(root, None, None));
     let mut keys = vec![format!("{root}/**")];
     keys.extend(families.filter(|key| key.contains("/@")));
     keys

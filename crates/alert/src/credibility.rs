@@ -13,7 +13,7 @@
 //! learnt from the same filter, because common errors would cancel.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::CredibleInterval;
+use spandrel_bus::{CredibleInterval, LossDisplay, Name};
 
 use crate::Reference;
 use crate::scatter::{NormalPlusStudent, bisect, normal_cdf};
@@ -32,12 +32,7 @@ pub struct ParameterEstimate {
 impl ParameterEstimate {
     /// Returns the 95 % interval within the record of the estimate.
     pub fn interval(&self) -> CredibleInterval {
-        let half = QUANTILE_95 * self.std;
-        CredibleInterval {
-            level: 0.95,
-            low: self.mean - half,
-            high: self.mean + half,
-        }
+        CredibleInterval::of_normal(self.mean, self.std)
     }
 }
 
@@ -63,8 +58,42 @@ impl LossEstimate {
     }
 }
 
-/// Φ(1.959964) = 0.975: the quantile of a two-sided 95 % interval.
-const QUANTILE_95: f64 = 1.959_963_984_540_054;
+/// The loss of one parameter under one rule at one time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterLoss {
+    /// Index of the parameter in state order.
+    pub parameter: usize,
+    /// Time of the frame, ns.
+    pub time_ns: i64,
+    /// The loss with its interval.
+    pub loss: LossEstimate,
+    /// Probability that the loss exceeds that of the rule.
+    pub probability: f64,
+    /// Loss of the rule, as a share of the reference.
+    pub rule_loss: f64,
+    /// Probability that the rule requires.
+    pub rule_credibility: f64,
+    /// The reference.
+    pub reference: Reference,
+}
+
+impl ParameterLoss {
+    /// Returns the display message. `parameter` is the name of the parameter.
+    pub fn to_message(&self, structure: &Name, parameter: &Name) -> LossDisplay {
+        LossDisplay {
+            structure: structure.clone(),
+            parameter: parameter.clone(),
+            time_ns: self.time_ns,
+            loss: self.loss.loss,
+            interval: self.loss.interval(),
+            probability_of_loss: self.probability,
+            rule_loss: self.rule_loss,
+            rule_credibility: self.rule_credibility,
+            reference: self.reference.mean(),
+            reference_std: self.reference.std(),
+        }
+    }
+}
 
 /// Returns the probability that the parameter has lost more than `loss` (share of the reference).
 ///
@@ -99,8 +128,8 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
         return loss_by_bisection(estimate, reference);
     }
     let (m, r) = (estimate.mean, reference.mean());
-    let zs = QUANTILE_95 * estimate.std;
-    let zs_r = QUANTILE_95 * reference.std();
+    let zs = CredibleInterval::HALF_WIDTH_95 * estimate.std;
+    let zs_r = CredibleInterval::HALF_WIDTH_95 * reference.std();
     let a = r * r - zs_r * zs_r;
     let half_b = m * r;
     // half_b² − a·c, without the terms that cancel.

@@ -24,7 +24,7 @@ use spandrel_bus::{AlertState, EstimateFlags, FitVerdict, Phase, UndecidedBecaus
 use crate::{
     Alert, Learning, ParameterEstimate, Reference, Rule,
     alert::Acknowledged,
-    credibility::probability_of_loss,
+    credibility::{ParameterLoss, loss_estimate, probability_of_loss},
     rule::ReferenceRule,
     support::{DecidedFrames, Jump, Support, rests_on_bound},
 };
@@ -178,6 +178,24 @@ impl Decision {
     pub fn unannounced(&self) -> Option<Alert> {
         self.alert(self.state())
             .filter(|_| self.last_alert.is_none() && self.support.decides())
+    }
+
+    /// Returns the loss by the last estimate. `None` before the first estimate and while the
+    /// reference is being learnt.
+    pub fn loss(&self) -> Option<ParameterLoss> {
+        let Stage::Watching { reference, .. } = &self.stage else {
+            return None;
+        };
+        let (estimate, _) = self.last.as_ref()?;
+        Some(ParameterLoss {
+            parameter: self.subject.parameter,
+            time_ns: estimate.time_ns,
+            loss: loss_estimate(estimate, reference),
+            probability: probability_of_loss(estimate, reference, self.rule.loss()),
+            rule_loss: self.rule.loss(),
+            rule_credibility: self.rule.credibility(),
+            reference: *reference,
+        })
     }
 
     /// Returns the watched parameter.

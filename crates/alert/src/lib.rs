@@ -57,7 +57,9 @@ pub mod shell;
 
 pub use alert::{Acknowledged, Alert};
 pub use baseline::{Baseline, BetweenRecords, ParameterBaseline, RecordSummary};
-pub use credibility::{LossEstimate, ParameterEstimate, loss_estimate, probability_of_loss};
+pub use credibility::{
+    LossEstimate, ParameterEstimate, ParameterLoss, loss_estimate, probability_of_loss,
+};
 pub use decision::{Decision, Input, Model, Subject};
 pub use error::AlertError;
 pub use learning::{Learning, SpanSummary};

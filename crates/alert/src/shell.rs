@@ -6,15 +6,15 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Bus, Delivery, DisplayPublisher,
-    EstimateBlock, HistoryLog, Keys, LatestPublisher, LiveToken, Name, ProgressPublisher, Question,
-    Questions, Service, Start, Status, Stream, Subscription,
+    EstimateBlock, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay, Name,
+    ProgressPublisher, Question, Questions, Service, Start, Status, Stream, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
 use tracing::{debug, info, warn};
 
 use crate::memory::{AlertState as Remembered, Basis, Memory, note};
-use crate::{Acknowledged, Alert, AlertError, Baseline, Watch};
+use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 
 /// Interval between status messages.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
@@ -45,6 +45,7 @@ pub struct AlertService {
     service: Name,
     id: Name,
     token: Option<LiveToken>,
+    display_rate_hz: f64,
     done: u64,
     last_time_ns: Option<i64>,
     refused: BTreeMap<&'static str, u64>,
@@ -61,6 +62,7 @@ pub struct AlertService {
 struct AlertTopic {
     parameter: Name,
     publisher: LatestPublisher<AlertMessage>,
+    losses: DisplayPublisher<LossDisplay>,
     /// Whether the state of the parameter has been published.
     is_told: bool,
 }
@@ -105,9 +107,11 @@ impl AlertService {
             for parameter in &basis.parameters {
                 let parameter = name(parameter)?;
                 let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
+                let losses = bus.publish_display(keys.loss(&parameter)).await?;
                 alerts.push(AlertTopic {
                     parameter,
                     publisher,
+                    losses,
                     is_told: false,
                 });
             }
@@ -150,6 +154,7 @@ impl AlertService {
                 watch,
                 alerts,
                 service: service_name,
+                display_rate_hz: structure.display_rate_hz(),
                 done,
                 last_time_ns,
                 refused: BTreeMap::new(),
@@ -286,13 +291,18 @@ impl AlertService {
     }
 
     async fn decide(&mut self, block: &EstimateBlock) -> Result<(), AlertError> {
-        let mut alerts = Vec::new();
+        let (mut alerts, mut losses) = (Vec::new(), Vec::new());
         let values = block.estimates.len() * usize::from(block.parameters);
+        let rate_hz = self.display_rate_hz;
+        let mut decide = || {
+            self.watch
+                .handle_block_with_display(block, rate_hz, &mut alerts, &mut losses)
+        };
         let decided = match values <= BRIEF {
-            true => self.watch.handle_block(block, &mut alerts),
+            true => decide(),
             // A fetched block can contain thousands of frames, which would block a runtime thread
             // for too long.
-            false => tokio::task::block_in_place(|| self.watch.handle_block(block, &mut alerts)),
+            false => tokio::task::block_in_place(decide),
         };
         if let Err(error) = decided {
             self.refuse("estimates-of-another-structure", &error);
@@ -306,6 +316,7 @@ impl AlertService {
         }
         self.publish(alerts).await?;
         self.publish_first().await?;
+        self.display(&losses).await?;
         let epoch = block.header.epoch;
         let kept = self
             .memory
@@ -412,6 +423,17 @@ impl AlertService {
                     .put(&alert.to_message(structure, &topic.parameter))
                     .await?;
                 topic.is_told = true;
+            }
+        }
+        Ok(())
+    }
+
+    async fn display(&self, losses: &[ParameterLoss]) -> Result<(), AlertError> {
+        let structure = self.keys.structure();
+        for loss in losses {
+            if let Some(topic) = self.alerts.get(loss.parameter) {
+                let message = loss.to_message(structure, &topic.parameter);
+                topic.losses.put(&message).await?;
             }
         }
         Ok(())

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertState, Estimate, EstimateBlock, UndecidedBecause};
+use spandrel_bus::{AlertState, Decimation, Estimate, EstimateBlock, UndecidedBecause};
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
     Alert, AlertError, Baseline, DecidedFrames, Decision, Input, Model, ParameterEstimate,
-    Reference, Rule, Subject, alert::Acknowledged, wording::End,
+    ParameterLoss, Reference, Rule, Subject, alert::Acknowledged, wording::End,
 };
 
 /// The decisions on one structure, which also serve as the state in its checkpoint.
@@ -125,6 +125,36 @@ impl Watch {
         block: &EstimateBlock,
         alerts: &mut Vec<Alert>,
     ) -> Result<(), AlertError> {
+        self.handle_each(block, alerts, |_, _| {})
+    }
+
+    /// Processes a block as [`Watch::handle_block`] does, and appends the losses of each parameter
+    /// at the display rate (Hz).
+    ///
+    /// # Errors
+    /// As [`Watch::handle_block`].
+    pub fn handle_block_with_display(
+        &mut self,
+        block: &EstimateBlock,
+        display_rate_hz: f64,
+        alerts: &mut Vec<Alert>,
+        losses: &mut Vec<ParameterLoss>,
+    ) -> Result<(), AlertError> {
+        let decimation = Decimation::new(block.sampling_rate_hz, display_rate_hz);
+        self.handle_each(block, alerts, |watch, frame| {
+            if decimation.shows(frame) {
+                losses.extend(watch.losses());
+            }
+        })
+    }
+
+    /// Processes a block, and calls `after` with the number of each frame.
+    fn handle_each(
+        &mut self,
+        block: &EstimateBlock,
+        alerts: &mut Vec<Alert>,
+        mut after: impl FnMut(&Self, u64),
+    ) -> Result<(), AlertError> {
         let widths = std::iter::once(usize::from(block.parameters))
             .chain(block.estimates.iter().map(|estimate| estimate.mean.len()));
         if let Some(found) = { widths }.find(|width| *width != self.parameter_count) {
@@ -144,6 +174,7 @@ impl Watch {
         }
         for (number, estimate) in block.iter() {
             self.handle_estimate(grid.time_ns(number), estimate, alerts);
+            after(self, number);
         }
         self.expected = Some((start.0, start.1 + block.estimates.len() as u64));
         Ok(())
@@ -197,6 +228,19 @@ impl Watch {
             .next()
             .filter(|_| !is_announced)?
             .unannounced()
+    }
+
+    /// Returns the loss of each parameter under its first rule, once the reference is known.
+    fn losses(&self) -> impl Iterator<Item = ParameterLoss> {
+        let is_first = |(index, decision): &(usize, &Decision)| {
+            let same = |other: &Decision| other.subject().parameter == decision.subject().parameter;
+            !self.decisions[..*index].iter().any(same)
+        };
+        self.decisions
+            .iter()
+            .enumerate()
+            .filter(is_first)
+            .filter_map(|(_, decision)| decision.loss())
     }
 
     /// Returns the number of frames of a parameter with and without a decision since its reference

@@ -46,239 +46,257 @@ impl Keys {
         &self.structure
     }
 
-    fn below(&self, rest: &str) -> String {
-        format!("{}/{}/{rest}", self.root, self.structure)
+    /// Returns the key of one item of a family.
+    fn key(&self, family: KeyFamily, of: &Name) -> String {
+        family.expression(&self.root, Some(&self.structure), Some(of))
+    }
+
+    /// Returns the key expression of a family, which is its key if the family has a single key.
+    fn all(&self, family: KeyFamily) -> String {
+        family.expression(&self.root, Some(&self.structure), None)
     }
 
     /// Returns the key of the sample blocks of one node.
     #[must_use]
     pub fn samples(&self, node: &Name) -> String {
-        self.below(&format!("sensor/{node}/samples"))
+        self.key(KeyFamily::Samples, node)
     }
 
     /// Returns the key to query the latest sample blocks of one node. The node replies.
     #[must_use]
     pub fn buffer(&self, node: &Name) -> String {
-        self.below(&format!("sensor/{node}/@buffer"))
+        self.key(KeyFamily::Buffer, node)
     }
 
     /// Returns the key of the frame blocks.
     #[must_use]
     pub fn frames(&self) -> String {
-        self.below("frames")
+        self.all(KeyFamily::Frames)
     }
 
     /// Returns the key to query frame blocks. Ingest replies.
     #[must_use]
     pub fn recording(&self) -> String {
-        self.below("@recording")
+        self.all(KeyFamily::Recording)
     }
 
     /// Returns the key of the estimate blocks.
     #[must_use]
     pub fn estimates(&self) -> String {
-        self.below("estimates")
+        self.all(KeyFamily::Estimates)
     }
 
     /// Returns the key to query the latest estimate blocks. Identify replies.
     #[must_use]
     pub fn estimates_buffer(&self) -> String {
-        self.below("@estimates")
+        self.all(KeyFamily::EstimatesBuffer)
     }
 
     /// Returns the key of one parameter at display rate.
     #[must_use]
     pub fn parameter(&self, parameter: &Name) -> String {
-        self.below(&format!("parameter/{parameter}"))
+        self.key(KeyFamily::Parameter, parameter)
     }
 
     /// Returns the key expression of all parameters at display rate.
     #[must_use]
     pub fn all_parameters(&self) -> String {
-        self.below("parameter/*")
+        self.all(KeyFamily::Parameter)
+    }
+
+    /// Returns the key of the loss of one parameter at display rate.
+    #[must_use]
+    pub fn loss(&self, parameter: &Name) -> String {
+        self.key(KeyFamily::Loss, parameter)
+    }
+
+    /// Returns the key expression of the losses of all parameters at display rate.
+    #[must_use]
+    pub fn all_losses(&self) -> String {
+        self.all(KeyFamily::Loss)
     }
 
     /// Returns the key of one noise parameter at display rate.
     #[must_use]
     pub fn noise(&self, name: &Name) -> String {
-        self.below(&format!("noise/{name}"))
+        self.key(KeyFamily::Noise, name)
     }
 
     /// Returns the key expression of all noise parameters at display rate.
     #[must_use]
     pub fn all_noise(&self) -> String {
-        self.below("noise/*")
+        self.all(KeyFamily::Noise)
     }
 
     /// Returns the key of the plausibility of the model classes.
     #[must_use]
     pub fn model_class(&self) -> String {
-        self.below("model-class")
+        self.all(KeyFamily::ModelClass)
     }
 
     /// Returns the key of the verdict on the fit.
     #[must_use]
     pub fn fit(&self) -> String {
-        self.below("fit")
+        self.all(KeyFamily::Fit)
     }
 
     /// Returns the key of the compressed local estimate of one node.
     #[must_use]
     pub fn local(&self, node: &Name) -> String {
-        self.below(&format!("local/{node}"))
+        self.key(KeyFamily::Local, node)
     }
 
     /// Returns the key of the station's feedback to one node.
     #[must_use]
     pub fn feedback(&self, node: &Name) -> String {
-        self.below(&format!("feedback/{node}"))
+        self.key(KeyFamily::Feedback, node)
     }
 
     /// Returns the key expression of the compressed local estimates of all nodes.
     #[must_use]
     pub fn all_local(&self) -> String {
-        self.below("local/*")
+        self.all(KeyFamily::Local)
     }
 
     /// Returns the key of the station's assessment of one node.
     #[must_use]
     pub fn node(&self, node: &Name) -> String {
-        self.below(&format!("node/{node}"))
+        self.key(KeyFamily::Node, node)
     }
 
     /// Returns the key expression of the station's assessments of all nodes.
     #[must_use]
     pub fn all_nodes(&self) -> String {
-        self.below("node/*")
+        self.all(KeyFamily::Node)
     }
 
     /// Returns the key of the outliers of one channel.
     #[must_use]
     pub fn outlier(&self, channel: &Name) -> String {
-        self.below(&format!("outlier/{channel}"))
+        self.key(KeyFamily::Outlier, channel)
     }
 
     /// Returns the key expression of the outliers of all channels.
     #[must_use]
     pub fn all_outliers(&self) -> String {
-        self.below("outlier/*")
+        self.all(KeyFamily::Outlier)
     }
 
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
-        self.below("event")
+        self.all(KeyFamily::Event)
     }
 
     /// Returns the key of the alert of one parameter.
     #[must_use]
     pub fn alert(&self, parameter: &Name) -> String {
-        self.below(&format!("alert/{parameter}"))
+        self.key(KeyFamily::Alert, parameter)
     }
 
     /// Returns the key expression of the alerts of all parameters, without their acknowledgements.
     #[must_use]
     pub fn all_alerts(&self) -> String {
-        self.below("alert/*")
+        self.all(KeyFamily::Alert)
     }
 
     /// Returns the key to query the latest alert changes. The alert service replies.
     #[must_use]
     pub fn alert_log(&self) -> String {
-        self.below("@alert-log")
+        self.all(KeyFamily::AlertLog)
     }
 
     /// Returns the key to acknowledge the alert of one parameter.
     #[must_use]
     pub fn acknowledge(&self, parameter: &Name) -> String {
-        self.below(&format!("alert/{parameter}/acknowledge"))
+        self.key(KeyFamily::Acknowledge, parameter)
     }
 
     /// Returns the key expression of the acknowledgements of all alerts.
     #[must_use]
     pub fn all_acknowledgements(&self) -> String {
-        self.below("alert/*/acknowledge")
+        self.all(KeyFamily::Acknowledge)
     }
 
     /// Returns the key of the progress of one service.
     #[must_use]
     pub fn progress(&self, service: Service) -> String {
-        self.below(&format!("progress/{}", service.as_str()))
+        self.all(KeyFamily::Progress(service))
     }
 
     /// Returns the key of the status of one instance of a service.
     #[must_use]
     pub fn status(&self, service: Service, id: &Name) -> String {
-        self.below(&format!("status/{}/{id}", service.as_str()))
+        self.key(KeyFamily::Status(service), id)
     }
 
     /// Returns the key expression of the statuses of all instances of one service.
     #[must_use]
     pub fn statuses(&self, service: Service) -> String {
-        self.below(&format!("status/{}/*", service.as_str()))
+        self.all(KeyFamily::Status(service))
     }
 
     /// Returns the key expression of the statuses of all instances of all services.
     #[must_use]
     pub fn all_statuses(&self) -> String {
-        self.below("status/*/*")
+        expression_of(&self.root, Some(&self.structure), "status/*/*")
     }
 
     /// Returns the key of the liveliness token of one instance of a service. For a sensor, `id` is
     /// the node.
     #[must_use]
     pub fn live(&self, service: Service, id: &Name) -> String {
-        self.below(&format!("live/{}/{id}", service.as_str()))
+        self.key(KeyFamily::Live(service), id)
     }
 
     /// Returns the key expression of the liveliness tokens of all instances of a service.
     #[must_use]
     pub fn all_live(&self, service: Service) -> String {
-        self.below(&format!("live/{}/*", service.as_str()))
+        self.all(KeyFamily::Live(service))
     }
 
     /// Returns the key of the liveliness token that claims the lead of the identification. `claim`
     /// is the name of the claim.
     #[must_use]
     pub fn leader(&self, claim: &Name) -> String {
-        self.below(&format!("leader/identify/{claim}"))
+        self.key(KeyFamily::Leader, claim)
     }
 
     /// Returns the key expression of all claims to lead the identification.
     #[must_use]
     pub fn all_leaders(&self) -> String {
-        self.below("leader/identify/*")
+        self.all(KeyFamily::Leader)
     }
 
     /// Returns the key to query the state of the leading identification.
     #[must_use]
     pub fn state(&self) -> String {
-        self.below("@state")
+        self.all(KeyFamily::State)
     }
 
     /// Returns the key to query the structure file.
     #[must_use]
     pub fn description(&self) -> String {
-        self.below("description")
+        self.all(KeyFamily::Description)
     }
 
     /// Returns the key to query the history of one parameter. The query parameter `kind` selects
     /// another quantity of this name.
     #[must_use]
     pub fn history(&self, parameter: &Name) -> String {
-        self.below(&format!("history/{parameter}"))
+        self.key(KeyFamily::History, parameter)
     }
 
     /// Returns the key expression of all histories.
     #[must_use]
     pub fn all_history(&self) -> String {
-        self.below("history/*")
+        self.all(KeyFamily::History)
     }
 
     /// Returns the key to query the log of alerts, acknowledgements and events.
     #[must_use]
     pub fn history_log(&self) -> String {
-        self.below("@history-log")
+        self.all(KeyFamily::HistoryLog)
     }
 }
 
@@ -331,8 +349,12 @@ impl Service {
         }
     }
 
-    fn from_chunk(chunk: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| s.as_str() == chunk)
+    /// Returns the service of this name. `None` if there is none.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|service| service.as_str() == name)
     }
 }
 
@@ -353,6 +375,8 @@ pub enum KeyFamily {
     EstimatesBuffer,
     /// [`Keys::parameter`], one per parameter
     Parameter,
+    /// [`Keys::loss`], one per parameter
+    Loss,
     /// [`Keys::noise`], one per noise parameter
     Noise,
     /// [`Keys::model_class`]
@@ -394,6 +418,84 @@ pub enum KeyFamily {
 }
 
 impl KeyFamily {
+    /// Returns all families.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let of_services = [Self::Progress, Self::Status, Self::Live]
+            .into_iter()
+            .flat_map(|of_service| Service::ALL.map(of_service));
+        Self::WITHOUT_SERVICE.into_iter().chain(of_services)
+    }
+
+    const WITHOUT_SERVICE: [Self; 24] = [
+        Self::Samples,
+        Self::Buffer,
+        Self::Frames,
+        Self::Recording,
+        Self::Estimates,
+        Self::EstimatesBuffer,
+        Self::Parameter,
+        Self::Loss,
+        Self::Noise,
+        Self::ModelClass,
+        Self::Fit,
+        Self::Local,
+        Self::Feedback,
+        Self::Node,
+        Self::Outlier,
+        Self::Event,
+        Self::Alert,
+        Self::Acknowledge,
+        Self::Leader,
+        Self::State,
+        Self::Description,
+        Self::History,
+        Self::HistoryLog,
+        Self::AlertLog,
+    ];
+
+    /// Returns the part of the keys below the structure: the only list of their texts.
+    ///
+    /// `{of}` stands for the name of an item, `{service}` for the name of the service.
+    fn pattern(self) -> &'static str {
+        match self {
+            Self::Samples => "sensor/{of}/samples",
+            Self::Buffer => "sensor/{of}/@buffer",
+            Self::Frames => "frames",
+            Self::Recording => "@recording",
+            Self::Estimates => "estimates",
+            Self::EstimatesBuffer => "@estimates",
+            Self::Parameter => "parameter/{of}",
+            Self::Loss => "loss/{of}",
+            Self::Noise => "noise/{of}",
+            Self::ModelClass => "model-class",
+            Self::Fit => "fit",
+            Self::Local => "local/{of}",
+            Self::Feedback => "feedback/{of}",
+            Self::Node => "node/{of}",
+            Self::Outlier => "outlier/{of}",
+            Self::Event => "event",
+            Self::Alert => "alert/{of}",
+            Self::Acknowledge => "alert/{of}/acknowledge",
+            Self::Progress(_) => "progress/{service}",
+            Self::Status(_) => "status/{service}/{of}",
+            Self::Live(_) => "live/{service}/{of}",
+            Self::Leader => "leader/identify/{of}",
+            Self::State => "@state",
+            Self::Description => "description",
+            Self::History => "history/{of}",
+            Self::HistoryLog => "@history-log",
+            Self::AlertLog => "@alert-log",
+        }
+    }
+
+    /// Returns the service whose keys these are. `None` if the keys do not name a service.
+    fn service(self) -> Option<Service> {
+        match self {
+            Self::Progress(service) | Self::Status(service) | Self::Live(service) => Some(service),
+            _ => None,
+        }
+    }
+
     /// Returns the key expression of the family.
     ///
     /// `None` for `structure` or `of` selects all structures or all names.
@@ -406,36 +508,8 @@ impl KeyFamily {
     /// ```
     #[must_use]
     pub fn expression(self, root: &Name, structure: Option<&Name>, of: Option<&Name>) -> String {
-        let of = of.map_or("*", Name::as_str);
-        let rest = match self {
-            Self::Samples => format!("sensor/{of}/samples"),
-            Self::Buffer => format!("sensor/{of}/@buffer"),
-            Self::Frames => "frames".to_owned(),
-            Self::Recording => "@recording".to_owned(),
-            Self::Estimates => "estimates".to_owned(),
-            Self::EstimatesBuffer => "@estimates".to_owned(),
-            Self::Parameter => format!("parameter/{of}"),
-            Self::Noise => format!("noise/{of}"),
-            Self::ModelClass => "model-class".to_owned(),
-            Self::Fit => "fit".to_owned(),
-            Self::Local => format!("local/{of}"),
-            Self::Feedback => format!("feedback/{of}"),
-            Self::Node => format!("node/{of}"),
-            Self::Outlier => format!("outlier/{of}"),
-            Self::Event => "event".to_owned(),
-            Self::Alert => format!("alert/{of}"),
-            Self::Acknowledge => format!("alert/{of}/acknowledge"),
-            Self::Progress(service) => format!("progress/{}", service.as_str()),
-            Self::Status(service) => format!("status/{}/{of}", service.as_str()),
-            Self::Live(service) => format!("live/{}/{of}", service.as_str()),
-            Self::Leader => format!("leader/identify/{of}"),
-            Self::State => "@state".to_owned(),
-            Self::Description => "description".to_owned(),
-            Self::History => format!("history/{of}"),
-            Self::HistoryLog => "@history-log".to_owned(),
-            Self::AlertLog => "@alert-log".to_owned(),
-        };
-        format!("{root}/{}/{rest}", structure.map_or("*", Name::as_str))
+        let below = self.below_structure(of, self.service());
+        expression_of(root, structure, &below)
     }
 
     /// Returns one key expression for the keys of all services.
@@ -447,98 +521,70 @@ impl KeyFamily {
         root: &Name,
         structure: Option<&Name>,
     ) -> Option<String> {
-        let rest = match self {
-            Self::Progress(_) => "progress/*",
-            Self::Status(_) => "status/*/*",
-            Self::Live(_) => "live/*/*",
-            _ => return None,
-        };
-        Some(format!(
-            "{root}/{}/{rest}",
-            structure.map_or("*", Name::as_str)
+        self.service()?;
+        Some(expression_of(
+            root,
+            structure,
+            &self.below_structure(None, None),
         ))
     }
 
-    /// Returns all families.
-    #[must_use]
-    pub fn all() -> Vec<Self> {
-        use KeyFamily as K;
-        let mut all = vec![
-            K::Samples,
-            K::Buffer,
-            K::Frames,
-            K::Recording,
-            K::Estimates,
-            K::EstimatesBuffer,
-        ];
-        all.extend([
-            K::Parameter,
-            K::Noise,
-            K::ModelClass,
-            K::Fit,
-            K::Local,
-            K::Feedback,
-            K::Node,
-            K::Outlier,
-            K::Event,
-        ]);
-        all.extend([K::Alert, K::Acknowledge]);
-        for of_service in [K::Progress, K::Status, K::Live] {
-            all.extend(Service::ALL.map(of_service));
+    /// Returns the part of a key expression below the structure. `None` selects all.
+    fn below_structure(self, of: Option<&Name>, service: Option<Service>) -> String {
+        self.pattern()
+            .replace("{of}", of.map_or("*", Name::as_str))
+            .replace("{service}", service.map_or("*", Service::as_str))
+    }
+
+    /// Returns the topic of the part of a key below the structure. `None` if it belongs to another
+    /// family.
+    fn topic(self, below: &str) -> Option<Topic> {
+        let mut of = None;
+        let mut chunks = below.split('/');
+        for pattern in self.pattern().split('/') {
+            let chunk = chunks.next()?;
+            match pattern {
+                "{of}" => of = Some(Name::new(chunk).ok()?),
+                "{service}" if self.service()?.as_str() == chunk => {}
+                word if word == chunk => {}
+                _ => return None,
+            }
         }
-        all.extend([
-            K::Leader,
-            K::State,
-            K::Description,
-            K::History,
-            K::HistoryLog,
-            K::AlertLog,
-        ]);
-        all
+        chunks
+            .next()
+            .is_none()
+            .then_some(Topic { family: self, of })
     }
 }
 
-/// The content of a concrete key, the inverse of the methods of [`Keys`].
+fn expression_of(root: &Name, structure: Option<&Name>, below: &str) -> String {
+    format!("{root}/{}/{below}", structure.map_or("*", Name::as_str))
+}
+
+/// The content of a concrete key below its structure, the inverse of the methods of [`Keys`].
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Topic {
-    /// [`Keys::samples`]
-    Samples(Name),
-    /// [`Keys::frames`]
-    Frames,
-    /// [`Keys::estimates`]
-    Estimates,
-    /// [`Keys::parameter`]
-    Parameter(Name),
-    /// [`Keys::noise`]
-    Noise(Name),
-    /// [`Keys::model_class`]
-    ModelClass,
-    /// [`Keys::fit`]
-    Fit,
-    /// [`Keys::local`]
-    Local(Name),
-    /// [`Keys::feedback`]
-    Feedback(Name),
-    /// [`Keys::node`]
-    Node(Name),
-    /// [`Keys::outlier`]
-    Outlier(Name),
-    /// [`Keys::event`]
-    Event,
-    /// [`Keys::alert`]
-    Alert(Name),
-    /// [`Keys::acknowledge`]
-    Acknowledge(Name),
-    /// [`Keys::progress`]
-    Progress(Service),
-    /// [`Keys::status`]
-    Status(Service, Name),
-    /// [`Keys::live`]
-    Live(Service, Name),
-    /// [`Keys::description`]
-    Description,
-    /// [`Keys::history`]
-    History(Name),
+pub struct Topic {
+    /// The family of the key.
+    pub family: KeyFamily,
+    /// The item, such as a parameter or a node. `None` if the family has a single key.
+    pub of: Option<Name>,
+}
+
+impl Topic {
+    /// Creates the topic of one item of a family.
+    #[must_use]
+    pub fn new(family: KeyFamily, of: &Name) -> Self {
+        Self {
+            family,
+            of: Some(of.clone()),
+        }
+    }
+
+    /// Creates the topic of a family that has a single key.
+    #[must_use]
+    pub fn single(family: KeyFamily) -> Self {
+        Self { family, of: None }
+    }
 }
 
 /// Parses a concrete key into its structure and topic.
@@ -546,40 +592,17 @@ pub enum Topic {
 /// Returns `None` if the key has another root or is not a Spandrel topic.
 ///
 /// ```
-/// use spandrel_bus::{Topic, parse_key};
+/// use spandrel_bus::{KeyFamily, Topic, parse_key};
 /// let (structure, topic) = parse_key(&"spandrel".parse()?, "spandrel/tower/frames").unwrap();
-/// assert_eq!((structure.as_str(), topic), ("tower", Topic::Frames));
+/// assert_eq!((structure.as_str(), topic), ("tower", Topic::single(KeyFamily::Frames)));
 /// # Ok::<(), spandrel_bus::NameError>(())
 /// ```
 #[must_use]
 pub fn parse_key(root: &Name, key: &str) -> Option<(Name, Topic)> {
     let rest = key.strip_prefix(root.as_str())?.strip_prefix('/')?;
-    let (structure, rest) = rest.split_once('/')?;
+    let (structure, below) = rest.split_once('/')?;
     let structure = Name::new(structure).ok()?;
-    let name = |chunk: &str| Name::new(chunk).ok();
-    let chunks: Vec<&str> = rest.split('/').collect();
-    let topic = match chunks.as_slice() {
-        ["sensor", node, "samples"] => Topic::Samples(name(node)?),
-        ["frames"] => Topic::Frames,
-        ["estimates"] => Topic::Estimates,
-        ["parameter", parameter] => Topic::Parameter(name(parameter)?),
-        ["noise", noise] => Topic::Noise(name(noise)?),
-        ["model-class"] => Topic::ModelClass,
-        ["fit"] => Topic::Fit,
-        ["local", node] => Topic::Local(name(node)?),
-        ["feedback", node] => Topic::Feedback(name(node)?),
-        ["node", node] => Topic::Node(name(node)?),
-        ["outlier", channel] => Topic::Outlier(name(channel)?),
-        ["event"] => Topic::Event,
-        ["alert", parameter] => Topic::Alert(name(parameter)?),
-        ["alert", parameter, "acknowledge"] => Topic::Acknowledge(name(parameter)?),
-        ["progress", service] => Topic::Progress(Service::from_chunk(service)?),
-        ["status", service, id] => Topic::Status(Service::from_chunk(service)?, name(id)?),
-        ["live", service, id] => Topic::Live(Service::from_chunk(service)?, name(id)?),
-        ["description"] => Topic::Description,
-        ["history", parameter] => Topic::History(name(parameter)?),
-        _ => return None,
-    };
+    let topic = KeyFamily::all().find_map(|family| family.topic(below))?;
     Some((structure, topic))
 }
 
@@ -598,7 +621,43 @@ mod tests {
             (keys.samples(&n), "spandrel/tower/sensor/storey-1/samples"),
             (keys.frames(), "spandrel/tower/frames"),
             (keys.estimates(), "spandrel/tower/estimates"),
+            (keys.buffer(&n), "spandrel/tower/sensor/storey-1/@buffer"),
+            (keys.recording(), "spandrel/tower/@recording"),
+            (keys.estimates_buffer(), "spandrel/tower/@estimates"),
             (keys.parameter(&n), "spandrel/tower/parameter/storey-1"),
+            (keys.all_parameters(), "spandrel/tower/parameter/*"),
+            (keys.loss(&n), "spandrel/tower/loss/storey-1"),
+            (keys.all_losses(), "spandrel/tower/loss/*"),
+            (keys.noise(&n), "spandrel/tower/noise/storey-1"),
+            (keys.all_noise(), "spandrel/tower/noise/*"),
+            (keys.model_class(), "spandrel/tower/model-class"),
+            (keys.fit(), "spandrel/tower/fit"),
+            (keys.local(&n), "spandrel/tower/local/storey-1"),
+            (keys.all_local(), "spandrel/tower/local/*"),
+            (keys.feedback(&n), "spandrel/tower/feedback/storey-1"),
+            (keys.node(&n), "spandrel/tower/node/storey-1"),
+            (keys.all_nodes(), "spandrel/tower/node/*"),
+            (keys.outlier(&n), "spandrel/tower/outlier/storey-1"),
+            (keys.all_outliers(), "spandrel/tower/outlier/*"),
+            (keys.event(), "spandrel/tower/event"),
+            (keys.all_alerts(), "spandrel/tower/alert/*"),
+            (
+                keys.all_acknowledgements(),
+                "spandrel/tower/alert/*/acknowledge",
+            ),
+            (
+                keys.status(Service::Fuse, &n),
+                "spandrel/tower/status/fuse/storey-1",
+            ),
+            (keys.statuses(Service::Fuse), "spandrel/tower/status/fuse/*"),
+            (keys.all_statuses(), "spandrel/tower/status/*/*"),
+            (
+                keys.all_live(Service::Sensor),
+                "spandrel/tower/live/sensor/*",
+            ),
+            (keys.all_leaders(), "spandrel/tower/leader/identify/*"),
+            (keys.description(), "spandrel/tower/description"),
+            (keys.all_history(), "spandrel/tower/history/*"),
             (keys.alert(&n), "spandrel/tower/alert/storey-1"),
             (
                 keys.acknowledge(&n),
@@ -612,9 +671,6 @@ mod tests {
                 keys.live(Service::Ingest, &n),
                 "spandrel/tower/live/ingest/storey-1",
             ),
-            (keys.recording(), "spandrel/tower/@recording"),
-            (keys.buffer(&n), "spandrel/tower/sensor/storey-1/@buffer"),
-            (keys.estimates_buffer(), "spandrel/tower/@estimates"),
             (keys.history(&n), "spandrel/tower/history/storey-1"),
             (keys.history_log(), "spandrel/tower/@history-log"),
             (keys.alert_log(), "spandrel/tower/@alert-log"),
@@ -623,96 +679,36 @@ mod tests {
         ];
         for (found, expected) in expected {
             assert_eq!(found, expected);
+            let is_known = parse_key(keys.root(), &found).is_some();
+            assert_eq!(is_known, !found.contains('*'), "{found}");
         }
     }
 
     #[test]
-    fn families_are_the_keys_that_services_use() {
-        let (keys, n) = (keys(), Name::new("storey-1").unwrap());
-        let one =
-            |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), Some(&n));
-        let mut used = vec![
-            keys.samples(&n),
-            keys.buffer(&n),
-            keys.frames(),
-            keys.recording(),
-            keys.estimates(),
-            keys.estimates_buffer(),
-            keys.parameter(&n),
-            keys.noise(&n),
-            keys.model_class(),
-            keys.fit(),
-            keys.local(&n),
-            keys.feedback(&n),
-            keys.node(&n),
-            keys.outlier(&n),
-            keys.event(),
-            keys.alert(&n),
-            keys.acknowledge(&n),
-            keys.description(),
-            keys.history(&n),
-            keys.history_log(),
-            keys.alert_log(),
-            keys.leader(&n),
-            keys.state(),
-        ];
-        used.extend(Service::ALL.map(|service| keys.progress(service)));
-        used.extend(Service::ALL.map(|service| keys.status(service, &n)));
-        used.extend(Service::ALL.map(|service| keys.live(service, &n)));
-        used.sort();
-        let mut families: Vec<String> = KeyFamily::all().into_iter().map(one).collect();
-        families.sort();
-        assert_eq!(families, used);
-        let all = |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), None);
-        assert_eq!(all(KeyFamily::Alert), keys.all_alerts());
-        assert_eq!(all(KeyFamily::Acknowledge), keys.all_acknowledgements());
-        assert_eq!(
-            all(KeyFamily::Live(Service::Sensor)),
-            keys.all_live(Service::Sensor)
-        );
-        assert_eq!(all(KeyFamily::Leader), keys.all_leaders());
-        let statuses = KeyFamily::Status(Service::Fuse)
-            .expression_of_all_services(keys.root(), Some(keys.structure()));
-        assert_eq!(statuses, Some(keys.all_statuses()));
-    }
-
-    #[test]
-    fn what_is_built_is_parsed_back() {
+    fn each_key_is_parsed_back_to_its_family_and_item() {
         let (keys, n) = (keys(), Name::new("n-1").unwrap());
-        let cases = [
-            (keys.samples(&n), Topic::Samples(n.clone())),
-            (keys.frames(), Topic::Frames),
-            (keys.estimates(), Topic::Estimates),
-            (keys.parameter(&n), Topic::Parameter(n.clone())),
-            (keys.noise(&n), Topic::Noise(n.clone())),
-            (keys.model_class(), Topic::ModelClass),
-            (keys.fit(), Topic::Fit),
-            (keys.local(&n), Topic::Local(n.clone())),
-            (keys.feedback(&n), Topic::Feedback(n.clone())),
-            (keys.node(&n), Topic::Node(n.clone())),
-            (keys.outlier(&n), Topic::Outlier(n.clone())),
-            (keys.event(), Topic::Event),
-            (keys.alert(&n), Topic::Alert(n.clone())),
-            (keys.acknowledge(&n), Topic::Acknowledge(n.clone())),
-            (
-                keys.progress(Service::Alert),
-                Topic::Progress(Service::Alert),
-            ),
-            (
-                keys.status(Service::Fuse, &n),
-                Topic::Status(Service::Fuse, n.clone()),
-            ),
-            (
-                keys.live(Service::Sensor, &n),
-                Topic::Live(Service::Sensor, n.clone()),
-            ),
-            (keys.description(), Topic::Description),
-            (keys.history(&n), Topic::History(n.clone())),
-        ];
-        for (key, topic) in cases {
+        for family in KeyFamily::all() {
+            let has_items = family.pattern().contains("{of}");
+            let key = keys.key(family, &n);
+            let topic = Topic {
+                family,
+                of: has_items.then(|| n.clone()),
+            };
             let parsed = parse_key(keys.root(), &key);
             assert_eq!(parsed, Some((keys.structure().clone(), topic)), "{key}");
         }
+    }
+
+    #[test]
+    fn no_two_families_share_a_key() {
+        let (keys, n) = (keys(), Name::new("n-1").unwrap());
+        let all: std::collections::BTreeSet<String> = KeyFamily::all()
+            .map(|family| keys.key(family, &n))
+            .collect();
+        assert_eq!(all.len(), KeyFamily::all().count());
+        let statuses = KeyFamily::Status(Service::Fuse)
+            .expression_of_all_services(keys.root(), Some(keys.structure()));
+        assert_eq!(statuses, Some(keys.all_statuses()));
     }
 
     #[test]

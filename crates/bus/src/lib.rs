@@ -38,6 +38,7 @@
 
 mod name;
 
+mod decimation;
 mod grid;
 mod keys;
 mod message;
@@ -77,6 +78,7 @@ pub type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 
 
 pub use archive::Archive;
 pub use arrivals::Arrivals;
+pub use decimation::Decimation;
 pub use endpoint::{in_order, is_loopback};
 pub use error::{BusError, ZenohError};
 pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Patience, Silence, Start};
@@ -89,12 +91,12 @@ pub use message::{
     ClassCalibration, ClassPlausibility, CredibleInterval, DecodeError, Description, EncodeError,
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, FitDisplay,
     FitReason, FitReasons, FitVerdict, Format, FrameBlock, Header, HistoryLog, HistoryRows,
-    HistorySpan, Load, LocalDensity, LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES,
-    MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay,
-    MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay,
-    Pace, ParameterDisplay, Phase, Progress, RoundedProbability, SampleBlock, ScreenedChannel,
-    Standing, StateMessage, Status, StreamState, ToldMotion, ToldSamples, UndecidedBecause,
-    fit_in_words, is_without_date, pace_told,
+    HistorySpan, Load, LocalDensity, LocalMessage, LossDisplay, MAX_CHANNELS, MAX_ITEMS,
+    MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message,
+    ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState,
+    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, RoundedProbability,
+    SampleBlock, ScreenedChannel, Standing, StateMessage, Status, StreamState, ToldMotion,
+    ToldSamples, UndecidedBecause, fit_in_words, is_without_date, pace_told,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

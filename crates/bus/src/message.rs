@@ -14,6 +14,7 @@ mod frames;
 mod header;
 mod history;
 mod local;
+mod loss;
 mod model_class;
 mod node;
 mod noise;
@@ -48,6 +49,7 @@ pub use local::{
     LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,
     ToldSamples,
 };
+pub use loss::LossDisplay;
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
 pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;

@@ -14,10 +14,10 @@ use proptest::prelude::*;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
     EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, FrameBlock, Header,
-    HistoryLog, HistorySpan, LocalDensity, LocalMessage, MAX_MESSAGE_BYTES, MaskedSpan, Message,
-    ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace,
-    ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage, Status, StreamState,
-    ToldMotion, ToldSamples,
+    HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
+    MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
+    OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage,
+    Status, StreamState, ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -194,7 +194,12 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         text::<Event>(event),
         text::<ParameterDisplay>(
             "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2,\
-             \"interval\":{\"level\":0.95,\"low\":0.6,\"high\":1.4},\"probability_of_loss\":0.4,\"loss\":0.05,\"reference\":1.0}",
+             \"interval\":{\"level\":0.95,\"low\":0.6,\"high\":1.4}}",
+        ),
+        text::<LossDisplay>(
+            "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"loss\":0.04,\
+             \"interval\":{\"level\":0.95,\"low\":0.01,\"high\":0.07},\"probability_of_loss\":0.4,\"rule_loss\":0.05,\
+             \"rule_credibility\":0.95,\"reference\":1.0,\"reference_std\":0.01}",
         ),
         text::<NoiseDisplay>(
             "{\"structure\":\"demo\",\"name\":\"ground\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2}",

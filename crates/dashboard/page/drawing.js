@@ -50,13 +50,12 @@ export class Drawing {
   }
 
   /** Colours the parts and marks the sensors. */
-  update({ parameters, sensors, alerts }) {
-    const asked = new Map(alerts.map((alert) => [alert.parameter, alert.rule_credibility]));
+  update({ losses, sensors }) {
     const found = new Map();
     for (const part of this.#parts) {
-      const known = part.parameters.filter((name) => parameters[name]).sort((a, b) => parameters[b].probability_of_loss - parameters[a].probability_of_loss);
-      const worst = known.length > 0 ? parameters[known[0]].probability_of_loss : null;
-      const told = probability(worst, asked.get(known[0]));
+      const known = part.parameters.flatMap((name) => losses[name] ?? []).sort((a, b) => b.probability_of_loss - a.probability_of_loss);
+      const worst = known[0]?.probability_of_loss ?? null;
+      const told = probability(worst, known[0]?.rule_credibility);
       found.set(part.name, { worst, told });
       setAttribute(part.element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "known";

@@ -84,7 +84,7 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
   setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)} ± ${ratio(worst.std)}` : "–");
-  const asked = worst ? ` for more than ${percent(worst.loss, 0)}` : "";
+  const asked = worst ? ` for more than ${percent(worst.rule_loss, 0)}` : "";
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);

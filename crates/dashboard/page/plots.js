@@ -32,17 +32,14 @@ const bandFills = () => [
 
 /** Creates the plot of a parameter: estimate with bands, threshold, and marks of its alerts. */
 export function parameterPlot(parameter, standing, points, span, id) {
-  const name = `parameter/${parameter.name}`;
-  const threshold = () => {
-    const shown = standing()?.parameters[parameter.name];
-    const alert = standing()?.alerts.find((alert) => alert.parameter === parameter.name);
-    const [loss, reference] = [alert?.rule_loss ?? shown?.loss ?? parameter.loss, alert?.reference ?? shown?.reference ?? parameter.reference];
-    return { loss, y: (1 - loss) * reference, credibility: alert?.rule_credibility };
-  };
+  const [name, lossName] = [`parameter/${parameter.name}`, `loss/${parameter.name}`];
+  /** The loss under the alert rule. Undefined without a rule, and while the reference is learnt. */
+  const known = () => standing()?.losses[parameter.name];
+  const threshold = () => known() && (1 - known().rule_loss) * known().reference;
   const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name);
   const marks = () => {
-    const { loss, y } = threshold();
-    const bound = parameter.stiffness ? [{ y, text: `threshold: ${percent(loss, 0)} lost`, colour: "--alarm" }] : [];
+    const loss = known();
+    const bound = loss && parameter.stiffness ? [{ y: threshold(), text: `threshold: ${percent(loss.rule_loss, 0)} lost`, colour: "--alarm" }] : [];
     const told = changes().toSorted((a, b) => WORDS_FIRST.indexOf(a.state) - WORDS_FIRST.indexOf(b.state));
     return [...bound, ...told.map((change) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
   };
@@ -52,8 +49,11 @@ export function parameterPlot(parameter, standing, points, span, id) {
       file: `parameter-${parameter.name}`,
       id,
       unit: parameter.stiffness ? "stiffness ratio (1)" : "ratio (1)",
-      names: [name],
-      rows: (columns) => [...meanWithBands(columns.get(name)), columns.get(name)[3]],
+      names: [name, lossName],
+      rows: (columns) => {
+        const estimates = columns.get(name) ?? [[], [], []];
+        return [...meanWithBands(estimates), latest(columns.get(lossName), 4, estimates[0])];
+      },
       series: () => [...bandSeries(), { show: false }],
       bands: bandFills,
       // Keeps the threshold in view, and prevents the wide bands of the first seconds from
@@ -61,18 +61,18 @@ export function parameterPlot(parameter, standing, points, span, id) {
       range: (u) => {
         const { min, max } = span.shown;
         const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= min && u.data[0][row] <= max);
-        const ends = [quantile(seen(u.data[2]), 0.05), quantile(seen(u.data[3]), 0.95), ...seen(u.data[1]).slice(-1), parameter.stiffness ? threshold().y : null];
-        const known = ends.filter((end) => end !== null);
-        if (known.length === 0) return [0, 2];
-        const [low, high] = [Math.min(...known), Math.max(...known)];
+        const ends = [quantile(seen(u.data[2]), 0.05), quantile(seen(u.data[3]), 0.95), ...seen(u.data[1]).slice(-1), parameter.stiffness ? threshold() : null];
+        const finite = ends.filter((end) => end != null);
+        if (finite.length === 0) return [0, 2];
+        const [low, high] = [Math.min(...finite), Math.max(...finite)];
         const room = Math.max((high - low) * 0.1, 0.005);
         return [low - room, high + room];
       },
       readout: (data, at) => {
         const [low, high] = [data[4][at], data[5][at]];
         if (data[1][at] === null) return "no data";
-        const { loss, credibility } = threshold();
-        const asked = parameter.stiffness ? ` · P(loss > ${percent(loss, 0)}) ${probability(data[8][at], credibility)}` : "";
+        const loss = known();
+        const asked = loss && parameter.stiffness && data[8][at] !== null ? ` · P(loss > ${percent(loss.rule_loss, 0)}) ${probability(data[8][at], loss.rule_credibility)}` : "";
         return `${ratio(data[1][at])} · 95 %: ${ratio(low)} to ${ratio(high)}${asked}`;
       },
       marks,
@@ -80,6 +80,15 @@ export function parameterPlot(parameter, standing, points, span, id) {
     points,
     span,
   );
+}
+
+/** Returns, for each time, the last value of a column up to that time. Null before the first. */
+function latest(columns, column, times) {
+  let row = -1;
+  return times.map((time) => {
+    while (columns && row + 1 < columns[0].length && columns[0][row + 1] <= time) row += 1;
+    return row < 0 ? null : columns[column][row];
+  });
 }
 
 function quantile(values, share) {

@@ -209,9 +209,10 @@ export class StructurePage {
       setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no decision");
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
-      const p = parameter.stiffness ? shown?.probability_of_loss : null;
-      setText(part.text, p === null ? "not a stiffness" : probability(p, alert?.rule_credibility));
-      part.bar.hidden = p === null;
+      const loss = standing.losses[parameter.name];
+      const p = parameter.stiffness ? loss?.probability_of_loss : null;
+      setText(part.text, p === null ? "not a stiffness" : probability(p, loss?.rule_credibility));
+      part.bar.hidden = p === null || p === undefined;
       part.bar.dataset.step = step(p) ?? "";
       part.bar.style.setProperty("--share", p ?? 0);
     };

@@ -29,8 +29,6 @@ pub(crate) struct AboutParameter {
     pub(crate) stiffness: bool,
     /// Loss threshold of the first rule on this parameter, as a share of the reference.
     pub(crate) loss: f64,
-    /// Reference for the loss, as a ratio to nominal.
-    pub(crate) reference: f64,
 }
 
 /// A noise level, shown as a variance.
@@ -61,14 +59,10 @@ impl About {
             .parameters()
             .iter()
             .enumerate()
-            .map(|(index, parameter)| {
-                let (loss, reference) = structure.displayed_loss(index);
-                AboutParameter {
-                    name: parameter.name().to_owned(),
-                    stiffness: parameter.is_stiffness(),
-                    loss,
-                    reference,
-                }
+            .map(|(index, parameter)| AboutParameter {
+                name: parameter.name().to_owned(),
+                stiffness: parameter.is_stiffness(),
+                loss: structure.loss_of_interest(index),
             });
         let noise = structure.noise_levels().iter();
         let noise = noise.map(|level| AboutNoise {

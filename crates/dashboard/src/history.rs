@@ -269,10 +269,13 @@ impl Span {
         let rows = &answer.rows;
         let row = |row: usize| {
             let values = match series.kind {
-                Kind::Parameter => {
-                    vec![rows.mean[row], rows.std[row], rows.probability_of_loss[row]]
-                }
-                Kind::Noise => vec![rows.mean[row], rows.std[row]],
+                Kind::Parameter | Kind::Noise => vec![rows.mean[row], rows.std[row]],
+                Kind::Loss => vec![
+                    rows.mean[row],
+                    rows.low[row],
+                    rows.high[row],
+                    rows.probability_of_loss[row],
+                ],
                 // the history does not store the other columns
                 Kind::Outlier | Kind::Node => vec![rows.largest[row]],
                 Kind::Class => vec![rows.mean[row]],

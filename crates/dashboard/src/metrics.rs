@@ -188,13 +188,12 @@ impl Metrics {
             let name = name.as_str();
             set(&self.mean, "parameter", name, display.mean);
             set(&self.std, "parameter", name, display.std);
+        }
+        for (name, display) in &store.state.losses {
+            let name = name.as_str();
+            let probability = display.probability_of_loss;
             set(&self.reference, "parameter", name, display.reference);
-            set(
-                &self.probability,
-                "parameter",
-                name,
-                display.probability_of_loss,
-            );
+            set(&self.probability, "parameter", name, probability);
         }
         for (name, display) in &store.state.noise {
             set(&self.noise, "name", name.as_str(), display.mean);
@@ -339,13 +338,13 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{alert, demo, fit, parameter, undecided};
+    use crate::testing::{alert, demo, fit, hear, undecided};
     use spandrel_listener::Input;
 
     #[test]
     fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
         let mut store = demo();
-        store.handle(parameter("storey-2", 5_000_000_000, 0.85, 0.997));
+        hear(&mut store, "storey-2", 5_000_000_000, 0.85, 0.997);
         store.handle(Input::Alert(alert(
             "storey-2",
             5_000_000_000,

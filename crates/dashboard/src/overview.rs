@@ -63,10 +63,11 @@ pub(crate) struct Overview {
 pub(crate) struct Worst {
     pub(crate) parameter: String,
     pub(crate) probability_of_loss: f64,
-    /// Probability at which the parameter's rule requires an alert. `None` if there is no alert
-    /// decision on the parameter yet.
-    pub(crate) credibility: Option<f64>,
+    /// Probability at which the parameter's rule requires an alert.
+    pub(crate) credibility: f64,
     /// Loss to which the probability refers, as a share of the reference.
+    pub(crate) rule_loss: f64,
+    /// Estimated loss, as a share of the reference.
     pub(crate) loss: f64,
     pub(crate) mean: f64,
     pub(crate) std: f64,
@@ -102,27 +103,27 @@ pub(crate) fn overview(store: &Store) -> Overview {
     let now = told.and_then(|alert| store.state.present_loss(alert));
     let worst = store
         .state
-        .parameters
+        .losses
         .values()
         .filter(|display| is_stiffness(store, display.parameter.as_str()));
     // If several losses are certain, the largest loss is the worst.
     let worst = worst.max_by(|a, b| {
-        let ratio = |display: &spandrel_bus::ParameterDisplay| display.mean / display.reference;
         a.probability_of_loss
             .total_cmp(&b.probability_of_loss)
-            .then(ratio(b).total_cmp(&ratio(a)))
+            .then(a.loss.total_cmp(&b.loss))
     });
-    let worst = worst.map(|display| Worst {
+    let worst = worst.and_then(|display| {
+        let estimate = store.state.parameters.get(display.parameter.as_str())?;
+        Some((display, estimate))
+    });
+    let worst = worst.map(|(display, estimate)| Worst {
         parameter: display.parameter.to_string(),
         probability_of_loss: display.probability_of_loss,
-        credibility: store
-            .state
-            .alerts
-            .get(display.parameter.as_str())
-            .map(|alert| alert.rule_credibility),
+        credibility: display.rule_credibility,
+        rule_loss: display.rule_loss,
         loss: display.loss,
-        mean: display.mean,
-        std: display.std,
+        mean: estimate.mean,
+        std: estimate.std,
     });
     let last_alert = store.changes.front().map(|alert| LastAlert {
         parameter: alert.parameter.to_string(),

@@ -31,6 +31,7 @@ const NEEDS: Needs = Needs {
         T::Ingested,
         T::Statuses,
         T::Parameters,
+        T::Losses,
         T::Noise,
         T::Outliers,
         T::Classes,

@@ -89,6 +89,7 @@ impl Store {
     fn is_relevant(&self, input: &Input) -> bool {
         match input {
             Input::Parameter(m) => self.has_parameter(m.parameter.as_str()),
+            Input::Loss(m) => self.has_parameter(m.parameter.as_str()),
             Input::Noise(m) => self.has_noise(m.name.as_str()),
             Input::Outlier(m) => self.has_channel(m.channel.as_str()),
             Input::Node(m) => self.has_node(m.node.as_str()),
@@ -104,8 +105,13 @@ impl Store {
     fn plot(&mut self, input: &Input) {
         match input {
             Input::Parameter(m) => {
-                let values = [m.mean, m.std, m.probability_of_loss];
+                let values = [m.mean, m.std];
                 self.push(Kind::Parameter, m.parameter.as_str(), m.time_ns, &values);
+            }
+            Input::Loss(m) => {
+                let ends = [m.interval.low, m.interval.high];
+                let values = [m.loss, ends[0], ends[1], m.probability_of_loss];
+                self.push(Kind::Loss, m.parameter.as_str(), m.time_ns, &values);
             }
             Input::Noise(m) => {
                 self.push(Kind::Noise, m.name.as_str(), m.time_ns, &[m.mean, m.std]);
@@ -308,7 +314,7 @@ impl Store {
     pub(crate) fn may_have(&self, name: &SeriesName) -> bool {
         let of = name.of.as_str();
         match name.kind {
-            Kind::Parameter => self.has_parameter(of),
+            Kind::Parameter | Kind::Loss => self.has_parameter(of),
             Kind::Noise => self.has_noise(of),
             Kind::Innovation | Kind::Outlier => self.has_channel(of),
             Kind::Consistency => of == ALL_CHANNELS,

@@ -3,8 +3,8 @@
 use crate::about::About;
 use crate::store::Store;
 use spandrel_bus::{
-    AlertMessage, AlertState, FitDisplay, FitReason, FitVerdict, Name, ParameterDisplay, Service,
-    UndecidedBecause,
+    AlertMessage, AlertState, CredibleInterval, FitDisplay, FitReason, FitVerdict, LossDisplay,
+    Name, ParameterDisplay, Service, UndecidedBecause,
 };
 use spandrel_listener::{Input, Instance};
 use spandrel_structure::Structure;
@@ -27,15 +27,24 @@ pub(crate) fn at(seconds: f64) -> Input {
     Input::Now(Duration::from_secs_f64(seconds))
 }
 
-pub(crate) fn parameter(of: &str, time_ns: i64, mean: f64, probability: f64) -> Input {
-    let mut display = ParameterDisplay::of_gaussian(
-        (&name("demo"), &name(of)),
+/// Passes an estimate of a parameter and its loss to a store.
+pub(crate) fn hear(store: &mut Store, of: &str, time_ns: i64, mean: f64, probability: f64) {
+    let (structure, parameter) = (name("demo"), name(of));
+    store.handle(Input::Parameter(ParameterDisplay::of_normal(
+        &structure, &parameter, time_ns, mean, 1e-4,
+    )));
+    store.handle(Input::Loss(LossDisplay {
+        structure,
+        parameter,
         time_ns,
-        (mean, 1e-4),
-        (0.05, 1.0),
-    );
-    display.probability_of_loss = probability;
-    Input::Parameter(display)
+        loss: 1.0 - mean,
+        interval: CredibleInterval::of_normal(1.0 - mean, 0.01),
+        probability_of_loss: probability,
+        rule_loss: 0.05,
+        rule_credibility: 0.99,
+        reference: 1.0,
+        reference_std: 0.0,
+    }));
 }
 
 /// Returns the presence of these services and nodes, and of no others.

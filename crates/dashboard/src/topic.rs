@@ -6,8 +6,11 @@ use std::fmt;
 /// Kind of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
-    /// A parameter: mean and standard deviation (ratios to nominal), and probability of loss.
+    /// A parameter: mean and standard deviation (ratios to nominal).
     Parameter,
+    /// The loss of a parameter: the loss and the ends of its 95 % interval (shares of the
+    /// reference), and the probability that the loss exceeds that of the rule.
+    Loss,
     /// A noise level: mean and standard deviation of a variance (unit²).
     Noise,
     /// Innovations of a channel: minimum and maximum of an interval (unit of the channel).
@@ -27,8 +30,9 @@ pub(crate) enum Kind {
 
 impl Kind {
     /// All kinds.
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 8] = [
         Self::Parameter,
+        Self::Loss,
         Self::Noise,
         Self::Innovation,
         Self::Consistency,
@@ -41,6 +45,7 @@ impl Kind {
     pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Parameter => "parameter",
+            Self::Loss => "loss",
             Self::Noise => "noise",
             Self::Innovation => "innovation",
             Self::Consistency => "consistency",
@@ -53,8 +58,8 @@ impl Kind {
     /// Returns the names of the columns.
     pub(crate) fn columns(self) -> &'static [&'static str] {
         match self {
-            Self::Parameter => &["mean", "std", "probability_of_loss"],
-            Self::Noise => &["mean", "std"],
+            Self::Parameter | Self::Noise => &["mean", "std"],
+            Self::Loss => &["loss", "low", "high", "probability_of_loss"],
             Self::Innovation => &["least", "largest"],
             Self::Consistency => &["normalised_innovation_squared"],
             Self::Outlier => &["recent_share", "flagged"],
@@ -66,8 +71,13 @@ impl Kind {
     /// Creates an empty series of this kind.
     pub(crate) fn series(self) -> Series {
         Series::new(match self {
-            Self::Parameter => &[Combine::Last, Combine::Last, Combine::Largest],
-            Self::Noise => &[Combine::Last, Combine::Last],
+            Self::Parameter | Self::Noise => &[Combine::Last, Combine::Last],
+            Self::Loss => &[
+                Combine::Last,
+                Combine::Last,
+                Combine::Last,
+                Combine::Largest,
+            ],
             Self::Innovation => &[Combine::Least, Combine::Largest],
             Self::Consistency | Self::Class => &[Combine::Last],
             Self::Outlier => &[Combine::Largest, Combine::Sum],

@@ -4,8 +4,8 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay, Phase, Service, Status,
+    AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,6 +18,7 @@ const EVENTS_SHOWN: usize = 50;
 #[derive(Debug, Serialize)]
 pub(crate) struct Standing<'s> {
     parameters: &'s BTreeMap<Name, ParameterDisplay>,
+    losses: &'s BTreeMap<Name, LossDisplay>,
     noise: &'s BTreeMap<Name, NoiseDisplay>,
     outliers: &'s BTreeMap<Name, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
@@ -86,6 +87,7 @@ impl<'s> Standing<'s> {
         };
         Self {
             parameters: &store.state.parameters,
+            losses: &store.state.losses,
             noise: &store.state.noise,
             outliers: &store.state.outliers,
             classes: store.state.classes.as_ref(),

@@ -134,9 +134,9 @@ impl Site {
     }
 
     async fn put(&self, time_s: i64, mean: f64) {
-        let names = (&name("demo"), &name("storey-2"));
+        let time_ns = time_s * 1_000_000_000;
         let display =
-            ParameterDisplay::of_gaussian(names, time_s * 1_000_000_000, (mean, 1e-4), (0.05, 1.0));
+            ParameterDisplay::of_normal(&name("demo"), &name("storey-2"), time_ns, mean, 1e-4);
         self.parameter.put(&display).await.unwrap();
     }
 

@@ -78,7 +78,7 @@ pub struct Fusion {
     epoch: u64,
     station: Station,
     nodes: Vec<Node>,
-    parameters: Vec<(Name, (f64, f64))>,
+    parameters: Vec<Name>,
     rate_hz: f64,
     distance_limit: Option<f64>,
     /// Time of fusion 0, in ns.
@@ -139,9 +139,6 @@ impl Fusion {
                 channels.collect::<Result<_, FuseError>>()?,
             ))
         };
-        let parameter = |(index, parameter): (usize, &spandrel_structure::Parameter)| {
-            Ok((named(parameter.name())?, structure.displayed_loss(index)))
-        };
         Ok(Self {
             structure: named(structure.name())?,
             source: source.into(),
@@ -158,8 +155,7 @@ impl Fusion {
             parameters: structure
                 .parameters()
                 .iter()
-                .enumerate()
-                .map(parameter)
+                .map(|parameter| named(parameter.name()))
                 .collect::<Result<_, FuseError>>()?,
             rate_hz: plan.rate_hz(),
             distance_limit: plan
@@ -260,7 +256,7 @@ impl Fusion {
 
     /// Returns the names of the parameters in the order of the estimates.
     pub fn parameter_names(&self) -> impl Iterator<Item = &Name> {
-        self.parameters.iter().map(|(name, _)| name)
+        self.parameters.iter()
     }
 
     /// Returns the names of the nodes in the order of the structure file.
@@ -529,18 +525,12 @@ impl Fusion {
             vec![estimate],
             StreamState::Running,
         )));
-        for (index, (name, asked)) in self.parameters.iter().enumerate() {
-            let (mean, variance) = (
-                fused.parameters.mean[index],
-                fused.parameters.covariance[(index, index)],
-            );
-            let names = (&self.structure, name);
-            outputs.push(Output::Parameter(ParameterDisplay::of_gaussian(
-                names,
-                time_ns,
-                (mean, variance),
-                *asked,
-            )));
+        for (index, name) in self.parameters.iter().enumerate() {
+            let mean = fused.parameters.mean[index];
+            let variance = fused.parameters.covariance[(index, index)];
+            let display =
+                ParameterDisplay::of_normal(&self.structure, name, time_ns, mean, variance);
+            outputs.push(Output::Parameter(display));
         }
         self.answer(&fused, number, time_ns, outputs);
         self.tell_nodes(&fused, time_ns, outputs);

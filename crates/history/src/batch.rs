@@ -1,7 +1,7 @@
 //! The unit of writing, and its collection from messages.
 
 use crate::sums::Sums;
-use spandrel_bus::{Acknowledgement, AlertMessage, Event};
+use spandrel_bus::{Acknowledgement, AlertMessage, CredibleInterval, Event};
 use spandrel_listener::Input;
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,8 +16,11 @@ const SECOND_NS: i64 = 1_000_000_000;
 /// The kind of quantity of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Kind {
-    /// A parameter (ratio to nominal) with its standard deviation and probability of loss.
+    /// A parameter (ratio to nominal) with its standard deviation.
     Parameter,
+    /// The loss of a parameter (share of the reference) with its standard deviation and
+    /// probability.
+    Loss,
     /// A noise level (variance, unit²) with its standard deviation.
     Noise,
     /// The share of rejected samples among the recent samples of a channel.
@@ -29,8 +32,9 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 5] = [
+    pub(crate) const ALL: [Self; 6] = [
         Self::Parameter,
+        Self::Loss,
         Self::Noise,
         Self::Outlier,
         Self::Class,
@@ -41,6 +45,7 @@ impl Kind {
     pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Parameter => "parameter",
+            Self::Loss => "loss",
             Self::Noise => "noise",
             Self::Outlier => "outlier",
             Self::Class => "class",
@@ -107,10 +112,9 @@ impl Collector {
             kind,
             name: name.to_owned(),
         };
-        let parameters = structure
-            .parameters()
-            .iter()
-            .map(|parameter| series(Kind::Parameter, parameter.name()));
+        let parameters = structure.parameters().iter().flat_map(|parameter| {
+            [Kind::Parameter, Kind::Loss].map(|kind| series(kind, parameter.name()))
+        });
         let nodes = structure
             .nodes()
             .iter()
@@ -149,7 +153,17 @@ impl Collector {
                     Kind::Parameter,
                     m.parameter.as_str(),
                     m.time_ns,
-                    [m.mean, m.std, m.probability_of_loss],
+                    [m.mean, m.std, 0.0],
+                );
+            }
+            Input::Loss(m) => {
+                let width = 2.0 * CredibleInterval::HALF_WIDTH_95;
+                let std = (m.interval.high - m.interval.low) / width;
+                self.push(
+                    Kind::Loss,
+                    m.parameter.as_str(),
+                    m.time_ns,
+                    [m.loss, std, m.probability_of_loss],
                 );
             }
             Input::Noise(m) => self.push(

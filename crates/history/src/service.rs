@@ -6,8 +6,8 @@ use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
-    BoxedFuture, Bus, DisplayPublisher, Keys, LiveToken, Name, Question, Questions, Service,
-    SpanQuery, Status, Topic, parse_key,
+    BoxedFuture, Bus, DisplayPublisher, KeyFamily, Keys, LiveToken, Name, Question, Questions,
+    Service, SpanQuery, Status, Topic, parse_key,
 };
 use spandrel_listener::{DisplayTopic as T, Listener, Needs};
 use spandrel_structure::Structure;
@@ -27,6 +27,7 @@ use tracing::{info, warn};
 const NEEDS: Needs = Needs {
     topics: &[
         T::Parameters,
+        T::Losses,
         T::Noise,
         T::Outliers,
         T::Classes,
@@ -410,7 +411,13 @@ async fn answer_spans(
 ) {
     let structure = format!("{}/{}", keys.root(), keys.structure());
     while let Some(question) = questions.next().await {
-        let Some((_, Topic::History(name))) = parse_key(keys.root(), question.key_expression())
+        let Some((
+            _,
+            Topic {
+                family: KeyFamily::History,
+                of: Some(name),
+            },
+        )) = parse_key(keys.root(), question.key_expression())
         else {
             question
                 .refuse("must be for one name, without wildcards")
@@ -443,7 +450,9 @@ async fn answer_spans(
 fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
     match series.kind {
         Kind::Class => true,
-        Kind::Parameter | Kind::Noise | Kind::Outlier | Kind::Node => named.contains(series),
+        Kind::Parameter | Kind::Loss | Kind::Noise | Kind::Outlier | Kind::Node => {
+            named.contains(series)
+        }
     }
 }
 

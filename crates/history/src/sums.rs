@@ -1,9 +1,6 @@
 //! Aggregates of values, in sums that can be extended.
 
-use spandrel_bus::HistoryRows;
-
-/// Standard normal quantile of 97.5 %.
-const HALF_WIDTH: f64 = 1.959_963_984_540_054;
+use spandrel_bus::{CredibleInterval, HistoryRows};
 
 /// Sums over values of one quantity. Each value has a mean, a standard deviation and a probability
 /// of loss.
@@ -36,8 +33,8 @@ impl Sums {
             variance_sum: std * std,
             least: mean,
             largest: mean,
-            low: mean - HALF_WIDTH * std,
-            high: mean + HALF_WIDTH * std,
+            low: mean - CredibleInterval::HALF_WIDTH_95 * std,
+            high: mean + CredibleInterval::HALF_WIDTH_95 * std,
             probability,
         }
     }
@@ -107,8 +104,11 @@ mod tests {
         assert!((rows.std[0] - (0.01 * 14.0_f64 / 4.0).sqrt()).abs() < 1e-15);
         assert!((rows.spread[0] - 1.25_f64.sqrt()).abs() < 1e-15);
         assert_eq!((rows.least[0], rows.largest[0]), (0.0, 3.0));
-        assert_eq!(rows.low[0], 0.0_f64.min(1.0 - HALF_WIDTH * 0.1));
-        assert!((rows.high[0] - (3.0 + HALF_WIDTH * 0.3)).abs() < 1e-15);
+        assert_eq!(
+            rows.low[0],
+            0.0_f64.min(1.0 - CredibleInterval::HALF_WIDTH_95 * 0.1)
+        );
+        assert!((rows.high[0] - (3.0 + CredibleInterval::HALF_WIDTH_95 * 0.3)).abs() < 1e-15);
         assert!((rows.probability_of_loss[0] - 0.6).abs() < 1e-15);
     }
 

@@ -6,7 +6,7 @@ mod fit;
 mod hearing;
 mod state;
 
-use crate::display::{Decimation, ParameterView, noise_display};
+use crate::display::noise_display;
 use crate::error::IdentifyError;
 use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
@@ -16,9 +16,9 @@ use fit::FitView;
 use hearing::Hearing;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Block, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FitDisplay, FitVerdict,
-    FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay, ParameterDisplay,
-    Phase, StreamState, TimeGrid,
+    Block, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FitDisplay,
+    FitVerdict, FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Phase, StreamState, TimeGrid,
 };
 use spandrel_filter::{BandLimit, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
@@ -121,7 +121,7 @@ pub struct Identification {
     excitation_channels: Vec<Option<usize>>,
     /// Mean of each component of the excitation, used if no channel measures it.
     mean_excitation: Vec<f64>,
-    parameter_views: Vec<ParameterView>,
+    parameter_names: Vec<Name>,
     noise_names: Vec<Name>,
     /// Display name of the effective number of particles. `None` without particles.
     effective_name: Option<Name>,
@@ -238,17 +238,10 @@ impl Identification {
             })
             .transpose()
             .map_err(refused)?;
-        let parameter_views = structure
+        let parameter_names = structure
             .parameters()
             .iter()
-            .enumerate()
-            .map(|(index, parameter)| {
-                Ok(ParameterView::new(
-                    named(parameter.name())?,
-                    index,
-                    structure,
-                ))
-            })
+            .map(|parameter| named(parameter.name()))
             .collect::<Result<_, IdentifyError>>()?;
         let noise_names = estimator
             .settings()
@@ -290,7 +283,7 @@ impl Identification {
             decimation: Decimation::new(structure.sampling_rate_hz(), structure.display_rate_hz()),
             is_thinned: false,
             shed: 0,
-            parameter_views,
+            parameter_names,
             noise_names,
             effective_name: matches!(estimator, Estimator::Particles(_))
                 .then(|| named(EFFECTIVE_PARTICLES))
@@ -402,7 +395,7 @@ impl Identification {
 
     /// Returns the names of the parameters, in the order of the estimates.
     pub fn parameter_names(&self) -> impl Iterator<Item = &Name> {
-        self.parameter_views.iter().map(ParameterView::name)
+        self.parameter_names.iter()
     }
 
     /// Returns the names of the channels screened for outliers, if any.
@@ -631,7 +624,7 @@ impl Identification {
             self.responded
                 .push(self.responses.iter().map(response).collect());
         }
-        let parameters = self.parameter_views.len();
+        let parameters = self.parameter_names.len();
         let noise = self.estimator.noise();
         let innovations = match step {
             Some(_) => self.estimator.innovation().to_vec(),
@@ -714,7 +707,7 @@ impl Identification {
             term: 0,
             t0_ns: stream.t0_ns,
             sampling_rate_hz: stream.sampling_rate_hz,
-            parameters: self.parameter_views.len() as u16,
+            parameters: self.parameter_names.len() as u16,
             noise_parameters: self.noise_names.len() as u16,
             channels: self.observations.len() as u16,
             estimates: Vec::new(),
@@ -734,20 +727,17 @@ impl Identification {
         let single =
             usize::from(self.classes.is_some()) + usize::from(self.effective_name.is_some());
         let fit = usize::from(fit::judged(&self.estimator).is_some());
-        (self.parameter_views.len() + self.noise_names.len() + single + fit + self.screening.len())
+        (self.parameter_names.len() + self.noise_names.len() + single + fit + self.screening.len())
             as u64
     }
 
     fn display(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        for (index, view) in self.parameter_views.iter().enumerate() {
+        for (index, name) in self.parameter_names.iter().enumerate() {
             let mean = self.estimator.parameter_mean()[index];
             let variance = self.estimator.parameter_covariance(index, index);
-            outputs.push(Output::Parameter(view.display(
-                &self.structure,
-                time_ns,
-                mean,
-                variance,
-            )));
+            let display =
+                ParameterDisplay::of_normal(&self.structure, name, time_ns, mean, variance);
+            outputs.push(Output::Parameter(display));
         }
         let noise = self.estimator.noise();
         for (l, name) in self.noise_names.iter().enumerate() {

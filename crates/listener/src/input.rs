@@ -1,9 +1,9 @@
 //! The inputs of the present state, and their comparison with the keys of their messages.
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, EstimateBlock, Event, FitDisplay, HistoryLog, ModelClassDisplay,
-    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, Service, Status,
-    Topic, parse_key,
+    Acknowledgement, AlertMessage, EstimateBlock, Event, FitDisplay, HistoryLog, KeyFamily as K,
+    LossDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Progress, Service, Status, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,6 +15,8 @@ pub enum Input {
     Now(Duration),
     /// The estimate of a parameter.
     Parameter(ParameterDisplay),
+    /// The loss of a parameter.
+    Loss(LossDisplay),
     /// The estimate of a noise level.
     Noise(NoiseDisplay),
     /// The outliers of a channel.
@@ -63,8 +65,9 @@ pub struct Instance {
 impl Instance {
     /// Returns the instance that a liveliness token represents.
     pub(crate) fn of_token(root: &Name, key: &str) -> Option<Self> {
-        match parse_key(root, key)? {
-            (structure, Topic::Live(service, id)) => Some(Self {
+        let (structure, topic) = parse_key(root, key)?;
+        match (topic.family, topic.of) {
+            (K::Live(service), Some(id)) => Some(Self {
                 structure,
                 service,
                 id,
@@ -99,36 +102,32 @@ impl Input {
     /// `None`.
     fn place(&self) -> Option<(&Name, Option<Topic>)> {
         let (structure, topic) = match self {
-            Self::Parameter(m) => (&m.structure, Topic::Parameter(m.parameter.clone())),
-            Self::Noise(m) => (&m.structure, Topic::Noise(m.name.clone())),
-            Self::Outlier(m) => (&m.structure, Topic::Outlier(m.channel.clone())),
-            Self::Classes(m) => (&m.structure, Topic::ModelClass),
-            Self::Node(m) => (&m.structure, Topic::Node(m.node.clone())),
-            Self::Fit(m) => (&m.structure, Topic::Fit),
-            Self::Estimates(structure, _) => (structure, Topic::Estimates),
+            Self::Parameter(m) => (&m.structure, Topic::new(K::Parameter, &m.parameter)),
+            Self::Loss(m) => (&m.structure, Topic::new(K::Loss, &m.parameter)),
+            Self::Noise(m) => (&m.structure, Topic::new(K::Noise, &m.name)),
+            Self::Outlier(m) => (&m.structure, Topic::new(K::Outlier, &m.channel)),
+            Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
+            Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),
+            Self::Fit(m) => (&m.structure, Topic::single(K::Fit)),
+            Self::Estimates(structure, _) => (structure, Topic::single(K::Estimates)),
             Self::Alert(m) | Self::StandingAlert(m) => {
-                (&m.structure, Topic::Alert(m.parameter.clone()))
+                (&m.structure, Topic::new(K::Alert, &m.parameter))
             }
-            Self::Acknowledgement(m) => (&m.structure, Topic::Acknowledge(m.parameter.clone())),
-            Self::Event(m) => (&m.structure, Topic::Event),
-            Self::Status(m) => match service(m) {
-                Some(service) => (&m.structure, Topic::Status(service, m.id.clone())),
+            Self::Acknowledgement(m) => (&m.structure, Topic::new(K::Acknowledge, &m.parameter)),
+            Self::Event(m) => (&m.structure, Topic::single(K::Event)),
+            Self::Status(m) => match Service::from_name(m.service.as_str()) {
+                Some(service) => (&m.structure, Topic::new(K::Status(service), &m.id)),
                 None => return Some((&m.structure, None)),
             },
-            Self::Ingested(structure, _) => (structure, Topic::Progress(Service::Ingest)),
+            Self::Ingested(structure, _) => {
+                (structure, Topic::single(K::Progress(Service::Ingest)))
+            }
             Self::LoggedAlert(m) => return Some((&m.structure, None)),
             Self::Past(m) => return Some((&m.structure, None)),
             Self::Now(_) | Self::Present(_) | Self::Misplaced => return None,
         };
         Some((structure, Some(topic)))
     }
-}
-
-/// Returns the service that published a status.
-pub(crate) fn service(status: &Status) -> Option<Service> {
-    Service::ALL
-        .into_iter()
-        .find(|service| service.as_str() == status.service.as_str())
 }
 
 #[cfg(test)]

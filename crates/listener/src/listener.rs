@@ -33,6 +33,8 @@ pub enum DisplayTopic {
     Statuses,
     /// [`Input::Parameter`]
     Parameters,
+    /// [`Input::Loss`]
+    Losses,
     /// [`Input::Noise`]
     Noise,
     /// [`Input::Outlier`]
@@ -244,6 +246,7 @@ impl Place {
             T::Ingested => self.rare(K::Progress(ingest), Input::Ingested).await,
             T::Statuses => self.rare(K::Status(ingest), |_, m| Input::Status(m)).await,
             T::Parameters => self.values(K::Parameter, |_, m| Input::Parameter(m)).await,
+            T::Losses => self.values(K::Loss, |_, m| Input::Loss(m)).await,
             T::Noise => self.values(K::Noise, |_, m| Input::Noise(m)).await,
             T::Outliers => self.values(K::Outlier, |_, m| Input::Outlier(m)).await,
             T::Classes => self.values(K::ModelClass, |_, m| Input::Classes(m)).await,

@@ -1,10 +1,10 @@
 //! The present state of one structure.
 
-use crate::input::{Input, Instance, service};
+use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Arrivals, FitDisplay, MAX_CHANNELS, ModelClassDisplay, Name, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Service, Status, is_without_date,
-    pace_told,
+    AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay, Name,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Service, Status,
+    is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -20,6 +20,8 @@ pub const STALE_AFTER: Duration = Duration::from_secs(3);
 pub struct StructureState {
     /// Estimates of the parameters.
     pub parameters: BTreeMap<Name, ParameterDisplay>,
+    /// Losses of the parameters with a rule, once their reference is known.
+    pub losses: BTreeMap<Name, LossDisplay>,
     /// Estimates of the noise levels.
     pub noise: BTreeMap<Name, NoiseDisplay>,
     /// Outliers of the channels.
@@ -81,6 +83,14 @@ impl StructureState {
                     self.time_ns = Some(time_ns);
                 }
             }
+            Input::Loss(display) => {
+                keep(
+                    &mut self.losses,
+                    display.parameter.clone(),
+                    display,
+                    left_out,
+                );
+            }
             Input::Noise(display) => {
                 let time_ns = display.time_ns;
                 if keep(&mut self.noise, display.name.clone(), display, left_out) {
@@ -138,7 +148,8 @@ impl StructureState {
 
     fn take_status(&mut self, status: Status) {
         let now = self.now;
-        let key = service(&status).map(|service| (service, status.id.clone()));
+        let service = Service::from_name(status.service.as_str());
+        let key = service.map(|service| (service, status.id.clone()));
         match key.and_then(|key| self.instance_mut(key)) {
             Some(instance) => (instance.status, instance.status_at) = (Some(status), now),
             None => self.left_out += 1,
@@ -282,10 +293,10 @@ impl StructureState {
         pace_told(self.statuses().map(|(_, status)| status))
     }
 
-    /// Returns the loss of an alert's parameter by its newest value, in words.
+    /// Returns the loss of an alert's parameter by its newest value, if that is newer than the alert.
     #[must_use]
     pub fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
-        alert.loss_by(self.parameters.get(&alert.parameter)?)
+        self.losses.get(&alert.parameter)?.since(alert)
     }
 }
 

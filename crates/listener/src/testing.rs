@@ -16,8 +16,7 @@ pub(crate) fn at(second: u64) -> Input {
 }
 
 pub(crate) fn parameter(parameter: &str, time_ns: i64) -> ParameterDisplay {
-    let names = (&name("tower"), &name(parameter));
-    ParameterDisplay::of_gaussian(names, time_ns, (1.0, 0.1), (0.05, 1.0))
+    ParameterDisplay::of_normal(&name("tower"), &name(parameter), time_ns, 1.0, 0.1)
 }
 
 pub(crate) fn alert(parameter: &str, time_ns: i64, state: AlertState) -> AlertMessage {

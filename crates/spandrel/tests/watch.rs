@@ -179,9 +179,6 @@ async fn a_structure_is_told_every_second_with_its_values() {
             low: 0.84,
             high: 0.88,
         },
-        probability_of_loss: 0.999,
-        loss: 0.05,
-        reference: 1.0,
     };
     let values = site
         .bus

@@ -39,32 +39,17 @@ pub enum Reference {
     },
 }
 
-/// Displayed loss threshold of a parameter that no alert rule watches.
+/// Loss threshold for a parameter that no alert rule watches.
 const UNWATCHED_LOSS: f64 = 0.05;
 
 impl Structure {
-    /// Returns the loss threshold (share) and reference (ratio to nominal) to display for a
-    /// parameter.
-    ///
-    /// Both come from the first rule that watches the parameter. The reference is 1 if that rule
-    /// learns a baseline or if no rule watches the parameter.
+    /// Returns the loss threshold (share of the reference) of the first rule that watches a
+    /// parameter, or 0.05 if no rule watches it.
     #[must_use]
-    pub fn displayed_loss(&self, parameter: usize) -> (f64, f64) {
-        let rule = self.alert_rules().iter().find_map(|rule| {
-            let position = rule
-                .parameters
-                .iter()
-                .position(|watched| *watched == parameter)?;
-            Some((rule, position))
-        });
-        let loss = rule.map_or(UNWATCHED_LOSS, |(rule, _)| rule.loss);
-        let reference = match rule.map(|(rule, position)| (&rule.reference, position)) {
-            Some((Reference::Given { mean, .. }, position)) => {
-                mean.get(position).copied().unwrap_or(1.0)
-            }
-            // The alert service learns the baseline; until then the reference is the design.
-            Some((Reference::Baseline { .. }, _)) | None => 1.0,
-        };
-        (loss, reference)
+    pub fn loss_of_interest(&self, parameter: usize) -> f64 {
+        self.alert_rules()
+            .iter()
+            .find(|rule| rule.parameters.contains(&parameter))
+            .map_or(UNWATCHED_LOSS, |rule| rule.loss)
     }
 }

@@ -66,7 +66,7 @@ impl Structure {
             .parameters
             .iter()
             .position(|own| own.name == parameter.name);
-        index.is_some_and(|index| error > SPOILING * self.displayed_loss(index).0)
+        index.is_some_and(|index| error > SPOILING * self.loss_of_interest(index))
     }
 
     fn excitation_errors(&self) -> Option<Vec<f64>> {

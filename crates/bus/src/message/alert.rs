@@ -2,11 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameter::{ParameterDisplay, probability_below};
 use super::text::{mend_label, mend_text};
 use super::{
-    CredibleInterval, FitReasons, FitVerdict, Format, Malformed, Message, RoundedProbability,
-    UndecidedBecause, check_finite, check_label, check_range, check_text,
+    CredibleInterval, FitReasons, FitVerdict, Format, Malformed, Message, UndecidedBecause,
+    check_finite, check_label, check_range, check_text,
 };
 use crate::name::Name;
 
@@ -161,47 +160,6 @@ impl AlertMessage {
         mend_text(&mut self.why);
         self
     }
-
-    /// Describes the loss of this alert according to a later value.
-    ///
-    /// The text states the loss, the estimate with its interval, and the probability that the loss
-    /// exceeds the threshold of the rule. Estimate and reference are independent normal variables,
-    /// as in the decision itself.
-    ///
-    /// Returns `None` if there is no alert, or if the reference is not positive or is being learnt.
-    /// Also returns `None` if the value belongs to another parameter or is not newer than the
-    /// decision.
-    #[must_use]
-    pub fn loss_by(&self, display: &ParameterDisplay) -> Option<String> {
-        let is_open = match self.state {
-            AlertState::Pending
-            | AlertState::Raised
-            | AlertState::Unconfirmed
-            | AlertState::Acknowledged
-            | AlertState::Cleared => true,
-            AlertState::Learning | AlertState::Normal | AlertState::Undecided => false,
-        };
-        let reference = self
-            .reference
-            .filter(|reference| is_open && *reference > 0.0)?;
-        if display.parameter != self.parameter || display.time_ns <= self.time_ns {
-            return None;
-        }
-        let kept = 1.0 - self.rule_loss;
-        let spread = display.std.hypot(kept * self.reference_std.unwrap_or(0.0));
-        let probability = probability_below(kept * reference, display.mean, spread);
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        Some(format!(
-            "loss {} (estimate {:.3}, {:.0} % interval {:.3} to {:.3}), more than {} with probability {}",
-            percent(1.0 - display.mean / reference),
-            display.mean,
-            100.0 * display.interval.level,
-            display.interval.low,
-            display.interval.high,
-            percent(self.rule_loss),
-            RoundedProbability::new(probability, &[self.rule_credibility]),
-        ))
-    }
 }
 
 impl Message for AlertMessage {
@@ -245,91 +203,5 @@ impl Message for AlertMessage {
             check_label("acknowledged by", who)?;
         }
         check_text("why", &self.why)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn alert(state: AlertState) -> AlertMessage {
-        AlertMessage {
-            structure: Name::new("tower").unwrap(),
-            parameter: Name::new("storey-2").unwrap(),
-            time_ns: 100,
-            state,
-            since_ns: Some(50),
-            rule_loss: 0.05,
-            rule_credibility: 0.99,
-            credibility: 0.997,
-            loss: Some(0.14),
-            loss_interval: None,
-            loss_interval_within_record: None,
-            mean: 0.86,
-            std: 0.01,
-            reference: Some(1.0),
-            reference_std: Some(0.0),
-            acknowledged_by: None,
-            why: "storey-2 has lost 14 % of its stiffness".to_owned(),
-            fit: None,
-            fit_reasons: FitReasons::default(),
-            follows_jump: false,
-            undecided_because: None,
-            revision: 0,
-        }
-    }
-
-    fn display(time_ns: i64, mean: f64) -> ParameterDisplay {
-        let names = (
-            &Name::new("tower").unwrap(),
-            &Name::new("storey-2").unwrap(),
-        );
-        ParameterDisplay::of_gaussian(names, time_ns, (mean, 1e-4), (0.05, 1.0))
-    }
-
-    #[test]
-    fn a_later_value_says_how_the_loss_stands_now() {
-        let raised = alert(AlertState::Raised);
-        // If the mean equals the threshold 0.95, the probability is 0.5 for every standard
-        // deviation.
-        let told = "loss 5.0 % (estimate 0.950, 95 % interval 0.930 to 0.970), more than 5.0 % with probability 0.500";
-        assert_eq!(raised.loss_by(&display(101, 0.95)).as_deref(), Some(told));
-        assert!(
-            raised
-                .loss_by(&display(101, 0.86))
-                .unwrap()
-                .ends_with("with probability above 0.999")
-        );
-        assert_eq!(
-            raised.loss_by(&display(100, 0.95)),
-            None,
-            "it is the value that decided"
-        );
-    }
-
-    #[test]
-    fn the_loss_counts_from_the_reference_of_the_alert() {
-        // (0.95·0.9 − 0.845)/√(0.01² + (0.95·0.02)²) = 0.4657; Φ(0.4657) = 0.679 (Abramowitz &
-        // Stegun, table 26.1)
-        let learnt = AlertMessage {
-            reference: Some(0.9),
-            reference_std: Some(0.02),
-            ..alert(AlertState::Acknowledged)
-        };
-        let told = learnt.loss_by(&display(101, 0.845)).unwrap();
-        assert!(
-            told.starts_with("loss 6.1 %") && told.ends_with("probability 0.679"),
-            "{told}"
-        );
-        let learning = AlertMessage {
-            reference: None,
-            ..alert(AlertState::Raised)
-        };
-        assert_eq!(learning.loss_by(&display(101, 0.845)), None);
-        assert_eq!(
-            alert(AlertState::Normal).loss_by(&display(101, 0.845)),
-            None,
-            "there is no alert"
-        );
     }
 }

@@ -18,7 +18,8 @@ use crate::name::Name;
 /// - `spread`: standard deviation of their means
 /// - `least`, `largest`: extremes of their means
 /// - `low`, `high`: lowest and highest end of their 95 % intervals
-/// - `probability_of_loss`: the largest probability
+///
+/// The loss of a parameter has these columns too, and the largest `probability_of_loss`.
 ///
 /// Other kinds have only a `mean`, or `mean` and `std`. Columns without values are zero.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -50,7 +51,7 @@ pub struct HistoryRows {
 pub struct HistorySpan {
     /// The structure.
     pub structure: Name,
-    /// Kind of the quantity: `parameter`, `noise`, `outlier`, `class` or `node`.
+    /// Kind of the quantity: `parameter`, `loss`, `noise`, `outlier`, `class` or `node`.
     pub kind: String,
     /// Name of the quantity.
     pub name: String,

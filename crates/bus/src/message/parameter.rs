@@ -16,7 +16,24 @@ pub struct CredibleInterval {
     pub high: f64,
 }
 
-/// Mean, standard deviation and probability of loss of one parameter.
+impl CredibleInterval {
+    /// Half-width of the 95 % interval of a normal variable, in standard deviations: the 97.5 %
+    /// quantile.
+    pub const HALF_WIDTH_95: f64 = 1.959_963_984_540_054;
+
+    /// Returns the 95 % interval of a normal variable.
+    #[must_use]
+    pub fn of_normal(mean: f64, std: f64) -> Self {
+        let half_width = Self::HALF_WIDTH_95 * std;
+        Self {
+            level: 0.95,
+            low: mean - half_width,
+            high: mean + half_width,
+        }
+    }
+}
+
+/// Mean, standard deviation and credible interval of one parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterDisplay {
     /// The structure.
@@ -31,63 +48,35 @@ pub struct ParameterDisplay {
     pub std: f64,
     /// The credible interval.
     pub interval: CredibleInterval,
-    /// Probability that the loss exceeds `loss`.
-    pub probability_of_loss: f64,
-    /// Loss for which the probability is stated, a share of the reference (0.1 = 10 %).
-    pub loss: f64,
-    /// Reference for the loss, ratio to nominal.
-    pub reference: f64,
 }
 
 impl ParameterDisplay {
-    /// Level of the displayed interval, and its half-width in standard deviations of a Gaussian.
-    const INTERVAL: (f64, f64) = (0.95, 1.959_963_984_540_054);
-
-    /// Creates the display of a Gaussian estimate.
+    /// Creates the display of a normal estimate.
     ///
-    /// - `mean`, `reference`: ratios to nominal; `variance`: square of this unit
-    /// - `loss`: share of `reference` for which the probability is computed
+    /// `mean` is a ratio to nominal, `variance` is its square. A negative variance counts as zero.
     #[must_use]
-    pub fn of_gaussian(
-        (structure, parameter): (&Name, &Name),
+    pub fn of_normal(
+        structure: &Name,
+        parameter: &Name,
         time_ns: i64,
-        (mean, variance): (f64, f64),
-        (loss, reference): (f64, f64),
+        mean: f64,
+        variance: f64,
     ) -> Self {
         let std = variance.max(0.0).sqrt();
-        let (level, half_width) = Self::INTERVAL;
         Self {
             structure: structure.clone(),
             parameter: parameter.clone(),
             time_ns,
             mean,
             std,
-            interval: CredibleInterval {
-                level,
-                low: mean - half_width * std,
-                high: mean + half_width * std,
-            },
-            probability_of_loss: probability_below((1.0 - loss) * reference, mean, std),
-            loss,
-            reference,
+            interval: CredibleInterval::of_normal(mean, std),
         }
-    }
-}
-
-/// Returns the probability that a Gaussian variable lies below a threshold.
-pub(super) fn probability_below(threshold: f64, mean: f64, std: f64) -> f64 {
-    if std > 0.0 {
-        0.5 * libm::erfc((mean - threshold) / (std * std::f64::consts::SQRT_2))
-    } else if mean < threshold {
-        1.0
-    } else {
-        0.0
     }
 }
 
 impl Message for ParameterDisplay {
     const TYPE: &'static str = "parameter";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {
@@ -95,27 +84,11 @@ impl Message for ParameterDisplay {
             ("mean", self.mean),
             ("interval low", self.interval.low),
             ("interval high", self.interval.high),
-            ("reference", self.reference),
         ];
         for (what, value) in finite {
             check_finite(what, value)?;
         }
         check_range("std", self.std, 0.0, f64::MAX)?;
-        check_range("interval level", self.interval.level, 0.0, 1.0)?;
-        check_range("probability of loss", self.probability_of_loss, 0.0, 1.0)?;
-        check_range("loss", self.loss, 0.0, 1.0)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    #[test]
-    fn probability_is_that_of_the_gaussian_tables() {
-        assert!((probability_below(0.95, 0.95, 0.1) - 0.5).abs() < 1e-15);
-        // Φ(−1.959964) = 0.025 and Φ(−6) = 9.865876e-10
-        assert!((probability_below(0.0, 1.959_963_984_540_054, 1.0) - 0.025).abs() < 1e-12);
-        assert!((probability_below(0.0, 6.0, 1.0) / 9.865_876_450e-10 - 1.0).abs() < 1e-8);
-        assert_eq!(probability_below(0.95, 0.90, 0.0), 1.0);
+        check_range("interval level", self.interval.level, 0.0, 1.0)
     }
 }

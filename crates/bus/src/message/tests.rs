@@ -78,9 +78,6 @@ fn parameter() -> ParameterDisplay {
             low: 0.88,
             high: 0.92,
         },
-        probability_of_loss: 0.5,
-        loss: 0.1,
-        reference: 1.0,
     }
 }
 
@@ -92,7 +89,7 @@ fn encoding_names_type_and_version() {
     );
     assert_eq!(
         ParameterDisplay::encoding(),
-        "application/json;spandrel.parameter.v1"
+        "application/json;spandrel.parameter.v2"
     );
 }
 
@@ -265,11 +262,11 @@ fn json_of_a_script_needs_no_schema() {
 }
 
 #[test]
-fn json_with_a_bad_name_or_probability_is_refused() {
+fn json_with_an_invalid_name_or_deviation_is_rejected() {
     let text = br#"{"structure":"To wer","parameter":"storey-2","time_ns":1,"who":"ada"}"#;
     assert!(Acknowledgement::decode("application/json", text).is_err());
     let mut message = parameter();
-    message.probability_of_loss = 1.5;
+    message.std = -0.1;
     assert!(message.encode().is_err());
 }
 

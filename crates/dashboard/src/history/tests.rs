@@ -1,13 +1,13 @@
 use super::*;
-use crate::testing::{demo, parameter};
+use crate::testing::{demo, hear};
 
 const SECOND: i64 = 1_000_000_000;
 
 fn heard() -> Store {
     let mut store = demo();
     for second in 0..100 {
-        store.handle(parameter("storey-1", second * SECOND, 1.0, 0.25));
-        store.handle(parameter("storey-2", second * SECOND + 1, 0.5, 0.75));
+        hear(&mut store, "storey-1", second * SECOND, 1.0, 0.25);
+        hear(&mut store, "storey-2", second * SECOND + 1, 0.5, 0.75);
     }
     store
 }
@@ -30,10 +30,7 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
     let [series] = &span.series[..] else {
         panic!("{} series", span.series.len())
     };
-    assert_eq!(
-        series.columns,
-        ["time_s", "mean", "std", "probability_of_loss"]
-    );
+    assert_eq!(series.columns, ["time_s", "mean", "std"]);
     assert_eq!(
         (series.data[0].len(), series.data[0][0], series.data[0][19]),
         (20, 11.0, 49.0)
@@ -45,6 +42,7 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
 fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
     let store = heard();
     let asked = Asked {
+        series: Some("parameter/storey-1,loss/storey-2".into()),
         from: Some("0.0".into()),
         to: Some("0.5".into()),
         ..Asked::default()
@@ -54,10 +52,10 @@ fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
     assert_eq!(
         lines,
         [
-            "time,parameter/storey-1.mean,parameter/storey-1.std,parameter/storey-1.probability_of_loss,\
-             parameter/storey-2.mean,parameter/storey-2.std,parameter/storey-2.probability_of_loss",
-            "0,1,0.01,0.25,,,",
-            "1e-9,,,,0.5,0.01,0.75",
+            "time,parameter/storey-1.mean,parameter/storey-1.std,loss/storey-2.loss,loss/storey-2.low,\
+             loss/storey-2.high,loss/storey-2.probability_of_loss",
+            "0,1,0.01,,,,",
+            "1e-9,,,0.5,0.48040036015459947,0.5195996398454006,0.75",
         ]
     );
 }
@@ -119,7 +117,7 @@ fn what_has_not_come_yet_is_empty_and_no_mistake() {
     let (span, _) = read(&store, &Request::new(&asked, &store).unwrap());
     assert_eq!(span.kept_from_s, None);
     let widths: Vec<usize> = span.series.iter().map(|series| series.data.len()).collect();
-    assert_eq!(widths, [4, 2, 3]);
+    assert_eq!(widths, [3, 2, 3]);
     assert!(span.series.iter().all(|series| series.data[0].is_empty()));
     assert_eq!(span.csv().lines().count(), 1);
 }
@@ -133,7 +131,7 @@ fn what_cannot_be_asked_is_refused_with_what_can() {
     assert_eq!(unknown.what, "series `parameter/storey-9` is not known");
     assert_eq!(
         unknown.allowed,
-        "must be one of: parameter/storey-1, parameter/storey-2"
+        "must be one of: parameter/storey-1, parameter/storey-2, loss/storey-1, loss/storey-2"
     );
     assert_eq!(
         refused(Asked {
@@ -170,7 +168,7 @@ fn what_cannot_be_asked_is_refused_with_what_can() {
 fn what_lies_before_is_asked_of_the_history_and_put_before() {
     let mut store = demo();
     for second in 1_000..1_100 {
-        store.handle(parameter("storey-1", second * SECOND, 1.0, 0.25));
+        hear(&mut store, "storey-1", second * SECOND, 1.0, 0.25);
     }
     let asked = |from: f64| Asked {
         series: Some("parameter/storey-1".into()),
@@ -223,10 +221,7 @@ fn what_lies_before_is_asked_of_the_history_and_put_before() {
     };
     span.put_before(earlier, &answer);
     let data = &span.series[0].data;
-    assert_eq!(
-        (data[0][0], data[1][0], data[2][0], data[3][0]),
-        (59.0, 0.9, 0.02, 0.5)
-    );
+    assert_eq!((data[0][0], data[1][0], data[2][0]), (59.0, 0.9, 0.02));
     assert!(data[0].is_sorted(), "{:?}", data[0]);
     assert_eq!(span.kept_from_s, Some(10.0));
 }

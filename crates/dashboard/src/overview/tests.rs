@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{alert, at, demo, fit, name, parameter, present, undecided};
+use crate::testing::{alert, at, demo, fit, hear, name, present, undecided};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status,
     StreamState,
@@ -8,9 +8,9 @@ use spandrel_listener::Input;
 
 fn raised_among_others() -> Store {
     let mut store = demo();
-    store.handle(parameter("storey-1", 1, 1.0, 0.001));
-    store.handle(parameter("storey-2", 1, 0.85, 1.0));
-    store.handle(parameter("storey-3", 1, 0.94, 1.0));
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
+    hear(&mut store, "storey-3", 1, 0.94, 1.0);
     store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
     store.handle(Input::Alert(AlertMessage {
         loss: Some(0.06),
@@ -48,7 +48,7 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
         store.handle(Input::Alert(seen));
     }
     assert_eq!(overview(&store).level, Level::Stale);
-    store.handle(parameter("storey-1", 4, 1.0, 0.001));
+    hear(&mut store, "storey-1", 4, 1.0, 0.001);
     let found = overview(&store);
     assert_eq!(found.level, Level::Notice);
     assert_eq!(
@@ -60,7 +60,7 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
 #[test]
 fn a_sensor_that_is_told_to_be_faulty_makes_a_warning_until_it_is_back() {
     let mut store = demo();
-    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
     store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
     let normal = overview(&store);
     assert_eq!((normal.level, normal.sensors.total), (Level::Normal, 6));
@@ -158,7 +158,7 @@ fn a_structure_of_which_nothing_ever_comes_needs_attention() {
 fn an_alert_that_somebody_has_seen_is_still_told_when_data_stop() {
     let mut store = demo();
     store.handle(at(1.0));
-    store.handle(parameter("storey-2", 1, 0.85, 1.0));
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
     let seen = AlertMessage {
         acknowledged_by: Some("Ada".into()),
         ..alert("storey-2", 1, AlertState::Acknowledged)
@@ -182,9 +182,9 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
     let as_it_was = "no new data; this page shows the last state";
     for state in [AlertState::Cleared, AlertState::Pending] {
         let mut store = demo();
-        store.handle(parameter("storey-2", 1, 0.85, 1.0));
+        hear(&mut store, "storey-2", 1, 0.85, 1.0);
         store.handle(Input::Alert(alert("storey-2", 1, state)));
-        store.handle(parameter("storey-2", 2, 0.97, 0.02));
+        hear(&mut store, "storey-2", 2, 0.97, 0.02);
         store.handle(at(60.0));
         let found = overview(&store);
         assert_eq!(found.level, Level::Stale);
@@ -204,7 +204,7 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
         name("demo"),
         estimates_without_the_third_channel(),
     ));
-    store.handle(parameter("storey-2", 1, 0.85, 1.0));
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
     store.handle(Input::Alert(alert("storey-2", 1, AlertState::Cleared)));
     store.handle(Input::Alert(alert("storey-3", 1, AlertState::Acknowledged)));
     store.handle(at(60.0));
@@ -285,7 +285,7 @@ fn what_is_read_again_from_the_recording_makes_no_sensor_alive_and_no_data_new()
                 name("demo"),
                 estimates_without_the_third_channel(),
             ));
-            store.handle(parameter("storey-1", 3_990_000_000, 1.0, 0.001));
+            hear(store, "storey-1", 3_990_000_000, 1.0, 0.001);
         };
         if is_told_first {
             store.handle(word());
@@ -306,7 +306,7 @@ fn what_is_read_again_from_the_recording_makes_no_sensor_alive_and_no_data_new()
             "it is shown all the same, with its time"
         );
         // The next sample counts.
-        store.handle(parameter("storey-1", 4_010_000_000, 1.0, 0.001));
+        hear(&mut store, "storey-1", 4_010_000_000, 1.0, 0.001);
         assert_eq!(overview(&store).age_s, Some(0.0));
     }
 }
@@ -320,7 +320,7 @@ fn a_record_that_begins_while_somebody_looks_is_live_whatever_its_dates() {
         name("demo"),
         estimates_without_the_third_channel(),
     ));
-    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
     let found = overview(&store);
     assert_eq!((found.sensors.alive, found.age_s), (4, Some(0.0)));
 }
@@ -328,15 +328,16 @@ fn a_record_that_begins_while_somebody_looks_is_live_whatever_its_dates() {
 #[test]
 fn the_sentence_of_an_alert_has_the_present_state_beside_it() {
     let mut store = demo();
-    store.handle(parameter("storey-2", 1, 0.85, 1.0));
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
     store.handle(Input::Alert(alert("storey-2", 1, AlertState::Raised)));
     assert_eq!(overview(&store).now, None, "nothing newer has come");
-    store.handle(parameter("storey-2", 2, 0.97, 0.02));
+    hear(&mut store, "storey-2", 2, 0.97, 0.02);
     let found = overview(&store);
     assert_eq!(found.sentence, "storey-2 is raised");
     let now = found.now.unwrap();
     assert!(
-        now.starts_with("loss 3.0 % (estimate 0.970") && now.ends_with("probability 0.023"),
+        now.starts_with("loss 3.0 % (95 % interval 1.0 % to 5.0 %)")
+            && now.ends_with("probability 0.020"),
         "{now}"
     );
 }
@@ -378,7 +379,7 @@ fn what_is_replayed_or_simulated_has_the_time_of_its_data_and_no_lag() {
         if station == Service::Ingest {
             store.handle(status(Service::Identify, CLOCK_NS, None));
         }
-        store.handle(parameter("storey-1", time_ns, 1.0, 0.001));
+        hear(&mut store, "storey-1", time_ns, 1.0, 0.001);
         let found = overview(&store);
         (found.lag_s, found.replayed)
     };
@@ -413,7 +414,7 @@ fn a_lag_is_a_metric_of_samples_that_come_as_they_are_measured() {
     for (pace, is_told) in [(Pace::Live, true), (Pace::Replayed, false)] {
         let mut store = demo();
         store.handle(status(Service::Ingest, CLOCK_NS, Some(pace)));
-        store.handle(parameter("storey-1", CLOCK_NS, 1.0, 0.001));
+        hear(&mut store, "storey-1", CLOCK_NS, 1.0, 0.001);
         let text = crate::metrics::metrics(std::iter::once(&store)).unwrap();
         assert_eq!(
             text.contains("spandrel_lag_seconds{"),
@@ -428,7 +429,7 @@ fn where_nothing_comes_there_is_no_lag_to_tell() {
     let mut store = demo();
     store.handle(status(Service::Ingest, CLOCK_NS, Some(Pace::Live)));
     store.handle(status(Service::Identify, CLOCK_NS, None));
-    store.handle(parameter("storey-1", CLOCK_NS, 1.0, 0.001));
+    hear(&mut store, "storey-1", CLOCK_NS, 1.0, 0.001);
     assert_eq!(overview(&store).lag_s, Some(-27.0));
     store.handle(at(4.0));
     let found = overview(&store);
@@ -448,7 +449,7 @@ fn undecided_alerts_warn_where_something_is_wrong_and_not_where_little_is_learnt
         (ParameterAtBound, Level::Warning),
     ] {
         let mut store = demo();
-        store.handle(parameter("storey-1", 1, 1.0, 0.001));
+        hear(&mut store, "storey-1", 1, 1.0, 0.001);
         store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
         store.handle(undecided("storey-2", AlertState::Undecided, because));
         let found = overview(&store);
@@ -463,7 +464,7 @@ fn undecided_alerts_warn_where_something_is_wrong_and_not_where_little_is_learnt
 #[test]
 fn unconfirmed_alert_is_an_alarm_until_somebody_has_seen_it() {
     let mut store = demo();
-    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
     let because = UndecidedBecause::FitContradicted;
     store.handle(undecided("storey-2", AlertState::Unconfirmed, because));
     let found = overview(&store);
@@ -484,7 +485,7 @@ fn unconfirmed_alert_is_an_alarm_until_somebody_has_seen_it() {
 #[test]
 fn contradicted_fit_warns_also_where_no_rule_watches() {
     let mut store = demo();
-    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
     store.handle(fit(FitVerdict::Contradicted, &[FitReason::ExcessNoise]));
     let found = overview(&store);
     let words =

@@ -1,10 +1,10 @@
 use super::*;
-use crate::testing::{alert, at, demo, name, parameter};
+use crate::testing::{alert, at, demo, hear, name};
 
 #[test]
 fn names_that_the_structure_file_does_not_have_are_left_out() {
     let mut store = demo();
-    store.handle(parameter("storey-99", 0, 1.0, 0.0));
+    hear(&mut store, "storey-99", 0, 1.0, 0.0);
     store.handle(Input::Alert(alert("storey-99", 0, AlertState::Raised)));
     assert!(store.state.parameters.is_empty() && store.state.alerts.is_empty());
     assert_eq!(store.series_names().count(), 0);
@@ -45,11 +45,12 @@ fn a_note_belongs_to_the_person_who_acknowledged() {
 fn a_reader_gets_each_point_once_and_many_at_a_time_combined() {
     let mut store = demo();
     let mut read = BTreeMap::new();
-    (0..1_000).for_each(|time| store.handle(parameter("storey-1", time, 1.0, 0.0)));
+    (0..1_000).for_each(|time| hear(&mut store, "storey-1", time, 1.0, 0.0));
     let news = store.news(&mut read, 200);
-    assert_eq!((news.len(), news[0].2.len()), (1, 200));
+    let points: Vec<usize> = news.iter().map(|(_, _, table)| table.len()).collect();
+    assert_eq!(points, [200, 200], "the parameter and its loss");
     assert!(store.news(&mut read, 200).is_empty());
-    store.handle(parameter("storey-1", 1_000, 1.0, 0.0));
+    hear(&mut store, "storey-1", 1_000, 1.0, 0.0);
     assert_eq!(store.news(&mut read, 200)[0].2.len(), 1);
 }
 
@@ -84,7 +85,7 @@ fn data_are_old_after_a_silence() {
     let mut store = demo();
     store.handle(at(10.0));
     assert!(!store.is_stale(), "nothing has come yet");
-    store.handle(parameter("storey-1", 0, 1.0, 0.0));
+    hear(&mut store, "storey-1", 0, 1.0, 0.0);
     store.handle(at(12.9));
     assert!(!store.is_stale());
     store.handle(at(13.1));

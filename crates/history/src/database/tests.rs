@@ -1,8 +1,8 @@
 use super::*;
 use crate::batch::Collector;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, Message as _,
-    ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, LossDisplay,
+    Message as _, ParameterDisplay,
 };
 use spandrel_listener::Input;
 use spandrel_structure::Structure;
@@ -20,6 +20,21 @@ fn name(text: &str) -> Name {
     Name::new(text).unwrap()
 }
 
+fn loss(name_of: &str, time_ns: i64, mean: f64) -> Input {
+    Input::Loss(LossDisplay {
+        structure: name("demo"),
+        parameter: name(name_of),
+        time_ns,
+        loss: 1.0 - mean,
+        interval: CredibleInterval::of_normal(1.0 - mean, 0.01),
+        probability_of_loss: if mean < 0.9 { 0.99 } else { 0.0 },
+        rule_loss: 0.05,
+        rule_credibility: 0.95,
+        reference: 1.0,
+        reference_std: 0.0,
+    })
+}
+
 fn parameter(name_of: &str, time_ns: i64, mean: f64) -> Input {
     Input::Parameter(ParameterDisplay {
         structure: name("demo"),
@@ -32,9 +47,6 @@ fn parameter(name_of: &str, time_ns: i64, mean: f64) -> Input {
             low: mean - 0.02,
             high: mean + 0.02,
         },
-        probability_of_loss: if mean < 0.9 { 0.99 } else { 0.0 },
-        loss: 0.05,
-        reference: 1.0,
     })
 }
 
@@ -59,11 +71,9 @@ fn ten_minutes(collector: &mut Collector) -> Vec<Arc<Batch>> {
     for second in 0..600 {
         for tenth in 0..10 {
             let mean = if second < 300 { 1.0 } else { 0.8 };
-            collector.handle(parameter(
-                "storey-2",
-                START_NS + (second * 10 + tenth) * DISPLAY_NS,
-                mean,
-            ));
+            let time_ns = START_NS + (second * 10 + tenth) * DISPLAY_NS;
+            collector.handle(parameter("storey-2", time_ns, mean));
+            collector.handle(loss("storey-2", time_ns, mean));
         }
         batches.extend(collector.take(second + 1).map(Arc::new));
     }
@@ -105,7 +115,19 @@ async fn keeps_and_answers(database: &Database) {
     .await;
     assert_eq!(few.rows.count.iter().sum::<u64>(), 4_800);
     assert_eq!(few.rows.mean.first().copied(), Some(1.0));
-    assert_eq!(few.rows.probability_of_loss.last().copied(), Some(0.99));
+    let of_loss = Series {
+        kind: Kind::Loss,
+        ..storey_2()
+    };
+    let losses = database
+        .span(STRUCTURE, &name("demo"), &of_loss, &from_s(120))
+        .await
+        .unwrap();
+    assert_eq!(losses.rows.probability_of_loss.last().copied(), Some(0.99));
+    let lost = losses.rows.mean.last().copied().unwrap();
+    let (low, high) = (losses.rows.low.last(), losses.rows.high.last());
+    assert!((lost - 0.2).abs() < 1e-12, "{lost}");
+    assert!((high.unwrap() - low.unwrap() - 0.039_2).abs() < 1e-4);
 
     // After an hour the values are deleted, and their minutes remain.
     let keep = Keep {

@@ -116,11 +116,11 @@ impl Identification {
         let clips = step.limited_states > 0;
         if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
             let at_bound = self
-                .parameter_views
+                .parameter_names
                 .iter()
                 .enumerate()
                 .filter(|(index, _)| self.estimator.is_at_bound(*index));
-            let names: Vec<&str> = at_bound.map(|(_, view)| view.name().as_str()).collect();
+            let names: Vec<&str> = at_bound.map(|(_, name)| name.as_str()).collect();
             outputs.push(self.event(
                 time_ns,
                 EventKind::Unidentified,

@@ -1,7 +1,7 @@
 //! An estimate with its interval as a bar, and its last minutes as a row of blocks on the same
 //! axis.
 
-use spandrel_bus::{AlertMessage, ParameterDisplay};
+use spandrel_bus::{LossDisplay, ParameterDisplay};
 
 /// Limits of the axis (ratios to nominal). Beyond them, only the number is meaningful.
 const FURTHEST: (f64, f64) = (0.0, 2.0);
@@ -30,28 +30,29 @@ pub struct Axis {
 pub struct Marks {
     mean: f64,
     interval: (f64, f64),
-    /// Ratio below which the loss exceeds the threshold of the alert rule.
-    limit: f64,
-    reference: f64,
+    /// Ratio below which the loss exceeds the threshold of the alert rule. `None` before the
+    /// reference is known, and without a rule.
+    limit: Option<f64>,
+    reference: Option<f64>,
 }
 
 impl Marks {
-    /// Creates the marks. Limit and reference come from the alert if it knows them, because it may
-    /// have learnt its reference.
-    pub fn new(display: &ParameterDisplay, alert: Option<&AlertMessage>) -> Self {
-        let learnt = alert.and_then(|alert| Some((alert.reference?, alert.rule_loss)));
-        let (reference, loss) = learnt.unwrap_or((display.reference, display.loss));
+    /// Creates the marks of a parameter and its loss.
+    pub fn new(display: &ParameterDisplay, loss: Option<&LossDisplay>) -> Self {
         Self {
             mean: display.mean,
             interval: (display.interval.low, display.interval.high),
-            limit: (1.0 - loss) * reference,
-            reference,
+            limit: loss.map(|loss| (1.0 - loss.rule_loss) * loss.reference),
+            reference: loss.map(|loss| loss.reference),
         }
     }
 
     /// Returns the values that the axis must include.
-    pub fn extent(&self) -> [f64; 4] {
-        [self.interval.0, self.interval.1, self.limit, self.reference]
+    pub fn extent(self) -> impl Iterator<Item = f64> {
+        let of_loss = self.limit.into_iter().chain(self.reference);
+        [self.interval.0, self.interval.1]
+            .into_iter()
+            .chain(of_loss)
     }
 }
 
@@ -90,15 +91,19 @@ impl Axis {
             return String::new();
         }
         let mut cells = vec![' '; width];
-        let limit = self.cell(marks.limit, width);
-        cells[self.cell(marks.reference, width)] = REFERENCE;
-        cells[limit] = LIMIT;
+        let limit = marks.limit.map(|limit| self.cell(limit, width));
+        if let Some(reference) = marks.reference {
+            cells[self.cell(reference, width)] = REFERENCE;
+        }
+        if let Some(limit) = limit {
+            cells[limit] = LIMIT;
+        }
         let (low, high) = (
             self.cell(marks.interval.0, width),
             self.cell(marks.interval.1, width),
         );
         for (at, cell) in cells.iter_mut().enumerate().take(high + 1).skip(low) {
-            *cell = if at == limit {
+            *cell = if Some(at) == limit {
                 LIMIT_IN_INTERVAL
             } else {
                 INTERVAL
@@ -120,16 +125,15 @@ impl Axis {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{alert, parameter};
+    use super::super::testing::{loss, parameter};
     use super::*;
-    use spandrel_bus::AlertState;
 
     fn marks(mean: f64, half_width: f64) -> Marks {
         Marks {
             mean,
             interval: (mean - half_width, mean + half_width),
-            limit: 0.945,
-            reference: 1.005,
+            limit: Some(0.945),
+            reference: Some(1.005),
         }
     }
 
@@ -191,10 +195,12 @@ mod tests {
     #[test]
     fn a_learnt_reference_moves_the_limit() {
         let display = parameter("storey-1", 0, 1.0, 0.01);
-        let mut learnt = alert("storey-1", 0, AlertState::Normal);
-        learnt.reference = Some(0.9);
+        let mut learnt = loss("storey-1", 0, 1.0);
+        assert_eq!(Marks::new(&display, None).limit, None);
+        assert_eq!(Marks::new(&display, Some(&learnt)).limit, Some(0.95));
+        learnt.reference = 0.9;
         learnt.rule_loss = 0.1;
-        assert_eq!(Marks::new(&display, None).limit, 0.95);
-        assert!((Marks::new(&display, Some(&learnt)).limit - 0.81).abs() < 1e-12);
+        let limit = Marks::new(&display, Some(&learnt)).limit.unwrap();
+        assert!((limit - 0.81).abs() < 1e-12);
     }
 }

@@ -3,7 +3,7 @@
 use super::natural_name::in_order;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, Name, NodeDisplay, ParameterDisplay,
+    AlertMessage, AlertState, Event, EventKind, LossDisplay, Name, NodeDisplay, ParameterDisplay,
 };
 use spandrel_listener::{AlertChange, Input, StructureState, Structures};
 use std::collections::{BTreeMap, VecDeque};
@@ -26,10 +26,12 @@ pub struct Heard {
     events: VecDeque<Event>,
 }
 
-/// Last value of a parameter, and its recent values.
+/// Last value of a parameter, its loss, and its recent values.
 #[derive(Debug, Clone, Copy)]
 pub struct ParameterHeard<'h> {
     pub display: &'h ParameterDisplay,
+    /// Its loss. `None` without a rule, and before its reference is known.
+    pub loss: Option<&'h LossDisplay>,
     pub trail: &'h Trail,
 }
 
@@ -133,13 +135,18 @@ impl Heard {
 
     /// Returns the parameters of a structure, in the natural order of their names.
     pub fn parameters(&self, structure: &Name) -> Vec<ParameterHeard<'_>> {
-        let state = self.structures.structure(structure);
-        let parameters = in_order(state.iter().flat_map(|state| &state.parameters)).into_iter();
-        let trails = self.trails.get(structure);
-        let heard = |(name, display)| {
-            let trail = trails?.get(name)?;
-            Some(ParameterHeard { display, trail })
+        let of_structure = (self.structure(structure), self.trails.get(structure));
+        let (Some(state), Some(trails)) = of_structure else {
+            return Vec::new();
         };
+        let heard = |(name, display)| {
+            Some(ParameterHeard {
+                display,
+                loss: state.losses.get(name),
+                trail: trails.get(name)?,
+            })
+        };
+        let parameters = in_order(&state.parameters).into_iter();
         parameters.filter_map(heard).collect()
     }
 

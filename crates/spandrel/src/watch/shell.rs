@@ -20,6 +20,7 @@ const NEEDS: Needs = Needs {
         T::Ingested,
         T::Statuses,
         T::Parameters,
+        T::Losses,
         T::Noise,
         T::Classes,
         T::Fit,

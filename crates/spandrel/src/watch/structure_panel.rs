@@ -13,8 +13,8 @@ use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, FitDisplay, FitVerdict, Load, ModelClassDisplay, Name, NoiseDisplay,
-    ParameterDisplay, Service, Standing,
+    AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, Name, NoiseDisplay,
+    Service, Standing,
 };
 use spandrel_listener::{InstanceState, StructureState};
 
@@ -61,16 +61,15 @@ impl StructurePanel {
     /// Prepares the contents for lines of `width` characters.
     pub fn new(heard: &Heard, name: &Name, structure: &StructureState, width: usize) -> Self {
         let parameters = heard.parameters(name);
-        let alert = |of: &ParameterHeard<'_>| structure.alerts.get(&of.display.parameter);
         let all_marks = parameters
             .iter()
-            .map(|parameter| Marks::new(parameter.display, alert(parameter)));
+            .map(|parameter| Marks::new(parameter.display, parameter.loss));
         let axis = Axis::around(all_marks.flat_map(|marks| marks.extent()));
         let losses = Losses::new(structure);
         let columns = Columns::new(structure, &losses, width);
         let is_stale = structure.stale_for().is_some();
         let rows = parameters.iter().map(|parameter| {
-            let alert = match alert(parameter) {
+            let alert = match structure.alerts.get(&parameter.display.parameter) {
                 Some(alert) if structure.is_alert_stale(&alert.parameter) => AlertCell::Stale,
                 Some(alert) => AlertCell::Of(alert),
                 None => AlertCell::Unheard,
@@ -147,15 +146,12 @@ struct Losses {
 
 impl Losses {
     fn new(structure: &StructureState) -> Self {
-        let mut losses = structure.parameters.values().map(|display| display.loss);
+        let mut losses = structure.losses.values().map(|loss| loss.rule_loss);
         let first = losses.next();
         let common = first.filter(|first| losses.all(|loss| loss == *first));
         let mut all = Self { common, width: 0 };
-        let cells = structure.parameters.iter().map(|(name, display)| {
-            all.cell(display, structure.alerts.get(name))
-                .chars()
-                .count()
-        });
+        let cells = structure.losses.values();
+        let cells = cells.map(|loss| all.cell(Some(loss)).chars().count());
         all.width = cells.max().unwrap_or(0).max(all.header().chars().count());
         all
     }
@@ -167,12 +163,14 @@ impl Losses {
         )
     }
 
-    fn cell(&self, display: &ParameterDisplay, alert: Option<&AlertMessage>) -> String {
-        let asked = alert.map(|alert| alert.rule_credibility);
-        let found = probability(display.probability_of_loss, asked);
+    fn cell(&self, loss: Option<&LossDisplay>) -> String {
+        let Some(loss) = loss else {
+            return "–".to_owned();
+        };
+        let found = loss.shown_probability().percent();
         match self.common {
             Some(_) => found,
-            None => format!("> {}: {found}", share(display.loss)),
+            None => format!("> {}: {found}", share(loss.rule_loss)),
         }
     }
 }
@@ -249,13 +247,17 @@ fn row(
     parameter: &ParameterHeard<'_>,
     alert: AlertCell<'_>,
 ) -> Line<'static> {
-    let ParameterHeard { display, trail } = parameter;
-    let (state, style, known) = match alert {
-        AlertCell::Unheard => ("–", Style::new(), None),
-        AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM), None),
-        AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state), Some(alert)),
+    let ParameterHeard {
+        display,
+        loss,
+        trail,
+    } = *parameter;
+    let (state, style) = match alert {
+        AlertCell::Unheard => ("–", Style::new()),
+        AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM)),
+        AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state)),
     };
-    let bar = axis.bar(columns.bar, &Marks::new(display, known));
+    let bar = axis.bar(columns.bar, &Marks::new(display, loss));
     let interval = format!(
         "{:.3} to {:.3}",
         display.interval.low, display.interval.high
@@ -273,7 +275,7 @@ fn row(
         cell(&bar, columns.bar).map(|span| span.style(style)),
         right_cell(&estimate(display.mean, display.std), ESTIMATE),
         right_cell(&interval, columns.interval),
-        right_cell(&losses.cell(display, known), columns.loss),
+        right_cell(&losses.cell(loss), columns.loss),
         cell(state, STATE).map(|span| span.style(style)),
     ];
     Line::from_iter(spans.into_iter().flatten())

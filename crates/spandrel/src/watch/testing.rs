@@ -3,8 +3,8 @@
 use super::heard::Heard;
 use spandrel_bus::{
     AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header,
-    ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace, ParameterDisplay,
-    Progress, Service, Status,
+    LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace,
+    ParameterDisplay, Progress, Service, Status,
 };
 use spandrel_listener::{Input, Instance};
 use std::collections::{BTreeMap, BTreeSet};
@@ -30,9 +30,22 @@ pub fn parameter(parameter: &str, second: i64, mean: f64, std: f64) -> Parameter
             low: mean - 1.96 * std,
             high: mean + 1.96 * std,
         },
+    }
+}
+
+/// Returns the loss of a parameter of `tower` at `second` after [`TIME_NS`], against the design.
+pub fn loss(parameter: &str, second: i64, mean: f64) -> LossDisplay {
+    LossDisplay {
+        structure: name("tower"),
+        parameter: name(parameter),
+        time_ns: TIME_NS + second * 1_000_000_000,
+        loss: 1.0 - mean,
+        interval: CredibleInterval::of_normal(1.0 - mean, 0.01),
         probability_of_loss: if mean < 0.95 { 0.997 } else { 0.012 },
-        loss: 0.05,
+        rule_loss: 0.05,
+        rule_credibility: 0.95,
         reference: 1.0,
+        reference_std: 0.0,
     }
 }
 
@@ -219,12 +232,9 @@ pub fn damaged_tower() -> Heard {
             } else {
                 1.002
             };
-            inputs.push(Input::Parameter(parameter(
-                &format!("storey-{storey}"),
-                second,
-                mean,
-                0.011,
-            )));
+            let name = format!("storey-{storey}");
+            inputs.push(Input::Parameter(parameter(&name, second, mean, 0.011)));
+            inputs.push(Input::Loss(loss(&name, second, mean)));
         }
     }
     for storey in [1, 3, 4, 5] {

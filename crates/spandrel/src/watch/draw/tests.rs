@@ -1,6 +1,6 @@
 use super::super::heard::Heard;
 use super::super::testing::{
-    alert, at, damaged_tower, heard, name, node, parameter, present, status,
+    alert, at, damaged_tower, heard, loss, name, node, parameter, present, status,
 };
 use super::super::view::Around;
 use super::*;
@@ -71,6 +71,9 @@ fn tower_and_bridge() -> View {
         let mut display = parameter(&format!("span-{number}"), 0, 1.0, 0.02);
         display.structure = name("bridge");
         heard.handle(Input::Parameter(display), &mut Vec::new());
+        let mut lost = loss(&format!("span-{number}"), 0, 1.0);
+        lost.structure = name("bridge");
+        heard.handle(Input::Loss(lost), &mut Vec::new());
     }
     view(heard)
 }
@@ -151,7 +154,8 @@ fn large_terminal_shows_the_trend_and_the_interval_in_numbers_too() {
         "{text}"
     );
     assert_eq!(rows[sentence + 1].trim_start(), "2024-02-29 12:00:40 UTC");
-    let now = "now: loss 14.2 % (estimate 0.858, 95 % interval 0.836 to 0.880), more than 5.0 % with probability above 0.999";
+    let now =
+        "now: loss 14.2 % (95 % interval 12.2 % to 16.2 %), more than 5.0 % with probability 0.997";
     assert_eq!(rows[sentence + 2].trim_start(), now);
 }
 
