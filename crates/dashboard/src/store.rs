@@ -64,6 +64,11 @@ impl Store {
             return;
         }
         self.plot(&input);
+        if let Input::Outlier(display) = &input
+            && display.state == ChannelState::Screening
+        {
+            self.excluded.remove(display.channel.as_str());
+        }
         let is_progress = matches!(input, Input::Ingested(..));
         match input {
             Input::Acknowledgement(note) => {
@@ -119,9 +124,6 @@ impl Store {
             Input::Outlier(m) => {
                 let values = [m.recent_share, m.flagged as f64];
                 self.push(Kind::Outlier, m.channel.as_str(), m.time_ns, &values);
-                if m.state == ChannelState::Screening {
-                    self.excluded.remove(m.channel.as_str());
-                }
             }
             Input::Classes(m) => self.plot_classes(m),
             Input::Node(m) => {

@@ -243,50 +243,35 @@ impl Place {
         use DisplayTopic as T;
         let ingest = Service::Ingest;
         match topic {
-            T::Ingested => self.rare(K::Progress(ingest), Input::Ingested).await,
-            T::Statuses => self.rare(K::Status(ingest), |_, m| Input::Status(m)).await,
-            T::Parameters => self.values(K::Parameter, |_, m| Input::Parameter(m)).await,
-            T::Losses => self.values(K::Loss, |_, m| Input::Loss(m)).await,
-            T::Noise => self.values(K::Noise, |_, m| Input::Noise(m)).await,
-            T::Outliers => self.values(K::Outlier, |_, m| Input::Outlier(m)).await,
-            T::Classes => self.values(K::ModelClass, |_, m| Input::Classes(m)).await,
-            T::Nodes => self.values(K::Node, |_, m| Input::Node(m)).await,
-            T::Fit => self.values(K::Fit, |_, m| Input::Fit(m)).await,
-            T::Estimates => {
-                self.queue(K::Estimates, BLOCKS_WAITING, Input::Estimates)
-                    .await
-            }
+            T::Ingested => self.queue(K::Progress(ingest), Input::Ingested).await,
+            T::Statuses => self.queue(K::Status(ingest), |_, m| Input::Status(m)).await,
+            T::Parameters => self.queue(K::Parameter, |_, m| Input::Parameter(m)).await,
+            T::Losses => self.queue(K::Loss, |_, m| Input::Loss(m)).await,
+            T::Noise => self.queue(K::Noise, |_, m| Input::Noise(m)).await,
+            T::Outliers => self.queue(K::Outlier, |_, m| Input::Outlier(m)).await,
+            T::Classes => self.queue(K::ModelClass, |_, m| Input::Classes(m)).await,
+            T::Nodes => self.queue(K::Node, |_, m| Input::Node(m)).await,
+            T::Fit => self.queue(K::Fit, |_, m| Input::Fit(m)).await,
+            T::Estimates => self.queue(K::Estimates, Input::Estimates).await,
             T::Acknowledgements => {
-                self.rare(K::Acknowledge, |_, m| Input::Acknowledgement(m))
+                self.queue(K::Acknowledge, |_, m| Input::Acknowledgement(m))
                     .await
             }
-            T::Alerts => self.rare(K::Alert, |_, m| Input::Alert(m)).await,
-            T::Events => self.rare(K::Event, |_, m| Input::Event(m)).await,
+            T::Alerts => self.queue(K::Alert, |_, m| Input::Alert(m)).await,
+            T::Events => self.queue(K::Event, |_, m| Input::Event(m)).await,
         }
-    }
-
-    async fn values<M: Message + fmt::Debug + Send + 'static>(
-        &self,
-        family: K,
-        input: fn(Name, M) -> Input,
-    ) -> Result<Box<dyn Queue>, BusError> {
-        self.queue(family, VALUES_WAITING, input).await
-    }
-
-    async fn rare<M: Message + fmt::Debug + Send + 'static>(
-        &self,
-        family: K,
-        input: fn(Name, M) -> Input,
-    ) -> Result<Box<dyn Queue>, BusError> {
-        self.queue(family, ALERTS_WAITING, input).await
     }
 
     async fn queue<M: Message + fmt::Debug + Send + 'static>(
         &self,
         family: K,
-        length: usize,
         input: fn(Name, M) -> Input,
     ) -> Result<Box<dyn Queue>, BusError> {
+        let length = match family {
+            K::Estimates => BLOCKS_WAITING,
+            K::Alert | K::Acknowledge | K::Event | K::Status(_) | K::Progress(_) => ALERTS_WAITING,
+            _ => VALUES_WAITING,
+        };
         let subscription = self.bus.subscribe(self.key(family), length).await?;
         Ok(Box::new(QueueOf {
             subscription,

@@ -95,7 +95,13 @@ impl StructureState {
                 let time_ns = display.time_ns;
                 if keep(&mut self.noise, display.name.clone(), display, left_out) {
                     self.arrivals.value(time_ns, self.now);
-                    self.time_ns = self.time_ns.max(Some(time_ns));
+                    // A noise level may be one step behind the parameters.
+                    let is_newest = self.parameters.is_empty() || self.time_ns < Some(time_ns);
+                    self.time_ns = if is_newest {
+                        Some(time_ns)
+                    } else {
+                        self.time_ns
+                    };
                 }
             }
             Input::Outlier(display) => {
