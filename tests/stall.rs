@@ -9,15 +9,17 @@
 
 mod support;
 
-use spandrel_alert::AlertService;
+use spandrel_alert::{AlertPlan, AlertService};
 use spandrel_bus::{
     Bus, BusConfig, Delivery, EstimateBlock, FrameBlock, Keys, Name, Service, Start, Stream,
     StreamSettings, StreamState,
 };
-use spandrel_identify::{FilterPool, IdentifyService, Precedence};
-use spandrel_ingest::{IngestService, IngestSettings, Waiting};
+use spandrel_identify::{FilterPool, IdentifyPlan, IdentifyService, Precedence};
+use spandrel_ingest::{IngestPlan, IngestService};
 use spandrel_sensor::{Clocks, NodePlan, SensorService, SensorSettings, Speed, simulated_rows};
+use spandrel_service::{Instance, Monitored, Service as _};
 use std::convert::Infallible;
+use std::future::pending;
 use std::io::BufRead;
 use std::num::NonZeroUsize;
 use std::process::Command;
@@ -292,35 +294,31 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let drops = Drops::watch(&bus, &keys).await;
 
     let id = |text: &str| Name::new(text).unwrap();
-    let waiting = Waiting::Limited(Duration::from_secs(2));
-    let settings = IngestSettings {
-        id: id("ingest"),
-        epoch: 1,
-        waiting,
+    let monitored = Monitored::new(structure, keys.clone());
+    let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
+    let plan = AlertPlan {
+        instance: Instance::new(&bus, id("alert")),
+        monitored: monitored.clone(),
+        baseline: None,
+    };
+    let alert = AlertService::start(&plan).await.unwrap();
+    let plan = IdentifyPlan {
+        instance: Instance::new(&bus, id("identify")),
+        monitored: monitored.clone(),
+        pool,
+        precedence: Precedence::Leads,
+    };
+    let identify = IdentifyService::start(&plan).await.unwrap();
+    let plan = IngestPlan {
+        instance: Instance::new(&bus, id("ingest")),
+        monitored,
         recording: None,
     };
-    let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
-    let alert = AlertService::start(structure, None, &bus, keys.clone(), id("alert"), None)
-        .await
-        .unwrap();
-    let identify = IdentifyService::start(
-        structure,
-        &bus,
-        keys.clone(),
-        id("identify"),
-        pool,
-        None,
-        Precedence::Leads,
-    )
-    .await
-    .unwrap();
-    let ingest = IngestService::start(structure, &bus, keys.clone(), settings)
-        .await
-        .unwrap();
+    let ingest = IngestService::start(&plan).await.unwrap();
     let services = [
-        tokio::spawn(async { alert.run(std::future::pending()).await.unwrap() }),
-        tokio::spawn(async { identify.run(std::future::pending()).await.unwrap() }),
-        tokio::spawn(async { ingest.run(std::future::pending()).await.unwrap() }),
+        tokio::spawn(async { alert.run(Box::pin(pending())).await.unwrap() }),
+        tokio::spawn(async { identify.run(Box::pin(pending())).await.unwrap() }),
+        tokio::spawn(async { ingest.run(Box::pin(pending())).await.unwrap() }),
     ];
     let wait_for = vec![Service::Ingest, Service::Identify, Service::Alert];
     let settings = SensorSettings {
@@ -339,7 +337,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
         0,
         Some(record.len() as u64),
     );
-    let sent = tokio::spawn(sensors.run(rows.map(Ok::<_, Infallible>), std::future::pending()));
+    let sent = tokio::spawn(sensors.run(rows.map(Ok::<_, Infallible>), pending()));
 
     // One after the other: the second waits while the first is read.
     assert_same_bits(

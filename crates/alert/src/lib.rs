@@ -65,6 +65,6 @@ pub use error::AlertError;
 pub use learning::{Learning, SpanSummary};
 pub use reference::{Reference, Scatter};
 pub use rule::{ReferenceRule, Rule};
-pub use shell::AlertService;
+pub use shell::{AlertPlan, AlertService};
 pub use support::DecidedFrames;
 pub use watch::Watch;

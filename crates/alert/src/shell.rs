@@ -1,23 +1,19 @@
 //! Connects the watch of one structure to the bus.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::future::Future;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Bus, Delivery, DisplayPublisher,
+    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Delivery, DisplayPublisher,
     EstimateBlock, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay, Name,
-    ProgressPublisher, Question, Questions, Service, Start, Status, Stream, Subscription,
+    ProgressPublisher, Question, Questions, Service, Start, Stream, Subscription,
 };
-use spandrel_checkpoint::Remembering;
+use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
 use spandrel_structure::Structure;
 use tracing::{debug, info, warn};
 
 use crate::memory::{AlertState as Remembered, Basis, Memory, note};
 use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 
-/// Interval between status messages.
-const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Capacity of the queue for acknowledgements. When it is full, the oldest is dropped and counted,
 /// and its sender sees no change.
 const ACKNOWLEDGEMENTS_WAITING: usize = 64;
@@ -28,6 +24,17 @@ const QUESTIONS_WAITING: usize = 16;
 ///
 /// Such a block takes some hundred microseconds, less than the cost of moving it to another thread.
 const BRIEF: usize = 1_000;
+
+/// What the alert service of one structure needs to start.
+#[derive(Clone, Debug)]
+pub struct AlertPlan {
+    /// The instance.
+    pub instance: Instance,
+    /// The structure.
+    pub monitored: Monitored,
+    /// Baseline that replaces learnt references of the parameters that it contains.
+    pub baseline: Option<Baseline>,
+}
 
 /// The alert service of one structure.
 #[derive(Debug)]
@@ -40,10 +47,8 @@ pub struct AlertService {
     /// last alert.
     alerts: Vec<AlertTopic>,
     progress: ProgressPublisher,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     keys: Keys,
-    service: Name,
-    id: Name,
     token: Option<LiveToken>,
     display_rate_hz: f64,
     done: u64,
@@ -67,7 +72,10 @@ struct AlertTopic {
     is_told: bool,
 }
 
-impl AlertService {
+impl spandrel_service::Service for AlertService {
+    type Plan = AlertPlan;
+    type Error = AlertError;
+
     /// Validates the settings and joins the bus. `id` names this instance.
     ///
     /// `baseline` replaces references that would be learnt, if it contains the parameter. If
@@ -77,20 +85,38 @@ impl AlertService {
     /// # Errors
     /// Fails if the rules do not match the structure, a name cannot be a key, checkpoints cannot be
     /// written, or the bus rejects a declaration.
-    pub fn start<'a>(
-        structure: &'a Structure,
-        baseline: Option<&'a Baseline>,
-        bus: &'a Bus,
-        keys: Keys,
-        id: Name,
-        remembering: Option<&'a Remembering>,
-    ) -> BoxedFuture<'a, Result<Self, AlertError>> {
+    fn start(plan: &AlertPlan) -> BoxedFuture<'_, Result<Self, AlertError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. Estimates that have arrived by then are still processed.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), AlertError>> {
+        self.run_until(stop)
+    }
+}
+
+impl AlertService {
+    fn start_from(plan: &AlertPlan) -> BoxedFuture<'_, Result<Self, AlertError>> {
         Box::pin(async move {
+            let AlertPlan {
+                instance,
+                monitored,
+                baseline,
+            } = plan;
+            let Instance { bus, id, .. } = instance;
+            let Monitored {
+                structure,
+                keys,
+                remembering,
+            } = monitored;
             let mut memory = match remembering {
                 Some(remembering) => Some(Memory::open(structure, remembering)?),
                 None => None,
             };
-            let state = begin(structure, baseline, memory.as_mut())?;
+            let state = begin(structure, baseline.as_ref(), memory.as_mut())?;
             let Remembered {
                 basis,
                 watch,
@@ -102,7 +128,6 @@ impl AlertService {
                 Some((epoch, sequence)) => Start::At { epoch, sequence },
                 None => Start::Beginning,
             };
-            let service_name = name(Service::Alert.as_str())?;
             let mut alerts = Vec::new();
             for parameter in &basis.parameters {
                 let parameter = name(parameter)?;
@@ -147,13 +172,10 @@ impl AlertService {
                     .await?,
                 acknowledgements,
                 progress,
-                status: bus
-                    .publish_display(keys.status(Service::Alert, &id))
-                    .await?,
+                status: instance.publish_status(Service::Alert, keys).await?,
                 basis,
                 watch,
                 alerts,
-                service: service_name,
                 display_rate_hz: structure.display_rate_hz(),
                 done,
                 last_time_ns,
@@ -163,9 +185,8 @@ impl AlertService {
                 log,
                 questions: bus.questions(keys.alert_log(), QUESTIONS_WAITING).await?,
                 // The token comes last, because other services send queries as soon as they see it.
-                token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
-                id,
-                keys,
+                token: Some(instance.announce(Service::Alert, keys).await?),
+                keys: keys.clone(),
             };
             info!(
                 structure = service.keys.structure().as_str(),
@@ -175,17 +196,6 @@ impl AlertService {
             );
             Ok(service)
         })
-    }
-
-    /// Runs until `stop`. Estimates that have arrived by then are still processed.
-    ///
-    /// # Errors
-    /// Fails if the bus is closed.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), AlertError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(
@@ -449,14 +459,6 @@ impl AlertService {
     }
 
     async fn put_status(&self) -> Result<(), AlertError> {
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "the status tells the lag behind the wall clock"
-        )]
-        let now = SystemTime::now();
-        let now_ns = now
-            .duration_since(UNIX_EPOCH)
-            .map_or(0, |elapsed| elapsed.as_nanos() as i64);
         let mut drops = self.estimates.counts().drops();
         let unread = self.acknowledgements.refused().into_iter();
         drops.extend(unread.map(|(reason, count)| (format!("acknowledgement-{reason}"), count)));
@@ -470,26 +472,14 @@ impl AlertService {
                 .iter()
                 .map(|(reason, count)| ((*reason).to_owned(), *count)),
         );
-        let status = Status {
-            structure: self.keys.structure().clone(),
-            service: self.service.clone(),
-            id: self.id.clone(),
-            time_ns: now_ns,
-            lag_s: self
-                .last_time_ns
-                .map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
-            pace: None,
-            load: None,
-            frames_behind: None,
-            fit: None,
-            undecided: self.watch.undecided(),
-            state: None,
+        let report = Report {
             done: self.done,
+            processed_ns: self.last_time_ns,
             drops,
-            restarts: 0,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            undecided: self.watch.undecided(),
+            ..Report::default()
         };
-        Ok(self.status.put(&status).await?)
+        Ok(self.status.put(report).await?)
     }
 }
 

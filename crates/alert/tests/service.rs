@@ -8,13 +8,14 @@
 use std::path::Path;
 use std::time::Duration;
 
-use spandrel_alert::AlertService;
+use spandrel_alert::{AlertPlan, AlertService};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock,
     EstimateFlags, FitReason, FitVerdict, Header, HistoryLog, Keep, Keys, Name, NumberedPublisher,
     NumberedStream, Service, Status, StreamState, Subscription, UndecidedBecause,
 };
 use spandrel_checkpoint::Remembering;
+use spandrel_service::{Instance, Monitored, Service as _};
 use spandrel_structure::Structure;
 use tokio::sync::oneshot;
 use tokio::time::timeout;
@@ -99,13 +100,19 @@ impl Running {
         let structure = Structure::parse(text, Path::new("tower.toml"))
             .unwrap_or_else(|error| panic!("{error}"));
         let id = Name::new("alert-1").unwrap();
-        let running = AlertService::start(&structure, None, bus, keys.clone(), id, remembering)
-            .await
-            .unwrap();
+        let plan = AlertPlan {
+            instance: Instance::new(bus, id),
+            monitored: Monitored {
+                remembering: remembering.cloned(),
+                ..Monitored::new(&structure, keys.clone())
+            },
+            baseline: None,
+        };
+        let running = AlertService::start(&plan).await.unwrap();
         let (stop, stopped) = oneshot::channel();
         let service = tokio::spawn(async move {
             let stopped = async move { drop(stopped.await) };
-            running.run(stopped).await.unwrap();
+            running.run(Box::pin(stopped)).await.unwrap();
         });
         Self { stop, service }
     }

@@ -349,6 +349,12 @@ impl Service {
         }
     }
 
+    /// Returns the name of the service, as a chunk of a key.
+    #[must_use]
+    pub fn name(self) -> Name {
+        Name::of_service(self)
+    }
+
     /// Returns the service of this name. `None` if there is none.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {

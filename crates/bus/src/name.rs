@@ -6,6 +6,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::keys::Service;
+
 /// Maximum length of a name, in bytes. Every message carries its key expression.
 pub const MAX_NAME_BYTES: usize = 64;
 
@@ -43,6 +45,11 @@ pub enum NameError {
 }
 
 impl Name {
+    /// Returns the name of a service, which is always valid.
+    pub(crate) fn of_service(service: Service) -> Self {
+        Self(service.as_str().to_owned())
+    }
+
     /// Creates a name from a valid text.
     ///
     /// # Errors

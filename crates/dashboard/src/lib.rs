@@ -6,16 +6,20 @@
 //!
 //! ```no_run
 //! use spandrel_bus::{Bus, BusConfig, Name};
-//! use spandrel_dashboard::{DashboardService, Listen};
+//! use spandrel_dashboard::{DashboardPlan, DashboardService, Listen};
+//! use spandrel_service::{Instance, Monitored, Service};
 //! use spandrel_structure::Structure;
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 //! let structure = Structure::read("demo.toml".as_ref())?;
 //! let config = BusConfig::default();
 //! let (bus, keys) = (Bus::open(&config).await?, config.keys(structure.name())?);
-//! let id = Name::new("dashboard")?;
-//! let dashboard =
-//!     DashboardService::start(&[(&structure, keys)], &bus, &Listen::Default.into(), id).await?;
-//! dashboard.run(std::future::pending()).await?;
+//! let plan = DashboardPlan {
+//!     instance: Instance::new(&bus, Name::new("dashboard")?),
+//!     structures: vec![Monitored::new(&structure, keys)],
+//!     page: Listen::Default.into(),
+//! };
+//! let dashboard = DashboardService::start(&plan).await?;
+//! dashboard.run(Box::pin(std::future::pending())).await?;
 //! # Ok(())
 //! # }
 //! ```
@@ -69,5 +73,5 @@ mod testing;
 
 pub use door::PageCertificate;
 pub use error::DashboardError;
-pub use service::{DEFAULT_ADDRESS, DashboardService, Listen, PageSettings};
+pub use service::{DEFAULT_ADDRESS, DashboardPlan, DashboardService, Listen, PageSettings};
 pub use tokens::{PageRole, Token, Tokens};

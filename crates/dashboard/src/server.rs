@@ -6,9 +6,10 @@ use crate::overview::{Overview, overview};
 use crate::store::Store;
 use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, Keys};
 use spandrel_listener::Input;
+use spandrel_service::Clock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::warn;
@@ -242,13 +243,7 @@ fn lock(store: &Mutex<Store>) -> MutexGuard<'_, Store> {
 
 /// Returns the wall clock time (ns since the Unix epoch, UTC).
 pub(crate) fn now_ns() -> i64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "people are told how old things are, and when they acknowledged"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
+    Clock::of_machine().now_ns()
 }
 
 /// Returns the wall clock time (s since the Unix epoch, UTC).

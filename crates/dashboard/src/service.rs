@@ -5,14 +5,13 @@ use crate::api::router;
 use crate::door::{Door, PageCertificate};
 use crate::error::DashboardError;
 use crate::gate::Gate;
-use crate::server::{Server, now_ns};
+use crate::server::Server;
 use crate::serving::serve;
 use crate::store::Store;
 use crate::tokens::Tokens;
-use spandrel_bus::{BoxedFuture, Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
+use spandrel_bus::{BoxedFuture, Keys, LiveToken, Service};
 use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
-use spandrel_structure::Structure;
-use std::future::Future;
+use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -47,8 +46,6 @@ const NEEDS: Needs = Needs {
 };
 /// Interval at which messages from the bus are processed.
 const GATHER_EVERY: Duration = Duration::from_millis(50);
-/// Interval at which the status is published.
-const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Time limit for requests to end after a stop.
 const END_WITHIN: Duration = Duration::from_secs(2);
 
@@ -87,6 +84,17 @@ impl From<Listen> for PageSettings {
     }
 }
 
+/// What the dashboard needs to start.
+#[derive(Clone, Debug)]
+pub struct DashboardPlan {
+    /// The instance.
+    pub instance: Instance,
+    /// The structures.
+    pub structures: Vec<Monitored>,
+    /// Settings of the page.
+    pub page: PageSettings,
+}
+
 /// The dashboard of one or more structures.
 #[derive(Debug)]
 pub struct DashboardService {
@@ -94,7 +102,6 @@ pub struct DashboardService {
     address: SocketAddr,
     server: Arc<Server>,
     sources: Vec<Source>,
-    id: Name,
 }
 
 /// Subscriptions and publishers of one structure.
@@ -102,11 +109,14 @@ pub struct DashboardService {
 struct Source {
     keys: Keys,
     listener: Listener,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     token: LiveToken,
 }
 
-impl DashboardService {
+impl spandrel_service::Service for DashboardService {
+    type Plan = DashboardPlan;
+    type Error = DashboardError;
+
     /// Binds the address, subscribes to the bus and declares the liveliness tokens. `id` names this
     /// instance.
     ///
@@ -114,13 +124,28 @@ impl DashboardService {
     /// - The process cannot listen on the address.
     /// - Other machines can reach the address, and the certificate or tokens are missing.
     /// - The bus rejects a declaration.
-    pub fn start<'a>(
-        structures: &'a [(&'a Structure, Keys)],
-        bus: &'a Bus,
-        page: &'a PageSettings,
-        id: Name,
-    ) -> BoxedFuture<'a, Result<Self, DashboardError>> {
+    fn start(plan: &DashboardPlan) -> BoxedFuture<'_, Result<Self, DashboardError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`.
+    ///
+    /// # Errors
+    /// The bus is closed, or browsers cannot be served any further.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), DashboardError>> {
+        self.run_until(stop)
+    }
+}
+
+impl DashboardService {
+    fn start_from(plan: &DashboardPlan) -> BoxedFuture<'_, Result<Self, DashboardError>> {
         Box::pin(async move {
+            let DashboardPlan {
+                instance,
+                structures,
+                page,
+            } = plan;
+            let bus = &instance.bus;
             let acceptor = page
                 .certificate
                 .as_ref()
@@ -134,15 +159,16 @@ impl DashboardService {
             let door = Door::new(listener, acceptor);
             let mut stores = Vec::new();
             let mut sources = Vec::new();
-            for (structure, keys) in structures {
+            for Monitored {
+                structure, keys, ..
+            } in structures
+            {
                 stores.push((keys.clone(), Store::new(About::new(structure))));
                 sources.push(Source {
                     listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
                         .await?,
-                    status: bus
-                        .publish_display(keys.status(Service::Dashboard, &id))
-                        .await?,
-                    token: bus.announce(keys.live(Service::Dashboard, &id)).await?,
+                    status: instance.publish_status(Service::Dashboard, keys).await?,
+                    token: instance.announce(Service::Dashboard, keys).await?,
                     keys: keys.clone(),
                 });
             }
@@ -158,7 +184,6 @@ impl DashboardService {
                 address,
                 server,
                 sources,
-                id,
             })
         })
     }
@@ -167,17 +192,6 @@ impl DashboardService {
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.address
-    }
-
-    /// Runs until `stop`.
-    ///
-    /// # Errors
-    /// The bus is closed, or browsers cannot be served any further.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), DashboardError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(
@@ -193,7 +207,7 @@ impl DashboardService {
                 self.server.stopped(),
             ));
             let listened = tokio::select! {
-                listened = listen(&mut self.sources, &self.server, &self.id) => listened,
+                listened = listen(&mut self.sources, &self.server) => listened,
                 Some(served) = browsers.join_next() => return Err(broken(served)),
                 () = stop => Ok(()),
             };
@@ -266,13 +280,12 @@ async fn bind(page: &PageSettings) -> Result<TcpListener, DashboardError> {
 }
 
 /// Processes messages from the bus and publishes the status, without end.
-async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<(), DashboardError> {
+async fn listen(sources: &mut [Source], server: &Server) -> Result<(), DashboardError> {
     #[expect(
         clippy::disallowed_methods,
         reason = "how long nothing was heard is told by the clock of the wall"
     )]
     let start = Instant::now();
-    let service = Name::new(Service::Dashboard.as_str())?;
     let mut gather = tokio::time::interval(GATHER_EVERY);
     gather.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut status = tokio::time::interval(STATUS_EVERY);
@@ -286,26 +299,14 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
                 }
             },
             _ = status.tick() => for source in &*sources {
-                let time_ns = now_ns();
                 let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.state.time_ns);
-                let status = Status {
-                    structure: source.keys.structure().clone(),
-                    service: service.clone(),
-                    id: id.clone(),
-                    time_ns,
-                    lag_s: last_ns.map(|last_ns| time_ns.saturating_sub(last_ns) as f64 / 1e9),
-                    pace: None,
-                    load: None,
-                    frames_behind: None,
-                    fit: None,
-                    undecided: std::collections::BTreeMap::new(),
-                    state: None,
+                let report = Report {
                     done: source.listener.taken(),
+                    processed_ns: last_ns,
                     drops: source.listener.refused(),
-                    restarts: 0,
-                    version: env!("CARGO_PKG_VERSION").to_owned(),
+                    ..Report::default()
                 };
-                source.status.put(&status).await?;
+                source.status.put(report).await?;
             },
         }
     }

@@ -14,8 +14,10 @@ use rustls::{ClientConfig, RootCertStore};
 use serde_json::Value;
 use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Keys, Name};
 use spandrel_dashboard::{
-    DashboardError, DashboardService, Listen, PageCertificate, PageRole, PageSettings, Tokens,
+    DashboardError, DashboardPlan, DashboardService, Listen, PageCertificate, PageRole,
+    PageSettings, Tokens,
 };
+use spandrel_service::{Instance, Monitored, Service as _};
 use spandrel_structure::Structure;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -85,6 +87,19 @@ impl Files {
     }
 }
 
+async fn start(
+    bus: &Bus,
+    structures: Vec<Monitored>,
+    page: PageSettings,
+) -> Result<DashboardService, DashboardError> {
+    let plan = DashboardPlan {
+        instance: Instance::new(bus, name("page")),
+        structures,
+        page,
+    };
+    DashboardService::start(&plan).await
+}
+
 /// A running page of the demo.
 struct Site {
     files: Files,
@@ -143,19 +158,14 @@ impl Site {
         let (bus, config) = bus().await;
         let structure = demo();
         let keys = config.keys(structure.name()).unwrap();
-        let service = DashboardService::start(
-            &[(&structure, keys.clone())],
-            &bus,
-            &page,
-            name("dashboard"),
-        )
-        .await
-        .unwrap();
+        let service = start(&bus, vec![Monitored::new(&structure, keys.clone())], page)
+            .await
+            .unwrap();
         let address = service.address();
         let (stop, stopped) = oneshot::channel::<()>();
-        let running = tokio::spawn(service.run(async {
+        let running = tokio::spawn(service.run(Box::pin(async {
             let _ = stopped.await;
-        }));
+        })));
         Self {
             files,
             scheme,
@@ -554,10 +564,7 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
                 tokens: tokens.clone(),
                 cannot_acknowledge: None,
             };
-            let error = DashboardService::start(&[], &bus, &page, name("page"))
-                .await
-                .map(|_| ())
-                .unwrap_err();
+            let error = start(&bus, Vec::new(), page).await.map(|_| ()).unwrap_err();
             let told = error.to_string();
             assert!(told.contains(address) && told.contains(missing), "{told}");
         }
@@ -568,9 +575,7 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
         tokens: files.tokens(),
         cannot_acknowledge: None,
     };
-    DashboardService::start(&[], &bus, &page, name("page"))
-        .await
-        .unwrap();
+    start(&bus, Vec::new(), page).await.unwrap();
     bus.close().await.unwrap();
 }
 
@@ -580,14 +585,14 @@ async fn a_foreign_name_is_not_answered_without_tokens() {
     let structure = demo();
     let keys = config.keys(structure.name()).unwrap();
     let page = Listen::At("127.0.0.1:0".into()).into();
-    let service = DashboardService::start(&[(&structure, keys)], &bus, &page, name("page"))
+    let service = start(&bus, vec![Monitored::new(&structure, keys)], page)
         .await
         .unwrap();
     let address = service.address();
     let (stop, stopped) = oneshot::channel::<()>();
-    let running = tokio::spawn(service.run(async {
+    let running = tokio::spawn(service.run(Box::pin(async {
         let _ = stopped.await;
-    }));
+    })));
     let ask = async |host: &str| {
         let request =
             format!("GET /api/structures HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");

@@ -13,7 +13,8 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, DisplayPublisher, Keys,
     LatestPublisher, Name, ParameterDisplay,
 };
-use spandrel_dashboard::{DashboardError, DashboardService, Listen, PageSettings};
+use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
+use spandrel_service::{Instance, Monitored, Service as _};
 use spandrel_structure::Structure;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -109,19 +110,17 @@ impl Site {
             .publish_latest(keys.alert(&name("storey-2")))
             .await
             .unwrap();
-        let service = DashboardService::start(
-            &[(&structure, keys.clone())],
-            &bus,
-            &page,
-            name("dashboard"),
-        )
-        .await
-        .unwrap();
+        let plan = DashboardPlan {
+            instance: Instance::new(&bus, name("dashboard")),
+            structures: vec![Monitored::new(&structure, keys.clone())],
+            page,
+        };
+        let service = DashboardService::start(&plan).await.unwrap();
         let address = service.address();
         let (stop, stopped) = oneshot::channel::<()>();
-        let running = tokio::spawn(service.run(async {
+        let running = tokio::spawn(service.run(Box::pin(async {
             let _ = stopped.await;
-        }));
+        })));
         Self {
             bus,
             keys,
@@ -281,18 +280,19 @@ async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
     site.wait("an alarm", |found| found["raised"] == 1).await;
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let structure = Structure::read(&path).unwrap();
-    let listen = Listen::At("127.0.0.1:0".into()).into();
-    let structures = [(&structure, site.keys.clone())];
-    let late = DashboardService::start(&structures, &site.bus, &listen, name("late"))
-        .await
-        .unwrap();
+    let plan = DashboardPlan {
+        instance: Instance::new(&site.bus, name("late")),
+        structures: vec![Monitored::new(&structure, site.keys.clone())],
+        page: Listen::At("127.0.0.1:0".into()).into(),
+    };
+    let late = DashboardService::start(&plan).await.unwrap();
     let client = Client {
         address: late.address(),
     };
     let (stop, stopped) = oneshot::channel::<()>();
-    let running = tokio::spawn(late.run(async {
+    let running = tokio::spawn(late.run(Box::pin(async {
         let _ = stopped.await;
-    }));
+    })));
     client
         .wait("the alarm that was there before", |found| {
             found["raised"] == 1
@@ -582,13 +582,12 @@ async fn an_address_that_was_asked_for_is_that_or_an_error() {
     let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let site = Site::start().await;
-    let failed = DashboardService::start(
-        &[],
-        &site.bus,
-        &Listen::At(address.clone()).into(),
-        name("other"),
-    )
-    .await;
+    let plan = DashboardPlan {
+        instance: Instance::new(&site.bus, name("other")),
+        structures: Vec::new(),
+        page: Listen::At(address.clone()).into(),
+    };
+    let failed = DashboardService::start(&plan).await;
     let told = failed.unwrap_err().to_string();
     assert!(told.contains(&address), "{told}");
     site.end().await;

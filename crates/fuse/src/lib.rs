@@ -14,4 +14,4 @@ pub mod shell;
 
 pub use error::FuseError;
 pub use fusion::{Fusion, FusionState, Input, Output};
-pub use shell::{ESTIMATES_KEPT, FuseService};
+pub use shell::{ESTIMATES_KEPT, FusePlan, FuseService};

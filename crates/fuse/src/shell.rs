@@ -3,17 +3,17 @@
 use crate::error::FuseError;
 use crate::fusion::{Fusion, FusionState, Input, Output};
 use spandrel_bus::{
-    BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event,
-    FeedbackMessage, Keep, Keys, LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message,
-    Name, NodeDisplay, NumberedPublisher, NumberedStream, OutlierDisplay, ParameterDisplay,
-    ProgressPublisher, Service, Status, StreamState, Subscription,
+    BoxedFuture, BusError, Description, DisplayPublisher, EstimateBlock, FeedbackMessage, Keep,
+    LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay,
+    NumberedPublisher, NumberedStream, OutlierDisplay, ParameterDisplay, ProgressPublisher,
+    Service, StreamState, Subscription,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_filter::fusion::compression::MISSED_MASS;
+use spandrel_service::{Clock, EventPublisher, Instance, Monitored, Report, StatusPublisher, Stop};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
-use std::future::Future;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{info, warn};
 
@@ -34,6 +34,15 @@ const LAST_MESSAGES_IN_ALL: Duration = Duration::from_secs(1);
 /// Capacity of the queue for node messages. When it is full, the oldest message is dropped.
 const MESSAGES_WAITING: usize = 1024;
 
+/// What the fusion of one structure needs to start.
+#[derive(Clone, Debug)]
+pub struct FusePlan {
+    /// The instance. The time of its clock is the epoch of the estimates.
+    pub instance: Instance,
+    /// The structure.
+    pub monitored: Monitored,
+}
+
 /// The fusion service of one structure.
 #[derive(Debug)]
 pub struct FuseService {
@@ -49,18 +58,19 @@ pub struct FuseService {
     positions: BTreeMap<String, usize>,
     /// Keys of the liveliness tokens of the nodes, by index.
     tokens: Vec<String>,
-    events: DisplayPublisher<Event>,
+    events: EventPublisher,
     _description: LatestPublisher<Description>,
     progress: ProgressPublisher,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     keeper: Option<Keeper>,
-    keys: Keys,
-    service: Name,
-    id: Name,
+    clock: Clock,
     token: Option<LiveToken>,
 }
 
-impl FuseService {
+impl spandrel_service::Service for FuseService {
+    type Plan = FusePlan;
+    type Error = FuseError;
+
     /// Validates the settings and joins the bus.
     ///
     /// `id` names this instance, and `epoch` must be higher at each start. If `remembering` is set,
@@ -69,17 +79,36 @@ impl FuseService {
     /// # Errors
     /// Fails if the nodes do not identify the structure, checkpoints cannot be written, or the bus
     /// rejects a declaration.
-    pub fn start<'a>(
-        structure: &'a Structure,
-        bus: &'a Bus,
-        keys: Keys,
-        id: Name,
-        epoch: u64,
-        remembering: Option<&'a Remembering>,
-    ) -> BoxedFuture<'a, Result<Self, FuseError>> {
+    fn start(plan: &FusePlan) -> BoxedFuture<'_, Result<Self, FuseError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. Messages that have arrived by then are still fused, within a limit of one
+    /// second.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), FuseError>> {
+        self.run_until(stop)
+    }
+}
+
+impl FuseService {
+    fn start_from(plan: &FusePlan) -> BoxedFuture<'_, Result<Self, FuseError>> {
         Box::pin(async move {
-            let mut core = Fusion::new(structure, id.as_str(), epoch)?;
+            let FusePlan {
+                instance,
+                monitored,
+            } = plan;
+            let Instance { bus, id, clock } = instance;
+            let Monitored {
+                structure,
+                keys,
+                remembering,
+            } = monitored;
+            let mut core = Fusion::new(structure, id.as_str(), clock.epoch())?;
             let keeper = remembering
+                .as_ref()
                 .map(|remembering| recall(&mut core, structure, remembering))
                 .transpose()?;
             let estimates = bus
@@ -123,12 +152,6 @@ impl FuseService {
                     text: structure.text().to_owned(),
                 })
                 .await?;
-            let named = |text: &str| {
-                Name::new(text).map_err(|source| FuseError::Name {
-                    structure: structure.name().to_owned(),
-                    source,
-                })
-            };
             let service = Self {
                 messages: bus.subscribe(keys.all_local(), MESSAGES_WAITING).await?,
                 presence: bus.watch_live(keys.all_live(Service::Identify)).await?,
@@ -139,18 +162,16 @@ impl FuseService {
                 outliers,
                 positions,
                 tokens,
-                events: bus.publish_display(keys.event()).await?,
+                events: EventPublisher::declare(bus, keys).await?,
                 _description: description,
                 progress: bus
                     .publish_progress(keys.progress(Service::Fuse), id.to_string())
                     .await?,
-                status: bus.publish_display(keys.status(Service::Fuse, &id)).await?,
-                service: named(Service::Fuse.as_str())?,
-                token: Some(bus.announce(keys.live(Service::Fuse, &id)).await?),
+                status: instance.publish_status(Service::Fuse, keys).await?,
+                token: Some(instance.announce(Service::Fuse, keys).await?),
                 core,
                 keeper,
-                keys,
-                id,
+                clock: *clock,
             };
             info!(
                 structure = structure.name(),
@@ -170,18 +191,6 @@ impl FuseService {
         })
     }
 
-    /// Runs until `stop`. Messages that have arrived by then are still fused, within a limit of one
-    /// second.
-    ///
-    /// # Errors
-    /// Fails if the bus is closed.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), FuseError>> {
-        self.run_until(Box::pin(stop))
-    }
-
     fn run_until(
         mut self,
         mut stop: BoxedFuture<'_, ()>,
@@ -199,7 +208,7 @@ impl FuseService {
                     },
                     _present = self.presence.changed() => self.note_presence().await?,
                     _ = clock.tick() => {
-                        self.handle(Input::Tick(now_ns())).await?;
+                        self.handle(Input::Tick(self.clock.now_ns())).await?;
                         ticks += 1;
                         if ticks % TICKS_PER_STATUS == 0 {
                             self.put_status().await?;
@@ -248,7 +257,7 @@ impl FuseService {
             node,
             message: Box::new(message),
             bytes,
-            arrived_ns: now_ns(),
+            arrived_ns: self.clock.now_ns(),
         })
         .await?;
         if self.core.pace() != pace {
@@ -312,22 +321,12 @@ impl FuseService {
                     show(publisher, &display).await?;
                 }
             }
-            Output::Event(event) => {
-                warn!(
-                    structure = event.structure.as_str(),
-                    subject = event.subject,
-                    what = event.what,
-                    why = event.why,
-                    "event"
-                );
-                self.events.put(&event).await?;
-            }
+            Output::Event(event) => self.events.put(&event).await?,
         }
         Ok(())
     }
 
     async fn put_status(&self) -> Result<(), FuseError> {
-        let now_ns = now_ns();
         let mut drops = self.core.refused();
         for (reason, count) in self.messages.refused() {
             *drops.entry(format!("refused-{reason}")).or_default() += count;
@@ -337,27 +336,14 @@ impl FuseService {
                 .as_ref()
                 .and_then(|keeper| keeper.failures().drops()),
         );
-        let status = Status {
-            structure: self.keys.structure().clone(),
-            service: self.service.clone(),
-            id: self.id.clone(),
-            time_ns: now_ns,
-            lag_s: self
-                .core
-                .done_ns()
-                .map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
-            pace: self.core.pace(),
-            load: None,
-            frames_behind: None,
-            fit: None,
-            undecided: BTreeMap::new(),
-            state: None,
+        let report = Report {
             done: self.core.done(),
+            processed_ns: self.core.done_ns(),
             drops,
-            restarts: 0,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            pace: self.core.pace(),
+            ..Report::default()
         };
-        Ok(self.status.put(&status).await?)
+        Ok(self.status.put(report).await?)
     }
 }
 
@@ -395,14 +381,4 @@ async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Resul
         }
         result => result,
     }
-}
-
-fn now_ns() -> i64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "the station fuses on its own clock"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }

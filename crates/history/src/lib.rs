@@ -19,5 +19,5 @@ mod settings;
 mod sums;
 
 pub use error::HistoryError;
-pub use service::HistoryService;
+pub use service::{HistoryPlan, HistoryService};
 pub use settings::{Address, Keep};

@@ -6,17 +6,16 @@ use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
-    BoxedFuture, Bus, DisplayPublisher, KeyFamily, Keys, LiveToken, Name, Question, Questions,
-    Service, SpanQuery, Status, Topic, parse_key,
+    BoxedFuture, KeyFamily, Keys, LiveToken, Question, Questions, Service, SpanQuery, Topic,
+    parse_key,
 };
 use spandrel_listener::{DisplayTopic as T, Listener, Needs};
-use spandrel_structure::Structure;
+use spandrel_service::{Clock, Instance, Monitored, Report, StatusPublisher, Stop};
 use std::collections::{BTreeMap, BTreeSet};
-use std::future::Future;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
@@ -54,6 +53,19 @@ const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration:
 /// Time limit for writing the last values after a stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
+/// What the history needs to start.
+#[derive(Clone, Debug)]
+pub struct HistoryPlan {
+    /// The instance.
+    pub instance: Instance,
+    /// The structures.
+    pub structures: Vec<Monitored>,
+    /// The database.
+    pub address: Address,
+    /// How long values are stored.
+    pub keep: Keep,
+}
+
 /// The history service of one or more structures.
 #[derive(Debug)]
 pub struct HistoryService {
@@ -62,8 +74,7 @@ pub struct HistoryService {
     keep: Keep,
     waiting: Arc<Waiting>,
     life: String,
-    id: Name,
-    service: Name,
+    clock: Clock,
     answering: JoinSet<()>,
 }
 
@@ -88,11 +99,14 @@ struct Source {
     keys: Keys,
     collector: Collector,
     listener: Listener,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     token: LiveToken,
 }
 
-impl HistoryService {
+impl spandrel_service::Service for HistoryService {
+    type Plan = HistoryPlan;
+    type Error = HistoryError;
+
     /// Opens the database, subscribes to messages and announces liveliness tokens. `id` names this
     /// instance.
     ///
@@ -101,14 +115,28 @@ impl HistoryService {
     ///
     /// # Errors
     /// Fails if the file or its tables are unusable, or the bus rejects a declaration.
-    pub fn start<'a>(
-        structures: &'a [(&'a Structure, Keys)],
-        bus: &'a Bus,
-        address: &'a Address,
-        keep: Keep,
-        id: Name,
-    ) -> BoxedFuture<'a, Result<Self, HistoryError>> {
+    fn start(plan: &HistoryPlan) -> BoxedFuture<'_, Result<Self, HistoryError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. Messages taken by then are still written.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), HistoryError>> {
+        self.run_until(stop)
+    }
+}
+
+impl HistoryService {
+    fn start_from(plan: &HistoryPlan) -> BoxedFuture<'_, Result<Self, HistoryError>> {
         Box::pin(async move {
+            let HistoryPlan {
+                instance,
+                structures,
+                address,
+                keep,
+            } = plan;
             let database = Database::new(address)?;
             let waiting = Arc::<Waiting>::default();
             if let Err(error) = database.ready().await {
@@ -121,15 +149,14 @@ impl HistoryService {
             let mut service = Self {
                 sources: Vec::new(),
                 database,
-                keep,
+                keep: keep.clone(),
                 waiting,
-                life: format!("{}-{}", now_ns(), std::process::id()),
-                service: Name::new(Service::History.as_str())?,
-                id,
+                life: format!("{}-{}", instance.clock.now_ns(), std::process::id()),
+                clock: instance.clock,
                 answering: JoinSet::new(),
             };
-            for (structure, keys) in structures {
-                service.listen(structure, keys, bus).await?;
+            for monitored in structures {
+                service.listen(monitored, instance).await?;
             }
             if address.believes_the_network() {
                 warn!(database = %address, "the identity of the database server is not verified; set sslmode=verify-full to verify it");
@@ -141,20 +168,21 @@ impl HistoryService {
 
     async fn listen(
         &mut self,
-        structure: &Structure,
-        keys: &Keys,
-        bus: &Bus,
+        monitored: &Monitored,
+        instance: &Instance,
     ) -> Result<(), HistoryError> {
+        let bus = &instance.bus;
+        let Monitored {
+            structure, keys, ..
+        } = monitored;
         let spans = bus.questions(keys.all_history(), QUESTIONS_WAITING).await?;
         let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
         let source = Source {
             collector: Collector::new(structure, keys.root().as_str()),
             listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS).await?,
-            status: bus
-                .publish_display(keys.status(Service::History, &self.id))
-                .await?,
+            status: instance.publish_status(Service::History, keys).await?,
             // The token comes last, because dashboards send queries as soon as they see it.
-            token: bus.announce(keys.live(Service::History, &self.id)).await?,
+            token: instance.announce(Service::History, keys).await?,
             keys: keys.clone(),
         };
         let named = source.collector.named().clone();
@@ -168,17 +196,6 @@ impl HistoryService {
             .spawn(answer_log(log, self.database.clone(), keys.clone()));
         self.sources.push(source);
         Ok(())
-    }
-
-    /// Runs until `stop`. Messages taken by then are still written.
-    ///
-    /// # Errors
-    /// Fails if the bus is closed.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), HistoryError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), HistoryError>> {
@@ -245,7 +262,7 @@ impl HistoryService {
     ///
     /// Without the limit, a single wrong timestamp would delete all other values.
     fn newest(&self) -> Vec<(String, i64)> {
-        let now_ns = now_ns();
+        let now_ns = self.clock.now_ns();
         let newest = self.sources.iter().filter_map(|source| {
             let structure = format!("{}/{}", source.keys.root(), source.keys.structure());
             Some((structure, source.collector.newest_ns?.min(now_ns)))
@@ -274,7 +291,6 @@ impl HistoryService {
     }
 
     async fn put_status(&self) -> Result<(), HistoryError> {
-        let time_ns = now_ns();
         let (points, rows) = {
             let backlog = self.waiting.backlog();
             (backlog.dropped_points, backlog.dropped_rows)
@@ -296,27 +312,13 @@ impl HistoryService {
                     .filter(|(_, count)| *count > 0)
                     .map(|(name, count)| ((*name).to_owned(), *count)),
             );
-            let status = Status {
-                structure: source.keys.structure().clone(),
-                service: self.service.clone(),
-                id: self.id.clone(),
-                time_ns,
-                lag_s: source
-                    .collector
-                    .newest_ns
-                    .map(|newest_ns| time_ns.saturating_sub(newest_ns) as f64 / 1e9),
-                pace: None,
-                load: None,
-                frames_behind: None,
-                fit: None,
-                undecided: BTreeMap::new(),
-                state: None,
+            let report = Report {
                 done: source.listener.taken(),
+                processed_ns: source.collector.newest_ns,
                 drops,
-                restarts: 0,
-                version: env!("CARGO_PKG_VERSION").to_owned(),
+                ..Report::default()
             };
-            source.status.put(&status).await?;
+            source.status.put(report).await?;
         }
         Ok(())
     }
@@ -521,16 +523,6 @@ fn reason(error: &HistoryError) -> String {
         source = error.source();
     }
     reason
-}
-
-fn now_ns() -> i64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "a life of the service, its lag, and what is too old go by the wall clock"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 #[cfg(test)]

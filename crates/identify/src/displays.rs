@@ -1,11 +1,11 @@
 //! The display topics of an identification: one per parameter, noise level and screened channel.
 
 use crate::identification::{Identification, Output};
-use crate::shell::log_event;
 use spandrel_bus::{
-    Bus, BusError, DisplayPublisher, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name,
+    Bus, BusError, DisplayPublisher, FitDisplay, Keys, Message, ModelClassDisplay, Name,
     NoiseDisplay, OutlierDisplay, ParameterDisplay,
 };
+use spandrel_service::EventPublisher;
 use std::collections::BTreeMap;
 use tracing::warn;
 
@@ -17,7 +17,7 @@ pub(crate) struct Displays {
     outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
     classes: Option<DisplayPublisher<ModelClassDisplay>>,
     fit: DisplayPublisher<FitDisplay>,
-    events: DisplayPublisher<Event>,
+    events: EventPublisher,
 }
 
 impl Displays {
@@ -47,7 +47,7 @@ impl Displays {
             false => None,
         };
         let fit = bus.publish_display(keys.fit()).await?;
-        let events = bus.publish_display(keys.event()).await?;
+        let events = EventPublisher::declare(bus, keys).await?;
         Ok(Self {
             parameters,
             noise,
@@ -73,10 +73,7 @@ impl Displays {
             Output::Outliers(display) => show(self.outliers.get(&display.channel), display).await,
             Output::Classes(display) => show(self.classes.as_ref(), display).await,
             Output::Fit(display) => show(Some(&self.fit), display).await,
-            Output::Event(event) => {
-                log_event(event, None);
-                self.events.put(event).await
-            }
+            Output::Event(event) => self.events.put(event).await,
             Output::Estimates(_) => Ok(()), // for programs
             Output::Responses(_) => Ok(()), // for files
         }

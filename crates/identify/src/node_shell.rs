@@ -5,21 +5,19 @@ use crate::node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
 use crate::pieces::Pieces;
 use crate::pool::FilterPool;
 use crate::set_aside::{SetAside, Span};
-use crate::shell::log_event;
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, EventKind, FeedbackMessage, Keys,
-    LiveToken, LocalMessage, Name, Pace, SampleBlock, Service, Start, Status, Subscription,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, EventKind, FeedbackMessage,
+    LiveToken, LocalMessage, Name, Pace, SampleBlock, Service, Start, Subscription,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
+use spandrel_service::{
+    Clock, EventPublisher, Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop,
+};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
-use std::future::Future;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
-
-/// Interval between status messages.
-const STATUS_EVERY: Duration = Duration::from_secs(1);
 
 /// After a stop, the service waits until no sample has arrived for this long.
 const LAST_SAMPLES: Duration = Duration::from_millis(100);
@@ -34,6 +32,24 @@ const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Capacity of the queue for feedback. Only the newest message matters.
 const ANSWERS_WAITING: usize = 4;
+
+/// What the worker of one sensor node needs to start.
+#[derive(Clone, Debug)]
+pub struct NodeServicePlan {
+    /// The session.
+    pub bus: Bus,
+    /// The wall clock. Its time is the epoch of the estimates.
+    pub clock: Clock,
+    /// The structure.
+    pub monitored: Monitored,
+    /// Index of the node in the structure.
+    pub position: usize,
+    /// The threads of the filters.
+    pub pool: FilterPool,
+    /// Samples that caused panics in earlier runs. The worker skips them, and adds those that cause
+    /// a panic in its run.
+    pub set_aside: SetAside,
+}
 
 /// The worker of one sensor node.
 #[derive(Debug)]
@@ -54,15 +70,18 @@ pub struct NodeService {
     at_work: Option<Span>,
     feedback: Subscription<FeedbackMessage>,
     local: DisplayPublisher<LocalMessage>,
-    events: DisplayPublisher<Event>,
-    status: DisplayPublisher<Status>,
+    events: EventPublisher,
+    status: StatusPublisher,
     structure: Name,
-    service: Name,
+    clock: Clock,
     node: Name,
     token: Option<LiveToken>,
 }
 
-impl NodeService {
+impl spandrel_service::Service for NodeService {
+    type Plan = NodeServicePlan;
+    type Error = IdentifyError;
+
     /// Validates the settings and joins the bus. `epoch` must be higher at each start.
     ///
     /// If `remembering` is set, the worker resumes from its last checkpoint and reads later samples
@@ -71,25 +90,52 @@ impl NodeService {
     /// # Errors
     /// Fails if the node cannot run its own identification, checkpoints cannot be written, or the
     /// bus rejects a declaration.
-    pub fn start<'a>(
-        structure: &'a Structure,
-        position: usize,
-        bus: &'a Bus,
-        keys: &'a Keys,
-        epoch: u64,
-        pool: FilterPool,
-        remembering: Option<&'a Remembering>,
-    ) -> BoxedFuture<'a, Result<Self, IdentifyError>> {
+    fn start(plan: &NodeServicePlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. Samples that have arrived by then are still processed, within a limit of
+    /// one second.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed, or if the filter has panicked. The next run then continues
+    /// without the samples that caused the panic.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), IdentifyError>> {
+        self.run_until(stop)
+    }
+}
+
+impl NodeService {
+    fn start_from(plan: &NodeServicePlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
         Box::pin(async move {
-            let mut core = NodeIdentification::new(structure, position, epoch)?;
+            let NodeServicePlan {
+                bus,
+                clock,
+                monitored,
+                position,
+                pool,
+                set_aside,
+            } = plan;
+            let Monitored {
+                structure,
+                keys,
+                remembering,
+            } = monitored;
+            let mut core = NodeIdentification::new(structure, *position, clock.epoch())?;
             let named = |name: &str| {
                 Name::new(name).map_err(|source| IdentifyError::Name {
                     structure: structure.name().to_owned(),
                     source,
                 })
             };
-            let node = named(structure.nodes()[position].name())?;
+            let node = named(structure.nodes()[*position].name())?;
+            let instance = Instance {
+                bus: bus.clone(),
+                id: node.clone(),
+                clock: *clock,
+            };
             let keeper = remembering
+                .as_ref()
                 .map(|remembering| recall(&mut core, structure, &node, remembering))
                 .transpose()?;
             let position = core.position();
@@ -110,18 +156,16 @@ impl NodeService {
                 keeper,
                 goes_on: position.is_some(),
                 begins_at: None,
-                set_aside: SetAside::default(),
+                set_aside: set_aside.clone(),
                 at_work: None,
-                pool,
+                pool: pool.clone(),
                 feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
                 local: bus.publish_display(keys.local(&node)).await?,
-                events: bus.publish_display(keys.event()).await?,
-                status: bus
-                    .publish_display(keys.status(Service::Identify, &node))
-                    .await?,
-                token: Some(bus.announce(keys.live(Service::Identify, &node)).await?),
+                events: EventPublisher::declare(bus, keys).await?,
+                status: instance.publish_status(Service::Identify, keys).await?,
+                token: Some(instance.announce(Service::Identify, keys).await?),
                 structure: keys.structure().clone(),
-                service: named(Service::Identify.as_str())?,
+                clock: *clock,
                 node,
                 core: Some(core),
             };
@@ -132,26 +176,6 @@ impl NodeService {
             );
             Ok(service)
         })
-    }
-
-    /// Skips samples that caused panics in earlier runs, and records those that cause a panic in
-    /// this run.
-    #[must_use]
-    pub fn without(self, set_aside: SetAside) -> Self {
-        Self { set_aside, ..self }
-    }
-
-    /// Runs until `stop`. Samples that have arrived by then are still processed, within a limit of
-    /// one second.
-    ///
-    /// # Errors
-    /// Fails if the bus is closed, or if the filter has panicked. The next run then continues
-    /// [without](Self::without) the samples that caused the panic.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), IdentifyError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(
@@ -274,10 +298,7 @@ impl NodeService {
         for output in outputs {
             match output {
                 NodeOutput::Local(message) => self.local.put(&message).await?,
-                NodeOutput::Event(event) => {
-                    log_event(&event, None);
-                    self.events.put(&event).await?;
-                }
+                NodeOutput::Event(event) => self.events.put(&event).await?,
             }
         }
         if self.keeper.as_ref().is_some_and(Keeper::is_due) {
@@ -292,7 +313,7 @@ impl NodeService {
             self.set_aside.add((epoch, from, to));
             let event = Event {
                 structure: self.structure.clone(),
-                time_ns: now_ns(),
+                time_ns: self.clock.now_ns(),
                 kind: EventKind::Restart,
                 subject: self.node.to_string(),
                 what: format!(
@@ -301,7 +322,6 @@ impl NodeService {
                 ),
                 why: "they caused a panic in the filter of the node".to_owned(),
             };
-            log_event(&event, None);
             self.events.put(&event).await?;
         }
         Err(IdentifyError::ThreadLost {
@@ -329,7 +349,6 @@ impl NodeService {
     }
 
     async fn put_status(&self) -> Result<(), IdentifyError> {
-        let now_ns = now_ns();
         let mut drops: BTreeMap<String, u64> = self.samples.counts().drops();
         let core = self.core.as_ref();
         for (reason, count) in core.into_iter().flat_map(NodeIdentification::dropped) {
@@ -343,37 +362,15 @@ impl NodeService {
                 .as_ref()
                 .and_then(|keeper| keeper.failures().drops()),
         );
-        let status = Status {
-            structure: self.structure.clone(),
-            service: self.service.clone(),
-            id: self.node.clone(),
-            time_ns: now_ns,
-            lag_s: core
-                .and_then(NodeIdentification::last_ns)
-                .map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
-            pace: None,
-            load: None,
-            frames_behind: None,
-            fit: None,
-            undecided: BTreeMap::new(),
-            state: None,
+        let report = Report {
             done: core.map_or(0, NodeIdentification::done),
+            processed_ns: core.and_then(NodeIdentification::last_ns),
             drops,
             restarts: core.map_or(0, NodeIdentification::restarts) + self.set_aside.deaths(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            ..Report::default()
         };
-        Ok(self.status.put(&status).await?)
+        Ok(self.status.put(report).await?)
     }
-}
-
-fn now_ns() -> i64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "the status tells the lag behind the wall clock, an event when it was"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 /// Restores the worker from its last readable checkpoint, if any. Returns the keeper of the next

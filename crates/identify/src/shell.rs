@@ -10,24 +10,21 @@ use crate::pool::FilterPool;
 use crate::seat::{Precedence, Seat, StandingBy};
 use crate::trouble::Trouble;
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind,
-    FrameBlock, Keys, LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start,
-    Status, StreamState, Subscription,
+    Block, BoxedFuture, Bus, BusError, Claims, Delivery, Event, EventKind, FrameBlock, Keys,
+    LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, StreamState,
+    Subscription,
 };
-use spandrel_checkpoint::Remembering;
+use spandrel_service::{Clock, Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
 use spandrel_structure::Structure;
-use std::future::Future;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::sync::Arc;
+use std::time::Duration;
 use tokio::time::Instant;
-use tracing::{debug, info, warn};
+use tracing::{debug, info};
 
 mod keeping_up;
 mod standing;
 
 pub use standing::ESTIMATES_KEPT;
-
-/// Interval between status messages, and between retries.
-const STATUS_EVERY: Duration = Duration::from_secs(1);
 
 /// Capacity of the queue for status messages of ingest. Only the last one matters.
 const STATUSES_WAITING: usize = 4;
@@ -38,12 +35,25 @@ const LAST_FRAMES: Duration = Duration::from_millis(100);
 /// send.
 const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
+/// What the identification of one structure needs to start.
+#[derive(Clone, Debug)]
+pub struct IdentifyPlan {
+    /// The instance.
+    pub instance: Instance,
+    /// The structure.
+    pub monitored: Monitored,
+    /// The threads of the filters.
+    pub pool: FilterPool,
+    /// Whether the instance leads or stands by.
+    pub precedence: Precedence,
+}
+
 /// The identification service of one structure.
 #[derive(Debug)]
 pub struct IdentifyService {
     /// `None` while joining, and while a pool thread uses it. It is lost if that thread panics.
     core: Option<Identification>,
-    structure: Structure,
+    structure: Arc<Structure>,
     bus: Bus,
     pool: FilterPool,
     trouble: Trouble,
@@ -60,10 +70,10 @@ pub struct IdentifyService {
     awake: Instant,
     failed_joins: u64,
     displays: Displays,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     keys: Keys,
-    service: Name,
     id: Name,
+    clock: Clock,
     token: Option<LiveToken>,
     last_time_ns: Option<i64>,
     epoch: u64,
@@ -79,7 +89,10 @@ pub struct IdentifyService {
     shed: u64,
 }
 
-impl IdentifyService {
+impl spandrel_service::Service for IdentifyService {
+    type Plan = IdentifyPlan;
+    type Error = IdentifyError;
+
     /// Validates the settings and joins the bus. `id` names this instance.
     ///
     /// The service resumes from its last checkpoint if `remembering` is set, or from the state of
@@ -88,16 +101,35 @@ impl IdentifyService {
     /// # Errors
     /// Fails if the filter cannot be created, checkpoints cannot be written, or the bus rejects a
     /// declaration.
-    pub fn start<'a>(
-        structure: &'a Structure,
-        bus: &'a Bus,
-        keys: Keys,
-        id: Name,
-        pool: FilterPool,
-        remembering: Option<&'a Remembering>,
-        precedence: Precedence,
-    ) -> BoxedFuture<'a, Result<Self, IdentifyError>> {
+    fn start(plan: &IdentifyPlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. Frames that have arrived by then are still processed, within a limit of
+    /// one second. The rest arrives again after a restart.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed, or if the thread of a filter was lost.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), IdentifyError>> {
+        self.run_until(stop)
+    }
+}
+
+impl IdentifyService {
+    fn start_from(plan: &IdentifyPlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
         Box::pin(async move {
+            let IdentifyPlan {
+                instance,
+                monitored,
+                pool,
+                precedence,
+            } = plan;
+            let Instance { bus, id, clock } = instance;
+            let Monitored {
+                structure,
+                keys,
+                remembering,
+            } = monitored;
             let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
             let memory = match remembering {
                 Some(remembering) => Some(Memory::open(structure, remembering, alert.clone())?),
@@ -110,27 +142,19 @@ impl IdentifyService {
             let mut service = Self {
                 structure: structure.clone(),
                 trouble: Trouble::default(),
-                pool,
+                pool: pool.clone(),
                 frames: None,
                 seat: Seat::Joining,
-                claims: bus.watch_claims(&keys).await?,
+                claims: bus.watch_claims(keys).await?,
                 ingest: bus.watch_live(keys.all_live(Service::Ingest)).await?,
                 led: bus.watch_progress(keys.progress(Service::Identify)).await?,
                 heard: 0,
                 awake: Instant::now(),
                 failed_joins: 0,
-                displays: Displays::declare(&core, bus, &keys).await?,
-                status: bus
-                    .publish_display(keys.status(Service::Identify, &id))
-                    .await?,
+                displays: Displays::declare(&core, bus, keys).await?,
+                status: instance.publish_status(Service::Identify, keys).await?,
                 token: None,
                 core: None,
-                service: Name::new(Service::Identify.as_str()).map_err(|source| {
-                    IdentifyError::Name {
-                        structure: structure.name().to_owned(),
-                        source,
-                    }
-                })?,
                 last_time_ns: None,
                 epoch: 0,
                 memory,
@@ -143,8 +167,9 @@ impl IdentifyService {
                 load: LoadState::new(),
                 shed: 0,
                 bus: bus.clone(),
-                keys,
-                id,
+                keys: keys.clone(),
+                id: id.clone(),
+                clock: *clock,
             };
             let leader = bus
                 .ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN)
@@ -158,10 +183,7 @@ impl IdentifyService {
                 Precedence::StandsBy if leader.is_none() => service.begin().await?,
                 Precedence::StandsBy => {}
             }
-            service.token = Some(
-                bus.announce(service.keys.live(Service::Identify, &service.id))
-                    .await?,
-            );
+            service.token = Some(instance.announce(Service::Identify, keys).await?);
             let (parameters, noise_levels) = service.displays.counts();
             info!(
                 structure = service.keys.structure().as_str(),
@@ -173,18 +195,6 @@ impl IdentifyService {
             );
             Ok(service)
         })
-    }
-
-    /// Runs until `stop`. Frames that have arrived by then are still processed, within a limit of
-    /// one second. The rest arrives again after a restart.
-    ///
-    /// # Errors
-    /// Fails if the bus is closed, or if the thread of a filter was lost.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), IdentifyError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(
@@ -406,7 +416,6 @@ impl IdentifyService {
     }
 
     async fn put_status(&self) -> Result<(), IdentifyError> {
-        let now_ns = now_ns() as i64;
         let core = self.core.as_ref();
         let mut drops = self
             .frames
@@ -424,38 +433,19 @@ impl IdentifyService {
                 .as_ref()
                 .and_then(|memory| memory.failures().drops()),
         );
-        let status = Status {
-            structure: self.keys.structure().clone(),
-            service: self.service.clone(),
-            id: self.id.clone(),
-            time_ns: now_ns,
-            lag_s: self
-                .last_time_ns
-                .map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
-            pace: None,
+        let report = Report {
+            done: core.map_or(0, Identification::done),
+            processed_ns: self.last_time_ns,
+            drops,
+            restarts: core.map_or(0, Identification::restarts) + self.trouble.deaths(),
             state: Some(self.seat.standing()),
             load: Some(self.load.load()),
             frames_behind: self.load.behind(),
             fit: core.and_then(Identification::fit_verdict),
-            undecided: std::collections::BTreeMap::new(),
-            done: core.map_or(0, Identification::done),
-            drops,
-            restarts: core.map_or(0, Identification::restarts) + self.trouble.deaths(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            ..Report::default()
         };
-        Ok(self.status.put(&status).await?)
+        Ok(self.status.put(report).await?)
     }
-}
-
-/// Returns the wall clock time, ns since the Unix epoch.
-fn now_ns() -> u64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "status and term are told by the clock on the wall"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos() as u64)
 }
 
 /// Waits for the next frames. Never returns without a reader.
@@ -493,51 +483,6 @@ async fn follow_frames(
         bus.follow_fit(keys.frames(), keys.recording(), reading, is_of_structure)
             .await?,
     ))
-}
-
-/// Logs an event, as a warning if it reports a fault or a recovery, otherwise as information.
-///
-/// The measurement time is logged in ns since 1970 as on the bus, or in seconds since `start_ns` if
-/// that is given.
-pub fn log_event(event: &Event, start_ns: Option<i64>) {
-    let (structure, subject) = (event.structure.as_str(), event.subject.as_str());
-    let time_s = start_ns.map(|start_ns| event.time_ns.saturating_sub(start_ns) as f64 / 1e9);
-    let time_ns = start_ns.is_none().then_some(event.time_ns);
-    match event.kind {
-        EventKind::Calibration
-        | EventKind::LeadingClass
-        | EventKind::NodeBack
-        | EventKind::ChannelBack
-        | EventKind::CaughtUp => {
-            info!(
-                structure,
-                subject,
-                time_s,
-                time_ns,
-                what = event.what,
-                why = event.why,
-                "event"
-            );
-        }
-        EventKind::Restart
-        | EventKind::Takeover
-        | EventKind::Unidentified
-        | EventKind::NodeExcluded
-        | EventKind::NodeSilent
-        | EventKind::ChannelExcluded
-        | EventKind::Gap
-        | EventKind::Overloaded => {
-            warn!(
-                structure,
-                subject,
-                time_s,
-                time_ns,
-                what = event.what,
-                why = event.why,
-                "event"
-            );
-        }
-    }
 }
 
 #[cfg(test)]

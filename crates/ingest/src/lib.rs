@@ -52,4 +52,4 @@ pub use error::IngestError;
 pub use lateness::Lateness;
 pub use layout::{Layout, LayoutError, NodeLayout};
 pub use recorder::RecordingSettings;
-pub use shell::{FRAMES_KEPT, IngestService, IngestSettings, Waiting};
+pub use shell::{FRAMES_KEPT, IngestPlan, IngestService, IngestSettings, Waiting};

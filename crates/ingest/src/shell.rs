@@ -1,16 +1,15 @@
 //! Connects the alignment of one structure to the bus.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Forget, FrameBlock, Keep, Keys, LiveToken,
-    LiveWatch, Name, NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading,
-    SampleBlock, Service, Start, Status, StreamGroup, StreamState,
+    Block, BoxedFuture, Delivery, Forget, FrameBlock, Keep, Keys, LiveToken, LiveWatch,
+    NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading, SampleBlock,
+    Service, Start, StreamGroup, StreamState,
 };
-use spandrel_structure::Structure;
+use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
@@ -36,8 +35,6 @@ const IN_MEMORY: Keep = Keep {
     }),
 };
 
-/// Interval between status messages.
-const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Interval between checks of the deadline.
 const DEADLINE_EVERY: Duration = Duration::from_millis(50);
 /// Time without samples after which a node without a token is lost. Its last blocks may still be in
@@ -57,13 +54,21 @@ pub enum Waiting {
     Limited(Duration),
 }
 
-/// Settings of one instance of ingest.
+/// What ingest needs to start.
+#[derive(Clone, Debug)]
+pub struct IngestPlan {
+    /// The instance. The time of its clock is the epoch of the first run.
+    pub instance: Instance,
+    /// The structure.
+    pub monitored: Monitored,
+    /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
+    /// new epoch.
+    pub recording: Option<RecordingSettings>,
+}
+
+/// Settings of ingest for one frame layout.
 #[derive(Clone, Debug)]
 pub struct IngestSettings {
-    /// Id of the instance.
-    pub id: Name,
-    /// Epoch of the first run. It must increase at each start, like the wall clock in ns.
-    pub epoch: u64,
     /// How long frames wait for late samples.
     pub waiting: Waiting,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
@@ -101,10 +106,8 @@ pub struct IngestService {
     tokens: LiveWatch,
     frames: NumberedPublisher<FrameBlock>,
     progress: ProgressPublisher,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     keys: Keys,
-    id: Name,
-    service: Name,
     /// Pace of the last block. The nodes of a structure are either all live or all replayed.
     pace: Pace,
     /// Pace of the last block for the status; `None` before the first block.
@@ -116,18 +119,33 @@ pub struct IngestService {
     token: LiveToken,
 }
 
-impl IngestService {
+impl spandrel_service::Service for IngestService {
+    type Plan = IngestPlan;
+    type Error = IngestError;
+
     /// Validates the structure and connects to the bus.
     ///
     /// # Errors
     /// The structure has no valid frame layout, the recording cannot be opened, or the bus rejects
     /// a declaration.
-    pub async fn start(
-        structure: &Structure,
-        bus: &Bus,
-        keys: Keys,
-        settings: IngestSettings,
-    ) -> Result<Self, IngestError> {
+    fn start(plan: &IngestPlan) -> BoxedFuture<'_, Result<Self, IngestError>> {
+        Box::pin(Self::start_from(plan))
+    }
+
+    /// Runs until `stop` completes. Samples that have already arrived are still aligned.
+    ///
+    /// # Errors
+    /// The bus has been closed, or the recording is lost or cannot be closed.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), IngestError>> {
+        self.run_until(stop)
+    }
+}
+
+impl IngestService {
+    async fn start_from(plan: &IngestPlan) -> Result<Self, IngestError> {
+        let Monitored {
+            structure, keys, ..
+        } = &plan.monitored;
         let layout = Layout::of(structure).map_err(|source| IngestError::Layout {
             structure: structure.name().to_owned(),
             source,
@@ -136,7 +154,12 @@ impl IngestService {
             .channels()
             .map(|channel| channel.name().to_owned())
             .collect();
-        Self::start_with(layout, channels, bus, keys, settings).await
+        let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
+        let settings = IngestSettings {
+            waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
+            recording: plan.recording.clone(),
+        };
+        Self::start_with(layout, channels, &plan.instance, keys.clone(), settings).await
     }
 
     /// Starts the service for a layout that does not come from a structure file.
@@ -149,17 +172,14 @@ impl IngestService {
     pub fn start_with<'a>(
         layout: Layout,
         channels: Vec<String>,
-        bus: &'a Bus,
+        instance: &'a Instance,
         keys: Keys,
         settings: IngestSettings,
     ) -> BoxedFuture<'a, Result<Self, IngestError>> {
         Box::pin(async move {
-            let IngestSettings {
-                id,
-                epoch,
-                waiting,
-                recording,
-            } = settings;
+            let IngestSettings { waiting, recording } = settings;
+            let Instance { bus, id, clock } = instance;
+            let epoch = clock.epoch();
             let (recorder, past) = match &recording {
                 Some(recording) => {
                     let structure = keys.structure().as_str();
@@ -262,10 +282,7 @@ impl IngestService {
                 tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
                 frames,
                 progress,
-                status: bus
-                    .publish_display(keys.status(Service::Ingest, &id))
-                    .await?,
-                service: Name::new(Service::Ingest.as_str())?,
+                status: instance.publish_status(Service::Ingest, &keys).await?,
                 pace: Pace::Live,
                 pace_heard: None,
                 done,
@@ -273,11 +290,10 @@ impl IngestService {
                 recorder,
                 // The token comes last, because sources start when they see it. The readers above
                 // exist by then.
-                token: bus.announce(keys.live(Service::Ingest, &id)).await?,
+                token: instance.announce(Service::Ingest, &keys).await?,
                 layout,
                 nodes,
                 keys,
-                id,
             };
             info!(
                 structure = service.keys.structure().as_str(),
@@ -288,17 +304,6 @@ impl IngestService {
             );
             Ok(service)
         })
-    }
-
-    /// Runs until `stop` completes. Samples that have already arrived are still aligned.
-    ///
-    /// # Errors
-    /// The bus has been closed, or the recording is lost or cannot be closed.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), IngestError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(
@@ -479,37 +484,18 @@ impl IngestService {
     }
 
     async fn put_status(&self) -> Result<(), IngestError> {
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "the status tells the lag behind the wall clock"
-        )]
-        let now = std::time::SystemTime::now();
-        let since_epoch = now.duration_since(std::time::UNIX_EPOCH);
-        let now_ns = since_epoch.map_or(0, |elapsed| elapsed.as_nanos() as i64);
         let mut drops: BTreeMap<String, u64> = self.core.counts().drops();
         for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
             *drops.entry(reason).or_default() += count;
         }
         drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
-        let status = Status {
-            structure: self.keys.structure().clone(),
-            service: self.service.clone(),
-            id: self.id.clone(),
-            time_ns: now_ns,
-            lag_s: self
-                .last_time_ns
-                .map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
-            pace: self.pace_heard,
-            load: None,
-            frames_behind: None,
-            fit: None,
-            undecided: BTreeMap::new(),
-            state: None,
+        let report = Report {
             done: self.done,
+            processed_ns: self.last_time_ns,
             drops,
-            restarts: 0,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            pace: self.pace_heard,
+            ..Report::default()
         };
-        Ok(self.status.put(&status).await?)
+        Ok(self.status.put(report).await?)
     }
 }

@@ -17,6 +17,7 @@ use spandrel_bus::{
     StreamSettings, StreamState,
 };
 use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
+use spandrel_service::{Clock, Instance, Service as _};
 use tokio::time::timeout;
 use zenoh::qos::CongestionControl;
 
@@ -64,16 +65,18 @@ async fn start_ingest_of(
         ranges: vec![1e9],
     });
     let layout = Layout::new(nodes.collect(), 200.0, 0.0025).unwrap();
+    let instance = Instance {
+        clock: Clock::fixed(1),
+        ..Instance::new(bus, name("ingest-1"))
+    };
     let settings = IngestSettings {
-        id: name("ingest-1"),
-        epoch: 1,
         waiting,
         recording: None,
     };
-    let service = IngestService::start_with(layout, Vec::new(), bus, keys(), settings)
+    let service = IngestService::start_with(layout, Vec::new(), &instance, keys(), settings)
         .await
         .unwrap();
-    tokio::spawn(async move { service.run(pending()).await.unwrap() })
+    tokio::spawn(async move { service.run(Box::pin(pending())).await.unwrap() })
 }
 
 async fn node(bus: &Bus, text: &str) -> NumberedPublisher<SampleBlock> {

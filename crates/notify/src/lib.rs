@@ -14,5 +14,5 @@ mod service;
 mod settings;
 
 pub use error::NotifyError;
-pub use service::NotifyService;
+pub use service::{NotifyPlan, NotifyService};
 pub use settings::{Email, Encryption, NotifySettings, Webhook, WebhookFormat};

@@ -5,15 +5,12 @@ use crate::memory::Memory;
 use crate::outbox::{GIVE_UP_AFTER, Outbox, Remembered, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
-use spandrel_bus::{
-    AlertMessage, BoxedFuture, Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status,
-};
+use spandrel_bus::{AlertMessage, BoxedFuture, Keys, LiveToken, Name, Service};
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs};
+use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
 use std::collections::BTreeMap;
-use std::future::Future;
-use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
@@ -25,19 +22,26 @@ const NEEDS: Needs = Needs {
 };
 /// Interval between checks for notices that are due.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
-/// Interval between status messages.
-const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Time limit after a stop for the notices that are being sent.
 const END_WITHIN: Duration = Duration::from_secs(5);
+
+/// What the notifications need to start.
+#[derive(Clone, Debug)]
+pub struct NotifyPlan {
+    /// The instance.
+    pub instance: Instance,
+    /// The structures.
+    pub structures: Vec<Monitored>,
+    /// The receivers.
+    pub settings: NotifySettings,
+}
 
 /// The notification service of one or more structures.
 pub struct NotifyService {
     sources: Vec<Source>,
     receivers: Vec<Arc<Receiver>>,
     outbox: Outbox,
-    clock: Clock,
-    service: Name,
-    id: Name,
+    clock: Monotonic,
 }
 
 /// The reply of an alert service.
@@ -52,9 +56,9 @@ struct Told {
 /// The monotonic time used by the outbox.
 ///
 /// It starts at [`GIVE_UP_AFTER`], so that the age of restored notices can be subtracted.
-struct Clock(Instant);
+struct Monotonic(Instant);
 
-impl Clock {
+impl Monotonic {
     fn new() -> Self {
         #[expect(
             clippy::disallowed_methods,
@@ -72,29 +76,44 @@ impl Clock {
 struct Source {
     keys: Keys,
     listener: Listener,
-    status: DisplayPublisher<Status>,
+    status: StatusPublisher,
     token: LiveToken,
     memory: Option<Memory>,
     /// Whether a checkpoint or an earlier reply has supplied the state of the alerts.
     has_heard: bool,
 }
 
-impl NotifyService {
+impl spandrel_service::Service for NotifyService {
+    type Plan = NotifyPlan;
+    type Error = NotifyError;
+
     /// Validates the settings, restores checkpoints, subscribes to alerts and announces liveliness
     /// tokens.
     ///
-    /// `id` names this instance. Each structure comes with its checkpoint folder, or `None` if it
-    /// needs no checkpoints.
-    ///
     /// # Errors
     /// Fails if a setting is invalid, a folder cannot be written, or the bus rejects a declaration.
-    pub fn start<'a>(
-        structures: &'a [(Keys, Option<PathBuf>)],
-        bus: &'a Bus,
-        settings: &'a NotifySettings,
-        id: Name,
-    ) -> BoxedFuture<'a, Result<Self, NotifyError>> {
+    fn start(plan: &NotifyPlan) -> BoxedFuture<'_, Result<Self, NotifyError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. Notices that are being sent may finish within 5 s.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), NotifyError>> {
+        self.run_until(stop)
+    }
+}
+
+impl NotifyService {
+    fn start_from(plan: &NotifyPlan) -> BoxedFuture<'_, Result<Self, NotifyError>> {
         Box::pin(async move {
+            let NotifyPlan {
+                instance,
+                structures,
+                settings,
+            } = plan;
+            let bus = &instance.bus;
             settings.check()?;
             let receivers: Vec<Arc<Receiver>> =
                 receivers(settings)?.into_iter().map(Arc::new).collect();
@@ -102,14 +121,15 @@ impl NotifyService {
                 outbox: Outbox::new(wishes(&receivers)),
                 sources: Vec::new(),
                 receivers,
-                clock: Clock::new(),
-                service: Name::new(Service::Notify.as_str())?,
-                id,
+                clock: Monotonic::new(),
             };
-            for (keys, folder) in structures {
-                let memory = folder
+            for Monitored {
+                keys, remembering, ..
+            } in structures
+            {
+                let memory = remembering
                     .as_ref()
-                    .map(|folder| Memory::open(folder, keys.structure()))
+                    .map(|remembering| Memory::open(&remembering.folder, keys.structure()))
                     .transpose()?;
                 let (memory, recalled) =
                     memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
@@ -120,12 +140,8 @@ impl NotifyService {
                 service.sources.push(Source {
                     listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
                         .await?,
-                    status: bus
-                        .publish_display(keys.status(Service::Notify, &service.id))
-                        .await?,
-                    token: bus
-                        .announce(keys.live(Service::Notify, &service.id))
-                        .await?,
+                    status: instance.publish_status(Service::Notify, keys).await?,
+                    token: instance.announce(Service::Notify, keys).await?,
                     keys: keys.clone(),
                     memory,
                     has_heard,
@@ -157,17 +173,6 @@ impl NotifyService {
                 "dropped notices whose receivers are no longer in the configuration"
             );
         }
-    }
-
-    /// Runs until `stop`. Notices that are being sent may finish within 5 s.
-    ///
-    /// # Errors
-    /// Fails if the bus is closed.
-    pub fn run<'a>(
-        self,
-        stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), NotifyError>> {
-        self.run_until(Box::pin(stop))
     }
 
     fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), NotifyError>> {
@@ -280,11 +285,6 @@ impl NotifyService {
     }
 
     async fn put_status(&self) -> Result<(), NotifyError> {
-        #[expect(clippy::disallowed_methods, reason = "a status tells when it was put")]
-        let now = SystemTime::now();
-        let time_ns = now
-            .duration_since(UNIX_EPOCH)
-            .map_or(0, |elapsed| elapsed.as_nanos() as i64);
         let counts = [
             ("failed-notices", self.outbox.failures),
             ("given-up-notices", self.outbox.given_up),
@@ -300,24 +300,12 @@ impl NotifyService {
                 .and_then(|memory| memory.failures().drops());
             let refused = source.listener.refused().into_iter();
             let drops: BTreeMap<String, u64> = refused.chain(counts).chain(unkept).collect();
-            let status = Status {
-                structure: source.keys.structure().clone(),
-                service: self.service.clone(),
-                id: self.id.clone(),
-                time_ns,
-                lag_s: None,
-                pace: None,
-                load: None,
-                frames_behind: None,
-                fit: None,
-                undecided: BTreeMap::new(),
-                state: None,
+            let report = Report {
                 done: source.listener.taken(),
                 drops,
-                restarts: 0,
-                version: env!("CARGO_PKG_VERSION").to_owned(),
+                ..Report::default()
             };
-            source.status.put(&status).await?;
+            source.status.put(report).await?;
         }
         Ok(())
     }

@@ -84,7 +84,7 @@ impl Network {
         for output in outputs {
             match output {
                 NodeOutput::Local(message) => self.local.push_back((node, message)),
-                NodeOutput::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+                NodeOutput::Event(event) => spandrel_service::log_event(&event, self.start_ns),
             }
         }
     }
@@ -120,7 +120,7 @@ impl Network {
                     Output::Feedback(node, feedback) => {
                         self.work(node, NodeInput::Feedback(feedback))
                     }
-                    Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+                    Output::Event(event) => spandrel_service::log_event(&event, self.start_ns),
                     Output::Node(display) => self.collector.take_node(&display),
                     Output::Outliers(_, display) => self.collector.take_outliers(&display),
                     Output::Parameter(_) => {} // only for display on a bus

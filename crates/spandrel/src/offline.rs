@@ -127,7 +127,7 @@ impl Chain {
                     self.collector.take_estimates(&estimates);
                     take(&estimates, &std::mem::take(&mut responses))?;
                 }
-                Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+                Output::Event(event) => spandrel_service::log_event(&event, self.start_ns),
                 Output::Classes(display) => self.collector.take_classes(&display),
                 // only for display on a bus
                 Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Fit(_) => {}

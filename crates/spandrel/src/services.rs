@@ -4,23 +4,27 @@ use crate::error::AppError;
 use crate::settings::Settings;
 use crate::state::State;
 use crate::supervision::supervise;
-use spandrel_alert::{AlertService, Baseline};
-use spandrel_bus::{BoxedFuture, Bus, Keys, Name};
-use spandrel_dashboard::{DashboardService, Listen, PageSettings};
-use spandrel_fuse::FuseService;
-use spandrel_history::{Address, HistoryService, Keep};
-use spandrel_identify::{FilterPool, IdentifyService, NodeService, Precedence, SetAside};
-use spandrel_ingest::{IngestService, IngestSettings, Waiting};
-use spandrel_notify::{NotifyService, NotifySettings};
+use spandrel_alert::{AlertPlan, AlertService, Baseline};
+use spandrel_bus::{Bus, Keys, Name, Service};
+use spandrel_dashboard::{DashboardPlan, DashboardService, Listen, PageSettings};
+use spandrel_fuse::{FusePlan, FuseService};
+use spandrel_history::{Address, HistoryPlan, HistoryService, Keep};
+use spandrel_identify::{
+    FilterPool, IdentifyPlan, IdentifyService, NodeService, NodeServicePlan, Precedence, SetAside,
+};
+use spandrel_ingest::{IngestPlan, IngestService};
+use spandrel_notify::{NotifyPlan, NotifyService, NotifySettings};
+use spandrel_service::{Instance, Monitored, Service as _};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::task::Poll;
+use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{oneshot, watch};
-use tokio::task::JoinSet;
+use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
 /// Time limit for each stage to process its queue after a stop.
@@ -184,24 +188,33 @@ impl Share<'_> {
     };
 }
 
+/// The order in which services stop: that of the data flow. They start in the opposite order.
+const STOP_ORDER: [Service; 7] = [
+    Service::Ingest,
+    Service::Identify,
+    Service::Fuse,
+    Service::Alert,
+    Service::History,
+    Service::Notify,
+    Service::Dashboard,
+];
+
 /// The services of one process, which share one session.
 #[derive(Debug)]
 pub struct Running {
-    ingest: Stage,
-    identify: Stage,
-    fuse: Stage,
-    alert: Stage,
-    history: Stage,
-    notify: Stage,
-    dashboard: Stage,
+    bus: Bus,
+    monitored: Vec<Monitored>,
+    stages: Vec<Stage>,
     pool: Option<FilterPool>,
 }
 
-/// A future that completes when a service must stop.
-type Stop = BoxedFuture<'static, ()>;
-
-/// A function that runs a service until it must stop.
-type Run<S, E> = fn(S, Stop) -> BoxedFuture<'static, Result<(), E>>;
+/// All instances of one service.
+#[derive(Debug)]
+struct Stage {
+    service: Service,
+    tasks: JoinSet<Result<(), AppError>>,
+    stop: watch::Sender<bool>,
+}
 
 /// Completes when a stop is requested.
 async fn stopped(mut stop: watch::Receiver<bool>) {
@@ -209,75 +222,42 @@ async fn stopped(mut stop: watch::Receiver<bool>) {
     let _ = stop.wait_for(|stop| *stop).await;
 }
 
-/// All instances of one service.
-#[derive(Debug)]
-struct Stage {
-    name: &'static str,
-    tasks: JoinSet<Result<(), AppError>>,
-    stop: watch::Sender<bool>,
-}
-
 impl Stage {
-    fn new(name: &'static str) -> Self {
+    fn new(service: Service) -> Self {
         Self {
-            name,
+            service,
             tasks: JoinSet::new(),
             stop: watch::Sender::new(false),
         }
     }
 
-    /// Starts a service of this stage, and restarts it after a panic. `of` names its structures.
-    async fn start<S, E, Starting>(
-        &mut self,
-        of: String,
-        start: impl Fn() -> Starting + Send + 'static,
-        run: Run<S, E>,
-    ) -> Result<(), AppError>
+    /// Runs a started service. After a panic, starts it again from the plan. `of` names its
+    /// structures.
+    fn run<S>(&mut self, of: String, service: S, plan: S::Plan)
     where
-        Starting: Future<Output = Result<S, E>> + Send + 'static,
-        S: Send + 'static,
-        E: Send + 'static,
-        AppError: From<E>,
-    {
-        let service = start().await?;
-        self.run(of, service, start, run);
-        Ok(())
-    }
-
-    /// Runs a service that has already been started, and restarts it after a panic like
-    /// [`Stage::start`].
-    fn run<S, E, Starting>(
-        &mut self,
-        of: String,
-        service: S,
-        start: impl Fn() -> Starting + Send + 'static,
-        run: Run<S, E>,
-    ) where
-        Starting: Future<Output = Result<S, E>> + Send + 'static,
-        S: Send + 'static,
-        E: Send + 'static,
-        AppError: From<E>,
+        S: spandrel_service::Service,
+        AppError: From<S::Error>,
     {
         let stop = self.stop.subscribe();
-        let first = run(service, Box::pin(stopped(stop.clone())));
+        let first = service.run(Box::pin(stopped(stop.clone())));
         let first = async move { Ok(first.await?) };
+        let plan = Arc::new(plan);
         let next = move || {
-            let (starting, stop) = (start(), stopped(stop.clone()));
-            async move { Ok(run(starting.await?, Box::pin(stop)).await?) }
+            let (plan, stop) = (plan.clone(), stopped(stop.clone()));
+            async move { Ok(S::start(&plan).await?.run(Box::pin(stop)).await?) }
         };
-        self.tasks.spawn(supervise(self.name, of, first, next));
+        self.tasks
+            .spawn(supervise(self.service.as_str(), of, first, next));
     }
 
-    /// Waits until an instance ends. No instance ends before a stop unless it fails.
-    async fn ended(&mut self) -> Result<(), AppError> {
-        match self.tasks.join_next().await {
-            None => std::future::pending().await,
-            Some(Ok(result)) => result,
-            Some(Err(source)) => Err(AppError::Panicked {
-                service: self.name,
+    /// Returns how an instance ended.
+    fn ended(&self, joined: Result<Result<(), AppError>, JoinError>) -> Result<(), AppError> {
+        joined.unwrap_or_else(|source| {
+            Err(AppError::Panicked {
+                service: self.service.as_str(),
                 source,
-            }),
-        }
+            })
+        })
     }
 
     async fn stop(&mut self) -> Result<(), AppError> {
@@ -285,12 +265,7 @@ impl Stage {
         let mut first = Ok(());
         let all = async {
             while let Some(ended) = self.tasks.join_next().await {
-                let ended = ended.unwrap_or_else(|source| {
-                    Err(AppError::Panicked {
-                        service: self.name,
-                        source,
-                    })
-                });
+                let ended = self.ended(ended);
                 if first.is_ok() {
                     first = ended;
                 }
@@ -298,7 +273,7 @@ impl Stage {
         };
         if tokio::time::timeout(STOP_DEADLINE, all).await.is_err() {
             warn!(
-                service = self.name,
+                service = self.service.as_str(),
                 deadline_s = STOP_DEADLINE.as_secs(),
                 "did not finish in time"
             );
@@ -309,16 +284,17 @@ impl Stage {
 }
 
 impl Running {
-    /// Creates an empty set of services.
-    pub fn new() -> Self {
+    /// Creates an empty set of services for these structures. With `state`, the services save their
+    /// state.
+    pub fn new(bus: &Bus, watched: &[Watched], state: Option<&State>) -> Self {
+        let monitored = watched.iter().map(|watched| Monitored {
+            remembering: state.map(|state| state.remembering(&watched.keys)),
+            ..Monitored::new(&watched.structure, watched.keys.clone())
+        });
         Self {
-            ingest: Stage::new("ingest"),
-            identify: Stage::new("identify"),
-            fuse: Stage::new("fuse"),
-            alert: Stage::new("alert"),
-            history: Stage::new("history"),
-            notify: Stage::new("notify"),
-            dashboard: Stage::new("dashboard"),
+            bus: bus.clone(),
+            monitored: monitored.collect(),
+            stages: STOP_ORDER.map(Stage::new).into(),
             pool: None,
         }
     }
@@ -328,39 +304,53 @@ impl Running {
         self.pool.clone()
     }
 
+    /// Returns the only instance of a service in this process.
+    fn instance(&self, service: Service) -> Instance {
+        Instance::new(&self.bus, service.name())
+    }
+
+    /// Starts a service and runs it until a stop. `of` names its structures.
+    async fn start<S>(&mut self, service: Service, of: &str, plan: S::Plan) -> Result<(), AppError>
+    where
+        S: spandrel_service::Service,
+        AppError: From<S::Error>,
+    {
+        let started = S::start(&plan).await?;
+        if let Some(stage) = self.stage(service) {
+            stage.run(of.to_owned(), started, plan);
+        }
+        Ok(())
+    }
+
+    fn stage(&mut self, service: Service) -> Option<&mut Stage> {
+        self.stages
+            .iter_mut()
+            .find(|stage| stage.service == service)
+    }
+
+    /// Returns the names of all structures.
+    fn names(&self) -> String {
+        let names: Vec<&str> = self
+            .monitored
+            .iter()
+            .map(|monitored| monitored.structure.name())
+            .collect();
+        names.join(", ")
+    }
+
     /// Starts ingest for each structure. With `state`, ingest records its frames.
     ///
     /// # Errors
     /// An instance cannot start.
-    pub async fn start_ingest(
-        &mut self,
-        bus: &Bus,
-        watched: &[Watched],
-        state: Option<&State>,
-    ) -> Result<(), AppError> {
-        for Watched {
-            structure, keys, ..
-        } in watched
-        {
-            let structure_name = structure.name().to_owned();
-            let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
-            let settings = IngestSettings {
-                id: Name::new("ingest")?,
-                epoch: epoch_now(),
-                waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
-                recording: state.map(|state| state.recording(keys)),
+    pub async fn start_ingest(&mut self, state: Option<&State>) -> Result<(), AppError> {
+        for monitored in self.monitored.clone() {
+            let of = monitored.structure.name().to_owned();
+            let plan = IngestPlan {
+                instance: self.instance(Service::Ingest),
+                recording: state.map(|state| state.recording(&monitored.keys)),
+                monitored,
             };
-            let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
-            let start = move || {
-                let settings = IngestSettings {
-                    epoch: epoch_now(),
-                    ..settings.clone()
-                };
-                let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
-                async move { IngestService::start(&structure, &bus, keys, settings).await }
-            };
-            self.ingest
-                .start(structure_name, start, |service, stop| service.run(stop))
+            self.start::<IngestService>(Service::Ingest, &of, plan)
                 .await?;
         }
         Ok(())
@@ -375,17 +365,14 @@ impl Running {
     /// standby.
     pub async fn start_identify(
         &mut self,
-        bus: &Bus,
-        watched: &[Watched],
         threads: Option<NonZeroUsize>,
         share: Share<'_>,
-        state: Option<&State>,
     ) -> Result<(), AppError> {
         let Share {
             nodes: only,
             precedence,
         } = share;
-        check_nodes(watched, only)?;
+        check_nodes(&self.monitored, only)?;
         let threads = threads
             .or_else(|| std::thread::available_parallelism().ok())
             .unwrap_or(NonZeroUsize::MIN);
@@ -395,77 +382,40 @@ impl Running {
         };
         let pool = FilterPool::start(threads).map_err(no_thread)?;
         self.pool = Some(pool.clone());
-        let wanted = |name: &str| only.is_empty() || only.iter().any(|wanted| wanted == name);
-        for Watched {
-            structure, keys, ..
-        } in watched
-        {
-            let remembering = state.map(|state| state.remembering(keys));
-            if structure.fusion().is_some() {
-                for (position, node) in structure
-                    .nodes()
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, node)| wanted(node.name()))
-                {
-                    let of = format!("{}/{}", structure.name(), node.name());
-                    let (structure, bus, keys, pool) =
-                        (structure.clone(), bus.clone(), keys.clone(), pool.clone());
-                    let (remembering, set_aside) = (remembering.clone(), SetAside::default());
-                    let start = move || {
-                        let (structure, bus, keys, pool) =
-                            (structure.clone(), bus.clone(), keys.clone(), pool.clone());
-                        let (remembering, set_aside) = (remembering.clone(), set_aside.clone());
-                        async move {
-                            let (remembering, epoch) = (remembering.as_ref(), epoch_now());
-                            let service = NodeService::start(
-                                &structure,
-                                position,
-                                &bus,
-                                &keys,
-                                epoch,
-                                pool,
-                                remembering,
-                            )
-                            .await?;
-                            Ok(service.without(set_aside))
-                        }
-                    };
-                    self.identify
-                        .start(of, start, |service, stop| NodeService::run(service, stop))
-                        .await?;
-                }
+        let mut instance = self.instance(Service::Identify);
+        if precedence == Precedence::StandsBy {
+            instance.id = Name::new(format!("identify-{:.8}", self.bus.instance()?.as_str()))?;
+        }
+        for monitored in self.monitored.clone() {
+            let structure = monitored.structure.clone();
+            if structure.fusion().is_none() {
+                let plan = IdentifyPlan {
+                    instance: instance.clone(),
+                    monitored,
+                    pool: pool.clone(),
+                    precedence,
+                };
+                self.start::<IdentifyService>(Service::Identify, structure.name(), plan)
+                    .await?;
                 continue;
             }
-            let id = match precedence {
-                Precedence::Leads => Name::new("identify")?,
-                Precedence::StandsBy => {
-                    Name::new(format!("identify-{:.8}", bus.instance()?.as_str()))?
+            let is_wanted = |name: &str| only.is_empty() || only.iter().any(|one| one == name);
+            for (position, node) in structure.nodes().iter().enumerate() {
+                if !is_wanted(node.name()) {
+                    continue;
                 }
-            };
-            let of = structure.name().to_owned();
-            let (structure, bus, keys, pool) =
-                (structure.clone(), bus.clone(), keys.clone(), pool.clone());
-            let start = move || {
-                let (structure, bus, keys, id) =
-                    (structure.clone(), bus.clone(), keys.clone(), id.clone());
-                let (pool, remembering) = (pool.clone(), remembering.clone());
-                async move {
-                    IdentifyService::start(
-                        &structure,
-                        &bus,
-                        keys,
-                        id,
-                        pool,
-                        remembering.as_ref(),
-                        precedence,
-                    )
-                    .await
-                }
-            };
-            self.identify
-                .start(of, start, |service, stop| service.run(stop))
-                .await?;
+                let plan = NodeServicePlan {
+                    bus: self.bus.clone(),
+                    clock: instance.clock,
+                    monitored: monitored.clone(),
+                    position,
+                    pool: pool.clone(),
+                    set_aside: SetAside::default(),
+                };
+                let of = format!("{}/{}", structure.name(), node.name());
+                self.start::<NodeService>(Service::Identify, &of, plan)
+                    .await?;
+            }
         }
         Ok(())
     }
@@ -474,89 +424,33 @@ impl Running {
     ///
     /// # Errors
     /// An instance cannot start.
-    pub async fn start_fuse(
-        &mut self,
-        bus: &Bus,
-        watched: &[Watched],
-        state: Option<&State>,
-    ) -> Result<(), AppError> {
-        for Watched {
-            structure, keys, ..
-        } in watched
-            .iter()
-            .filter(|watched| watched.structure.fusion().is_some())
-        {
-            let (id, remembering) = (
-                Name::new("fuse")?,
-                state.map(|state| state.remembering(keys)),
-            );
-            let of = structure.name().to_owned();
-            let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
-            let start = move || {
-                let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
-                let (id, remembering) = (id.clone(), remembering.clone());
-                async move {
-                    FuseService::start(
-                        &structure,
-                        &bus,
-                        keys,
-                        id,
-                        epoch_now(),
-                        remembering.as_ref(),
-                    )
-                    .await
-                }
+    pub async fn start_fuse(&mut self) -> Result<(), AppError> {
+        for monitored in self.monitored.clone() {
+            if monitored.structure.fusion().is_none() {
+                continue;
+            }
+            let of = monitored.structure.name().to_owned();
+            let plan = FusePlan {
+                instance: self.instance(Service::Fuse),
+                monitored,
             };
-            self.fuse
-                .start(of, start, |service, stop| service.run(stop))
-                .await?;
+            self.start::<FuseService>(Service::Fuse, &of, plan).await?;
         }
         Ok(())
     }
 
-    /// Starts the alert service of each structure.
+    /// Starts the alert service of each structure with its baseline, if there is one.
     ///
     /// # Errors
     /// An instance cannot start.
-    pub async fn start_alert(
-        &mut self,
-        bus: &Bus,
-        watched: &[Watched],
-        state: Option<&State>,
-    ) -> Result<(), AppError> {
-        for Watched {
-            structure,
-            keys,
-            baseline,
-        } in watched
-        {
-            let id = Name::new("alert")?;
-            let remembering = state.map(|state| state.remembering(keys));
-            let of = structure.name().to_owned();
-            let (structure, bus, keys, baseline) = (
-                structure.clone(),
-                bus.clone(),
-                keys.clone(),
-                baseline.clone(),
-            );
-            let start = move || {
-                let (structure, bus, keys, id) =
-                    (structure.clone(), bus.clone(), keys.clone(), id.clone());
-                let (baseline, remembering) = (baseline.clone(), remembering.clone());
-                async move {
-                    AlertService::start(
-                        &structure,
-                        baseline.as_ref(),
-                        &bus,
-                        keys,
-                        id,
-                        remembering.as_ref(),
-                    )
-                    .await
-                }
+    pub async fn start_alert(&mut self, watched: &[Watched]) -> Result<(), AppError> {
+        for (monitored, watched) in self.monitored.clone().into_iter().zip(watched) {
+            let plan = AlertPlan {
+                instance: self.instance(Service::Alert),
+                monitored,
+                baseline: watched.baseline.clone(),
             };
-            self.alert
-                .start(of, start, |service, stop| service.run(stop))
+            self.start::<AlertService>(Service::Alert, watched.structure.name(), plan)
                 .await?;
         }
         Ok(())
@@ -566,52 +460,28 @@ impl Running {
     ///
     /// # Errors
     /// The history cannot start.
-    pub async fn start_history(
-        &mut self,
-        bus: &Bus,
-        watched: &[Watched],
-        address: &Address,
-        keep: &Keep,
-    ) -> Result<(), AppError> {
-        let (all, bus, address, keep) =
-            (All::of(watched), bus.clone(), address.clone(), keep.clone());
-        let (of, id) = (all.names(), Name::new("history")?);
-        let start = move || {
-            let (all, bus, address) = (all.clone(), bus.clone(), address.clone());
-            let (keep, id) = (keep.clone(), id.clone());
-            async move { HistoryService::start(&all.structures(), &bus, &address, keep, id).await }
+    pub async fn start_history(&mut self, address: &Address, keep: &Keep) -> Result<(), AppError> {
+        let plan = HistoryPlan {
+            instance: self.instance(Service::History),
+            structures: self.monitored.clone(),
+            address: address.clone(),
+            keep: keep.clone(),
         };
-        self.history
-            .start(of, start, |service, stop| service.run(stop))
+        self.start::<HistoryService>(Service::History, &self.names(), plan)
             .await
     }
 
-    /// Starts the notifications of all structures. With `state`, undelivered notifications survive
-    /// a restart of the process.
+    /// Starts the notifications of all structures.
     ///
     /// # Errors
     /// The service cannot start.
-    pub async fn start_notify(
-        &mut self,
-        bus: &Bus,
-        watched: &[Watched],
-        settings: &NotifySettings,
-        state: Option<&State>,
-    ) -> Result<(), AppError> {
-        let folder = |keys: &Keys| state.map(|state| state.remembering(keys).folder);
-        let structures: Vec<_> = watched
-            .iter()
-            .map(|watched| (watched.keys.clone(), folder(&watched.keys)))
-            .collect();
-        let (of, id) = (All::of(watched).names(), Name::new("notify")?);
-        let (bus, settings) = (bus.clone(), settings.clone());
-        let start = move || {
-            let (structures, bus) = (structures.clone(), bus.clone());
-            let (settings, id) = (settings.clone(), id.clone());
-            async move { NotifyService::start(&structures, &bus, &settings, id).await }
+    pub async fn start_notify(&mut self, settings: &NotifySettings) -> Result<(), AppError> {
+        let plan = NotifyPlan {
+            instance: self.instance(Service::Notify),
+            structures: self.monitored.clone(),
+            settings: settings.clone(),
         };
-        self.notify
-            .start(of, start, |service, stop| service.run(stop))
+        self.start::<NotifyService>(Service::Notify, &self.names(), plan)
             .await
     }
 
@@ -619,43 +489,37 @@ impl Running {
     ///
     /// # Errors
     /// The dashboard cannot start.
-    pub async fn start_dashboard(
-        &mut self,
-        bus: &Bus,
-        watched: &[Watched],
-        page: &PageSettings,
-    ) -> Result<SocketAddr, AppError> {
-        let (all, bus, id) = (All::of(watched), bus.clone(), Name::new("dashboard")?);
-        let service = DashboardService::start(&all.structures(), &bus, page, id.clone()).await?;
-        let (of, address) = (all.names(), service.address());
+    pub async fn start_dashboard(&mut self, page: &PageSettings) -> Result<SocketAddr, AppError> {
+        let mut plan = DashboardPlan {
+            instance: self.instance(Service::Dashboard),
+            structures: self.monitored.clone(),
+            page: page.clone(),
+        };
+        let service = DashboardService::start(&plan).await?;
+        let address = service.address();
         // After a restart, open pages find the dashboard at the same address.
-        let page = PageSettings {
-            listen: Listen::At(address.to_string()),
-            ..page.clone()
-        };
-        let start = move || {
-            let (all, bus, page, id) = (all.clone(), bus.clone(), page.clone(), id.clone());
-            async move { DashboardService::start(&all.structures(), &bus, &page, id).await }
-        };
-        self.dashboard
-            .run(of, service, start, |service, stop| service.run(stop));
+        plan.page.listen = Listen::At(address.to_string());
+        let of = self.names();
+        if let Some(stage) = self.stage(Service::Dashboard) {
+            stage.run(of, service, plan);
+        }
         Ok(address)
     }
 
-    /// Waits until a service ends prematurely.
+    /// Waits until a service ends. No service ends before a stop unless it fails.
     ///
     /// # Errors
     /// The error of that service.
     pub async fn failed(&mut self) -> Result<(), AppError> {
-        tokio::select! {
-            ended = self.ingest.ended() => ended,
-            ended = self.identify.ended() => ended,
-            ended = self.fuse.ended() => ended,
-            ended = self.alert.ended() => ended,
-            ended = self.history.ended() => ended,
-            ended = self.notify.ended() => ended,
-            ended = self.dashboard.ended() => ended,
-        }
+        std::future::poll_fn(|context| {
+            for stage in &mut self.stages {
+                if let Poll::Ready(Some(ended)) = stage.tasks.poll_join_next(context) {
+                    return Poll::Ready(stage.ended(ended));
+                }
+            }
+            Poll::Pending
+        })
+        .await
     }
 
     /// Stops all services, the source first, so that data in transit is still processed.
@@ -663,64 +527,25 @@ impl Running {
     /// # Errors
     /// The first error of a service.
     pub async fn stop(mut self) -> Result<(), AppError> {
-        let ingest = self.ingest.stop().await;
-        let identify = self.identify.stop().await;
-        let fuse = self.fuse.stop().await;
-        let alert = self.alert.stop().await;
-        let history = self.history.stop().await;
-        let notify = self.notify.stop().await;
-        let dashboard = self.dashboard.stop().await;
-        ingest
-            .and(identify)
-            .and(fuse)
-            .and(alert)
-            .and(history)
-            .and(notify)
-            .and(dashboard)
-    }
-}
-
-/// The structures of a service with a single instance for all of them.
-#[derive(Clone)]
-struct All(Arc<[(Structure, Keys)]>);
-
-impl All {
-    fn of(watched: &[Watched]) -> Self {
-        Self(
-            watched
-                .iter()
-                .map(|watched| (watched.structure.clone(), watched.keys.clone()))
-                .collect(),
-        )
-    }
-
-    fn structures(&self) -> Vec<(&Structure, Keys)> {
-        self.0
-            .iter()
-            .map(|(structure, keys)| (structure, keys.clone()))
-            .collect()
-    }
-
-    fn names(&self) -> String {
-        let names: Vec<&str> = self
-            .0
-            .iter()
-            .map(|(structure, _)| structure.name())
-            .collect();
-        names.join(", ")
+        let mut first = Ok(());
+        for stage in &mut self.stages {
+            let stopped = stage.stop().await;
+            first = first.and(stopped);
+        }
+        first
     }
 }
 
 /// Rejects node names that do not belong to a distributed structure.
-fn check_nodes(watched: &[Watched], only: &[String]) -> Result<(), AppError> {
+fn check_nodes(monitored: &[Monitored], only: &[String]) -> Result<(), AppError> {
     let distributed = || {
-        watched
+        monitored
             .iter()
-            .filter(|watched| watched.structure.fusion().is_some())
+            .filter(|monitored| monitored.structure.fusion().is_some())
     };
     let known = || {
         distributed()
-            .flat_map(|watched| watched.structure.nodes())
+            .flat_map(|monitored| monitored.structure.nodes())
             .map(|node| node.name().to_owned())
     };
     match only
@@ -802,17 +627,6 @@ async fn heard(signal: &mut Option<Signal>) {
     if !is_heard {
         std::future::pending::<()>().await;
     }
-}
-
-/// Returns the wall clock time in ns, which is higher at each start of a source.
-pub fn epoch_now() -> u64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "an epoch must be higher at each start"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(1, |elapsed| elapsed.as_nanos() as u64)
 }
 
 /// Runs a future on a new runtime.

@@ -70,6 +70,48 @@ fn alerts_of(watch: &mut Watch, block: &EstimateBlock) -> Vec<Alert> {
 }
 
 #[test]
+fn displayed_losses_are_those_of_the_decisions_at_the_display_rate() {
+    // A reference of 0.9 as from a baseline: 0.82 has lost 8.9 % of it, but 18 % of the design.
+    let rule = Rule::new(0.10, 0.95, 0.5, 0.05).unwrap();
+    let rule = rule.with_reference(Reference::new(0.9, 0.01).unwrap());
+    let mut watch = watch();
+    let subject = watch.decisions[0].subject().clone();
+    watch.decisions[0] = Decision::new(0, rule, subject);
+    let estimates = vec![estimate([0.82, 1.0], 0.01, Phase::Working); 25];
+    let (mut alerts, mut losses) = (Vec::new(), Vec::new());
+    for (sequence, part) in [(0, &estimates[..7]), (7, &estimates[7..])] {
+        let block = block(1, sequence, part.to_vec());
+        watch
+            .handle_block_with_display(&block, 10.0, &mut alerts, &mut losses)
+            .unwrap();
+    }
+    let shown: Vec<(usize, i64)> = losses
+        .iter()
+        .map(|loss| (loss.parameter, loss.time_ns / 10_000_000))
+        .collect();
+    assert_eq!(
+        shown,
+        [(0, 0), (1, 0), (0, 10), (1, 10), (0, 20), (1, 20)],
+        "one loss per parameter, from its first rule, for the frames 0, 10 and 20"
+    );
+    let last = losses[4];
+    let decided = ParameterEstimate {
+        time_ns: 0,
+        mean: 0.82,
+        std: 0.01,
+    };
+    let reference = Reference::new(0.9, 0.01).unwrap();
+    let expected = crate::probability_of_loss(&decided, &reference, 0.10);
+    assert_eq!((last.probability, last.rule_loss), (expected, 0.10));
+    assert!(expected < 0.5, "the design would give above 0.999");
+    assert!((last.loss.loss - (1.0 - 0.82 / 0.9)).abs() < 1e-15);
+    assert!(
+        alerts.iter().all(|alert| alert.parameter != 0),
+        "{alerts:?}"
+    );
+}
+
+#[test]
 fn each_parameter_and_rule_decides_on_its_own() {
     let found = alerts_of(
         &mut watch(),

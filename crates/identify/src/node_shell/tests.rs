@@ -1,6 +1,9 @@
 use super::*;
 use crate::node::POISONED;
-use spandrel_bus::{BusConfig, Header, Keep, NumberedPublisher, NumberedStream, StreamState};
+use spandrel_bus::{
+    BusConfig, Header, Keep, Keys, NumberedPublisher, NumberedStream, Status, StreamState,
+};
+use spandrel_service::Service as _;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -61,20 +64,20 @@ impl Lives {
         }
     }
 
-    async fn begin(&self, epoch: u64, set_aside: &SetAside) -> NodeService {
+    async fn begin(&self, epoch: i64, set_aside: &SetAside) -> NodeService {
         let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
-        let remembering = Some(&self.remembering);
-        let service = NodeService::start(
-            &self.structure,
-            0,
-            &self.bus,
-            &self.keys,
-            epoch,
+        let plan = NodeServicePlan {
+            bus: self.bus.clone(),
+            clock: Clock::fixed(epoch),
+            monitored: Monitored {
+                remembering: Some(self.remembering.clone()),
+                ..Monitored::new(&self.structure, self.keys.clone())
+            },
+            position: 0,
             pool,
-            remembering,
-        )
-        .await;
-        service.unwrap().without(set_aside.clone())
+            set_aside: set_aside.clone(),
+        };
+        NodeService::start(&plan).await.unwrap()
     }
 
     /// Publishes blocks until an event has arrived.
@@ -182,7 +185,12 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
         .unwrap();
     let set_aside = SetAside::default();
 
-    let first = tokio::spawn(lives.begin(1, &set_aside).await.run(std::future::pending()));
+    let first = tokio::spawn(
+        lives
+            .begin(1, &set_aside)
+            .await
+            .run(Box::pin(std::future::pending())),
+    );
     lives
         .measure_until("an estimate of the first life", estimate_of(&local, 1))
         .await;
@@ -211,7 +219,7 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
         lives
             .begin(2, &SetAside::default())
             .await
-            .run(std::future::pending()),
+            .run(Box::pin(std::future::pending())),
     );
     let ended = lives
         .measure_until("the end of the second life", ignorant)
@@ -224,7 +232,7 @@ async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
         lives
             .begin(3, &set_aside)
             .await
-            .run(async move { drop(stopped.await) }),
+            .run(Box::pin(async move { drop(stopped.await) })),
     );
     lives
         .measure_until("an estimate of the third life", estimate_of(&local, 3))

@@ -1,7 +1,7 @@
 //! The role of the service among others that identify the same structure: it joins, stands by,
 //! takes over or steps back.
 
-use super::{IdentifyService, follow_frames, now_ns, start_of};
+use super::{IdentifyService, follow_frames, start_of};
 use crate::error::IdentifyError;
 use crate::identification::Identification;
 use crate::memory::{Memory, identity};
@@ -223,7 +223,7 @@ impl IdentifyService {
             self.memory.as_ref().map_or(0, Memory::last_term),
             self.heard,
         );
-        let term = next_term(now_ns(), self.heard, remembered);
+        let term = next_term(self.clock.epoch(), self.heard, remembered);
         if let Some(memory) = &self.memory {
             memory.keep_term(term);
         }

@@ -1,6 +1,8 @@
 use super::*;
 use crate::identification::POISONED;
 use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, Keep, NumberedStream};
+use spandrel_checkpoint::Remembering;
+use spandrel_service::Service as _;
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -106,17 +108,16 @@ async fn estimates_of_a_service_that_dies(
     let frames = bus.publish_numbered::<FrameBlock>(stream).await.unwrap();
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let id = Name::new("identify").unwrap();
-    let service = IdentifyService::start(
-        &structure(),
-        &bus,
-        keys.clone(),
-        id,
+    let plan = IdentifyPlan {
+        instance: Instance::new(&bus, id),
+        monitored: Monitored {
+            remembering,
+            ..Monitored::new(&structure(), keys.clone())
+        },
         pool,
-        remembering.as_ref(),
-        Precedence::Leads,
-    )
-    .await
-    .unwrap();
+        precedence: Precedence::Leads,
+    };
+    let service = IdentifyService::start(&plan).await.unwrap();
     let estimates = bus
         .follow::<EstimateBlock>(
             keys.estimates(),
@@ -126,7 +127,7 @@ async fn estimates_of_a_service_that_dies(
         .await
         .unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let running = tokio::spawn(service.run(async move { drop(stopped.await) }));
+    let running = tokio::spawn(service.run(Box::pin(async move { drop(stopped.await) })));
     for block in blocks() {
         frames.put(block).await.unwrap();
         tokio::time::sleep(Duration::from_millis(20)).await; // time for checkpoints between them

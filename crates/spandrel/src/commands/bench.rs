@@ -4,10 +4,11 @@ use super::print;
 use super::simulate::{Simulation, simulate};
 use crate::cli::BenchArguments;
 use crate::error::AppError;
-use crate::services::{Running, Share, Watched, block_on, epoch_now};
+use crate::services::{Running, Share, Watched, block_on};
 use crate::settings::Settings;
 use serde::Serialize;
 use spandrel_bus::{Bus, BusConfig, EstimateBlock, Mode, Progress, Service};
+use spandrel_service::Clock;
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -200,12 +201,10 @@ fn measure(
             .await?;
             let watched = watched(&settings, structures)?;
             let before = Usage::now(std::process::id());
-            let mut running = Running::new();
-            running.start_alert(&bus, &watched, None).await?;
-            running
-                .start_identify(&bus, &watched, settings.threads, Share::ALL, None)
-                .await?;
-            running.start_ingest(&bus, &watched, None).await?;
+            let mut running = Running::new(&bus, &watched, None);
+            running.start_alert(&watched).await?;
+            running.start_identify(settings.threads, Share::ALL).await?;
+            running.start_ingest(None).await?;
             let processes = [std::process::id()];
             let load = tokio::select! {
                 load = time(&bus, &watched, duration, &processes, before.resident_mb) => load,
@@ -367,7 +366,7 @@ async fn time(
             BLOCKS_WAITING,
         )
         .await?;
-    let start_ns = epoch_now() as i64 + HEAD_START.as_nanos() as i64;
+    let start_ns = Clock::of_machine().now_ns() + HEAD_START.as_nanos() as i64;
     let mut sensors = JoinSet::new();
     for (
         number,
@@ -400,13 +399,13 @@ async fn time(
         start_ns + WARM_UP.as_nanos() as i64,
         start_ns + duration.as_nanos() as i64,
     );
-    let late = |time_ns: i64| epoch_now().cast_signed().saturating_sub(time_ns) as f64 / 1e9;
+    let late = |time_ns: i64| Clock::of_machine().now_ns().saturating_sub(time_ns) as f64 / 1e9;
     let is_counted = |time_ns: i64| (from_ns..to_ns).contains(&time_ns);
     let (mut estimated, mut alerted, mut frames) = (Vec::new(), Vec::new(), 0);
     let mut done: BTreeMap<String, u64> = BTreeMap::new();
     let mut first_usage = None;
     let end = tokio::time::sleep(
-        Duration::from_nanos((to_ns - epoch_now().cast_signed()).max(0).unsigned_abs())
+        Duration::from_nanos((to_ns - Clock::of_machine().now_ns()).max(0).unsigned_abs())
             + Duration::from_secs(1),
     );
     tokio::pin!(end);

@@ -44,8 +44,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
             cannot_acknowledge: cannot_acknowledge(&bus, &config).await?,
             ..page
         };
-        let mut running = Running::new();
-        serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?;
+        let mut running = Running::new(&bus, &watched, None);
+        serve_page(&mut running, &page, &arguments.page).await?;
         info!(structures = watched.len(), "ready");
         tell_systemd(NotifyState::Ready);
         let failed = tokio::select! {

@@ -6,7 +6,7 @@ use super::run::serve_page;
 use super::simulate::{Simulation, simulate};
 use crate::cli::{DemoArguments, Speed};
 use crate::error::AppError;
-use crate::services::{Running, Share, Watched, block_on, epoch_now, interrupted};
+use crate::services::{Running, Share, Watched, block_on, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
 use spandrel_alert::Watch;
@@ -14,6 +14,7 @@ use spandrel_bus::{
     AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Event, EventKind, Keys, NodeDisplay,
     OutlierDisplay, Service, Start, StreamState, Subscription,
 };
+use spandrel_service::Clock;
 use spandrel_structure::Structure;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -56,27 +57,23 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     }];
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
-        let mut running = Running::new();
+        let mut running = Running::new(&bus, &watched, None);
         let page = settings
             .dashboard
             .page(&arguments.page)?
             .filter(|_| !arguments.headless);
         let page = match page {
-            Some(page) => {
-                Some(serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?)
-            }
+            Some(page) => Some(serve_page(&mut running, &page, &arguments.page).await?),
             None => None,
         };
-        running.start_alert(&bus, &watched, None).await?;
-        running.start_fuse(&bus, &watched, None).await?;
-        running
-            .start_identify(&bus, &watched, settings.threads, Share::ALL, None)
-            .await?;
+        running.start_alert(&watched).await?;
+        running.start_fuse().await?;
+        running.start_identify(settings.threads, Share::ALL).await?;
         if watched
             .iter()
             .any(|watched| watched.structure.fusion().is_none())
         {
-            running.start_ingest(&bus, &watched, None).await?;
+            running.start_ingest(None).await?;
         }
         let shown = !arguments.headless && std::io::stdout().is_terminal();
         let address = page.as_deref();
@@ -141,7 +138,7 @@ async fn show_and_collect(
         speed: arguments.speed.into(),
         seed: arguments.seed,
         frames: Some(frames),
-        start_ns: epoch_now() as i64,
+        start_ns: Clock::of_machine().now_ns(),
         nodes: (0..structure.nodes().len()).collect(),
     };
     let simulation = simulate(bus, structure, keys, &simulation, &no_bar);

@@ -5,12 +5,13 @@ use crate::cli::ReplayArguments;
 use crate::error::AppError;
 use crate::record_source;
 use crate::role_check::{Need, Work, check};
-use crate::services::{block_on, epoch_now, interrupted};
+use crate::services::{block_on, interrupted};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
 use spandrel_sensor::{
     Clocks, NodePlan, SensorError, SensorService, SensorSettings, open_record, recorded_rows,
 };
+use spandrel_service::Clock;
 use spandrel_structure::Structure;
 
 /// Replays until the end of the recording, or until Ctrl-C.
@@ -35,7 +36,7 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
         check(&bus, &settings.bus, &work).await?;
         let sensor = SensorSettings {
             speed: arguments.speed.into(),
-            epoch: epoch_now(),
+            epoch: Clock::of_machine().epoch(),
             wait_for: super::simulate::readers(&structure),
             resume: arguments.resume,
         };

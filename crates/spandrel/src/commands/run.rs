@@ -10,7 +10,7 @@ use crate::settings::Settings;
 use crate::state::State;
 use crate::supervision::{Hangups, feed_watchdog, tell_systemd};
 use sd_notify::NotifyState;
-use spandrel_bus::Bus;
+use spandrel_bus::{Bus, Service};
 use spandrel_dashboard::PageSettings;
 use spandrel_history::Address;
 use spandrel_identify::Precedence;
@@ -23,83 +23,44 @@ use tracing::{info, warn};
 /// A takeover must complete within 3 s. The remaining time is for the takeover itself.
 const STANDBY_LEASE_S: f64 = 2.0;
 
-/// Set of services that a process runs.
+/// The services that a process runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Services {
-    ingest: bool,
-    identify: bool,
-    fuse: bool,
-    alert: bool,
-    history: bool,
-    notify: bool,
-    dashboard: bool,
-}
+pub struct Services(&'static [Service]);
 
 impl Services {
-    const NONE: Self = Self {
-        ingest: false,
-        identify: false,
-        fuse: false,
-        alert: false,
-        history: false,
-        notify: false,
-        dashboard: false,
-    };
     /// All services of one machine.
-    pub const ALL: Self = Self {
-        ingest: true,
-        identify: true,
-        fuse: true,
-        alert: true,
-        history: true,
-        notify: true,
-        dashboard: true,
-    };
+    pub const ALL: Self = Self(&[
+        Service::Ingest,
+        Service::Identify,
+        Service::Fuse,
+        Service::Alert,
+        Service::History,
+        Service::Notify,
+        Service::Dashboard,
+    ]);
     /// Only ingest.
-    pub const INGEST: Self = Self {
-        ingest: true,
-        ..Self::NONE
-    };
+    pub const INGEST: Self = Self(&[Service::Ingest]);
     /// Only identification.
-    pub const IDENTIFY: Self = Self {
-        identify: true,
-        ..Self::NONE
-    };
+    pub const IDENTIFY: Self = Self(&[Service::Identify]);
     /// Only the central station.
-    pub const FUSE: Self = Self {
-        fuse: true,
-        ..Self::NONE
-    };
+    pub const FUSE: Self = Self(&[Service::Fuse]);
     /// Only the alert service.
-    pub const ALERT: Self = Self {
-        alert: true,
-        ..Self::NONE
-    };
+    pub const ALERT: Self = Self(&[Service::Alert]);
     /// Only the history.
-    pub const HISTORY: Self = Self {
-        history: true,
-        ..Self::NONE
-    };
+    pub const HISTORY: Self = Self(&[Service::History]);
     /// Only notifications.
-    pub const NOTIFY: Self = Self {
-        notify: true,
-        ..Self::NONE
-    };
+    pub const NOTIFY: Self = Self(&[Service::Notify]);
+
+    fn has(self, service: Service) -> bool {
+        self.0.contains(&service)
+    }
 
     /// Returns the subcommand that runs these services.
     fn name(self) -> &'static str {
-        let alone = [
-            (Self::INGEST, "ingest"),
-            (Self::IDENTIFY, "identify"),
-            (Self::FUSE, "fuse"),
-            (Self::ALERT, "alert"),
-            (Self::HISTORY, "history"),
-            (Self::NOTIFY, "notify"),
-        ];
-        alone
-            .into_iter()
-            .find(|(services, _)| *services == self)
-            .map_or("run", |(_, name)| name)
+        match self.0 {
+            [service] => service.as_str(),
+            _ => "run",
+        }
     }
 }
 
@@ -151,7 +112,7 @@ impl Plan {
         {
             return Err(AppError::NothingToFuse);
         }
-        let database = if services.history {
+        let database = if services.has(Service::History) {
             settings.history.address()?
         } else {
             None
@@ -163,16 +124,16 @@ impl Plan {
             return Err(AppError::NobodyToTell);
         }
         settings.notify.check()?;
-        let served = if services.dashboard {
+        let served = if services.has(Service::Dashboard) {
             settings.dashboard.page(page)?
         } else {
             None
         };
-        let remembers = services.ingest
-            || services.identify
-            || services.fuse
-            || services.alert
-            || services.notify;
+        let remembers = services.has(Service::Ingest)
+            || services.has(Service::Identify)
+            || services.has(Service::Fuse)
+            || services.has(Service::Alert)
+            || services.has(Service::Notify);
         let state = if remembers {
             settings.state.state()?
         } else {
@@ -200,14 +161,17 @@ impl Plan {
             self.watched.iter().any(|watched| !is_fused(watched)),
         );
         let wanted = [
-            (services.ingest && any_whole, Need::PUT_FRAMES),
-            (services.identify && any_whole, Need::PUT_ESTIMATES),
+            (services.has(Service::Ingest) && any_whole, Need::PUT_FRAMES),
+            (
+                services.has(Service::Identify) && any_whole,
+                Need::PUT_ESTIMATES,
+            ),
             (services == Services::IDENTIFY && any_fused, Need::PUT_LOCAL),
-            (services.fuse && any_fused, Need::PUT_FEEDBACK),
-            (services.alert, Need::PUT_ALERTS),
+            (services.has(Service::Fuse) && any_fused, Need::PUT_FEEDBACK),
+            (services.has(Service::Alert), Need::PUT_ALERTS),
             (self.database.is_some(), Need::ANSWER_HISTORY),
             (
-                services.notify && !self.settings.notify.is_empty(),
+                services.has(Service::Notify) && !self.settings.notify.is_empty(),
                 Need::NOTIFY,
             ),
             (self.served.is_some(), Need::SHOW_A_PAGE),
@@ -248,38 +212,34 @@ impl Plan {
             database,
             state,
         } = self;
-        let mut running = Running::new();
+        let mut running = Running::new(bus, watched, state.as_ref());
         if let Some(served) = served {
             let cannot_acknowledge = cannot_acknowledge(bus, &settings.bus).await?;
             let served = PageSettings {
                 cannot_acknowledge,
                 ..served.clone()
             };
-            serve_page(&mut running, bus, watched, &served, page).await?;
+            serve_page(&mut running, &served, page).await?;
         }
         if let Some(address) = database {
             running
-                .start_history(bus, watched, address, &settings.history.keep)
+                .start_history(address, &settings.history.keep)
                 .await?;
         }
-        if services.notify && !settings.notify.is_empty() {
-            running
-                .start_notify(bus, watched, &settings.notify, state.as_ref())
-                .await?;
+        if services.has(Service::Notify) && !settings.notify.is_empty() {
+            running.start_notify(&settings.notify).await?;
         }
-        if services.alert {
-            running.start_alert(bus, watched, state.as_ref()).await?;
+        if services.has(Service::Alert) {
+            running.start_alert(watched).await?;
         }
-        if services.fuse {
-            running.start_fuse(bus, watched, state.as_ref()).await?;
+        if services.has(Service::Fuse) {
+            running.start_fuse().await?;
         }
-        if services.identify {
-            running
-                .start_identify(bus, watched, settings.threads, share, state.as_ref())
-                .await?;
+        if services.has(Service::Identify) {
+            running.start_identify(settings.threads, share).await?;
         }
-        if services.ingest {
-            running.start_ingest(bus, watched, state.as_ref()).await?;
+        if services.has(Service::Ingest) {
+            running.start_ingest(state.as_ref()).await?;
         }
         Ok(running)
     }
@@ -349,8 +309,6 @@ enum Ended {
 /// The process cannot listen on the address, or the bus is closed.
 pub async fn serve_page(
     running: &mut Running,
-    bus: &Bus,
-    watched: &[Watched],
     settings: &PageSettings,
     arguments: &PageArguments,
 ) -> Result<String, AppError> {
@@ -359,10 +317,7 @@ pub async fn serve_page(
     } else {
         "http"
     };
-    let page = format!(
-        "{scheme}://{}/",
-        running.start_dashboard(bus, watched, settings).await?
-    );
+    let page = format!("{scheme}://{}/", running.start_dashboard(settings).await?);
     print(&format!("page: {page}\n"))?;
     if arguments.open {
         open_in_browser(&page);

@@ -4,7 +4,7 @@ use super::{counted, in_place_of, print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
 use crate::error::AppError;
 use crate::role_check::{Need, Work, check};
-use crate::services::{block_on, epoch_now, interrupted};
+use crate::services::{block_on, interrupted};
 use crate::settings::Settings;
 use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
@@ -13,6 +13,7 @@ use spandrel_sensor::{
     Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, column_mapping,
     simulated_rows,
 };
+use spandrel_service::Clock;
 use spandrel_structure::Structure;
 use std::convert::Infallible;
 use std::path::Path;
@@ -45,9 +46,10 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
         },
         seed,
         frames: arguments.duration.map(frames),
-        start_ns: arguments
-            .start
-            .map_or_else(|| epoch_now() as i64, |seconds| (seconds * 1e9) as i64),
+        start_ns: arguments.start.map_or_else(
+            || Clock::of_machine().now_ns(),
+            |seconds| (seconds * 1e9) as i64,
+        ),
         nodes: (0..structure.nodes().len())
             .filter(wanted(&structure, &arguments.node)?)
             .collect(),
@@ -126,7 +128,7 @@ pub async fn simulate(
         start_ns,
         ref nodes,
     } = simulation;
-    let (epoch, live) = (epoch_now(), speed == Speed::Live);
+    let (epoch, live) = (Clock::of_machine().epoch(), speed == Speed::Live);
     let wait_for = if live { Vec::new() } else { readers(structure) };
     let settings = SensorSettings {
         speed,

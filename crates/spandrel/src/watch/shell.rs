@@ -11,7 +11,7 @@ use ratatui::crossterm::event::{Event, KeyEventKind};
 use spandrel_bus::{Acknowledgement, Bus, Keys, Name, Service};
 use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
 use std::io::{self, IsTerminal, Write};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
 
 /// The topics that the view shows.
@@ -102,7 +102,7 @@ async fn show_screen(
                 let acknowledgement = Acknowledgement {
                     structure,
                     parameter,
-                    time_ns: wall_clock_ns(),
+                    time_ns: spandrel_service::Clock::of_machine().now_ns(),
                     who,
                     note,
                 };
@@ -216,16 +216,6 @@ impl Clock {
     }
 }
 
-fn wall_clock_ns() -> i64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "an acknowledgement says when it was given"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos() as i64)
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::testing::name;
@@ -250,7 +240,7 @@ mod tests {
         let sent = Acknowledgement {
             structure: name("tower"),
             parameter: name("storey-2"),
-            time_ns: wall_clock_ns(),
+            time_ns: spandrel_service::Clock::of_machine().now_ns(),
             who: "anna".to_owned(),
             note: "seen".to_owned(),
         };

@@ -1,0 +1,28 @@
+//! How a service starts and runs.
+
+use std::fmt::Display;
+
+use spandrel_bus::BoxedFuture;
+
+/// Completes when a service must stop.
+pub type Stop<'a> = BoxedFuture<'a, ()>;
+
+/// A service that has been started.
+pub trait Service: Sized + Send + 'static {
+    /// What the service needs to start. The program keeps it for a start after a panic.
+    type Plan: Send + Sync + 'static;
+    /// The reason why the service cannot start, or why it ended early.
+    type Error: Display + Send + 'static;
+
+    /// Checks the plan and connects to the bus.
+    ///
+    /// # Errors
+    /// The plan is invalid, or the bus rejects a declaration.
+    fn start(plan: &Self::Plan) -> BoxedFuture<'_, Result<Self, Self::Error>>;
+
+    /// Runs until `stop` completes. Data that has arrived by then is still processed.
+    ///
+    /// # Errors
+    /// The service cannot continue.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), Self::Error>>;
+}
