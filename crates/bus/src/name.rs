@@ -1,5 +1,6 @@
 //! Names: the variable chunks of a key expression, such as a structure, node or parameter.
 
+use std::borrow::Borrow;
 use std::fmt;
 use std::str::FromStr;
 
@@ -74,6 +75,12 @@ impl Name {
     /// Returns the name as a text.
     #[must_use]
     pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl Borrow<str> for Name {
+    fn borrow(&self) -> &str {
         &self.0
     }
 }

@@ -10,9 +10,7 @@ use zenoh::query::ConsolidationMode;
 use zenoh::sample::Sample;
 
 use crate::error::BusError;
-use crate::keys::{Topic, parse_key};
 use crate::message::Message;
-use crate::name::Name;
 use crate::receive::{Intake, read};
 use crate::session::Bus;
 
@@ -38,30 +36,6 @@ impl<M: Message + Send + 'static> Subscription<M> {
     #[must_use]
     pub fn messages(&self) -> &flume::Receiver<(String, M)> {
         &self.messages
-    }
-
-    /// Returns all waiting messages whose contents match their key.
-    ///
-    /// `place` returns the structure and topic in the message. Messages with another structure or
-    /// topic than their key are dropped. Messages without this information (`None`) are accepted.
-    pub fn gather(
-        &self,
-        root: &Name,
-        place: impl Fn(&M) -> Option<(&Name, Topic)>,
-    ) -> impl Iterator<Item = M> {
-        // Leave messages that arrive meanwhile in the queue. Otherwise, a source at full speed
-        // would never let this loop end.
-        self.messages
-            .try_iter()
-            .take(self.messages.len())
-            .filter_map(move |(key, message)| {
-                let is_in_place = place(&message).is_none_or(|(structure, topic)| {
-                    parse_key(root, &key).is_some_and(|(of_key, topic_of_key)| {
-                        (structure, topic) == (&of_key, topic_of_key)
-                    })
-                });
-                is_in_place.then_some(message)
-            })
     }
 
     /// Returns the number of rejected messages, by reason. `overwritten` counts messages that a

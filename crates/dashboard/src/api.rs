@@ -451,7 +451,7 @@ fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<AlertState, M
             allowed,
         ));
     }
-    let alert = store.alerts.get(parameter);
+    let alert = store.state.alerts.get(parameter);
     let state = alert.map(|alert| alert.state);
     let is_seen = alert.is_some_and(|alert| alert.stands() && !alert.is_unseen());
     match state {

@@ -40,7 +40,7 @@ pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
 ///
 /// Estimates come from ingest and identify, or in distributed identification from the station.
 fn has_all(store: &Store) -> bool {
-    let has = |wanted: Service| store.present.iter().any(|(service, _)| *service == wanted);
+    let has = |wanted: Service| store.state.has(wanted);
     let estimates = has(Service::Fuse) || (has(Service::Ingest) && has(Service::Identify));
     estimates && has(Service::Alert)
 }
@@ -48,17 +48,14 @@ fn has_all(store: &Store) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::demo;
-    use spandrel_bus::Name;
+    use crate::testing::{demo, present};
 
     #[test]
     fn a_structure_is_ready_with_all_services_of_either_kind() {
         let ready = |services: &[Service]| {
             let mut store = demo();
-            store.present = services
-                .iter()
-                .map(|service| (*service, Name::new("one").unwrap()))
-                .collect();
+            let services: Vec<_> = services.iter().map(|service| (*service, "one")).collect();
+            store.handle(present(&services));
             has_all(&store)
         };
         assert!(ready(&[Service::Ingest, Service::Identify, Service::Alert]));

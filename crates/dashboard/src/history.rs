@@ -177,10 +177,7 @@ impl Request {
 pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     let mut series = Vec::new();
     let mut earlier = Vec::new();
-    let has_history = store
-        .present
-        .iter()
-        .any(|(service, _)| *service == Service::History);
+    let has_history = store.state.has(Service::History);
     for (place, name) in request.series.iter().enumerate() {
         let found = store.series(name);
         let first_ns = found.and_then(Series::first_ns);

@@ -26,12 +26,11 @@
 //!
 //! Types: `topic`, `series` (bounded data over time), `about` (data from the structure file).
 //!
-//! Logic: `store` (collects messages), `innovations` (reduces them to the display rate), `sensors`
+//! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
 //! and `overview` (what needs attention, and why), `view` (data for the page), `history` (spans of
 //! time).
 //!
-//! Shell: `listen` (the bus), `api`, `live`, `page` and `server` (browsers), [`DashboardService`]
-//! (the whole service).
+//! Shell: `api`, `live`, `page` and `server` (browsers), [`DashboardService`] (the whole service).
 //!
 //! The dashboard makes no decisions. It keeps the last hours in memory only and writes nothing to
 //! disk.
@@ -54,7 +53,6 @@ mod view;
 
 mod history;
 
-mod listen;
 mod server;
 
 mod door;

@@ -184,24 +184,26 @@ impl Metrics {
                 .get_or_create(&vec![structure(), (key, of.to_owned())])
                 .set(value);
         };
-        for (name, display) in &store.parameters {
+        for (name, display) in &store.state.parameters {
+            let name = name.as_str();
             set(&self.mean, "parameter", name, display.mean);
             set(&self.std, "parameter", name, display.std);
         }
-        for (name, display) in &store.losses {
+        for (name, display) in &store.state.losses {
+            let name = name.as_str();
             let probability = display.probability_of_loss;
             set(&self.reference, "parameter", name, display.reference);
             set(&self.probability, "parameter", name, probability);
         }
-        for (name, display) in &store.noise {
-            set(&self.noise, "name", name, display.mean);
-            set(&self.noise_std, "name", name, display.std);
+        for (name, display) in &store.state.noise {
+            set(&self.noise, "name", name.as_str(), display.mean);
+            set(&self.noise_std, "name", name.as_str(), display.std);
         }
-        for (parameter, alert) in &store.alerts {
+        for (parameter, alert) in &store.state.alerts {
             for state in AlertState::ALL {
                 let labels = vec![
                     structure(),
-                    ("parameter", parameter.clone()),
+                    ("parameter", parameter.to_string()),
                     ("state", state.as_str().to_owned()),
                 ];
                 self.alert
@@ -209,11 +211,11 @@ impl Metrics {
                     .set(f64::from(u8::from(alert.state == state)));
             }
         }
-        for (parameter, alert) in &store.alerts {
+        for (parameter, alert) in &store.state.alerts {
             for because in UndecidedBecause::ALL {
                 let labels = vec![
                     structure(),
-                    ("parameter", parameter.clone()),
+                    ("parameter", parameter.to_string()),
                     ("reason", because.as_str().to_owned()),
                 ];
                 let holds = alert.undecided_because == Some(because);
@@ -222,7 +224,7 @@ impl Metrics {
                     .set(f64::from(u8::from(holds)));
             }
         }
-        if let Some(display) = &store.fit {
+        if let Some(display) = &store.state.fit {
             for verdict in FitVerdict::ALL {
                 set(
                     &self.fit,
@@ -241,7 +243,12 @@ impl Metrics {
                 );
             }
         }
-        for class in store.classes.iter().flat_map(|display| &display.classes) {
+        for class in store
+            .state
+            .classes
+            .iter()
+            .flat_map(|display| &display.classes)
+        {
             set(
                 &self.plausibility,
                 "class",
@@ -249,15 +256,15 @@ impl Metrics {
                 class.plausibility,
             );
         }
-        for (channel, display) in &store.outliers {
+        for (channel, display) in &store.state.outliers {
             set(
                 &self.rejected_share,
                 "channel",
-                channel,
+                channel.as_str(),
                 display.recent_share,
             );
             self.rejected
-                .get_or_create(&vec![structure(), ("channel", channel.clone())])
+                .get_or_create(&vec![structure(), ("channel", channel.to_string())])
                 .inc_by(display.rejected);
         }
         for sensor in sensor_states(store) {
@@ -271,11 +278,11 @@ impl Metrics {
                 .get_or_create(&labels)
                 .set(f64::from(u8::from(alive)));
         }
-        for (node, display) in &store.nodes {
+        for (node, display) in &store.state.nodes {
             set(
                 &self.node_distance,
                 "node",
-                node,
+                node.as_str(),
                 display.distance.unwrap_or(f64::NAN),
             );
         }
@@ -287,24 +294,24 @@ impl Metrics {
         if let Some(age_s) = overview.age_s {
             self.age.get_or_create(&whole).set(age_s);
         }
-        for (service, id) in &store.seen {
+        for (service, id) in &store.state.seen {
             let labels = vec![
                 structure(),
                 ("service", service.as_str().to_owned()),
                 ("id", id.to_string()),
             ];
-            let is_there = store.present.contains(&(*service, id.clone()));
+            let is_there = store.state.is_present(*service, id);
             self.up
                 .get_or_create(&labels)
                 .set(f64::from(u8::from(is_there)));
         }
-        for ((service, id), (status, _)) in &store.statuses {
+        for ((service, id), status) in store.state.statuses() {
             let labels = vec![
                 structure(),
                 ("service", service.as_str().to_owned()),
                 ("id", id.to_string()),
             ];
-            if let Some(lag_s) = status.lag_s.filter(|_| store.has_lag()) {
+            if let Some(lag_s) = status.lag_s.filter(|_| store.state.has_lag()) {
                 // The lag grows while the service publishes nothing.
                 let silent_s = now_ns().saturating_sub(status.time_ns) as f64 / 1e9;
                 self.lag
@@ -331,8 +338,8 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::Input;
     use crate::testing::{alert, demo, fit, hear, undecided};
+    use spandrel_listener::Input;
 
     #[test]
     fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {

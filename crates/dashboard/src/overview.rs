@@ -96,11 +96,13 @@ pub(crate) fn overview(store: &Store) -> Overview {
     let sensors = sensor_count(store);
     let (level, sentence) = attention(store, &sensors);
     let told = store
+        .state
         .alerts
         .values()
         .find(|alert| sentence.starts_with(alert.why.as_str()));
-    let now = told.and_then(|alert| store.present_loss(alert));
+    let now = told.and_then(|alert| store.state.present_loss(alert));
     let worst = store
+        .state
         .losses
         .values()
         .filter(|display| is_stiffness(store, display.parameter.as_str()));
@@ -111,7 +113,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
             .then(a.loss.total_cmp(&b.loss))
     });
     let worst = worst.and_then(|display| {
-        let estimate = store.parameters.get(display.parameter.as_str())?;
+        let estimate = store.state.parameters.get(display.parameter.as_str())?;
         Some((display, estimate))
     });
     let worst = worst.map(|(display, estimate)| Worst {
@@ -138,11 +140,11 @@ pub(crate) fn overview(store: &Store) -> Overview {
         now,
         worst,
         lag_s: store.told_lag(lag_s(store)),
-        replayed: store.is_replayed(),
-        age_s: store.silence().map(|silence| silence.as_secs_f64()),
-        time_s: store.time_ns.map(|time_ns| time_ns as f64 / 1e9),
+        replayed: store.state.is_replayed(),
+        age_s: store.state.silence().map(|silence| silence.as_secs_f64()),
+        time_s: store.state.time_ns.map(|time_ns| time_ns as f64 / 1e9),
         sensors,
-        fit: store.fit.as_ref().map(|fit| fit.verdict),
+        fit: store.state.fit.as_ref().map(|fit| fit.verdict),
         last_alert,
         raised,
     }
@@ -158,6 +160,7 @@ fn is_stiffness(store: &Store, name: &str) -> bool {
 
 fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMessage> {
     store
+        .state
         .alerts
         .values()
         .filter(move |alert| alert.state == state)
@@ -172,13 +175,15 @@ fn lag_s(store: &Store) -> Option<f64> {
     } else {
         Service::Identify
     };
-    let of_source = store.statuses.iter().filter(|((service, _), (status, _))| {
-        *service == source && status.state.is_none_or(|state| state == Standing::Leading)
+    let instances = store.state.instances.iter();
+    let of_source = instances.filter(|((service, _), _)| *service == source);
+    let leading = of_source.filter_map(|(_, instance)| {
+        let status = instance.status.as_ref()?;
+        let leads = status.state.is_none_or(|state| state == Standing::Leading);
+        leads.then_some((instance.status_at, status.lag_s))
     });
     // The last status of a terminated service remains, so take the newest.
-    of_source
-        .max_by_key(|(_, (_, heard))| *heard)
-        .and_then(|(_, (status, _))| status.lag_s)
+    leading.max_by_key(|(at, _)| *at)?.1
 }
 
 fn sensor_count(store: &Store) -> SensorCount {
@@ -218,12 +223,12 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if let Some((most_urgent, _)) = concerns.first() {
         return (*most_urgent, told().collect::<Vec<_>>().join("; "));
     }
-    if store.data_heard().is_none() && store.now >= NEVER_MEASURED_AFTER {
+    if store.state.silence().is_none() && store.state.now() >= NEVER_MEASURED_AFTER {
         let sentence =
             "no data since this page was started; check which services and sensors are running";
         return (Level::Stale, sentence.to_owned());
     }
-    if store.data_heard().is_none() {
+    if store.state.silence().is_none() {
         return (
             Level::Learning,
             "waiting for the first estimates".to_owned(),
@@ -238,7 +243,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
             "the reference values are being learnt".to_owned(),
         );
     }
-    if store.alerts.is_empty() {
+    if store.state.alerts.is_empty() {
         return (Level::Learning, "no alert decision yet".to_owned());
     }
     (
@@ -300,7 +305,11 @@ fn undecided(store: &Store, is_wrong: bool) -> Option<String> {
 
 /// Returns the active alerts that are not acknowledged.
 fn unseen(store: &Store) -> impl Iterator<Item = &AlertMessage> {
-    store.alerts.values().filter(|alert| alert.is_unseen())
+    store
+        .state
+        .alerts
+        .values()
+        .filter(|alert| alert.is_unseen())
 }
 
 /// Returns the sentence of an acknowledged alert that the current data does not confirm.
@@ -313,10 +322,12 @@ fn seen_unconfirmed(store: &Store) -> Option<String> {
 /// Returns the reason for a contradicted fit, unless an alert already reports it.
 fn contradicted_fit(store: &Store) -> Option<String> {
     let fit = store
+        .state
         .fit
         .as_ref()
         .filter(|fit| fit.verdict == FitVerdict::Contradicted)?;
     let is_told = store
+        .state
         .alerts
         .values()
         .any(|alert| alert.undecided_because == Some(UndecidedBecause::FitContradicted));
@@ -342,8 +353,8 @@ fn missing_service(store: &Store) -> Option<Service> {
         Service::Ingest,
     ];
     needed.into_iter().find(|service| {
-        let was_there = store.seen.iter().any(|(seen, _)| seen == service);
-        was_there && !store.present.iter().any(|(present, _)| present == service)
+        let was_there = store.state.seen.iter().any(|(seen, _)| seen == service);
+        was_there && !store.state.has(*service)
     })
 }
 

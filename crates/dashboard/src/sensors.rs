@@ -61,24 +61,24 @@ pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState> {
 fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
     let (node, channel) = (sensor.node.as_str(), sensor.channel.as_str());
     let is_faulty = store
+        .state
         .outliers
         .get(channel)
         .is_some_and(|outlier| outlier.state == ChannelState::Faulty);
     if is_faulty || store.excluded.contains(channel) {
         return SensorHealth::Faulty;
     }
-    match store.nodes.get(node).map(|display| display.state) {
+    match store.state.nodes.get(node).map(|display| display.state) {
         Some(NodeHealth::Excluded) => return SensorHealth::Excluded,
         Some(NodeHealth::Silent) => return SensorHealth::Silent,
         Some(NodeHealth::Ended) => return SensorHealth::Ended,
         Some(NodeHealth::Used) => return SensorHealth::Alive,
         None => {}
     }
-    let is_in = |set: &std::collections::BTreeSet<(Service, Name)>| {
-        set.iter()
-            .any(|(service, id)| *service == Service::Sensor && id.as_str() == node)
-    };
-    let (is_there, was_there) = (is_in(&store.present), is_in(&store.seen));
+    let is_node =
+        |(service, id): &(Service, Name)| *service == Service::Sensor && id.as_str() == node;
+    let is_there = store.state.present().any(is_node);
+    let was_there = store.state.seen.iter().any(is_node);
     if was_there && !is_there {
         return if all_nodes_left(store) {
             SensorHealth::Ended
@@ -113,8 +113,5 @@ fn began_ns(store: &Store) -> Option<i64> {
 /// Either a record or simulation has ended, or everything is switched off. The silence of the data
 /// reveals the latter.
 fn all_nodes_left(store: &Store) -> bool {
-    !store
-        .present
-        .iter()
-        .any(|(service, _)| *service == Service::Sensor)
+    !store.state.has(Service::Sensor)
 }

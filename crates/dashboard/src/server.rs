@@ -3,8 +3,9 @@
 use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
-use crate::store::{Input, Store};
+use crate::store::Store;
 use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, Keys};
+use spandrel_listener::Input;
 use spandrel_service::Clock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};

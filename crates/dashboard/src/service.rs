@@ -5,12 +5,12 @@ use crate::api::router;
 use crate::door::{Door, PageCertificate};
 use crate::error::DashboardError;
 use crate::gate::Gate;
-use crate::listen::Listening;
 use crate::server::Server;
 use crate::serving::serve;
-use crate::store::{Input, Store};
+use crate::store::Store;
 use crate::tokens::Tokens;
 use spandrel_bus::{BoxedFuture, Keys, LiveToken, Service};
+use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
 use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
 use std::io;
 use std::net::SocketAddr;
@@ -24,6 +24,26 @@ use tracing::{info, warn};
 /// Address of the first dashboard on a machine, reachable only from this machine.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
+/// All topics for display, and the past from the history service.
+const NEEDS: Needs = Needs {
+    topics: &[
+        T::Ingested,
+        T::Statuses,
+        T::Parameters,
+        T::Losses,
+        T::Noise,
+        T::Outliers,
+        T::Classes,
+        T::Nodes,
+        T::Fit,
+        T::Estimates,
+        T::Acknowledgements,
+        T::Alerts,
+        T::Events,
+    ],
+    services: &Service::ALL,
+    logs: &[Service::History],
+};
 /// Interval at which messages from the bus are processed.
 const GATHER_EVERY: Duration = Duration::from_millis(50);
 /// Time limit for requests to end after a stop.
@@ -88,10 +108,9 @@ pub struct DashboardService {
 #[derive(Debug)]
 struct Source {
     keys: Keys,
-    listening: Listening,
+    listener: Listener,
     status: StatusPublisher,
     token: LiveToken,
-    taken: u64,
 }
 
 impl spandrel_service::Service for DashboardService {
@@ -146,11 +165,11 @@ impl DashboardService {
             {
                 stores.push((keys.clone(), Store::new(About::new(structure))));
                 sources.push(Source {
-                    listening: Listening::start(bus, keys).await?,
+                    listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
+                        .await?,
                     status: instance.publish_status(Service::Dashboard, keys).await?,
                     token: instance.announce(Service::Dashboard, keys).await?,
                     keys: keys.clone(),
-                    taken: 0,
                 });
             }
             let server = Arc::new(Server::new(
@@ -270,23 +289,21 @@ async fn listen(sources: &mut [Source], server: &Server) -> Result<(), Dashboard
     let mut gather = tokio::time::interval(GATHER_EVERY);
     gather.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut status = tokio::time::interval(STATUS_EVERY);
-    let mut inputs = Vec::new();
     loop {
         tokio::select! {
             _ = gather.tick() => for source in &mut *sources {
-                source.listening.gather(&mut inputs);
-                source.taken += inputs.len() as u64;
+                let inputs = source.listener.gather();
                 if let Some(mut store) = server.store(source.keys.structure().as_str()) {
                     store.handle(Input::Now(start.elapsed()));
-                    inputs.drain(..).for_each(|input| store.handle(input));
+                    inputs.into_iter().for_each(|input| store.handle(input));
                 }
             },
             _ = status.tick() => for source in &*sources {
-                let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.time_ns);
+                let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.state.time_ns);
                 let report = Report {
-                    done: source.taken,
+                    done: source.listener.taken(),
                     processed_ns: last_ns,
-                    drops: source.listening.refused(),
+                    drops: source.listener.refused(),
                     ..Report::default()
                 };
                 source.status.put(report).await?;

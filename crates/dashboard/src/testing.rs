@@ -1,11 +1,12 @@
 //! Messages and a store for tests.
 
 use crate::about::About;
-use crate::store::{Input, Store};
+use crate::store::Store;
 use spandrel_bus::{
     AlertMessage, AlertState, CredibleInterval, FitDisplay, FitReason, FitVerdict, LossDisplay,
-    Name, ParameterDisplay, UndecidedBecause,
+    Name, ParameterDisplay, Service, UndecidedBecause,
 };
+use spandrel_listener::{Input, Instance};
 use spandrel_structure::Structure;
 use std::path::Path;
 use std::time::Duration;
@@ -44,6 +45,16 @@ pub(crate) fn hear(store: &mut Store, of: &str, time_ns: i64, mean: f64, probabi
         reference: 1.0,
         reference_std: 0.0,
     }));
+}
+
+/// Returns the presence of these services and nodes, and of no others.
+pub(crate) fn present(instances: &[(Service, &str)]) -> Input {
+    let instance = |(service, id): &(Service, &str)| Instance {
+        structure: name("demo"),
+        service: *service,
+        id: name(id),
+    };
+    Input::Present(instances.iter().map(instance).collect())
 }
 
 pub(crate) fn fit(verdict: FitVerdict, reasons: &[FitReason]) -> Input {

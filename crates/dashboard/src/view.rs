@@ -4,10 +4,10 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay, Phase, Status,
+    AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum number of alert changes in one message. `/api/alerts` returns all stored changes.
 const CHANGES_SHOWN: usize = 50;
@@ -17,12 +17,12 @@ const EVENTS_SHOWN: usize = 50;
 /// Current state of a structure, in addition to its overview.
 #[derive(Debug, Serialize)]
 pub(crate) struct Standing<'s> {
-    parameters: &'s BTreeMap<String, ParameterDisplay>,
-    losses: &'s BTreeMap<String, LossDisplay>,
-    noise: &'s BTreeMap<String, NoiseDisplay>,
-    outliers: &'s BTreeMap<String, OutlierDisplay>,
+    parameters: &'s BTreeMap<Name, ParameterDisplay>,
+    losses: &'s BTreeMap<Name, LossDisplay>,
+    noise: &'s BTreeMap<Name, NoiseDisplay>,
+    outliers: &'s BTreeMap<Name, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
-    nodes: &'s BTreeMap<String, NodeDisplay>,
+    nodes: &'s BTreeMap<Name, NodeDisplay>,
     /// Verdict on the fit, with its explanation.
     fit: Option<FitView<'s>>,
     training: bool,
@@ -69,25 +69,30 @@ struct ServiceView<'s> {
 
 impl<'s> Standing<'s> {
     pub(crate) fn of(store: &'s Store) -> Self {
-        let known = store.seen.iter().chain(store.statuses.keys());
-        let services: std::collections::BTreeSet<_> = known
-            .filter(|(service, _)| *service != spandrel_bus::Service::Sensor)
+        let state = &store.state;
+        let known = state.seen.iter().chain(state.instances.keys());
+        let services: BTreeSet<_> = known
+            .filter(|(service, _)| *service != Service::Sensor)
             .collect();
-        let service = |key: &'s (spandrel_bus::Service, spandrel_bus::Name)| ServiceView {
-            service: key.0.as_str(),
-            id: key.1.as_str(),
-            present: store.present.contains(key),
-            lag_s: store.told_lag(store.statuses.get(key).and_then(|(status, _)| status.lag_s)),
-            status: store.statuses.get(key).map(|(status, _)| status),
+        let service = |key: &'s (Service, Name)| {
+            let instance = state.instances.get(key);
+            let status = instance.and_then(|instance| instance.status.as_ref());
+            ServiceView {
+                service: key.0.as_str(),
+                id: key.1.as_str(),
+                present: instance.is_some_and(|instance| instance.is_present),
+                lag_s: store.told_lag(status.and_then(|status| status.lag_s)),
+                status,
+            }
         };
         Self {
-            parameters: &store.parameters,
-            losses: &store.losses,
-            noise: &store.noise,
-            outliers: &store.outliers,
-            classes: store.classes.as_ref(),
-            nodes: &store.nodes,
-            fit: store.fit.as_ref().map(|display| FitView {
+            parameters: &store.state.parameters,
+            losses: &store.state.losses,
+            noise: &store.state.noise,
+            outliers: &store.state.outliers,
+            classes: store.state.classes.as_ref(),
+            nodes: &store.state.nodes,
+            fit: store.state.fit.as_ref().map(|display| FitView {
                 display,
                 words: display.words(),
             }),
@@ -104,11 +109,11 @@ impl<'s> Standing<'s> {
 
 /// Returns the alert of each parameter.
 pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
-    store.alerts.iter().map(|(name, message)| AlertView {
+    store.state.alerts.iter().map(|(name, message)| AlertView {
         message,
-        stale: store.stale_alerts.contains(name),
+        stale: store.state.is_alert_stale(name),
         note: store.note(message),
-        now: store.present_loss(message),
+        now: store.state.present_loss(message),
     })
 }
 

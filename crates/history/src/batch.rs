@@ -1,10 +1,8 @@
 //! The unit of writing, and its collection from messages.
 
 use crate::sums::Sums;
-use spandrel_bus::{
-    Acknowledgement, AlertMessage, CredibleInterval, Event, LossDisplay, ModelClassDisplay,
-    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay,
-};
+use spandrel_bus::{Acknowledgement, AlertMessage, CredibleInterval, Event};
+use spandrel_listener::Input;
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -61,20 +59,6 @@ impl Kind {
 pub(crate) struct Series {
     pub(crate) kind: Kind,
     pub(crate) name: String,
-}
-
-/// A message to store.
-#[derive(Debug)]
-pub(crate) enum Input {
-    Parameter(ParameterDisplay),
-    Loss(LossDisplay),
-    Noise(NoiseDisplay),
-    Outlier(OutlierDisplay),
-    Classes(ModelClassDisplay),
-    Node(NodeDisplay),
-    Alert(AlertMessage),
-    Acknowledgement(Acknowledgement),
-    Event(Event),
 }
 
 /// The messages of one structure from about one second.
@@ -161,7 +145,7 @@ impl Collector {
         &self.known
     }
 
-    /// Processes a message.
+    /// Processes a message. Ignores inputs that are not stored.
     pub(crate) fn handle(&mut self, input: Input) {
         match input {
             Input::Parameter(m) => {
@@ -209,11 +193,22 @@ impl Collector {
                     self.push(Kind::Node, m.node.as_str(), m.time_ns, [distance, 0.0, 0.0]);
                 }
             }
-            Input::Alert(alert) => self.happened.push(Happened::Alert(Box::new(alert))),
+            // The database stores a change once, however often it arrives.
+            Input::Alert(alert) | Input::StandingAlert(alert) | Input::LoggedAlert(alert) => {
+                self.happened.push(Happened::Alert(Box::new(alert)));
+            }
             Input::Acknowledgement(acknowledgement) => self
                 .happened
                 .push(Happened::Acknowledgement(acknowledgement)),
             Input::Event(event) => self.happened.push(Happened::Event(event)),
+            Input::Now(_)
+            | Input::Fit(_)
+            | Input::Estimates(..)
+            | Input::Status(_)
+            | Input::Ingested(..)
+            | Input::Present(_)
+            | Input::Past(_)
+            | Input::Misplaced => {}
         }
     }
 

@@ -1,16 +1,15 @@
 //! Connects the history to the bus.
 
 use crate::backlog::Backlog;
-use crate::batch::{Batch, Collector, Input, Kind, Series};
+use crate::batch::{Batch, Collector, Kind, Series};
 use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, BoxedFuture, Bus, BusError, Event, HistoryLog, KeyFamily, Keys,
-    LiveToken, LiveWatch, LossDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay, Question, Questions, Service, SpanQuery, Subscription, Topic,
+    BoxedFuture, KeyFamily, Keys, LiveToken, Question, Questions, Service, SpanQuery, Topic,
     parse_key,
 };
+use spandrel_listener::{DisplayTopic as T, Listener, Needs};
 use spandrel_service::{Clock, Instance, Monitored, Report, StatusPublisher, Stop};
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;
@@ -22,17 +21,29 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
+/// The stored topics, and the log of the alert service. The log includes changes that were published
+/// while there was no link, and changes that a former run of this service did not write.
+const NEEDS: Needs = Needs {
+    topics: &[
+        T::Parameters,
+        T::Losses,
+        T::Noise,
+        T::Outliers,
+        T::Classes,
+        T::Nodes,
+        T::Alerts,
+        T::Acknowledgements,
+        T::Events,
+    ],
+    services: &[Service::Alert],
+    logs: &[Service::Alert],
+};
 /// Interval at which messages are taken from the subscriptions.
 const GATHER_EVERY: Duration = Duration::from_millis(50);
 /// Interval between batches, and between status messages.
 const WRITE_EVERY: Duration = Duration::from_secs(1);
 /// Interval between deletions of old rows.
 const PRUNE_EVERY: Duration = Duration::from_secs(60);
-/// Capacity of the queue for values. When it is full, the oldest value is overwritten and counted.
-const VALUES_WAITING: usize = 16_384;
-/// Capacity of the queues for alerts, acknowledgements and events. It far exceeds the number within
-/// one interval, because none may be lost.
-const ALERTS_WAITING: usize = 4_096;
 /// Capacity of the queue for queries.
 const QUESTIONS_WAITING: usize = 64;
 /// Maximum number of rows in one transaction. A single larger batch is allowed.
@@ -41,8 +52,6 @@ const ROWS_AT_ONCE: usize = 20_000;
 const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
 /// Time limit for writing the last values after a stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
-/// Time limit for the reply of the alert service.
-const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
 /// What the history needs to start.
 #[derive(Clone, Debug)]
@@ -67,9 +76,6 @@ pub struct HistoryService {
     life: String,
     clock: Clock,
     answering: JoinSet<()>,
-    asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
-    /// Alerts from the logs of the alert service.
-    logged: (flume::Sender<AlertMessage>, flume::Receiver<AlertMessage>),
 }
 
 /// The backlog, shared with the writing task.
@@ -92,18 +98,9 @@ impl Waiting {
 struct Source {
     keys: Keys,
     collector: Collector,
-    parameters: Subscription<ParameterDisplay>,
-    losses: Subscription<LossDisplay>,
-    noise: Subscription<NoiseDisplay>,
-    outliers: Subscription<OutlierDisplay>,
-    classes: Subscription<ModelClassDisplay>,
-    nodes: Subscription<NodeDisplay>,
-    alerts: Subscription<AlertMessage>,
-    acknowledgements: Subscription<Acknowledgement>,
-    events: Subscription<Event>,
+    listener: Listener,
     status: StatusPublisher,
     token: LiveToken,
-    taken: u64,
 }
 
 impl spandrel_service::Service for HistoryService {
@@ -157,8 +154,6 @@ impl HistoryService {
                 life: format!("{}-{}", instance.clock.now_ns(), std::process::id()),
                 clock: instance.clock,
                 answering: JoinSet::new(),
-                asked: JoinSet::new(),
-                logged: flume::bounded(ALERTS_WAITING),
             };
             for monitored in structures {
                 service.listen(monitored, instance).await?;
@@ -184,22 +179,11 @@ impl HistoryService {
         let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
         let source = Source {
             collector: Collector::new(structure, keys.root().as_str()),
-            parameters: bus.subscribe(keys.all_parameters(), VALUES_WAITING).await?,
-            losses: bus.subscribe(keys.all_losses(), VALUES_WAITING).await?,
-            noise: bus.subscribe(keys.all_noise(), VALUES_WAITING).await?,
-            outliers: bus.subscribe(keys.all_outliers(), VALUES_WAITING).await?,
-            classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
-            nodes: bus.subscribe(keys.all_nodes(), VALUES_WAITING).await?,
-            alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
-            acknowledgements: bus
-                .subscribe(keys.all_acknowledgements(), ALERTS_WAITING)
-                .await?,
-            events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
+            listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS).await?,
             status: instance.publish_status(Service::History, keys).await?,
             // The token comes last, because dashboards send queries as soon as they see it.
             token: instance.announce(Service::History, keys).await?,
             keys: keys.clone(),
-            taken: 0,
         };
         let named = source.collector.named().clone();
         self.answering.spawn(answer_spans(
@@ -210,18 +194,6 @@ impl HistoryService {
         ));
         self.answering
             .spawn(answer_log(log, self.database.clone(), keys.clone()));
-        // The alert service keeps changes from the time before this subscription: its log and the
-        // last state of each alert.
-        let tokens = bus.watch_live(keys.all_live(Service::Alert)).await?;
-        self.answering.spawn(ask_for_alerts(
-            bus.clone(),
-            keys.clone(),
-            tokens,
-            self.logged.0.clone(),
-        ));
-        let (bus, alerts) = (bus.clone(), keys.all_alerts());
-        self.asked
-            .spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
         self.sources.push(source);
         Ok(())
     }
@@ -299,28 +271,10 @@ impl HistoryService {
     }
 
     fn take(&mut self) {
-        while let Some(answer) = self.asked.try_join_next() {
-            match answer {
-                Ok(Ok(alerts)) => {
-                    for (key, alert) in alerts {
-                        let of_key =
-                            |source: &&mut Source| key == source.keys.alert(&alert.parameter);
-                        if let Some(source) = self.sources.iter_mut().find(of_key) {
-                            source.collector.handle(Input::Alert(alert));
-                        }
-                    }
-                }
-                Ok(Err(error)) => warn!(%error, "cannot query recent alerts"),
-                Err(error) => warn!(%error, "query for recent alerts failed"),
-            }
+        for source in &mut self.sources {
+            let inputs = source.listener.gather().into_iter();
+            inputs.for_each(|input| source.collector.handle(input));
         }
-        for alert in self.logged.1.try_iter() {
-            let of_structure = |source: &&mut Source| alert.structure == *source.keys.structure();
-            if let Some(source) = self.sources.iter_mut().find(of_structure) {
-                source.collector.handle(Input::Alert(alert));
-            }
-        }
-        self.sources.iter_mut().for_each(Source::take);
     }
 
     /// Passes the collected messages to the writing task.
@@ -359,7 +313,7 @@ impl HistoryService {
                     .map(|(name, count)| ((*name).to_owned(), *count)),
             );
             let report = Report {
-                done: source.taken,
+                done: source.listener.taken(),
                 processed_ns: source.collector.newest_ns,
                 drops,
                 ..Report::default()
@@ -371,89 +325,9 @@ impl HistoryService {
 }
 
 impl Source {
-    fn take(&mut self) {
-        let root = self.keys.root();
-        let mut inputs = Vec::new();
-        let of_parameter = |m: &ParameterDisplay| Topic::new(KeyFamily::Parameter, &m.parameter);
-        inputs.extend(
-            self.parameters
-                .gather(root, |m| Some((&m.structure, of_parameter(m))))
-                .map(Input::Parameter),
-        );
-        let losses = self.losses.gather(root, |m| {
-            Some((&m.structure, Topic::new(KeyFamily::Loss, &m.parameter)))
-        });
-        inputs.extend(losses.map(Input::Loss));
-        inputs.extend(
-            self.noise
-                .gather(root, |m| {
-                    Some((&m.structure, Topic::new(KeyFamily::Noise, &m.name)))
-                })
-                .map(Input::Noise),
-        );
-        let outliers = self.outliers.gather(root, |m| {
-            Some((&m.structure, Topic::new(KeyFamily::Outlier, &m.channel)))
-        });
-        inputs.extend(outliers.map(Input::Outlier));
-        inputs.extend(
-            self.classes
-                .gather(root, |m| {
-                    Some((&m.structure, Topic::single(KeyFamily::ModelClass)))
-                })
-                .map(Input::Classes),
-        );
-        inputs.extend(
-            self.nodes
-                .gather(root, |m| {
-                    Some((&m.structure, Topic::new(KeyFamily::Node, &m.node)))
-                })
-                .map(Input::Node),
-        );
-        let alerts = self.alerts.gather(root, |m| {
-            Some((&m.structure, Topic::new(KeyFamily::Alert, &m.parameter)))
-        });
-        inputs.extend(alerts.map(Input::Alert));
-        let of_acknowledgement =
-            |m: &Acknowledgement| Topic::new(KeyFamily::Acknowledge, &m.parameter);
-        let seen = self
-            .acknowledgements
-            .gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
-        inputs.extend(seen.map(Input::Acknowledgement));
-        inputs.extend(
-            self.events
-                .gather(root, |m| {
-                    Some((&m.structure, Topic::single(KeyFamily::Event)))
-                })
-                .map(Input::Event),
-        );
-        self.taken += inputs.len() as u64;
-        inputs
-            .into_iter()
-            .for_each(|input| self.collector.handle(input));
-    }
-
     /// Returns the number of overwritten and rejected messages, by reason.
     fn refused(&self) -> BTreeMap<String, u64> {
-        let all = [
-            self.parameters.refused(),
-            self.losses.refused(),
-            self.noise.refused(),
-            self.outliers.refused(),
-            self.classes.refused(),
-            self.nodes.refused(),
-            self.alerts.refused(),
-            self.acknowledgements.refused(),
-            self.events.refused(),
-        ];
-        let mut sum = BTreeMap::new();
-        for (reason, count) in all.into_iter().flatten() {
-            let reason = if reason == "overwritten" {
-                reason.to_owned()
-            } else {
-                format!("refused-{reason}")
-            };
-            *sum.entry(reason).or_default() += count;
-        }
+        let mut sum = self.listener.refused();
         if self.collector.unknown > 0 {
             sum.insert("unknown-quantity".to_owned(), self.collector.unknown);
         }
@@ -523,41 +397,6 @@ async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) 
     for (structure, newest_ns) in newest {
         if let Err(error) = database.prune(&structure, newest_ns, &keep).await {
             warn!(structure, %error, reason = reason(&error), "cannot remove old values from the history");
-        }
-    }
-}
-
-/// Queries the last changes of alerts whenever the alert service appears.
-///
-/// The reply includes changes published while there was no link, and changes that a former run of
-/// this service received but did not write. The database stores duplicates only once.
-async fn ask_for_alerts(
-    bus: Bus,
-    keys: Keys,
-    mut tokens: LiveWatch,
-    out: flume::Sender<AlertMessage>,
-) {
-    loop {
-        if !tokens.changed().await.is_empty() {
-            match bus
-                .ask_present::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN)
-                .await
-            {
-                Ok(answers) => {
-                    let logs = answers.into_iter().map(|(_, log)| log);
-                    for alert in logs
-                        .filter(|log| log.structure == *keys.structure())
-                        .flat_map(|log| log.alerts)
-                    {
-                        if alert.structure == *keys.structure()
-                            && out.send_async(alert).await.is_err()
-                        {
-                            return;
-                        }
-                    }
-                }
-                Err(error) => warn!(%error, "cannot query recent changes of alerts"),
-            }
         }
     }
 }

@@ -5,23 +5,23 @@ use crate::memory::Memory;
 use crate::outbox::{GIVE_UP_AFTER, Outbox, Remembered, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
-use spandrel_bus::{
-    AlertMessage, BoxedFuture, Bus, BusError, HistoryLog, Keys, LiveToken, LiveWatch, Name,
-    Service, Subscription,
-};
+use spandrel_bus::{AlertMessage, BoxedFuture, Keys, LiveToken, Name, Service};
+use spandrel_listener::{DisplayTopic, Input, Listener, Needs};
 use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
+/// The alerts. A new alert service reports changes that were decided while no link existed.
+const NEEDS: Needs = Needs {
+    topics: &[DisplayTopic::Alerts],
+    services: &[Service::Alert],
+    logs: &[Service::Alert],
+};
 /// Interval between checks for notices that are due.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
-/// Capacity of the queue for alerts.
-const ALERTS_WAITING: usize = 4_096;
-/// Time limit for the reply of the alert service.
-const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 /// Time limit after a stop for the notices that are being sent.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
@@ -41,14 +41,12 @@ pub struct NotifyService {
     sources: Vec<Source>,
     receivers: Vec<Arc<Receiver>>,
     outbox: Outbox,
-    bus: Bus,
-    asked: JoinSet<Result<Told, BusError>>,
     clock: Monotonic,
 }
 
 /// The reply of an alert service.
+#[derive(Default)]
 struct Told {
-    structure: Name,
     /// Its last changes, oldest first.
     log: Vec<AlertMessage>,
     /// The current state of each alert.
@@ -77,12 +75,9 @@ impl Monotonic {
 
 struct Source {
     keys: Keys,
-    alerts: Subscription<AlertMessage>,
-    alert_services: LiveWatch,
-    present: BTreeSet<String>,
+    listener: Listener,
     status: StatusPublisher,
     token: LiveToken,
-    taken: u64,
     memory: Option<Memory>,
     /// Whether a checkpoint or an earlier reply has supplied the state of the alerts.
     has_heard: bool,
@@ -126,8 +121,6 @@ impl NotifyService {
                 outbox: Outbox::new(wishes(&receivers)),
                 sources: Vec::new(),
                 receivers,
-                bus: bus.clone(),
-                asked: JoinSet::new(),
                 clock: Monotonic::new(),
             };
             for Monitored {
@@ -145,13 +138,11 @@ impl NotifyService {
                     service.recall(keys.structure(), remembered, away);
                 }
                 service.sources.push(Source {
-                    alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
-                    alert_services: bus.watch_live(keys.all_live(Service::Alert)).await?,
-                    present: BTreeSet::new(),
+                    listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
+                        .await?,
                     status: instance.publish_status(Service::Notify, keys).await?,
                     token: instance.announce(Service::Notify, keys).await?,
                     keys: keys.clone(),
-                    taken: 0,
                     memory,
                     has_heard,
                 });
@@ -263,63 +254,17 @@ impl NotifyService {
     fn take(&mut self) {
         let now = self.clock.now();
         for source in &mut self.sources {
-            let root = source.keys.root();
-            let in_place = source.alerts.gather(root, |alert| {
-                Some((
-                    &alert.structure,
-                    spandrel_bus::Topic::new(spandrel_bus::KeyFamily::Alert, &alert.parameter),
-                ))
-            });
-            for alert in in_place {
-                source.taken += 1;
-                self.outbox.take(&alert, now);
+            let mut told = Told::default();
+            for input in source.listener.gather() {
+                match input {
+                    Input::Alert(alert) => self.outbox.take(&alert, now),
+                    Input::LoggedAlert(alert) => told.log.push(alert),
+                    Input::StandingAlert(alert) => told.standing.push(alert),
+                    _ => {}
+                }
             }
-            // A new alert service reports changes that were decided while no link existed.
-            let present = source.alert_services.present();
-            if present.difference(&source.present).next().is_some() {
-                self.asked.spawn(ask(self.bus.clone(), source.keys.clone()));
-            }
-            source.present = present;
+            source.catch_up(&told, &mut self.outbox, now);
         }
-        while let Some(answer) = self.asked.try_join_next() {
-            match answer {
-                Ok(Ok(told)) => self.catch_up(&told, now),
-                Ok(Err(error)) => warn!(%error, "cannot query current alerts"),
-                Err(error) => warn!(%error, "query for current alerts failed"),
-            }
-        }
-    }
-
-    /// Processes the reply of an alert service.
-    ///
-    /// The first reply ever received supplies only the current alerts: older changes are recorded
-    /// without sending them.
-    fn catch_up(&mut self, told: &Told, now: Duration) {
-        let Told {
-            structure,
-            log,
-            standing,
-        } = told;
-        let Some(source) = self
-            .sources
-            .iter_mut()
-            .find(|source| source.keys.structure() == structure)
-        else {
-            return;
-        };
-        if source.has_heard {
-            log.iter().for_each(|alert| self.outbox.take(alert, now));
-        } else {
-            let is_past = |alert: &&AlertMessage| !standing.contains(alert);
-            log.iter()
-                .filter(is_past)
-                .for_each(|alert| drop(self.outbox.learn(alert)));
-        }
-        standing
-            .iter()
-            .for_each(|alert| self.outbox.take(alert, now));
-        // An empty reply means that the service did not answer in time.
-        source.has_heard |= !standing.is_empty();
     }
 
     /// Saves checkpoints of all structures that have changed.
@@ -345,11 +290,6 @@ impl NotifyService {
             ("given-up-notices", self.outbox.given_up),
         ];
         for source in &self.sources {
-            let refused = source
-                .alerts
-                .refused()
-                .into_iter()
-                .map(|(reason, count)| (format!("refused-{reason}"), count));
             let counts = counts
                 .iter()
                 .filter(|(_, count)| *count > 0)
@@ -358,9 +298,10 @@ impl NotifyService {
                 .memory
                 .as_ref()
                 .and_then(|memory| memory.failures().drops());
+            let refused = source.listener.refused().into_iter();
             let drops: BTreeMap<String, u64> = refused.chain(counts).chain(unkept).collect();
             let report = Report {
-                done: source.taken,
+                done: source.listener.taken(),
                 drops,
                 ..Report::default()
             };
@@ -370,33 +311,25 @@ impl NotifyService {
     }
 }
 
-/// Queries an alert service for its last changes and the current state of its alerts.
-async fn ask(bus: Bus, keys: Keys) -> Result<Told, BusError> {
-    let log = bus
-        .ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN)
-        .await
-        .unwrap_or_else(|error| {
-            warn!(%error, "cannot query recent changes of alerts");
-            Vec::new()
-        });
-    let standing = bus
-        .ask::<AlertMessage>(&keys.all_alerts(), ANSWER_WITHIN)
-        .await?;
-    let structure = keys.structure().clone();
-    let own = |alert: &AlertMessage| alert.structure == structure;
-    Ok(Told {
-        log: log
-            .into_iter()
-            .flat_map(|(_, log)| log.alerts)
-            .filter(own)
-            .collect(),
-        standing: standing
-            .into_iter()
-            .map(|(_, alert)| alert)
-            .filter(own)
-            .collect(),
-        structure: structure.clone(),
-    })
+impl Source {
+    /// Processes the reply of an alert service.
+    ///
+    /// The first reply ever received supplies only the current alerts: older changes are recorded
+    /// without sending them.
+    fn catch_up(&mut self, told: &Told, outbox: &mut Outbox, now: Duration) {
+        let Told { log, standing } = told;
+        if self.has_heard {
+            log.iter().for_each(|alert| outbox.take(alert, now));
+        } else {
+            let is_past = |alert: &&AlertMessage| !standing.contains(alert);
+            log.iter()
+                .filter(is_past)
+                .for_each(|alert| drop(outbox.learn(alert)));
+        }
+        standing.iter().for_each(|alert| outbox.take(alert, now));
+        // An empty reply means that the service did not answer in time.
+        self.has_heard |= !standing.is_empty();
+    }
 }
 
 /// Returns the request of each receiver under a name that is the same after a restart.

@@ -9,8 +9,7 @@
 //! - [`wording`], [`estimate_bar`], [`wrap`]: numbers, intervals and sentences as text
 //! - [`structure_panel`], [`nodes`], [`lists`], [`draw`]: the screen
 //! - [`plain`]: the same content as lines, if there is no screen
-//! - [`topics`], [`listen`], [`screen`], [`held_stderr`], [`shell`]: connection to the bus and the
-//!   terminal
+//! - [`screen`], [`held_stderr`], [`shell`]: connection to the bus and the terminal
 
 mod form;
 mod heard;
@@ -28,10 +27,8 @@ mod wording;
 mod wrap;
 
 mod held_stderr;
-mod listen;
 mod screen;
 mod shell;
-mod topics;
 
 #[cfg(test)]
 mod testing;

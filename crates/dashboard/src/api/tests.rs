@@ -72,8 +72,8 @@ fn only_a_page_of_this_server_may_send() {
 
 #[test]
 fn unconfirmed_alert_can_be_acknowledged_once() {
-    use crate::store::Input;
     use crate::testing::{alert, demo, undecided};
+    use spandrel_listener::Input;
     let mut store = demo();
     store.handle(undecided(
         "storey-2",

@@ -1,5 +1,4 @@
 use super::*;
-use crate::store::Input;
 use crate::testing::{demo, hear};
 
 const SECOND: i64 = 1_000_000_000;
@@ -180,9 +179,7 @@ fn what_lies_before_is_asked_of_the_history_and_put_before() {
     };
     let read = |store: &Store, from| read(store, &Request::new(&asked(from), store).unwrap());
     assert_eq!(read(&store, 0.0).1, [], "nobody to ask");
-    store.handle(Input::Present(
-        [(Service::History, crate::testing::name("history"))].into(),
-    ));
+    store.handle(crate::testing::present(&[(Service::History, "history")]));
     assert_eq!(read(&store, 1_000.0).1, [], "all of it is here");
 
     let (mut span, earlier) = read(&store, 0.0);

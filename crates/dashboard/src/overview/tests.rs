@@ -1,10 +1,10 @@
 use super::*;
-use crate::store::Input;
-use crate::testing::{alert, at, demo, fit, hear, name, undecided};
+use crate::testing::{alert, at, demo, fit, hear, name, present, undecided};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status,
     StreamState,
 };
+use spandrel_listener::Input;
 
 fn raised_among_others() -> Store {
     let mut store = demo();
@@ -86,12 +86,12 @@ fn a_sensor_that_is_told_to_be_faulty_makes_a_warning_until_it_is_back() {
 
 #[test]
 fn a_node_that_leaves_alone_is_gone_and_all_together_have_ended() {
-    let nodes = |names: &[&str]| {
-        Input::Present(
-            names
+    let nodes = |names: &[&'static str]| {
+        present(
+            &names
                 .iter()
-                .map(|node| (Service::Sensor, name(node)))
-                .collect(),
+                .map(|node| (Service::Sensor, *node))
+                .collect::<Vec<_>>(),
         )
     };
     let mut store = demo();
@@ -106,8 +106,8 @@ fn a_node_that_leaves_alone_is_gone_and_all_together_have_ended() {
 #[test]
 fn a_service_that_has_gone_is_missed() {
     let mut store = demo();
-    store.handle(Input::Present([(Service::Alert, name("alert"))].into()));
-    store.handle(Input::Present([].into()));
+    store.handle(present(&[(Service::Alert, "alert")]));
+    store.handle(present(&[]));
     let found = overview(&store);
     assert_eq!(
         (found.level, found.sentence.as_str()),
@@ -198,9 +198,12 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
         );
     }
     let mut store = demo();
-    store.handle(Input::Present([(Service::Alert, name("alert"))].into()));
-    store.handle(Input::Present([].into()));
-    store.handle(Input::Estimates(estimates_without_the_third_channel()));
+    store.handle(present(&[(Service::Alert, "alert")]));
+    store.handle(present(&[]));
+    store.handle(Input::Estimates(
+        name("demo"),
+        estimates_without_the_third_channel(),
+    ));
     hear(&mut store, "storey-2", 1, 0.85, 1.0);
     store.handle(Input::Alert(alert("storey-2", 1, AlertState::Cleared)));
     store.handle(Input::Alert(alert("storey-3", 1, AlertState::Acknowledged)));
@@ -244,7 +247,10 @@ fn estimates_without_the_third_channel() -> EstimateBlock {
 #[test]
 fn a_channel_that_is_never_used_is_silent() {
     let mut store = demo();
-    store.handle(Input::Estimates(estimates_without_the_third_channel()));
+    store.handle(Input::Estimates(
+        name("demo"),
+        estimates_without_the_third_channel(),
+    ));
     let found = overview(&store).sensors;
     assert_eq!(
         (found.alive, found.troubled),
@@ -260,11 +266,12 @@ fn ingested(epoch: u64, time_ns: i64) -> Input {
         sequence: 400,
         time_ns,
     };
-    Input::Ingested(Progress {
+    let progress = Progress {
         header,
         done: 400,
         kept: 400,
-    })
+    };
+    Input::Ingested(name("demo"), progress)
 }
 
 #[test]
@@ -274,7 +281,10 @@ fn what_is_read_again_from_the_recording_makes_no_sensor_alive_and_no_data_new()
         let mut store = demo();
         let word = || ingested(1, (recorded_s * 1e9) as i64);
         let read_again = |store: &mut Store| {
-            store.handle(Input::Estimates(estimates_without_the_third_channel()));
+            store.handle(Input::Estimates(
+                name("demo"),
+                estimates_without_the_third_channel(),
+            ));
             hear(store, "storey-1", 3_990_000_000, 1.0, 0.001);
         };
         if is_told_first {
@@ -306,7 +316,10 @@ fn a_record_that_begins_while_somebody_looks_is_live_whatever_its_dates() {
     let mut store = demo();
     store.handle(ingested(1, 1_700_000_000_000_000_000));
     store.handle(ingested(2, 0));
-    store.handle(Input::Estimates(estimates_without_the_third_channel()));
+    store.handle(Input::Estimates(
+        name("demo"),
+        estimates_without_the_third_channel(),
+    ));
     hear(&mut store, "storey-1", 1, 1.0, 0.001);
     let found = overview(&store);
     assert_eq!((found.sensors.alive, found.age_s), (4, Some(0.0)));

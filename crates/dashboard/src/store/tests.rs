@@ -1,50 +1,13 @@
 use super::*;
 use crate::testing::{alert, at, demo, hear, name};
 
-fn services(names: &[Service]) -> Input {
-    Input::Present(
-        names
-            .iter()
-            .map(|service| (*service, name(service.as_str())))
-            .collect(),
-    )
-}
-
 #[test]
 fn names_that_the_structure_file_does_not_have_are_left_out() {
     let mut store = demo();
     hear(&mut store, "storey-99", 0, 1.0, 0.0);
     store.handle(Input::Alert(alert("storey-99", 0, AlertState::Raised)));
-    assert!(store.parameters.is_empty() && store.alerts.is_empty());
+    assert!(store.state.parameters.is_empty() && store.state.alerts.is_empty());
     assert_eq!(store.series_names().count(), 0);
-}
-
-#[test]
-fn an_alert_is_stale_from_when_its_service_has_gone_until_one_says_how_it_stands() {
-    let mut store = demo();
-    store.handle(services(&[Service::Alert]));
-    store.handle(Input::Alert(alert("storey-2", 5, AlertState::Raised)));
-    store.handle(services(&[]));
-    assert!(store.stale_alerts.contains("storey-2"));
-    // A reply as old as the known state confirms that state.
-    store.handle(Input::StandingAlert(alert(
-        "storey-2",
-        5,
-        AlertState::Raised,
-    )));
-    assert!(store.stale_alerts.is_empty());
-}
-
-#[test]
-fn an_answer_does_not_undo_what_came_by_itself() {
-    let mut store = demo();
-    store.handle(Input::Alert(alert("storey-2", 9, AlertState::Acknowledged)));
-    store.handle(Input::StandingAlert(alert(
-        "storey-2",
-        5,
-        AlertState::Raised,
-    )));
-    assert_eq!(store.alerts["storey-2"].state, AlertState::Acknowledged);
 }
 
 #[test]
@@ -157,5 +120,5 @@ fn revisions_are_one_change_with_the_newest_loss() {
         .collect();
     assert_eq!(changes.len(), 2);
     assert_eq!(changes[1], ("storey-2", Some(0.3)));
-    assert_eq!(store.alerts["storey-2"].revision, 2);
+    assert_eq!(store.state.alerts["storey-2"].revision, 2);
 }

@@ -1,9 +1,10 @@
 use super::*;
-use crate::batch::{Collector, Input};
+use crate::batch::Collector;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, LossDisplay,
     Message as _, ParameterDisplay,
 };
+use spandrel_listener::Input;
 use spandrel_structure::Structure;
 use std::path::Path;
 

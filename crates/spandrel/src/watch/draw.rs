@@ -1,7 +1,6 @@
 //! The whole screen: structures, alerts, events, and the line of keys.
 
 use super::form::{Field, Form};
-use super::heard::StructureHeard;
 use super::lists::{alert_lines, alerts_title, event_lines};
 use super::structure_panel::StructurePanel;
 use super::view::{Mode, View};
@@ -12,6 +11,7 @@ use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Clear, Padding, Paragraph};
 use spandrel_bus::Name;
+use spandrel_listener::StructureState;
 
 /// Minimum size of the window. A smaller one only shows that it is too small.
 const SMALLEST: (u16, u16) = (40, 12);
@@ -85,7 +85,7 @@ fn draw_main(view: &View, frame: &mut Frame<'_>, area: Rect) {
         frame.render_widget(Paragraph::new(nothing_heard(view.place())), area);
         return;
     }
-    let structures: Vec<(&Name, &StructureHeard)> = view.heard.structures().collect();
+    let structures: Vec<(&Name, &StructureState)> = view.heard.structures().collect();
     let selected = view.selected_structure().map(|(name, _)| name);
     let selected = structures
         .iter()

@@ -97,7 +97,7 @@ fn alert_entry(
     {
         let is_stale = heard
             .structure(&alert.structure)
-            .is_some_and(|of| heard.silence_of_data(of).is_some());
+            .is_some_and(|of| of.stale_for().is_some());
         let when = if is_stale { "by the last value" } else { "now" };
         lines.extend(wrap(
             &format!("{when}: {now}"),

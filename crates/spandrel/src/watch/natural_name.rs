@@ -3,22 +3,18 @@
 use spandrel_bus::Name;
 use std::cmp::Ordering;
 
-/// A name ordered by its words and numbers.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct NaturalName(pub Name);
-
-impl Ord for NaturalName {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let (a, b) = (self.0.as_str(), other.0.as_str());
-        let parts = pieces(a).map(Piece::new).cmp(pieces(b).map(Piece::new));
-        parts.then_with(|| a.cmp(b)) // distinguishes `storey-02` and `storey-2`
-    }
+/// Returns the entries of a map in the natural order of their names.
+pub fn in_order<'m, V>(map: impl IntoIterator<Item = (&'m Name, &'m V)>) -> Vec<(&'m Name, &'m V)> {
+    let mut entries: Vec<(&Name, &V)> = map.into_iter().collect();
+    entries.sort_by(|(a, _), (b, _)| compare(a, b));
+    entries
 }
 
-impl PartialOrd for NaturalName {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
+/// Compares names by their words and numbers.
+fn compare(a: &Name, b: &Name) -> Ordering {
+    let (a, b) = (a.as_str(), b.as_str());
+    let parts = pieces(a).map(Piece::new).cmp(pieces(b).map(Piece::new));
+    parts.then_with(|| a.cmp(b)) // distinguishes `storey-02` and `storey-2`
 }
 
 /// A run of digits, or of other characters.
@@ -67,13 +63,13 @@ mod tests {
             "storey-10",
             "storey-99999999999999999999",
         ];
-        let mut names: Vec<NaturalName> = sorted
+        let mut names: Vec<Name> = sorted
             .iter()
             .rev()
-            .map(|text| NaturalName(Name::new(*text).unwrap()))
+            .map(|text| Name::new(*text).unwrap())
             .collect();
-        names.sort();
-        let found: Vec<&str> = names.iter().map(|name| name.0.as_str()).collect();
+        names.sort_by(compare);
+        let found: Vec<&str> = names.iter().map(Name::as_str).collect();
         assert_eq!(found, sorted);
     }
 }

@@ -151,18 +151,15 @@ pub fn panel_lines<'h>(nodes: impl Iterator<Item = &'h NodeHeard>) -> Vec<Line<'
 
 #[cfg(test)]
 mod tests {
-    use super::super::heard::Input;
     use super::super::testing::{heard, name, node};
     use super::*;
+    use spandrel_listener::Input;
 
     fn lines(inputs: impl IntoIterator<Item = Input>) -> Vec<String> {
         let heard = heard(inputs);
-        let tower = heard.structure(&name("tower")).unwrap();
-        tower
-            .nodes
-            .values()
-            .map(|node| plain_line(&name("tower"), node))
-            .collect()
+        let tower = name("tower");
+        let nodes = heard.nodes(&tower);
+        nodes.map(|node| plain_line(&tower, node)).collect()
     }
 
     #[test]

@@ -3,10 +3,12 @@
 //! There is one line per change of an alert, and one line per second and structure. Each
 //! distributed node has a line from [`plain_line`](super::nodes::plain_line).
 
-use super::heard::{Heard, Origin, StructureHeard};
+use super::heard::Origin;
+use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
 use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
 use spandrel_bus::{AlertMessage, Load, Name, Service};
+use spandrel_listener::StructureState;
 use std::fmt::Write as _;
 
 /// Returns the line for a change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
@@ -29,37 +31,37 @@ pub fn alert_line(alert: &AlertMessage) -> String {
 
 /// Returns the line of a structure: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG,
 /// …`.
-pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) -> String {
+pub fn structure_line(name: &Name, structure: &StructureState) -> String {
     let Some(time_ns) = structure.time_ns else {
         return format!(
             "{name} {}{}{}",
             nothing_measured(structure),
             alerts(structure),
-            services(heard, structure)
+            services(structure)
         );
     };
-    let parameters = structure.parameters.iter().map(|(parameter, value)| {
-        let display = &value.display;
+    let parameters = in_order(&structure.parameters).into_iter();
+    let parameters = parameters.map(|(parameter, display)| {
         let state = structure
             .alerts
             .get(parameter)
             .map_or("", |alert| alert.state.as_str());
-        let stale = if structure.is_stale(&parameter.0) {
+        let stale = if structure.is_alert_stale(parameter) {
             " (stale)"
         } else {
             ""
         };
         format!(
             "{} {} {state}{stale}",
-            parameter.0,
+            parameter,
             estimate(display.mean, display.std)
         )
         .trim_end()
         .to_owned()
     });
     let parameters: Vec<String> = parameters.collect();
-    let stale = heard
-        .silence_of_data(structure)
+    let stale = structure
+        .stale_for()
         .map(|silence| format!("stale {}: ", duration(silence)));
     let fit = structure
         .fit
@@ -72,7 +74,7 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     format!(
         "{}{} {name} {}{}{}{}{}",
         time(time_ns),
-        match structure.origin() {
+        match Origin::of(structure) {
             Origin::Measured => "",
             Origin::Replayed => " of a record or simulation",
             Origin::ReadAgain => " read again from the recording",
@@ -81,19 +83,20 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
         parameters.join(", "),
         fit.unwrap_or_default(),
         class.unwrap_or_default(),
-        services(heard, structure)
+        services(structure)
     )
 }
 
 /// Returns the states of alerts for which no value has arrived: `: PARAMETER STATE, …`.
-fn alerts(structure: &StructureHeard) -> String {
-    let states = structure.alerts.iter().map(|(parameter, alert)| {
-        let stale = if structure.is_stale(&parameter.0) {
+fn alerts(structure: &StructureState) -> String {
+    let alerts = in_order(&structure.alerts).into_iter();
+    let states = alerts.map(|(parameter, alert)| {
+        let stale = if structure.is_alert_stale(parameter) {
             " (stale)"
         } else {
             ""
         };
-        format!("{} {}{stale}", parameter.0, alert.state.as_str())
+        format!("{parameter} {}{stale}", alert.state.as_str())
     });
     match &states.collect::<Vec<_>>()[..] {
         [] => String::new(),
@@ -101,7 +104,7 @@ fn alerts(structure: &StructureHeard) -> String {
     }
 }
 
-fn services(heard: &Heard, structure: &StructureHeard) -> String {
+fn services(structure: &StructureState) -> String {
     let mut text = String::new();
     for ((service, id), instance) in &structure.instances {
         if *service == Service::Sensor {
@@ -125,7 +128,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
         }
         if !instance.is_present {
             text.push_str(" gone");
-        } else if let Some(silence) = heard.silence_of_status(instance) {
+        } else if let Some(silence) = structure.status_stale_for(instance) {
             let _ = write!(text, " stale {}", duration(silence));
         }
     }
@@ -134,19 +137,17 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::heard::Input;
+    use super::super::heard::Heard;
     use super::super::testing::{
         alert, at, classes, damaged_tower, heard, name, parameter, present, progress, status,
     };
     use super::*;
     use spandrel_bus::{AlertState, Pace, Status};
+    use spandrel_listener::Input;
 
     fn line(heard: &Heard) -> String {
-        structure_line(
-            heard,
-            &name("tower"),
-            heard.structure(&name("tower")).unwrap(),
-        )
+        let tower = name("tower");
+        structure_line(&tower, heard.structure(&tower).unwrap())
     }
 
     #[test]

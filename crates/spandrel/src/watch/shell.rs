@@ -1,7 +1,6 @@
 //! Connects the view to the bus and the terminal.
 
-use super::heard::{Heard, Input};
-use super::listen::Listening;
+use super::heard::Heard;
 use super::nodes::plain_line;
 use super::plain::{alert_line, structure_line};
 use super::screen::Screen;
@@ -9,11 +8,29 @@ use super::view::{Action, Around, View};
 use super::wording::nothing_heard;
 use crate::error::AppError;
 use ratatui::crossterm::event::{Event, KeyEventKind};
-use spandrel_bus::{Acknowledgement, Bus, Keys, Name};
+use spandrel_bus::{Acknowledgement, Bus, Keys, Name, Service};
+use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
 
+/// The topics that the view shows.
+const NEEDS: Needs = Needs {
+    topics: &[
+        T::Ingested,
+        T::Statuses,
+        T::Parameters,
+        T::Losses,
+        T::Noise,
+        T::Classes,
+        T::Fit,
+        T::Nodes,
+        T::Alerts,
+        T::Events,
+    ],
+    services: &Service::ALL,
+    logs: &[],
+};
 /// Interval at which the screen is redrawn and lines are checked, equal to the display rate.
 const REDRAW_EVERY: Duration = Duration::from_millis(100);
 /// Interval between the lines of a structure.
@@ -32,22 +49,22 @@ pub async fn show(
     around: Around,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
-    let listening = Listening::start(bus, root, structure).await?;
+    let listener = Listener::start(bus, root, structure, NEEDS).await?;
     let place = match structure {
         Some(structure) => format!("of {structure} below {root}"),
         None => format!("below {root}"),
     };
     if io::stdout().is_terminal() {
-        show_screen(bus, root, listening, View::new(place, around, user()), stop).await
+        show_screen(bus, root, listener, View::new(place, around, user()), stop).await
     } else {
-        print_lines(listening, &place, stop).await
+        print_lines(listener, &place, stop).await
     }
 }
 
 async fn show_screen(
     bus: &Bus,
     root: &Name,
-    mut listening: Listening,
+    mut listener: Listener,
     mut view: View,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
@@ -65,10 +82,10 @@ async fn show_screen(
         };
         view.heard
             .handle(Input::Now(clock.elapsed()), &mut Vec::new());
-        for input in listening.gather() {
+        for input in listener.gather() {
             view.heard.handle(input, &mut Vec::new());
         }
-        view.set_overwritten(listening.overwritten());
+        view.set_overwritten(listener.refused().values().sum());
         view.look_for_answer();
         let action = match event {
             Some(Event::Key(key)) if key.kind != KeyEventKind::Release => view.key(key),
@@ -116,7 +133,7 @@ async fn acknowledge(
 }
 
 async fn print_lines(
-    mut listening: Listening,
+    mut listener: Listener,
     place: &str,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
@@ -136,15 +153,15 @@ async fn print_lines(
         let now = clock.elapsed();
         let mut changes = Vec::new();
         heard.handle(Input::Now(now), &mut changes);
-        for input in listening.gather() {
+        for input in listener.gather() {
             heard.handle(input, &mut changes);
         }
         let mut lines: Vec<String> = changes.iter().map(alert_line).collect();
         if is_last || now >= next_line {
             next_line = now + LINE_EVERY;
             for (name, structure) in heard.structures() {
-                lines.push(structure_line(&heard, name, structure));
-                lines.extend(structure.nodes.values().map(|node| plain_line(name, node)));
+                lines.push(structure_line(name, structure));
+                lines.extend(heard.nodes(name).map(|node| plain_line(name, node)));
             }
             if lines.is_empty() && !is_silence_told {
                 lines.push(nothing_heard(place));

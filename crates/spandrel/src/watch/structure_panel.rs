@@ -1,7 +1,8 @@
 //! One structure on the screen: its parameters, noise levels and services.
 
 use super::estimate_bar::{Axis, Marks};
-use super::heard::{Heard, InstanceHeard, Origin, ParameterHeard, StructureHeard};
+use super::heard::{Heard, Origin, ParameterHeard};
+use super::natural_name::in_order;
 use super::nodes::panel_lines;
 use super::trail::Trail;
 use super::wording::{
@@ -15,6 +16,7 @@ use spandrel_bus::{
     AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, Name, NoiseDisplay,
     Service, Standing,
 };
+use spandrel_listener::{InstanceState, StructureState};
 
 /// Gap between columns.
 const GAP: &str = "  ";
@@ -57,23 +59,22 @@ struct Columns {
 
 impl StructurePanel {
     /// Prepares the contents for lines of `width` characters.
-    pub fn new(heard: &Heard, name: &Name, structure: &StructureHeard, width: usize) -> Self {
-        let all_marks = structure
-            .parameters
+    pub fn new(heard: &Heard, name: &Name, structure: &StructureState, width: usize) -> Self {
+        let parameters = heard.parameters(name);
+        let all_marks = parameters
             .iter()
-            .map(|(name, parameter)| Marks::new(&parameter.display, structure.losses.get(name)));
+            .map(|parameter| Marks::new(parameter.display, parameter.loss));
         let axis = Axis::around(all_marks.flat_map(|marks| marks.extent()));
         let losses = Losses::new(structure);
         let columns = Columns::new(structure, &losses, width);
-        let is_stale = heard.silence_of_data(structure).is_some();
-        let rows = structure.parameters.iter().map(|(name, parameter)| {
-            let alert = match structure.alerts.get(name) {
-                Some(_) if structure.is_stale(&name.0) => AlertCell::Stale,
+        let is_stale = structure.stale_for().is_some();
+        let rows = parameters.iter().map(|parameter| {
+            let alert = match structure.alerts.get(&parameter.display.parameter) {
+                Some(alert) if structure.is_alert_stale(&alert.parameter) => AlertCell::Stale,
                 Some(alert) => AlertCell::Of(alert),
                 None => AlertCell::Unheard,
             };
-            let loss = structure.losses.get(name);
-            let row = row(axis, columns, &losses, (parameter, loss), alert);
+            let row = row(axis, columns, &losses, parameter, alert);
             if is_stale {
                 row.patch_style(Modifier::DIM)
             } else {
@@ -82,10 +83,10 @@ impl StructurePanel {
         });
         Self {
             title: title(name, structure),
-            time: time_of(heard, structure),
+            time: time_of(structure),
             header: header(axis, columns, &losses),
             rows: rows.collect(),
-            footer: footer(heard, structure, width),
+            footer: footer(heard, name, structure, width),
             nothing_measured: Line::from(if structure.noise.is_empty() {
                 nothing_measured(structure)
             } else {
@@ -144,15 +145,13 @@ struct Losses {
 }
 
 impl Losses {
-    fn new(structure: &StructureHeard) -> Self {
+    fn new(structure: &StructureState) -> Self {
         let mut losses = structure.losses.values().map(|loss| loss.rule_loss);
         let first = losses.next();
         let common = first.filter(|first| losses.all(|loss| loss == *first));
         let mut all = Self { common, width: 0 };
-        let cells = structure
-            .losses
-            .values()
-            .map(|loss| all.cell(Some(loss)).chars().count());
+        let cells = structure.losses.values();
+        let cells = cells.map(|loss| all.cell(Some(loss)).chars().count());
         all.width = cells.max().unwrap_or(0).max(all.header().chars().count());
         all
     }
@@ -177,11 +176,11 @@ impl Losses {
 }
 
 impl Columns {
-    fn new(structure: &StructureHeard, losses: &Losses, width: usize) -> Self {
+    fn new(structure: &StructureState, losses: &Losses, width: usize) -> Self {
         let longest = structure
             .parameters
             .keys()
-            .map(|name| name.0.as_str().len())
+            .map(|name| name.as_str().len())
             .max()
             .unwrap_or(0);
         let name = longest.clamp("parameter".len(), LONGEST_NAME);
@@ -245,10 +244,14 @@ fn row(
     axis: Axis,
     columns: Columns,
     losses: &Losses,
-    (parameter, loss): (&ParameterHeard, Option<&LossDisplay>),
+    parameter: &ParameterHeard<'_>,
     alert: AlertCell<'_>,
 ) -> Line<'static> {
-    let ParameterHeard { display, trail } = parameter;
+    let ParameterHeard {
+        display,
+        loss,
+        trail,
+    } = *parameter;
     let (state, style) = match alert {
         AlertCell::Unheard => ("–", Style::new()),
         AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM)),
@@ -287,14 +290,14 @@ fn shortened(name: &str) -> String {
     format!("{kept}…")
 }
 
-fn title(name: &Name, structure: &StructureHeard) -> Line<'static> {
+fn title(name: &Name, structure: &StructureState) -> Line<'static> {
     let mut line = Line::from(Span::styled(name.to_string(), Modifier::BOLD));
     line.extend(state_counts(structure.alerts.values()));
     line
 }
 
-fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
-    let origin = match structure.origin() {
+fn time_of(structure: &StructureState) -> Line<'static> {
+    let origin = match Origin::of(structure) {
         Origin::Measured => "",
         Origin::Replayed => " · replayed or simulated",
         Origin::ReadAgain => " · read again from the recording",
@@ -302,7 +305,7 @@ fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
     let measured = structure
         .time_ns
         .map(|time_ns| format!("{}{origin}", time(time_ns)));
-    match (measured, heard.silence_of_data(structure)) {
+    match (measured, structure.stale_for()) {
         (Some(measured), None) => Line::from(measured),
         (Some(measured), Some(silence)) => {
             let warning = Style::new().fg(Color::Yellow).add_modifier(Modifier::BOLD);
@@ -315,13 +318,16 @@ fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
     }
 }
 
-fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'static>> {
+fn footer(
+    heard: &Heard,
+    name: &Name,
+    structure: &StructureState,
+    width: usize,
+) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     if !structure.noise.is_empty() {
-        let levels = structure
-            .noise
-            .values()
-            .map(|level| Span::raw(noise_level(level)));
+        let levels = in_order(&structure.noise).into_iter();
+        let levels = levels.map(|(_, level)| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
     }
     if let Some(fit) = &structure.fit {
@@ -368,12 +374,12 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
         } else {
             format!("{}/{id}", service.as_str())
         };
-        items.push(service_item(heard, structure, who, instance));
+        items.push(service_item(structure, who, instance));
     }
     if !items.is_empty() {
         lines.extend(flow("services     ", items, width));
     }
-    lines.extend(panel_lines(structure.nodes.values()));
+    lines.extend(panel_lines(heard.nodes(name)));
     lines
 }
 
@@ -428,10 +434,9 @@ fn noise_level(level: &NoiseDisplay) -> String {
 }
 
 fn service_item(
-    heard: &Heard,
-    structure: &StructureHeard,
+    structure: &StructureState,
     who: String,
-    instance: &InstanceHeard,
+    instance: &InstanceState,
 ) -> Span<'static> {
     let mut text = who;
     if let Some(status) = &instance.status {
@@ -468,7 +473,7 @@ fn service_item(
             Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
         );
     }
-    match heard.silence_of_status(instance) {
+    match structure.status_stale_for(instance) {
         Some(silence) => Span::styled(
             format!("{text}, stale {}", duration(silence)),
             Color::Yellow,

@@ -1,11 +1,12 @@
 //! Messages for the tests of the view.
 
-use super::heard::{Heard, Input, Instance};
+use super::heard::Heard;
 use spandrel_bus::{
     AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header,
     LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace,
     ParameterDisplay, Progress, Service, Status,
 };
+use spandrel_listener::{Input, Instance};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 

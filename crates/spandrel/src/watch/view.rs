@@ -1,9 +1,10 @@
 //! The choices of the user at the screen. Keys are the input, and actions are the output.
 
 use super::form::{Form, Typed};
-use super::heard::{Heard, StructureHeard};
+use super::heard::Heard;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use spandrel_bus::{AlertMessage, AlertState, Name};
+use spandrel_listener::StructureState;
 use std::time::Duration;
 
 /// Time for which a notice is shown in the last line.
@@ -233,7 +234,7 @@ impl View {
         let alert = self
             .heard
             .structure(&structure)
-            .and_then(|heard| heard.alert(&parameter));
+            .and_then(|heard| heard.alerts.get(&parameter));
         let Some((state, is_unseen)) = alert.map(|alert| (alert.state, alert.is_unseen())) else {
             return;
         };
@@ -263,7 +264,7 @@ impl View {
         let alert = self
             .heard
             .structure(structure)
-            .and_then(|heard| heard.alert(parameter));
+            .and_then(|heard| heard.alerts.get(parameter));
         let told = match alert {
             Some(now) if now.state != *state => {
                 format!("{structure}/{parameter} is {}", now.state.as_str())
@@ -313,7 +314,7 @@ impl View {
     }
 
     /// Returns the selected structure, by default the first.
-    pub fn selected_structure(&self) -> Option<(&Name, &StructureHeard)> {
+    pub fn selected_structure(&self) -> Option<(&Name, &StructureState)> {
         let chosen = self.structure.as_ref();
         let named = self
             .heard
@@ -369,9 +370,9 @@ impl Step {
 
 #[cfg(test)]
 mod tests {
-    use super::super::heard::Input;
     use super::super::testing::{alert, at, damaged_tower, heard, name, parameter, present};
     use super::*;
+    use spandrel_listener::Input;
 
     fn view(heard: Heard) -> View {
         View {

@@ -1,10 +1,10 @@
 //! Numbers, times and states as text for people.
 
-use super::heard::StructureHeard;
 use jiff::Timestamp;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Span;
 use spandrel_bus::{AlertMessage, AlertState, RoundedProbability};
+use spandrel_listener::StructureState;
 use std::time::Duration;
 
 /// Returns the colour of a state. The word shows the same information without colour.
@@ -140,7 +140,7 @@ pub fn printable(text: &str) -> String {
 
 /// Returns the text for a structure without values. If it has alerts, there were values before this
 /// view was opened.
-pub fn nothing_measured(structure: &StructureHeard) -> &'static str {
+pub fn nothing_measured(structure: &StructureState) -> &'static str {
     if structure.alerts.is_empty() {
         "no data yet"
     } else {

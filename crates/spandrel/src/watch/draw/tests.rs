@@ -1,4 +1,4 @@
-use super::super::heard::{Heard, Input};
+use super::super::heard::Heard;
 use super::super::testing::{
     alert, at, damaged_tower, heard, loss, name, node, parameter, present, status,
 };
@@ -9,6 +9,7 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use ratatui::style::Color;
 use spandrel_bus::{AlertState, NodeHealth, Service, Standing};
+use spandrel_listener::Input;
 
 fn view(heard: Heard) -> View {
     let mut view = View::new(

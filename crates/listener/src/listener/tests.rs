@@ -1,9 +1,15 @@
 //! Tests with real sessions: messages are collected, and earlier alerts are queried.
 
-use super::super::heard::Heard;
-use super::super::testing::{alert, name, parameter};
 use super::*;
+use crate::structures::Structures;
+use crate::testing::{alert, name, parameter};
 use spandrel_bus::{AlertState, BusConfig, Keys};
+
+const NEEDS: Needs = Needs {
+    topics: &[DisplayTopic::Parameters, DisplayTopic::Alerts],
+    services: &Service::ALL,
+    logs: &[],
+};
 
 /// Only ends a hang; no test takes a second.
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -33,19 +39,26 @@ fn free_endpoint() -> String {
     format!("tcp/{}", listener.local_addr().unwrap())
 }
 
+/// Returns the parameters of `tower` with an alert.
+fn alerts(structures: &Structures) -> Vec<&str> {
+    let tower = structures.structure(&Name::new("tower").unwrap());
+    let alerts = tower.iter().flat_map(|tower| tower.alerts.keys());
+    alerts.map(Name::as_str).collect()
+}
+
 /// Collects messages until `done`. The deadline only ends a hang.
-async fn gather_until(listening: &mut Listening, done: impl Fn(&Heard) -> bool) -> Heard {
-    let mut heard = Heard::default();
+async fn gather_until(listener: &mut Listener, done: impl Fn(&Structures) -> bool) -> Structures {
+    let mut structures = Structures::default();
     let gathered = tokio::time::timeout(DEADLINE, async {
-        while !done(&heard) {
-            for input in listening.gather() {
-                heard.handle(input, &mut Vec::new());
+        while !done(&structures) {
+            for input in listener.gather() {
+                structures.handle(input, &mut Vec::new());
             }
             tokio::task::yield_now().await;
         }
     });
     gathered.await.unwrap();
-    heard
+    structures
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -59,8 +72,13 @@ async fn alerts_raised_before_are_asked_for_and_later_ones_heard() {
         .put(&alert("storey-1", 1, AlertState::Raised))
         .await
         .unwrap();
-    let mut listening = Listening::start(&bus, keys.root(), None).await.unwrap();
-    gather_until(&mut listening, |heard| heard.open_alerts().len() == 1).await;
+    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
+        .await
+        .unwrap();
+    gather_until(&mut listener, |structures| {
+        alerts(structures) == ["storey-1"]
+    })
+    .await;
     let later = bus
         .publish_latest(keys.alert(&name("storey-2")))
         .await
@@ -69,17 +87,19 @@ async fn alerts_raised_before_are_asked_for_and_later_ones_heard() {
         .put(&alert("storey-2", 2, AlertState::Pending))
         .await
         .unwrap();
-    let heard = gather_until(&mut listening, |heard| !heard.open_alerts().is_empty()).await;
-    assert_eq!(heard.open_alerts()[0].parameter, name("storey-2"));
+    let structures = gather_until(&mut listener, |structures| !alerts(structures).is_empty()).await;
+    assert_eq!(alerts(&structures), ["storey-2"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn values_and_tokens_of_all_structures_are_heard() {
     let (bus, keys) = open().await;
-    let mut listening = Listening::start(&bus, keys.root(), None).await.unwrap();
+    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
+        .await
+        .unwrap();
     for structure in ["tower", "bridge"] {
         let keys = Keys::new(keys.root().clone(), name(structure));
-        let mut value = parameter("storey-1", 0, 0.9, 0.01);
+        let mut value = parameter("storey-1", 0);
         value.structure = name(structure);
         let values = bus
             .publish_display(keys.parameter(&value.parameter))
@@ -91,30 +111,30 @@ async fn values_and_tokens_of_all_structures_are_heard() {
         .announce(keys.live(Service::Ingest, &name("a")))
         .await
         .unwrap();
-    let is_complete = |heard: &Heard| {
+    let is_complete = |structures: &Structures| {
         let is_there = |(service, _): &(Service, Name)| *service == Service::Ingest;
-        let has_token = heard
+        let has_token = structures
             .structure(&name("tower"))
             .is_some_and(|tower| tower.instances.keys().any(is_there));
         has_token
-            && heard
+            && structures
                 .structures()
                 .filter(|(_, structure)| !structure.parameters.is_empty())
                 .count()
                 == 2
     };
-    let heard = gather_until(&mut listening, is_complete).await;
-    assert_eq!(heard.left_out(), 0);
+    let structures = gather_until(&mut listener, is_complete).await;
+    assert_eq!(structures.left_out(), 0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn one_structure_is_heard_alone() {
     let (bus, keys) = open().await;
-    let mut listening = Listening::start(&bus, keys.root(), Some(&name("tower")))
+    let mut listener = Listener::start(&bus, keys.root(), Some(&name("tower")), NEEDS)
         .await
         .unwrap();
     for structure in ["bridge", "tower"] {
-        let mut value = parameter("storey-1", 0, 0.9, 0.01);
+        let mut value = parameter("storey-1", 0);
         value.structure = name(structure);
         let keys = Keys::new(keys.root().clone(), name(structure));
         bus.publish_display(keys.parameter(&value.parameter))
@@ -124,9 +144,12 @@ async fn one_structure_is_heard_alone() {
             .await
             .unwrap();
     }
-    let heard = gather_until(&mut listening, |heard| heard.structures().len() > 0).await;
+    let structures = gather_until(&mut listener, |structures| {
+        structures.structures().len() > 0
+    })
+    .await;
     assert_eq!(
-        heard
+        structures
             .structures()
             .map(|(name, _)| name.as_str())
             .collect::<Vec<_>>(),
@@ -142,8 +165,10 @@ async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
         ..BusConfig::default()
     })
     .await;
-    let mut listening = Listening::start(&bus, keys.root(), None).await.unwrap();
-    while listening.asked.join_next().await.is_some() {} // no service was present to reply
+    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
+        .await
+        .unwrap();
+    while listener.asked.join_next().await.is_some() {} // no service was present to reply
     let (other, _) = open_with(BusConfig {
         connect: vec![endpoint],
         ..BusConfig::default()
@@ -161,5 +186,8 @@ async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
         .announce(keys.live(Service::Alert, &name("a")))
         .await
         .unwrap();
-    gather_until(&mut listening, |heard| heard.open_alerts().len() == 1).await;
+    gather_until(&mut listener, |structures| {
+        alerts(structures) == ["storey-1"]
+    })
+    .await;
 }

@@ -1,0 +1,211 @@
+use super::*;
+use crate::testing::{alert, at, ingested, name, parameter, present, status};
+use spandrel_bus::{AlertState, MAX_CHANNELS, Service};
+
+/// Returns the state after these inputs.
+fn after(inputs: impl IntoIterator<Item = Input>) -> Structures {
+    let mut structures = Structures::default();
+    inputs.into_iter().for_each(|input| {
+        changes(&mut structures, input);
+    });
+    structures
+}
+
+fn changes(structures: &mut Structures, input: Input) -> Vec<AlertState> {
+    let mut changes = Vec::new();
+    structures.handle(input, &mut changes);
+    changes.iter().map(|change| change.alert.state).collect()
+}
+
+fn tower(structures: &Structures) -> &StructureState {
+    structures.structure(&name("tower")).unwrap()
+}
+
+fn stale_for_s(structures: &Structures) -> Option<u64> {
+    tower(structures)
+        .stale_for()
+        .map(|silence| silence.as_secs())
+}
+
+fn stale_alerts(structures: &Structures) -> Vec<&str> {
+    let tower = tower(structures);
+    let stale = tower
+        .alerts
+        .keys()
+        .filter(|name| tower.is_alert_stale(name));
+    stale.map(Name::as_str).collect()
+}
+
+#[test]
+fn data_are_stale_after_three_seconds_without_a_value() {
+    let mut structures = after([at(10), Input::Parameter(parameter("storey-1", 0))]);
+    changes(&mut structures, at(13));
+    assert_eq!(stale_for_s(&structures), None);
+    changes(&mut structures, at(22));
+    assert_eq!(stale_for_s(&structures), Some(12));
+}
+
+/// Regression test: for three seconds after a restart of all services, values of disconnected
+/// sensors counted as new.
+#[test]
+fn what_is_read_again_after_a_restart_does_not_end_a_silence() {
+    let there = || present(&[(Service::Ingest, "a"), (Service::Identify, "a")]);
+    let value = |time_ns| Input::Parameter(parameter("storey-1", time_ns));
+    let mut structures = after([
+        at(10),
+        there(),
+        ingested(7, 0),
+        value(10),
+        present(&[]),
+        at(20),
+        there(),
+        value(8),
+        ingested(7, 12),
+        at(21),
+    ]);
+    assert_eq!(stale_for_s(&structures), Some(11));
+    assert!(tower(&structures).is_from_the_recording());
+    changes(&mut structures, value(13));
+    assert_eq!(stale_for_s(&structures), None);
+    assert!(!tower(&structures).is_from_the_recording());
+}
+
+#[test]
+fn a_status_does_not_hide_that_data_are_stale() {
+    let value = Input::Parameter(parameter("storey-1", 0));
+    let structures = after([at(0), value, at(9), Input::Status(status(Service::Ingest))]);
+    assert_eq!(stale_for_s(&structures), Some(9));
+}
+
+#[test]
+fn what_was_never_heard_is_not_stale() {
+    let structures = after([present(&[(Service::Ingest, "a")]), at(100)]);
+    assert_eq!(stale_for_s(&structures), None);
+    let instance = &tower(&structures).instances[&(Service::Ingest, name("a"))];
+    assert_eq!(tower(&structures).status_stale_for(instance), None);
+}
+
+#[test]
+fn each_change_of_an_alert_is_told_once() {
+    let mut structures = Structures::default();
+    let mut told = |input| changes(&mut structures, input);
+    let pending = alert("storey-2", 40, AlertState::Pending);
+    let raised = alert("storey-2", 45, AlertState::Raised);
+    assert_eq!(told(Input::Alert(pending)), [AlertState::Pending]);
+    assert_eq!(told(Input::Alert(raised.clone())), [AlertState::Raised]);
+    assert_eq!(told(Input::Alert(raised.clone())), []);
+    assert_eq!(told(Input::StandingAlert(raised)), []);
+}
+
+#[test]
+fn an_answer_does_not_undo_what_came_by_itself() {
+    let acknowledged = alert("storey-2", 45, AlertState::Acknowledged);
+    let mut structures = after([Input::Alert(acknowledged)]);
+    let mut told = |time_ns, state| {
+        let answer = alert("storey-2", time_ns, state);
+        changes(&mut structures, Input::StandingAlert(answer))
+    };
+    // Both have the same frame, because an acknowledgement brings no new estimate.
+    assert_eq!(told(45, AlertState::Raised), []);
+    assert_eq!(told(50, AlertState::Cleared), [AlertState::Cleared]);
+}
+
+#[test]
+fn alerts_are_stale_from_when_their_service_goes_until_it_speaks_again() {
+    let there = || present(&[(Service::Alert, "alert")]);
+    let raised = alert("storey-2", 45, AlertState::Raised);
+    let mut structures = after([
+        there(),
+        Input::Alert(alert("storey-1", 0, AlertState::Normal)),
+        Input::Alert(raised.clone()),
+    ]);
+    assert_eq!(stale_alerts(&structures), [""; 0]);
+    changes(&mut structures, present(&[]));
+    assert_eq!(stale_alerts(&structures), ["storey-1", "storey-2"]);
+    changes(&mut structures, there());
+    let by_presence = "that somebody is there says nothing of them";
+    assert_eq!(
+        stale_alerts(&structures),
+        ["storey-1", "storey-2"],
+        "{by_presence}"
+    );
+    // Only the link was lost; the service is the same.
+    assert_eq!(changes(&mut structures, Input::StandingAlert(raised)), []);
+    assert_eq!(stale_alerts(&structures), ["storey-1"]);
+}
+
+#[test]
+fn a_new_life_of_the_alert_service_counts_though_it_is_at_earlier_estimates() {
+    let there = || present(&[(Service::Alert, "alert")]);
+    for of_new_life in [Input::Alert, Input::StandingAlert] {
+        let raised = alert("storey-2", 45, AlertState::Raised);
+        let mut structures = after([there(), Input::Alert(raised), present(&[]), there()]);
+        let normal = of_new_life(alert("storey-2", 1, AlertState::Normal));
+        assert_eq!(changes(&mut structures, normal), [AlertState::Normal]);
+        assert_eq!(stale_alerts(&structures), [""; 0]);
+    }
+}
+
+#[test]
+fn alerts_of_one_structure_are_not_stale_because_the_service_of_another_goes() {
+    let mut mast = alert("storey-1", 0, AlertState::Raised);
+    mast.structure = name("mast");
+    let structures = after([
+        present(&[(Service::Alert, "alert")]),
+        Input::Alert(mast),
+        Input::Alert(alert("storey-2", 45, AlertState::Raised)),
+        present(&[]),
+    ]);
+    let mast = structures.structure(&name("mast")).unwrap();
+    assert!(!mast.is_alert_stale(&name("storey-1")));
+    assert_eq!(stale_alerts(&structures), ["storey-2"]);
+}
+
+#[test]
+fn a_service_that_goes_stays_on_record_and_a_node_does_not() {
+    let structures = after([
+        present(&[(Service::Ingest, "a"), (Service::Sensor, "floor-1")]),
+        Input::Status(status(Service::Ingest)),
+        present(&[]),
+    ]);
+    let instances: Vec<(Service, bool)> = tower(&structures)
+        .instances
+        .iter()
+        .map(|((service, _), instance)| (*service, instance.is_present))
+        .collect();
+    assert_eq!(instances, [(Service::Ingest, false)]);
+}
+
+#[test]
+fn a_structure_that_came_and_went_unheard_leaves_no_trace() {
+    let structures = after([present(&[(Service::Sensor, "floor-1")]), present(&[])]);
+    assert_eq!(structures.structures().len(), 0);
+}
+
+#[test]
+fn more_structures_than_there_is_room_for_are_counted() {
+    let of = |number: usize| {
+        let mut display = parameter("storey-1", 0);
+        display.structure = name(&format!("s-{number}"));
+        Input::Parameter(display)
+    };
+    let structures = after((0..MOST_STRUCTURES + 7).map(of));
+    let counts = (structures.structures().len(), structures.left_out());
+    assert_eq!(counts, (MOST_STRUCTURES, 7));
+}
+
+#[test]
+fn more_names_than_there_is_room_for_are_counted() {
+    let of = |number: usize| Input::Parameter(parameter(&format!("p-{number}"), 0));
+    let structures = after((0..MAX_CHANNELS + 7).map(of));
+    let counts = (tower(&structures).parameters.len(), structures.left_out());
+    assert_eq!(counts, (MAX_CHANNELS, 7));
+}
+
+#[test]
+fn misplaced_messages_and_unknown_services_are_counted() {
+    let mut unknown = status(Service::Ingest);
+    unknown.service = name("nobody");
+    let structures = after([Input::Misplaced, Input::Status(unknown), present(&[])]);
+    assert_eq!(structures.left_out(), 2);
+}
