@@ -2,7 +2,7 @@
 //! would run it.
 //!
 //! The records are not part of the repository but in `shared/data` next to it. Without that folder
-//! these tests print a message and pass.
+//! these tests are skipped, or fail if `REQUIRE_ALL_TESTS` is set.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,18 +16,9 @@ mod page;
 mod support;
 
 use page::{Page, here, root};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use support::{Lab, Process, five_storeys};
-
-fn records(folder: &str) -> Option<PathBuf> {
-    let records = root().join("../shared/data").join(folder);
-    if records.is_dir() {
-        return Some(records);
-    }
-    println!("skipped: no records in {}", records.display());
-    None
-}
+use support::{Lab, Process, five_storeys, records_or_skip, skip};
 
 /// Runs in its own network, because the page states the ports of the services.
 #[test]
@@ -40,7 +31,7 @@ fn ten_minutes_go_as_the_page_says() {
 
 #[test]
 fn laboratory_frame_goes_as_the_page_says() {
-    let Some(records) = records("mini-shake-table") else {
+    let Some(records) = records_or_skip("mini-shake-table") else {
         return;
     };
     let page = Page::open("laboratory-frame.md");
@@ -70,7 +61,7 @@ fn laboratory_frame_goes_as_the_page_says() {
 
 #[test]
 fn highway_bridge_goes_as_the_page_says() {
-    let Some(records) = records("painter-street-bridge") else {
+    let Some(records) = records_or_skip("painter-street-bridge") else {
         return;
     };
     let page = Page::open("highway-bridge.md");
@@ -105,9 +96,10 @@ fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
         .with_file_name("examples")
         .join("subscribe");
     if !example.exists() {
-        let why = "skipped: no example subscribe: `cargo test --workspace` builds it, and a test that is asked for alone does not";
-        assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
-        println!("{why}");
+        skip(
+            "the example subscribe does not exist; `cargo test --workspace` builds it, and \
+             `--test pages` does not",
+        );
         return;
     }
     let on_desk = |command: Command| {

@@ -2,7 +2,8 @@
 //! results.
 //!
 //! The records and the expected figures are in `shared/data/mini-shake-table` next to the
-//! repository, with source and licence. Without that folder these tests print a message and pass.
+//! repository, with source and licence. Without that folder these tests are skipped, or fail if
+//! `REQUIRE_ALL_TESTS` is set.
 
 #![allow(
     clippy::unwrap_used,
@@ -11,8 +12,12 @@
     reason = "a test fails by panicking"
 )]
 
+#[path = "support/skip.rs"]
+mod skip;
+
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
+use skip::records_or_skip;
 use spandrel_bus::{FrameBlock, Header, StreamState};
 use spandrel_filter::{ExtendedKalmanFilter, Frame as SamplesOfAFrame};
 use spandrel_identify::{Identification, Input, Output};
@@ -50,11 +55,7 @@ fn folder() -> PathBuf {
 }
 
 fn records_are_missing() -> bool {
-    let missing = !folder().is_dir();
-    if missing {
-        println!("skipped: no records in {}", folder().display());
-    }
-    missing
+    records_or_skip("mini-shake-table/aligned").is_none()
 }
 
 fn example(state: &str) -> PathBuf {

@@ -6,28 +6,17 @@
 
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
-use std::path::PathBuf;
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
+use skip::records_or_skip;
 use spandrel_record::{
     Quantity, ReadOptions, RecordError, RecordedChannel, RecordedFile, Spectrum, Statistics,
     TimeOrigin, TimeUnit,
 };
 
-/// Returns the path of a shared file or folder. If it does not exist, prints that the test is
-/// skipped.
-fn at_hand(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data")
-        .join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("SKIPPED: {} is not at hand", path.display());
-    None
-}
-
 fn read(name: &str) -> Option<RecordedFile> {
-    Some(RecordedFile::read(&at_hand(name)?, &ReadOptions::default()).unwrap())
+    Some(RecordedFile::read(&records_or_skip(name)?, &ReadOptions::default()).unwrap())
 }
 
 fn channel<'a>(file: &'a RecordedFile, name: &str) -> &'a RecordedChannel {
@@ -180,7 +169,8 @@ fn records_out_of_order_give_the_series_that_they_were_cut_from() {
 
 #[test]
 fn damaged_blockettes_are_refused_with_file_and_place() {
-    let Some(path) = at_hand("reader-formats/testdata-invalid-blockette-offsets.mseed2") else {
+    let Some(path) = records_or_skip("reader-formats/testdata-invalid-blockette-offsets.mseed2")
+    else {
         return;
     };
     let error = RecordedFile::read(&path, &ReadOptions::default()).unwrap_err();
@@ -543,7 +533,7 @@ fn zipped_table_of_a_load_test_has_its_units_and_peaks() {
 #[test]
 fn tables_without_header_are_read_at_a_declared_rate() {
     for name in ["wn_01.dat", "wn_02.dat", "wn_03.dat"] {
-        let Some(path) = at_hand(&format!("unison-tower/{name}")) else {
+        let Some(path) = records_or_skip(&format!("unison-tower/{name}")) else {
             return;
         };
         let options = ReadOptions {
@@ -573,7 +563,7 @@ fn compressed_files_of_a_recorder_are_read_behind_their_preamble() {
         time_unit: Some(TimeUnit::Microseconds),
         ..ReadOptions::default()
     };
-    let Some(folder) = at_hand("mini-shake-table/raw") else {
+    let Some(folder) = records_or_skip("mini-shake-table/raw") else {
         return;
     };
     let mut files = 0;
