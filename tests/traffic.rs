@@ -21,7 +21,7 @@ mod support;
 
 use spandrel_bus::{
     Bus, BusConfig, Header, Keys, LocalMessage, Message, Mode, Name, NodeDisplay, Pace,
-    SampleBlock, StreamState, ToldMotion, ToldSamples,
+    SampleBlock, StreamState, Subscription, ToldMotion, ToldSamples,
 };
 use spandrel_fuse::{Fusion, Input, Output};
 use spandrel_identify::{NodeIdentification, NodeInput, NodeOutput};
@@ -29,10 +29,10 @@ use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
-use support::{Lab, Process, spandrel};
+use support::{Lab, Process, spandrel, within};
 use tokio::time::{Instant, sleep};
 
-/// Duration of the start-up, which is not counted (s).
+/// Seconds of samples during the start-up, which is not counted.
 const WARM_UP_S: f64 = 10.0;
 /// Duration of the count (s).
 const COUNTED_S: f64 = 30.0;
@@ -490,13 +490,21 @@ impl Line {
     /// Returns the bytes per second from the node and to it, for the next [`COUNTED_S`].
     async fn watch_wire(&self) -> (f64, f64) {
         let (begun, before) = (Instant::now(), self.lab.bytes("node"));
-        sleep(Duration::from_secs_f64(COUNTED_S)).await;
+        sleep(Duration::from_secs_f64(COUNTED_S)).await; // the span of the measurement
         let (after, seconds) = (self.lab.bytes("node"), begun.elapsed().as_secs_f64());
         (
             (after.1 - before.1) as f64 / seconds,
             (after.0 - before.0) as f64 / seconds,
         )
     }
+}
+
+/// Receives messages until one fulfils a condition.
+async fn next<M: Message + Send + 'static>(
+    messages: &Subscription<M>,
+    is_wanted: impl Fn(&M) -> bool,
+) {
+    while !is_wanted(&messages.messages().recv_async().await.unwrap().1) {}
 }
 
 /// Measures the raw samples of a node, streamed to an ingest.
@@ -531,7 +539,9 @@ async fn raw(text: &str, node: &str) -> Option<Traffic> {
         .subscribe::<SampleBlock>(line.keys.samples(&Name::new(node).unwrap()), 1 << 14)
         .await
         .unwrap();
-    sleep(Duration::from_secs_f64(WARM_UP_S)).await;
+    let is_warm =
+        |block: &SampleBlock| block.header.sequence as f64 >= WARM_UP_S * block.sampling_rate_hz;
+    within("samples of the start-up", next(&samples, is_warm)).await;
     samples.messages().drain();
     let (wire_up, wire_down) = line.watch_wire().await;
     let blocks: Vec<SampleBlock> = samples.messages().drain().map(|(_, block)| block).collect();
@@ -585,7 +595,11 @@ async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
         .subscribe::<NodeDisplay>(line.keys.all_nodes(), 1 << 14)
         .await
         .unwrap();
-    sleep(Duration::from_secs_f64(WARM_UP_S)).await;
+    // One message per second.
+    let is_warm = |display: &NodeDisplay| {
+        display.node.as_str() == node && display.messages as f64 >= WARM_UP_S
+    };
+    within("messages of the start-up", next(&nodes, is_warm)).await;
     nodes.messages().drain();
     let (wire_up, wire_down) = line.watch_wire().await;
     let told: Vec<NodeDisplay> = nodes
