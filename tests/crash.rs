@@ -370,7 +370,7 @@ async fn killed_at_random_moments(kills: u32, length_s: f64, speed: &'static str
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_is_killed_at_a_random_moment_nothing_is_lost_and_no_bit_differs() {
+async fn kills_at_random_moments_lose_nothing_and_change_no_bit() {
     killed_at_random_moments(15, 150.0, "10", 1).await;
 }
 
@@ -383,7 +383,7 @@ async fn two_hundred_kills() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_is_started_again_and_a_recording_that_is_torn_cost_nothing() {
+async fn a_restarted_router_and_a_truncated_recording_lose_nothing() {
     let mut town = Town::start(150.0, "10", "kept").await;
     let (bus, found) = read_all(&town.site).await;
     town.run("replay");
@@ -422,7 +422,7 @@ fn newest(folder: &Path) -> PathBuf {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
+async fn a_full_disk_stops_no_service_and_waiting_frames_are_recorded() {
     let disk = tempfile::tempdir().unwrap();
     let Some(_mounted) = SmallDisk::or_skip(disk.path(), "8m") else {
         return;
@@ -476,7 +476,7 @@ async fn hear(
 /// Subscribers may have received frames that a killed process never wrote to disk. The sequence
 /// numbers of these frames must not be reused.
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_samples() {
+async fn published_frames_that_were_never_recorded_do_not_reappear_with_other_samples() {
     let disk = tempfile::tempdir().unwrap();
     let Some(_mounted) = SmallDisk::or_skip(disk.path(), "2m") else {
         return;

@@ -43,7 +43,7 @@ fn until(what: &str, ask: impl Fn() -> String, is_right: impl Fn(&str) -> bool) 
 }
 
 #[test]
-fn one_server_is_installed_as_printed_and_tells_the_damage() {
+fn one_server_is_installed_as_printed_and_reports_the_damage() {
     let Some(mut computers) = Computers::or_skip("one", &[("server", "10.0.0.5")]) else {
         return;
     };

@@ -22,7 +22,7 @@ use support::{Lab, Process, five_storeys, records_or_skip, skip};
 
 /// Runs in its own network, because the page states the ports of the services.
 #[test]
-fn ten_minutes_go_as_the_page_says() {
+fn the_ten_minute_tutorial_works_as_printed() {
     let Some(lab) = Lab::or_skip(&["desk"], 1) else {
         return;
     };
@@ -30,7 +30,7 @@ fn ten_minutes_go_as_the_page_says() {
 }
 
 #[test]
-fn laboratory_frame_goes_as_the_page_says() {
+fn the_laboratory_frame_tutorial_works_as_printed() {
     let Some(records) = records_or_skip("mini-shake-table") else {
         return;
     };
@@ -54,13 +54,13 @@ fn laboratory_frame_goes_as_the_page_says() {
         let kept = std::fs::read_to_string(records.join("aligned").join(&name)).unwrap();
         assert!(
             page.read(&name) == kept,
-            "{name} is not as it was made for the records"
+            "{name} differs from the file among the records"
         );
     }
 }
 
 #[test]
-fn highway_bridge_goes_as_the_page_says() {
+fn the_highway_bridge_tutorial_works_as_printed() {
     let Some(records) = records_or_skip("painter-street-bridge") else {
         return;
     };

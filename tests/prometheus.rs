@@ -98,7 +98,7 @@ const DISKS: [(&str, &str, &str, &str); 6] = [
 ];
 
 #[test]
-fn the_rules_of_the_disks_fire_while_something_is_not_kept_and_not_after_that() {
+fn the_disk_rules_fire_only_while_data_are_not_stored() {
     if !is_installed() {
         return;
     }
@@ -318,7 +318,7 @@ fn dashboard() -> Value {
 }
 
 #[test]
-fn every_panel_of_the_dashboard_asks_the_source_that_is_provisioned_and_none_lies_on_another() {
+fn every_panel_of_the_dashboard_uses_the_provisioned_source_and_none_overlap() {
     let source =
         std::fs::read_to_string(deploy("grafana/provisioning/datasources/prometheus.yml")).unwrap();
     let dashboard = dashboard();

@@ -43,7 +43,7 @@ fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_script_with_a_certificate_hears_what_a_viewer_may() {
+async fn a_script_with_a_certificate_receives_what_a_viewer_may() {
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let structure = folder.path().join("house.toml");
@@ -87,7 +87,7 @@ fn text(output: &Output) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_script_hears_alerts_and_draws_what_was() {
+async fn a_script_receives_alerts_and_plots_the_past() {
     let Some(python) = python() else { return };
     let site = Site::with(&two_storeys(DAMAGED));
     let services = Process::start(site.listening("run").args(["--http", "none"]));

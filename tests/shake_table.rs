@@ -9,7 +9,7 @@
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "a test fails by panicking"
+    reason = "a test that fails panics"
 )]
 
 #[path = "support/skip.rs"]
@@ -266,7 +266,7 @@ fn identified_model_has_the_first_frequency_of_the_frame_in_every_motion() {
 }
 
 #[test]
-fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
+fn default_noise_rule_keeps_innovations_consistent_over_the_whole_band() {
     if records_are_missing() {
         return;
     }
@@ -330,7 +330,7 @@ fn estimate(record: &str, baseline: &Path) -> Value {
 }
 
 #[test]
-fn baseline_of_the_stiff_frame_tells_strong_shaking_from_softer_walls() {
+fn baseline_of_the_stiff_frame_distinguishes_strong_shaking_from_softer_walls() {
     if records_are_missing() {
         return;
     }

@@ -183,7 +183,7 @@ fn assert_near(row: &str, what: &str, found: f64, documented: f64, within: f64) 
 /// Checks the published shares: the number of values in a message of (6.13) to (6.20) relative to
 /// the raw samples of a fusion period.
 #[test]
-fn published_shares_are_those_of_the_numbers_in_a_message() {
+fn published_shares_equal_the_numbers_in_a_message() {
     for (example, channels, rate_hz) in [(BUILDING, 2.0, 250.0), (BRIDGE, 2.0, 500.0)] {
         let structure = Structure::parse(&example.text(), Path::new(example.file)).unwrap();
         let (modes, parameters) = (example.modes as f64, structure.parameters().len() as f64);
@@ -210,12 +210,12 @@ fn published_shares_are_those_of_the_numbers_in_a_message() {
 }
 
 #[test]
-fn payload_of_the_building_is_that_of_the_documentation() {
+fn payload_of_the_building_matches_the_documentation() {
     payload_is_documented(&BUILDING);
 }
 
 #[test]
-fn payload_of_the_bridge_is_that_of_the_documentation() {
+fn payload_of_the_bridge_matches_the_documentation() {
     payload_is_documented(&BRIDGE);
 }
 
@@ -355,7 +355,7 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
             assert_eq!(
                 usize::from(feedback.nodes),
                 names.len(),
-                "all nodes are heard"
+                "the reply covers all nodes"
             );
             if position == measured {
                 let mut sent = feedback.clone();
@@ -655,7 +655,7 @@ fn without_fusion(text: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes eight minutes; prints the table of docs/distributed.md and compares"]
-async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
+async fn traffic_of_a_node_on_the_wire_matches_the_documentation() {
     println!(
         "| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes in a fusion |"
     );

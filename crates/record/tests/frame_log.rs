@@ -1,5 +1,5 @@
 //! Tests the frame log when its process is killed and when its disk is full.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(clippy::unwrap_used, reason = "a test that fails panics")]
 
 #[path = "../../../tests/support/skip.rs"]
 mod skip;
@@ -59,7 +59,7 @@ fn settings() -> LogSettings {
 }
 
 #[test]
-#[ignore = "the child of a_killed_writer_has_lost_nothing_that_it_was_told_is_there"]
+#[ignore = "the child of a_killed_writer_loses_no_acknowledged_frame"]
 fn writes_until_it_is_killed() {
     let folder = PathBuf::from(std::env::var_os(FOLDER).unwrap());
     let (mut log, opened) = FrameLog::open(&folder, layout(), settings()).unwrap();
@@ -72,7 +72,7 @@ fn writes_until_it_is_killed() {
 }
 
 #[test]
-fn a_killed_writer_has_lost_nothing_that_it_was_told_is_there() {
+fn a_killed_writer_loses_no_acknowledged_frame() {
     let folder = tempfile::tempdir().unwrap();
     let mut next = 0;
     for life in 1..=20 {
@@ -145,7 +145,7 @@ impl Drop for SmallDisk {
 }
 
 #[test]
-fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_there_is_space() {
+fn a_full_disk_rejects_appends_and_the_log_continues_when_there_is_space() {
     let folder = tempfile::tempdir().unwrap();
     let Some(_disk) = SmallDisk::or_skip(folder.path(), "256k") else {
         return;
@@ -195,8 +195,8 @@ fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_ther
 
 #[test]
 #[ignore = "measures; run it alone, with --nocapture"]
-#[expect(clippy::disallowed_methods, reason = "it measures time")]
-fn what_an_append_and_a_read_cost() {
+#[expect(clippy::disallowed_methods, reason = "this test measures time")]
+fn duration_of_an_append_and_a_read() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = FrameLog::open(folder.path(), layout(), LogSettings::default()).unwrap();
     let appends = 60_000;

@@ -3,7 +3,7 @@
 //! Source: STAIRlab/mdof, `notebooks/uploads/mini_shake_table`, BSD-2-Clause (Chrystal Chern,
 //! 2023).
 
-#![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
+#![expect(clippy::unwrap_used, reason = "helper functions of tests may panic")]
 
 #[path = "../../../tests/support/skip.rs"]
 mod skip;
@@ -45,7 +45,7 @@ fn mapping(channels: &[&str]) -> ColumnMapping {
 }
 
 #[test]
-fn shake_table_records_are_read_whole_at_120_hz() {
+fn shake_table_records_are_read_completely_at_120_hz() {
     let Some(folder) = folder_or_skip() else {
         return;
     };
@@ -78,7 +78,7 @@ fn shake_table_records_are_read_whole_at_120_hz() {
 }
 
 #[test]
-fn tilt_of_the_sensors_is_gone_after_removal_of_the_offset() {
+fn offset_removal_removes_the_tilt_of_the_sensors() {
     let Some(folder) = folder_or_skip() else {
         return;
     };

@@ -77,7 +77,7 @@ fn links(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn every_link_leads_somewhere() {
+fn every_link_has_a_target() {
     let mut all = Vec::new();
     pages(&root(), &mut all);
     assert!(all.len() > 20, "{all:?}");
@@ -142,7 +142,7 @@ fn every_page_is_in_the_book() {
 
 /// The code on the page must equal the compiled example.
 #[test]
-fn the_subscriber_in_rust_is_that_of_the_example() {
+fn the_subscriber_in_rust_equals_the_example() {
     let topics = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
     let (_, rest) = topics
         .split_once("\n### Rust\n")
@@ -192,7 +192,7 @@ fn commands_of(help: &str) -> Vec<&str> {
 
 /// Compares the page with the output of the program. `UPDATE_DOCS=1` rewrites the page.
 #[test]
-fn the_command_line_is_as_the_program_says() {
+fn the_command_line_page_matches_the_program() {
     let whole = help(&[]);
     let names = commands_of(&whole);
     assert!(
@@ -223,7 +223,7 @@ fn the_command_line_is_as_the_program_says() {
     let found = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         found == text,
-        "docs/command-line.md is not what the program says: run this test with UPDATE_DOCS=1"
+        "docs/command-line.md differs from the help of the program; UPDATE_DOCS=1 rewrites it"
     );
 }
 
