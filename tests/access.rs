@@ -319,7 +319,7 @@ async fn answered(session: &Session, keys: &BTreeMap<String, Key>) -> Vec<Key> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn every_role_may_do_what_it_is_for_and_nothing_else() {
+async fn every_role_has_only_the_rights_for_its_task() {
     let others: Vec<&str> = PARTIES
         .into_iter()
         .filter(|party| !party.starts_with("sensor."))
@@ -414,7 +414,7 @@ fn compare_with_the_page(table: &str) {
     }
     assert!(
         kept == table,
-        "docs/access.md differs from what was seen; UPDATE_DOCS=1 writes it anew:\n{table}"
+        "docs/access.md differs from the observed effects; UPDATE_DOCS=1 rewrites it:\n{table}"
     );
 }
 
@@ -490,7 +490,7 @@ fn of_another_authority(site: &Secured) -> TlsConfig {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_router_takes_valid_certificates_of_its_authority_only() {
+async fn the_router_accepts_only_valid_certificates_of_its_authority() {
     let site = Secured::new(&five_storeys(), &["viewer.ada"]);
     let _router = site.router();
     let authority = site.folder().join("authority.pem");
@@ -522,7 +522,7 @@ async fn the_router_takes_valid_certificates_of_its_authority_only() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn why_there_is_no_session_is_told() {
+async fn the_error_explains_a_rejected_session() {
     let site = Secured::new(&five_storeys(), &["viewer.ada"]);
     let other = Secured::new(&five_storeys(), &["viewer.ada"]);
     let _router = site.router();
@@ -577,7 +577,7 @@ async fn why_there_is_no_session_is_told() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_certificate_taken_out_of_the_folder_is_worth_nothing() {
+async fn a_certificate_removed_from_the_folder_is_revoked() {
     let site = Secured::new(&five_storeys(), &["operator.grace", "viewer.ada"]);
     let kept = site.folder().join("kept");
     std::fs::create_dir(&kept).unwrap();
@@ -753,7 +753,7 @@ async fn next(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_is_heard_with_a_certificate_of_its_own() {
+async fn a_node_publishes_only_with_its_own_certificate() {
     let site = Secured::new(&five_storeys(), &["worker.main", "viewer.ada"]);
     let _router = site.router();
     let viewer = site.join("viewer.ada").await;
@@ -818,7 +818,7 @@ fn a_certificate_of_another_role_ends_a_subcommand_with_the_roles_that_may() {
 }
 
 #[test]
-fn the_folder_of_a_site_says_what_it_wrote_and_refuses_to_lose_it() {
+fn site_commands_list_the_written_files_and_do_not_overwrite_them() {
     let site = Secured::new(&five_storeys(), &[]);
     let folder = site.folder();
     let structure = five_storeys();
@@ -869,7 +869,7 @@ fn the_folder_of_a_site_says_what_it_wrote_and_refuses_to_lose_it() {
 }
 
 #[test]
-fn a_router_file_that_lets_strangers_in_is_refused() {
+fn a_router_file_that_admits_strangers_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("router.json5");
     let run = |text: &str| {
@@ -946,7 +946,7 @@ fn services_refuse_to_listen_beyond_this_machine_without_certificates() {
 }
 
 #[test]
-fn certificates_can_stand_in_the_configuration() {
+fn certificates_can_be_set_in_the_configuration() {
     let site = Secured::new(&five_storeys(), &["worker.main"]);
     let _router = site.router();
     let file = site.folder().join("spandrel.toml");
@@ -976,7 +976,7 @@ fn certificates_can_stand_in_the_configuration() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_a_party_may_not_do_at_its_router_reaches_nobody_at_another() {
+async fn messages_that_one_router_forbids_do_not_reach_another() {
     let structure = five_storeys();
     let site = Secured::new(&structure, &["worker.main"]);
     site.tool(&["issue"], &["router", "second", "--host", "127.0.0.1"]);
@@ -1060,7 +1060,7 @@ async fn what_a_party_may_not_do_at_its_router_reaches_nobody_at_another() {
 }
 
 #[test]
-fn the_router_file_in_deploy_is_what_the_program_writes() {
+fn the_router_file_in_deploy_equals_the_output_of_the_program() {
     let others: Vec<&str> = PARTIES
         .into_iter()
         .filter(|party| !party.starts_with("sensor."))
@@ -1089,6 +1089,6 @@ fn the_router_file_in_deploy_is_what_the_program_writes() {
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == written,
-        "deploy/router-tls.json5 is not what the program writes; UPDATE_DOCS=1 writes it anew"
+        "deploy/router-tls.json5 differs from the output of the program; UPDATE_DOCS=1 rewrites it"
     );
 }

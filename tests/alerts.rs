@@ -134,7 +134,7 @@ async fn damage_is_pending_for_the_sustain_time_and_then_raised() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_raised_alert_says_what_has_lost_how_much_how_surely_and_since_when() {
+async fn a_raised_alert_states_part_loss_probability_and_start() {
     let mut watched = Watched::start(DAMAGED).await;
     let record = watched.site.simulate(60.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
@@ -174,7 +174,7 @@ async fn an_alert_is_acknowledged_by_json_with_name_and_note() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_asks_later_gets_the_last_alert() {
+async fn a_later_query_returns_the_last_alert() {
     let mut watched = Watched::start(DAMAGED).await;
     let record = watched.site.simulate(60.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
@@ -207,7 +207,7 @@ async fn whoever_asks_later_gets_the_last_alert() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rule_with_a_learnt_reference_finds_damage_of_what_was_weak_from_the_start() {
+async fn a_rule_with_a_learnt_reference_finds_damage_of_an_initially_weak_storey() {
     let mut watched = Watched::start(WEAK_FROM_THE_START).await;
     let record = watched.site.simulate(80.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
@@ -233,7 +233,7 @@ async fn a_rule_with_a_learnt_reference_finds_damage_of_what_was_weak_from_the_s
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sound_values_from_recordings_take_the_place_of_learning() {
+async fn a_baseline_from_recordings_replaces_learning() {
     let site = Site::with(&two_storeys(WEAK_FROM_THE_START));
     let sound = site.simulate(38.0);
     let baseline = site.folder().join("house.baseline.json");
@@ -273,7 +273,7 @@ async fn sound_values_from_recordings_take_the_place_of_learning() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
+async fn a_killed_alert_service_raises_the_same_alert_after_its_restart() {
     let site = Site::with(&two_storeys(DAMAGED));
     let ingest = Process::start(&mut site.listening("ingest"));
     ingest.wait_for_log("ready structures=1");
@@ -294,7 +294,7 @@ async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
 
 /// Undecided alerts must not appear as normal, and must be published.
 #[tokio::test(flavor = "multi_thread")]
-async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
+async fn alerts_without_a_measured_excitation_are_undecided_with_a_reason() {
     let mut watched = Watched::start(DAMAGED).await;
     let record = watched.site.simulate(20.0);
     let text = std::fs::read_to_string(record.path()).unwrap();
@@ -354,7 +354,7 @@ async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
 }
 
 #[test]
-fn log_in_json_is_one_object_a_line() {
+fn log_in_json_is_one_object_per_line() {
     let site = Site::with(&two_storeys(DAMAGED));
     let record = site.simulate(30.0);
     let mut command = spandrel("estimate");
@@ -383,7 +383,7 @@ fn log_in_json_is_one_object_a_line() {
 /// A sound parameter must be published even before its first change, so that new views and queries
 /// receive its state.
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
+async fn a_query_returns_that_a_sound_parameter_is_normal() {
     let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference.design-std = 1e-9\n";
     let watched = Watched::start(rule).await;
     let view = watched.site.watch();
@@ -417,7 +417,7 @@ async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
 
 /// A view must mark the alerts of a terminated alert service as stale.
 #[tokio::test(flavor = "multi_thread")]
-async fn alerts_of_an_alert_service_that_was_killed_are_stale_until_its_next_life_speaks() {
+async fn alerts_of_a_killed_alert_service_are_stale_until_its_restart() {
     let site = Site::with(&two_storeys(DAMAGED));
     let ingest = Process::start(&mut site.listening("ingest"));
     ingest.wait_for_log("ready structures=1");

@@ -95,7 +95,7 @@ fn building_with(old: &str, new: &str) -> String {
 }
 
 #[test]
-fn unknown_key_of_a_structure_is_named_with_its_line_and_a_hint() {
+fn the_error_names_an_unknown_structure_key_with_line_and_hint() {
     let structure = building_with("mass-kg = 20_000", "mass-kg = 20_000\nmass-hg = 1");
     assert_refused(
         &structure,
@@ -105,7 +105,7 @@ fn unknown_key_of_a_structure_is_named_with_its_line_and_a_hint() {
 }
 
 #[test]
-fn wrong_unit_is_named_with_the_right_one() {
+fn the_error_names_a_wrong_unit_and_the_right_one() {
     let structure = building_with("unit = \"m/s\"\n", "unit = \"g\"\n");
     assert_refused(
         &structure,
@@ -161,7 +161,7 @@ fn parameter_without_effect_is_refused() {
 }
 
 #[test]
-fn all_mistakes_of_a_structure_are_told_at_once() {
+fn all_mistakes_of_a_structure_are_reported_at_once() {
     let structure = two_storeys("")
         .replace("storeys = 2", "storeys = 0")
         .replace("ratio = 0.02", "ratio = 2");
@@ -224,7 +224,7 @@ fn mass_matrix_without_mass_is_refused() {
 }
 
 #[test]
-fn matrix_file_that_is_not_there_is_named() {
+fn the_error_names_a_missing_matrix_file() {
     let folder = tempfile::tempdir().unwrap();
     let structure = matrices(&folder, "1e4\n0\n0\n1e4", "0\n0\n0\n1e6").replace("k2.mtx", "k3.mtx");
     let path = write(&folder, "tower.toml", &structure);
@@ -246,7 +246,7 @@ fn matrix_file_that_is_not_there_is_named() {
 }
 
 #[test]
-fn every_command_that_reads_a_structure_names_one_that_is_not_there() {
+fn every_command_that_reads_a_structure_names_a_missing_file() {
     let record = Path::new("record.csv");
     for (subcommand, more) in [
         ("run", vec![]),
@@ -311,7 +311,7 @@ fn with_line(text: &str, number: usize, change: impl Fn(&str) -> String) -> Stri
 }
 
 #[test]
-fn record_without_columns_is_told_which_are_missing_and_which_are_there() {
+fn the_error_lists_missing_and_present_columns_of_a_record() {
     let (site, record, name) = record_with(|text| text.replacen(",roof,", ",tower,", 1));
     assert_record_refused(
         &site,
@@ -321,7 +321,7 @@ fn record_without_columns_is_told_which_are_missing_and_which_are_there() {
 }
 
 #[test]
-fn ragged_row_is_named_by_its_line() {
+fn the_error_names_the_line_of_a_ragged_row() {
     let (site, record, name) =
         record_with(|text| with_line(&text, 42, |line| line.to_owned() + ",1"));
     assert_record_refused(
@@ -332,7 +332,7 @@ fn ragged_row_is_named_by_its_line() {
 }
 
 #[test]
-fn field_that_is_no_number_is_named_by_line_and_column() {
+fn the_error_names_line_and_column_of_a_field_that_is_not_a_number() {
     let much = |line: &str| format!("{},much", line.rsplit_once(',').unwrap().0);
     let (site, record, name) = record_with(|text| with_line(&text, 8, much));
     assert_record_refused(
@@ -343,7 +343,7 @@ fn field_that_is_no_number_is_named_by_line_and_column() {
 }
 
 #[test]
-fn record_of_another_rate_is_told_both_rates() {
+fn the_error_names_both_rates_of_a_record_with_a_wrong_rate() {
     let (site, mut record, _) = record_with(|text| text);
     for row in 1..record.len() {
         record.delay_from(row, 0.01);
@@ -353,7 +353,7 @@ fn record_of_another_rate_is_told_both_rates() {
 }
 
 #[test]
-fn record_of_no_known_format_is_told_the_known_ones() {
+fn the_error_lists_the_known_formats_of_records() {
     let (site, record, _) = record_with(|text| text);
     let path = record.path().with_extension("xyz");
     std::fs::write(&path, [0, 1, 2, 3]).unwrap();
@@ -365,7 +365,7 @@ fn record_of_no_known_format_is_told_the_known_ones() {
 }
 
 #[test]
-fn record_that_is_not_there_is_named() {
+fn the_error_names_a_missing_record() {
     let (site, record, _) = record_with(|text| text);
     assert_record_refused(
         &site,
@@ -402,7 +402,7 @@ fn mistake_far_down_a_record_is_bad_input_on_both_routes() {
 }
 
 #[test]
-fn wrong_configuration_is_named_by_file_and_key() {
+fn the_error_names_file_and_key_of_a_wrong_setting() {
     let folder = tempfile::tempdir().unwrap();
     for (text, key) in [
         ("thread = 3\n", "thread"),
@@ -419,7 +419,7 @@ fn wrong_configuration_is_named_by_file_and_key() {
 }
 
 #[test]
-fn configuration_that_is_not_there_is_named() {
+fn the_error_names_a_missing_configuration() {
     let mut command = spandrel("run");
     finish(command.args(["--config", "nowhere.toml"]))
         .expect_code(BAD_INPUT)
@@ -427,7 +427,7 @@ fn configuration_that_is_not_there_is_named() {
 }
 
 #[test]
-fn wrong_variable_is_named() {
+fn the_error_names_a_wrong_variable() {
     let site = Site::with(&two_storeys(""));
     for (variable, value, told) in [
         ("SPANDREL_THREADS", "many", "threads"),
@@ -442,7 +442,7 @@ fn wrong_variable_is_named() {
 }
 
 #[test]
-fn root_that_is_no_name_is_refused() {
+fn root_that_is_not_a_name_is_rejected() {
     let site = Site::with(&two_storeys(""));
     let mut command = spandrel("run");
     let finished =
@@ -488,7 +488,7 @@ fn files_that_cannot_be_read_or_written_are_bad_input() {
     let told = with("run", &["--zenoh-config", nowhere]);
     assert!(
         !told.stderr.contains(".rs:"),
-        "whoever runs this knows no source file: {}",
+        "the message names a source file: {}",
         told.stderr
     );
     let folder = tempfile::tempdir().unwrap();
@@ -502,7 +502,7 @@ fn files_that_cannot_be_read_or_written_are_bad_input() {
 }
 
 #[test]
-fn baseline_that_is_of_no_use_is_told() {
+fn the_error_explains_an_unusable_baseline() {
     let site = Site::with(&two_storeys(
         "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.1\n",
     ));
@@ -560,7 +560,7 @@ fn baseline_that_is_of_no_use_is_told() {
 }
 
 #[test]
-fn port_in_use_is_named_with_what_to_do() {
+fn the_error_names_a_port_in_use_and_suggests_a_remedy() {
     let site = Site::with(&two_storeys(""));
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
@@ -577,7 +577,7 @@ fn port_in_use_is_named_with_what_to_do() {
 }
 
 #[test]
-fn nobody_at_the_endpoint_to_connect_to_ends_the_program() {
+fn an_endpoint_without_reply_ends_the_program() {
     let site = Site::with(&two_storeys(""));
     let endpoint = free_endpoint();
     let mut command = spandrel("identify");
@@ -615,7 +615,7 @@ fn bad_usage_ends_with_2() {
 }
 
 #[test]
-fn reader_of_the_result_may_leave() {
+fn reader_of_the_result_may_close_the_pipe() {
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(5.0);
     let mut estimate = spandrel("estimate");
@@ -648,7 +648,7 @@ fn reader_of_the_result_may_leave() {
 }
 
 #[test]
-fn reader_of_the_errors_may_leave() {
+fn reader_of_the_errors_may_close_the_pipe() {
     Process::start_with_closed_log(spandrel("check").arg("nowhere.toml"))
         .wait()
         .expect_code(BAD_INPUT);
@@ -717,7 +717,7 @@ fn a_result_that_cannot_be_written_names_its_file() {
 }
 
 #[test]
-fn output_that_is_an_input_is_refused_and_left_as_it_was() {
+fn output_that_is_an_input_is_rejected_and_stays_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let text = two_storeys("");
     let structure = write(&folder, "house.toml", &text);
@@ -770,7 +770,7 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
 // The rejected standby itself must report the size, instead of staying `joining` for ever while
 // only the leader warns.
 #[test]
-fn a_structure_that_cannot_be_handed_over_is_refused_a_standby_with_its_size() {
+fn the_error_names_the_size_of_a_structure_too_large_for_a_standby() {
     let site = Site::with(&storeys(400, ""));
     finish(site.listening("identify").arg("--standby"))
         .expect_code(BAD_INPUT)

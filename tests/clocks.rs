@@ -107,7 +107,7 @@ impl Running {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_whose_clock_steps_forth_is_missing_for_as_long_and_believed_from_then_on() {
+async fn a_node_whose_clock_steps_forward_is_missing_for_the_length_of_the_step() {
     let mut running = Running::start(|_| {}).await;
     running.put(&["floor-1"], 1).await;
     let mut equivalent = running.sensors.record().clone();
@@ -121,7 +121,7 @@ async fn a_node_whose_clock_steps_forth_is_missing_for_as_long_and_believed_from
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_whose_clock_steps_back_is_late_for_as_long_and_believed_from_then_on() {
+async fn a_node_whose_clock_steps_back_is_late_for_the_length_of_the_step() {
     let mut running = Running::start(|_| {}).await;
     running.put(&["floor-1"], -1).await;
     let mut equivalent = running.sensors.record().clone();
@@ -145,7 +145,7 @@ async fn a_node_whose_clock_steps_back_is_late_for_as_long_and_believed_from_the
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_leap_second_that_is_repeated_is_late_and_nothing_comes_twice() {
+async fn a_repeated_leap_second_is_late_and_duplicates_nothing() {
     let mut running = Running::start(|_| {}).await;
     running.put(&NODES, -1).await;
     let mut equivalent = running.sensors.record().clone();
@@ -166,7 +166,7 @@ async fn a_leap_second_that_is_repeated_is_late_and_nothing_comes_twice() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_second_that_is_left_out_is_a_gap_of_a_second() {
+async fn a_skipped_second_is_a_gap_of_a_second() {
     let mut running = Running::start(|_| {}).await;
     running.put(&NODES, 1).await;
     let mut equivalent = running.sensors.record().clone();
@@ -180,7 +180,7 @@ async fn a_second_that_is_left_out_is_a_gap_of_a_second() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn times_before_1970_and_across_it_are_times_like_others() {
+async fn times_before_1970_and_across_it_are_valid() {
     let mut running = Running::start(|record| {
         record.delay_from(0, -4.0);
     })
@@ -235,7 +235,7 @@ async fn a_machine_whose_clock_is_decades_behind_its_sensors_identifies_the_same
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn clocks_of_all_nodes_set_back_by_a_day_begin_new_frames() {
+async fn setting_all_clocks_back_by_a_day_starts_a_new_run_of_frames() {
     let mut running = Running::start(|_| {}).await;
     running.put(&NODES, -86_400).await;
     let found = running.reader.read_frames(ROWS).await;
@@ -259,7 +259,7 @@ async fn clocks_of_all_nodes_set_back_by_a_day_begin_new_frames() {
 
 // An epoch is the wall clock at a start, but must increase with each start.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_ingest_whose_clock_was_set_back_since_its_last_life_is_believed() {
+async fn an_ingest_whose_clock_was_set_back_since_its_last_run_is_accepted() {
     const LATER: u64 = 1 << 62; // 2116
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(4.0);

@@ -61,13 +61,13 @@ fn copied_to(folder: &str) -> Vec<PathBuf> {
 }
 
 #[test]
-fn what_the_image_copies_is_there_and_it_runs_without_privileges() {
+fn the_image_copies_existing_files_and_runs_without_privileges() {
     let configuration = copied_to(CONFIGURATION);
     assert_eq!(configuration.len(), 2, "{configuration:?}");
     for path in configuration {
         assert!(
             path.is_file(),
-            "{} is copied, and not there",
+            "{} is copied, but does not exist",
             path.display()
         );
     }

@@ -34,6 +34,9 @@ use support::{
 };
 use tokio::time::Instant;
 
+/// Time between two looks at a condition that has no event.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+
 /// Returns damage of storey 2 after a third of the record, and a rule whose alert passes through
 /// all its states.
 fn damaged(at_s: f64) -> String {
@@ -125,6 +128,16 @@ impl Town {
         self.run(name);
     }
 
+    /// Waits until this number of frames has been identified. Returns the number at that time.
+    async fn wait_for_frames(&self, bus: &Bus, count: u64) -> u64 {
+        let key = self.site.keys().progress(Service::Identify);
+        let mut progress = bus.watch_progress(key).await.unwrap();
+        let reached = progress.wait_for(|progress| progress.done >= count);
+        within(&format!("{count} identified frames"), reached)
+            .await
+            .done
+    }
+
     fn has_ended(&mut self, name: &str) -> bool {
         self.running.get_mut(name).is_some_and(Process::has_ended)
     }
@@ -140,7 +153,7 @@ impl Town {
                 started.elapsed() < DEADLINE + Duration::from_secs_f64(length_s),
                 "the replay does not end"
             );
-            tokio::time::sleep(Duration::from_millis(200)).await;
+            tokio::time::sleep(LOOK_EVERY).await;
         }
         self.running.remove("replay").unwrap().wait().expect_code(0);
         let estimated = self.site.estimate(&self.record);
@@ -170,7 +183,7 @@ impl Town {
             if wanted.iter().all(|alert| known.contains(alert)) || started.elapsed() > DEADLINE {
                 break known;
             }
-            tokio::time::sleep(Duration::from_millis(200)).await;
+            tokio::time::sleep(LOOK_EVERY).await;
         };
         // Each run of the service publishes again that a parameter is normal. All other decisions
         // are published once.
@@ -340,6 +353,7 @@ async fn killed_at_random_moments(kills: u32, length_s: f64, speed: &'static str
     let mut killed: BTreeMap<&str, u32> = BTreeMap::new();
     let victims = ["ingest", "identify", "alert", "history", "replay"];
     for _ in 0..kills {
+        // The time between two kills is random. It stands for no event.
         tokio::time::sleep(Duration::from_millis(random.random_range(50..700))).await;
         assert!(
             !town.has_ended("replay"),
@@ -356,7 +370,7 @@ async fn killed_at_random_moments(kills: u32, length_s: f64, speed: &'static str
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_is_killed_at_a_random_moment_nothing_is_lost_and_no_bit_differs() {
+async fn kills_at_random_moments_lose_nothing_and_change_no_bit() {
     killed_at_random_moments(15, 150.0, "10", 1).await;
 }
 
@@ -369,15 +383,15 @@ async fn two_hundred_kills() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_is_started_again_and_a_recording_that_is_torn_cost_nothing() {
+async fn a_restarted_router_and_a_truncated_recording_lose_nothing() {
     let mut town = Town::start(150.0, "10", "kept").await;
     let (bus, found) = read_all(&town.site).await;
     town.run("replay");
-    tokio::time::sleep(Duration::from_secs(2)).await;
+    let before = town.wait_for_frames(&bus, 2_000).await;
     town.router.take().unwrap().close().await.unwrap();
-    tokio::time::sleep(Duration::from_secs(1)).await;
+    tokio::time::sleep(Duration::from_secs(1)).await; // the fault under test
     town.start_router().await;
-    tokio::time::sleep(Duration::from_secs(4)).await;
+    town.wait_for_frames(&bus, before + 2_000).await;
     town.running.remove("ingest").unwrap().kill();
     let segment = newest(&town.state_folder());
     let length = std::fs::metadata(&segment).unwrap().len();
@@ -408,7 +422,7 @@ fn newest(folder: &Path) -> PathBuf {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
+async fn a_full_disk_stops_no_service_and_waiting_frames_are_recorded() {
     let disk = tempfile::tempdir().unwrap();
     let Some(_mounted) = SmallDisk::or_skip(disk.path(), "8m") else {
         return;
@@ -417,14 +431,16 @@ async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
     let (bus, found) = read_all(&town.site).await;
     let drops = Drops::watch(&bus, &town.site.keys()).await;
     town.run("replay");
-    tokio::time::sleep(Duration::from_secs(2)).await;
+    town.wait_for_frames(&bus, 2_000).await;
     let filling = disk.path().join("filling");
     let mut file = std::fs::File::create(&filling).unwrap();
     while file.write_all(&[0; 4096]).is_ok() {}
     drops
         .expect(Service::Ingest, "frames-waiting-for-the-disk", 1)
         .await;
-    tokio::time::sleep(Duration::from_secs(5)).await;
+    // The identification continues while the disk is full.
+    let before = town.wait_for_frames(&bus, 0).await;
+    town.wait_for_frames(&bus, before + 3_000).await;
     drop(file);
     std::fs::remove_file(&filling).unwrap();
     town.running["ingest"].wait_for_log("recording write succeeded again");
@@ -460,7 +476,7 @@ async fn hear(
 /// Subscribers may have received frames that a killed process never wrote to disk. The sequence
 /// numbers of these frames must not be reused.
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_samples() {
+async fn published_frames_that_were_never_recorded_do_not_reappear_with_other_samples() {
     let disk = tempfile::tempdir().unwrap();
     let Some(_mounted) = SmallDisk::or_skip(disk.path(), "2m") else {
         return;

@@ -75,7 +75,7 @@ fn get(address: &str, path: &str) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_is_still_there_when_all_has_been_started_anew() {
+async fn the_history_survives_a_restart_of_all_services() {
     let site = Site::with(&two_storeys(DAMAGED));
     let configuration = configuration(&site, Path::new("house.sqlite"));
     let services = Process::start(
@@ -206,7 +206,7 @@ fn fill(path: &Path) -> std::fs::File {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
+async fn history_waits_for_a_disk_that_is_full_at_the_first_start() {
     let site = Site::with(&two_storeys(DAMAGED));
     let disk = site.folder().join("disk");
     std::fs::create_dir(&disk).unwrap();
@@ -250,7 +250,7 @@ async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
 }
 
 #[test]
-fn a_place_where_no_history_can_be_ends_with_an_error_that_names_it() {
+fn the_error_names_a_place_where_no_history_can_be_written() {
     let site = Site::with(&two_storeys(""));
     std::fs::create_dir(site.folder().join("folder.sqlite")).unwrap();
     for (database, told) in [
@@ -270,7 +270,7 @@ fn a_place_where_no_history_can_be_ends_with_an_error_that_names_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
+async fn a_full_disk_stops_nothing_and_waiting_values_are_written_later() {
     let site = Site::with(&two_storeys(DAMAGED));
     let disk = site.folder().join("disk");
     std::fs::create_dir(&disk).unwrap();
@@ -318,7 +318,7 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
 
 /// Idle connections must be limited in number and closed.
 #[tokio::test(flavor = "multi_thread")]
-async fn connections_that_say_nothing_are_bounded_and_closed() {
+async fn silent_connections_are_limited_and_closed() {
     const MANY: usize = 400;
     const MOST: usize = 256;
     let site = Site::with(&two_storeys(""));

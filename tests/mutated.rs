@@ -244,7 +244,7 @@ where
             let (place, found) = loaded.found.unwrap_or_else(|| panic!("{case}: {why}"));
             assert!(
                 place == BEFORE && identity.seal(&found).unwrap() == whole,
-                "{case}: the one before it is as it was"
+                "{case}: the previous checkpoint is unchanged"
             );
             assert!(
                 *path == aside && aside.is_file() && !newest.exists(),
@@ -284,7 +284,7 @@ where
 }
 
 #[test]
-fn damaged_checkpoints_of_identify_are_set_aside_and_the_one_before_taken() {
+fn damaged_checkpoints_of_identify_are_set_aside_for_the_previous_one() {
     let structure = Structure::read(
         &Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("../../tests/fixtures/kept/0.1.0/structure.toml"),
@@ -299,7 +299,7 @@ fn damaged_checkpoints_of_identify_are_set_aside_and_the_one_before_taken() {
 }
 
 #[test]
-fn damaged_checkpoints_of_nodes_are_set_aside_and_the_one_before_taken() {
+fn damaged_checkpoints_of_nodes_are_set_aside_for_the_previous_one() {
     let structure = distributed();
     let state = of_node(&structure);
     try_damages(
@@ -313,7 +313,7 @@ fn damaged_checkpoints_of_nodes_are_set_aside_and_the_one_before_taken() {
 }
 
 #[test]
-fn damaged_checkpoints_of_the_station_are_set_aside_and_the_one_before_taken() {
+fn damaged_checkpoints_of_the_station_are_set_aside_for_the_previous_one() {
     let structure = distributed();
     let state = of_station(&structure);
     try_damages(

@@ -222,7 +222,7 @@ impl Network {
         };
         assert!(
             fused.iter().all(sound),
-            "a number that is none was published"
+            "a number that is not finite was published"
         );
         // This session would have rejected messages that cannot be decoded, such as those with
         // non-finite numbers.
@@ -296,14 +296,14 @@ fn worker(lab: &Lab, folder: &Path, node: &str) -> Process {
 fn now_s() -> f64 {
     #[expect(
         clippy::disallowed_methods,
-        reason = "live sensors and the station go by the clock on the wall"
+        reason = "live sensors and the station use the wall clock"
     )]
     let now = SystemTime::now();
     now.duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network() {
+async fn estimates_outside_disturbed_spans_equal_those_of_an_undisturbed_network() {
     // The clock of floor-1 is ahead and fast, and that of floor-4 behind and slow.
     let clocks = "clock-offsets-s = { floor-1 = 0.02, floor-4 = -0.02 }\n\
                   clock-drifts-ppm = { floor-1 = 50, floor-4 = -50 }\n";
@@ -313,7 +313,7 @@ async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network()
 /// Nodes exchange samples, which requires clocks within half a sample: 5 ms.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "a minute and a half, at the same time as the test above too much for two cores"]
-async fn so_are_those_of_nodes_that_tell_samples() {
+async fn estimates_with_shared_samples_equal_those_of_an_undisturbed_network() {
     disturb(
         "motion = \"samples\"\nsamples-per-period = 10\n",
         CLOSE_CLOCKS,
@@ -323,7 +323,7 @@ async fn so_are_those_of_nodes_that_tell_samples() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "as the test above"]
-async fn so_are_those_of_nodes_that_tell_modes() {
+async fn estimates_with_shared_modes_equal_those_of_an_undisturbed_network() {
     disturb("motion = \"modes\"\nmodes = 3\n", CLOSE_CLOCKS).await;
 }
 

@@ -17,13 +17,13 @@ mod support;
 
 use spandrel_bus::{Bus, BusConfig, Mode, Status};
 use std::path::Path;
-use std::time::Duration;
 use support::{Process, free_endpoint, spandrel, within};
 
 const NODE: &str = "floor-1";
 const RATE_HZ: f64 = 250.0;
 
-/// Time before the processor time is counted, and the minimum time for which it is counted (s).
+/// Seconds of samples before the processor time is counted, and the minimum for which it is
+/// counted.
 const WARM_UP_S: f64 = 5.0;
 const COUNTED_S: f64 = 30.0;
 
@@ -106,9 +106,10 @@ async fn the_worker_of_a_node_stays_below_thirty_megabytes_and_a_quarter_of_a_co
             return (status, processor_s(worker.id()));
         }
     };
-    tokio::time::sleep(Duration::from_secs_f64(WARM_UP_S)).await;
-    statuses.messages().drain();
-    let (first, before_s) = within("status of the worker", next()).await;
+    let (mut first, mut before_s) = within("status of the worker", next()).await;
+    while (first.done as f64) < RATE_HZ * WARM_UP_S {
+        (first, before_s) = within("status of the worker", next()).await;
+    }
     let (mut last, mut after_s) = (first.clone(), before_s);
     while ((last.done - first.done) as f64) < RATE_HZ * COUNTED_S {
         (last, after_s) = within("status of the worker", next()).await;

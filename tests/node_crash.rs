@@ -223,7 +223,7 @@ fn damage(path: &Path) -> String {
 fn now_ns() -> i64 {
     #[expect(
         clippy::disallowed_methods,
-        reason = "live sensors and the station go by the clock on the wall"
+        reason = "live sensors and the station use the wall clock"
     )]
     let now = SystemTime::now();
     now.duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64
@@ -283,7 +283,7 @@ fn local_numbers(message: &LocalMessage) -> (Vec<f64>, Vec<f64>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
+async fn a_killed_station_and_a_killed_worker_resume_where_they_were() {
     let (mut undisturbed, mut town) = (Town::start().await, Town::start().await);
     let start_s = (now_ns() as f64 * 1e-9).ceil() + HEAD_START_S;
     undisturbed.measure(start_s);
@@ -304,7 +304,7 @@ async fn a_station_and_a_worker_that_are_killed_go_on_where_they_were() {
     assert_goes_on("a worker", (&mean, &std), (&next_mean, &next_std));
     assert!(
         first.header.time_ns > killed_ns,
-        "of the past nothing is told"
+        "the first message is older than the restart"
     );
     assert!(
         town.log("worker").contains("resumed from its checkpoint"),

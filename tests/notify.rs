@@ -272,7 +272,7 @@ async fn taken(bus: &Bus, keys: &Keys, count: u64) {
 
 // Undelivered notices must survive a crash, and not only the last state of each alert.
 #[tokio::test(flavor = "multi_thread")]
-async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_each() {
+async fn notices_survive_kills_between_failures_and_arrive_under_one_key_each() {
     let site = Site::with(&two_storeys(DAMAGED));
     let (bus, keys) = (site.host().await, site.keys());
     let is_down = Arc::new(AtomicBool::new(true));
@@ -395,7 +395,7 @@ async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_
 }
 
 #[test]
-fn settings_that_cannot_be_used_are_named() {
+fn the_error_names_unusable_settings() {
     let site = Site::with(&two_storeys(DAMAGED));
     let configuration = site.folder().join("spandrel.toml");
     for (text, parts) in [

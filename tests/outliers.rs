@@ -131,7 +131,7 @@ async fn wrong_samples_are_flagged_and_do_no_harm() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn broken_sensor_is_reported_and_left_out() {
+async fn broken_sensor_is_reported_and_excluded() {
     let site = Site::with(&two_storeys(
         "[outliers]\nfault-window-s = 2\ntraining-s = 2\n",
     ));

@@ -345,7 +345,7 @@ impl Systemd {
 /// A fetched block must be processed in parts, because a whole block can take longer than the
 /// watchdog time.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard() {
+async fn a_heavy_model_that_catches_up_feeds_the_watchdog_and_obeys_a_stop() {
     const FRAMES: usize = 4_000;
     let site = Site::with(&heavy_tower());
     let record = site.simulate(FRAMES as f64 / 100.0);

@@ -2,7 +2,7 @@
 //! would run it.
 //!
 //! The records are not part of the repository but in `shared/data` next to it. Without that folder
-//! these tests print a message and pass.
+//! these tests are skipped, or fail if `REQUIRE_ALL_TESTS` is set.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,22 +16,13 @@ mod page;
 mod support;
 
 use page::{Page, here, root};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use support::{Lab, Process, five_storeys};
-
-fn records(folder: &str) -> Option<PathBuf> {
-    let records = root().join("../shared/data").join(folder);
-    if records.is_dir() {
-        return Some(records);
-    }
-    println!("skipped: no records in {}", records.display());
-    None
-}
+use support::{Lab, Process, five_storeys, records_or_skip, skip};
 
 /// Runs in its own network, because the page states the ports of the services.
 #[test]
-fn ten_minutes_go_as_the_page_says() {
+fn the_ten_minute_tutorial_works_as_printed() {
     let Some(lab) = Lab::or_skip(&["desk"], 1) else {
         return;
     };
@@ -39,8 +30,8 @@ fn ten_minutes_go_as_the_page_says() {
 }
 
 #[test]
-fn laboratory_frame_goes_as_the_page_says() {
-    let Some(records) = records("mini-shake-table") else {
+fn the_laboratory_frame_tutorial_works_as_printed() {
+    let Some(records) = records_or_skip("mini-shake-table") else {
         return;
     };
     let page = Page::open("laboratory-frame.md");
@@ -63,14 +54,14 @@ fn laboratory_frame_goes_as_the_page_says() {
         let kept = std::fs::read_to_string(records.join("aligned").join(&name)).unwrap();
         assert!(
             page.read(&name) == kept,
-            "{name} is not as it was made for the records"
+            "{name} differs from the file among the records"
         );
     }
 }
 
 #[test]
-fn highway_bridge_goes_as_the_page_says() {
-    let Some(records) = records("painter-street-bridge") else {
+fn the_highway_bridge_tutorial_works_as_printed() {
+    let Some(records) = records_or_skip("painter-street-bridge") else {
         return;
     };
     let page = Page::open("highway-bridge.md");
@@ -105,9 +96,10 @@ fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
         .with_file_name("examples")
         .join("subscribe");
     if !example.exists() {
-        let why = "skipped: no example subscribe: `cargo test --workspace` builds it, and a test that is asked for alone does not";
-        assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
-        println!("{why}");
+        skip(
+            "the example subscribe does not exist; `cargo test --workspace` builds it, and \
+             `--test pages` does not",
+        );
         return;
     }
     let on_desk = |command: Command| {

@@ -24,7 +24,7 @@ use support::{
 const RECORD_S: f64 = 100.0;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_identification_that_was_killed_in_a_replay_comes_to_the_same_numbers() {
+async fn a_killed_identification_gives_the_same_numbers_after_its_restart() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(RECORD_S);
     let expected = site.estimate(&record);
@@ -62,7 +62,7 @@ async fn an_identification_that_was_killed_in_a_replay_comes_to_the_same_numbers
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_ingest_that_was_killed_in_a_replay_gets_the_samples_from_its_nodes() {
+async fn a_killed_ingest_fetches_the_samples_from_its_nodes() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(RECORD_S);
     let alert = Process::start(&mut site.listening("alert"));
@@ -116,7 +116,7 @@ async fn a_replay_that_is_stopped_ends_its_nodes_where_they_are() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified() {
+async fn a_hangup_reloads_the_rules_and_changes_no_bit_of_the_estimates() {
     let rule = |loss: f64| {
         format!(
             "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n"
@@ -167,7 +167,7 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
 /// An alert that the new rule no longer raises must end with a message, so that its recipients
 /// learn of the end. A change of the rule must keep the acknowledgement.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_raise() {
+async fn a_hangup_keeps_an_acknowledgement_and_ends_alerts_that_the_new_rule_does_not_raise() {
     let with = |loss: f64| {
         let rule = format!(
             "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n"
@@ -325,7 +325,7 @@ impl Beside {
 /// The stream of live sensors has no end. A hangup must nevertheless stop the former leader and
 /// write its final checkpoint.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_identification_beside_live_sensors_begins_anew_and_ends_in_order() {
+async fn an_identification_beside_live_sensors_starts_again_and_ends_in_order() {
     for arguments in [&[][..], &["--standby"]] {
         let beside = Beside::start(Site::with(&two_storeys("")), "ingest").await;
         let identify = beside.service("identify", arguments);

@@ -2,17 +2,22 @@
 //! results.
 //!
 //! The records and the expected figures are in `shared/data/mini-shake-table` next to the
-//! repository, with source and licence. Without that folder these tests print a message and pass.
+//! repository, with source and licence. Without that folder these tests are skipped, or fail if
+//! `REQUIRE_ALL_TESTS` is set.
 
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "a test fails by panicking"
+    reason = "a test that fails panics"
 )]
+
+#[path = "support/skip.rs"]
+mod skip;
 
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
+use skip::records_or_skip;
 use spandrel_bus::{FrameBlock, Header, StreamState};
 use spandrel_filter::{ExtendedKalmanFilter, Frame as SamplesOfAFrame};
 use spandrel_identify::{Identification, IdentificationInput, Output};
@@ -50,11 +55,7 @@ fn folder() -> PathBuf {
 }
 
 fn records_are_missing() -> bool {
-    let missing = !folder().is_dir();
-    if missing {
-        println!("skipped: no records in {}", folder().display());
-    }
-    missing
+    records_or_skip("mini-shake-table/aligned").is_none()
 }
 
 fn example(state: &str) -> PathBuf {
@@ -265,7 +266,7 @@ fn identified_model_has_the_first_frequency_of_the_frame_in_every_motion() {
 }
 
 #[test]
-fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
+fn default_noise_rule_keeps_innovations_consistent_over_the_whole_band() {
     if records_are_missing() {
         return;
     }
@@ -329,7 +330,7 @@ fn estimate(record: &str, baseline: &Path) -> Value {
 }
 
 #[test]
-fn baseline_of_the_stiff_frame_tells_strong_shaking_from_softer_walls() {
+fn baseline_of_the_stiff_frame_distinguishes_strong_shaking_from_softer_walls() {
     if records_are_missing() {
         return;
     }

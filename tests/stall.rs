@@ -120,7 +120,7 @@ async fn stalled_reader() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reader_that_stalls_holds_up_nobody_and_recovers_everything() {
+async fn a_stalled_reader_delays_no_other_reader_and_recovers_everything() {
     // Less than the services store, and far more than the buffers of a link hold.
     let site = Site::with(&storeys(10, ""));
     let record = site.simulate(240.0);
@@ -193,7 +193,7 @@ async fn a_reader_that_stalls_holds_up_nobody_and_recovers_everything() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reader_that_comes_after_more_than_is_kept_is_told_of_the_gap() {
+async fn a_reader_that_is_too_late_for_the_ring_receives_a_gap() {
     let site = Site::with(&support::two_storeys(""));
     let record = site.simulate(400.0);
     let expected = site.estimate(&record);

@@ -328,7 +328,7 @@ fn check_gaps(what: &str, readers: &[Reader], takeovers: usize) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_the_same_bits() {
+async fn a_killed_leader_under_load_is_replaced_within_three_seconds_with_the_same_bits() {
     let town = Town::start(4, 100.0).await;
     let first = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading]).await;
@@ -384,7 +384,7 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
+async fn a_frozen_leader_becomes_a_standby_when_it_resumes() {
     let town = Town::start(2, 300.0).await;
     let first = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading]).await;
@@ -431,7 +431,7 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again() {
+async fn one_of_two_simultaneous_starts_leads_and_a_standby_can_restart() {
     let town = Town::start(2, 300.0).await;
     let mut both = [town.identify(&["--standby"]), town.identify(&["--standby"])].map(Some);
     town.until_standing(&[Standing::Leading, Standing::StandingBy])
@@ -470,7 +470,7 @@ async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_one_that_does_not_stand_by_leads_whoever_led_before() {
+async fn a_process_that_is_not_a_standby_takes_the_lead() {
     let town = Town::start(1, 200.0).await;
     let standby = town.identify(&["--standby"]);
     let before = town.until_standing(&[Standing::Leading]).await;
@@ -495,7 +495,7 @@ async fn the_one_that_does_not_stand_by_leads_whoever_led_before() {
 }
 
 #[test]
-fn nodes_that_identify_for_themselves_have_no_standby() {
+fn nodes_with_their_own_filters_have_no_standby() {
     let example = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../docs/examples/demo-distributed.toml");
     let told = Process::start(spandrel("identify").arg(example).arg("--standby"))

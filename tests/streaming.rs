@@ -134,7 +134,7 @@ async fn a_record_with_gaps_and_missing_fields_gives_the_numbers_of_estimate() {
 // A source must publish the frame before a gap without waiting for the frame after it, even if the
 // gap is longer than its window.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hole_longer_than_the_window_gives_the_numbers_of_estimate() {
+async fn a_gap_longer_than_the_window_gives_the_numbers_of_estimate() {
     let site = Site::of(&five_storeys());
     let mut record = site.simulate(20.0);
     record.delay_from(1000, 100.0).save_as("hole.csv");
@@ -149,7 +149,7 @@ async fn a_hole_longer_than_the_window_gives_the_numbers_of_estimate() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hole_of_half_an_hour_begins_a_new_run_on_both_routes() {
+async fn a_gap_of_half_an_hour_starts_a_new_run_on_both_routes() {
     let site = Site::of(&five_storeys());
     let mut record = site.simulate(20.0);
     record.delay_from(1000, 1800.0).save_as("hole.csv");

@@ -21,7 +21,7 @@ mod support;
 
 use spandrel_bus::{
     Bus, BusConfig, Header, Keys, LocalMessage, Message, Mode, Name, NodeDisplay, Pace,
-    SampleBlock, StreamState, ToldMotion, ToldSamples,
+    SampleBlock, StreamState, Subscription, ToldMotion, ToldSamples,
 };
 use spandrel_fuse::{Fusion, FusionInput, Output};
 use spandrel_identify::{NodeIdentification, NodeInput, NodeOutput};
@@ -29,10 +29,10 @@ use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
-use support::{Lab, Process, spandrel};
+use support::{Lab, Process, spandrel, within};
 use tokio::time::{Instant, sleep};
 
-/// Duration of the start-up, which is not counted (s).
+/// Seconds of samples during the start-up, which is not counted.
 const WARM_UP_S: f64 = 10.0;
 /// Duration of the count (s).
 const COUNTED_S: f64 = 30.0;
@@ -183,7 +183,7 @@ fn assert_near(row: &str, what: &str, found: f64, documented: f64, within: f64) 
 /// Checks the published shares: the number of values in a message of (6.13) to (6.20) relative to
 /// the raw samples of a fusion period.
 #[test]
-fn published_shares_are_those_of_the_numbers_in_a_message() {
+fn published_shares_equal_the_numbers_in_a_message() {
     for (example, channels, rate_hz) in [(BUILDING, 2.0, 250.0), (BRIDGE, 2.0, 500.0)] {
         let structure = Structure::parse(&example.text(), Path::new(example.file)).unwrap();
         let (modes, parameters) = (example.modes as f64, structure.parameters().len() as f64);
@@ -210,12 +210,12 @@ fn published_shares_are_those_of_the_numbers_in_a_message() {
 }
 
 #[test]
-fn payload_of_the_building_is_that_of_the_documentation() {
+fn payload_of_the_building_matches_the_documentation() {
     payload_is_documented(&BUILDING);
 }
 
 #[test]
-fn payload_of_the_bridge_is_that_of_the_documentation() {
+fn payload_of_the_bridge_matches_the_documentation() {
     payload_is_documented(&BRIDGE);
 }
 
@@ -358,7 +358,7 @@ fn exchanged_payload(structure: &Structure, node: &str) -> Traffic {
             assert_eq!(
                 usize::from(feedback.nodes),
                 names.len(),
-                "all nodes are heard"
+                "the reply covers all nodes"
             );
             if position == measured {
                 let mut sent = feedback.clone();
@@ -493,13 +493,21 @@ impl Line {
     /// Returns the bytes per second from the node and to it, for the next [`COUNTED_S`].
     async fn watch_wire(&self) -> (f64, f64) {
         let (begun, before) = (Instant::now(), self.lab.bytes("node"));
-        sleep(Duration::from_secs_f64(COUNTED_S)).await;
+        sleep(Duration::from_secs_f64(COUNTED_S)).await; // the span of the measurement
         let (after, seconds) = (self.lab.bytes("node"), begun.elapsed().as_secs_f64());
         (
             (after.1 - before.1) as f64 / seconds,
             (after.0 - before.0) as f64 / seconds,
         )
     }
+}
+
+/// Receives messages until one fulfils a condition.
+async fn next<M: Message + Send + 'static>(
+    messages: &Subscription<M>,
+    is_wanted: impl Fn(&M) -> bool,
+) {
+    while !is_wanted(&messages.messages().recv_async().await.unwrap().1) {}
 }
 
 /// Measures the raw samples of a node, streamed to an ingest.
@@ -534,7 +542,9 @@ async fn raw(text: &str, node: &str) -> Option<Traffic> {
         .subscribe::<SampleBlock>(line.keys.samples(&Name::new(node).unwrap()), 1 << 14)
         .await
         .unwrap();
-    sleep(Duration::from_secs_f64(WARM_UP_S)).await;
+    let is_warm =
+        |block: &SampleBlock| block.header.sequence as f64 >= WARM_UP_S * block.sampling_rate_hz;
+    within("samples of the start-up", next(&samples, is_warm)).await;
     samples.messages().drain();
     let (wire_up, wire_down) = line.watch_wire().await;
     let blocks: Vec<SampleBlock> = samples.messages().drain().map(|(_, block)| block).collect();
@@ -588,7 +598,11 @@ async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
         .subscribe::<NodeDisplay>(line.keys.all_nodes(), 1 << 14)
         .await
         .unwrap();
-    sleep(Duration::from_secs_f64(WARM_UP_S)).await;
+    // One message per second.
+    let is_warm = |display: &NodeDisplay| {
+        display.node.as_str() == node && display.messages as f64 >= WARM_UP_S
+    };
+    within("messages of the start-up", next(&nodes, is_warm)).await;
     nodes.messages().drain();
     let (wire_up, wire_down) = line.watch_wire().await;
     let told: Vec<NodeDisplay> = nodes
@@ -644,7 +658,7 @@ fn without_fusion(text: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes eight minutes; prints the table of docs/distributed.md and compares"]
-async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
+async fn traffic_of_a_node_on_the_wire_matches_the_documentation() {
     println!(
         "| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes in a fusion |"
     );

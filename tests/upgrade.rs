@@ -234,7 +234,7 @@ fn states(alerts: &[AlertMessage]) -> Vec<AlertState> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn services_go_on_from_what_each_version_has_left() {
+async fn services_resume_from_the_files_of_each_version() {
     for version in versions() {
         println!("{}", version.display());
         let kept = Kept::with_reference(&version);
@@ -349,7 +349,7 @@ async fn services_go_on_from_what_each_version_has_left() {
 
 // A rule without a reference was relative to the design in 0.1.0. It now learns its reference.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
+async fn an_alert_of_0_1_0_whose_rule_now_learns_its_reference_ends_with_a_reason() {
     let kept = Kept::of(&fixtures().join("0.1.0"));
     let services = kept.run();
     let bus = kept.site.join().await;
@@ -395,7 +395,7 @@ async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_recording_of_each_version_holds_what_was_measured() {
+async fn the_recording_of_each_version_contains_all_samples() {
     for version in versions() {
         let kept = Kept::of(&version);
         let copied = kept.site.folder().join("frames.csv");
@@ -425,7 +425,7 @@ async fn the_recording_of_each_version_holds_what_was_measured() {
 
 // After a rollback, the files of a later version must be neither misread nor lost.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_again() {
+async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_reread() {
     let kept = Kept::of(versions().last().unwrap());
     let expected = kept
         .site
@@ -490,11 +490,11 @@ async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_aga
 /// Writes the state of this version for later versions.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "adds a folder to tests/fixtures/kept, once for each release"]
-async fn write_what_this_version_leaves() {
+async fn write_the_files_of_this_version() {
     let folder = fixtures().join(env!("CARGO_PKG_VERSION"));
     assert!(
         !folder.exists(),
-        "{} is there already, and must stay as it was written",
+        "{} already exists and must not change",
         folder.display()
     );
     let site = Site::with(&two_storeys(RULES)).rooted(ROOT);

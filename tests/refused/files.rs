@@ -305,6 +305,9 @@ pub fn configurations(table: &mut Table) {
         std::fs::write(folder.path().join("spandrel.toml"), text).unwrap();
         let mut run = command(folder.path(), "run");
         run.args(["house.toml", "--config", "spandrel.toml"]);
+        if !text.contains("[bus]") {
+            run.args(["--listen", "tcp/127.0.0.1:0"]); // the default port may be in use
+        }
         let given = format!("{given}: `{}`", text.trim_end().replace('\n', " "));
         table.add_ended(&given, (BAD_INPUT, &parts(told)), &finish(&mut run));
     }
@@ -317,7 +320,8 @@ pub fn configurations(table: &mut Table) {
         ("SPANDREL_BUS__ROOTS", "a", &["SPANDREL_", "roots"][..]),
     ] {
         let mut run = command(folder.path(), "run");
-        let finished = finish(run.arg("house.toml").env(variable, value));
+        run.args(["house.toml", "--listen", "tcp/127.0.0.1:0"]);
+        let finished = finish(run.env(variable, value));
         table.add_ended(
             &format!("`{variable}={value}`"),
             (BAD_INPUT, &parts(told)),

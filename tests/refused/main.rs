@@ -23,7 +23,7 @@ mod table;
 use table::Table;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_bad_input_is_refused_as_the_page_says() {
+async fn every_bad_input_has_the_documented_effect() {
     let mut table = Table::default();
     files::structure_files(&mut table);
     files::configurations(&mut table);

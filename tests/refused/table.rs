@@ -75,7 +75,7 @@ impl Table {
         assert!(self.wrong.is_empty(), "\n{}", self.wrong);
         assert!(
             self.rows >= least,
-            "{} bad inputs, at least {least} were meant",
+            "{} bad inputs, expected at least {least}",
             self.rows
         );
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reliability.md");
@@ -93,7 +93,7 @@ impl Table {
             .find(|(kept, seen)| kept != seen);
         assert!(
             kept == table,
-            "docs/reliability.md differs from what was seen ({differs:?}); UPDATE_DOCS=1 writes it anew"
+            "docs/reliability.md differs from the observed effects ({differs:?}); UPDATE_DOCS=1 rewrites it"
         );
     }
 }

@@ -68,7 +68,7 @@ async fn sensor_node() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nodes_come_go_and_lie_for_a_moment() {
+async fn faulty_nodes_for_a_short_time() {
     let plan = Plan {
         length: Duration::from_secs(25),
         warm_up: Duration::from_secs(15),
@@ -82,7 +82,7 @@ async fn nodes_come_go_and_lie_for_a_moment() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes twenty minutes: the long form of the test above"]
-async fn nodes_come_go_and_lie_for_twenty_minutes() {
+async fn faulty_nodes_for_twenty_minutes() {
     let length = std::env::var("SOAK_S").map_or(1200, |text| text.parse().unwrap());
     let plan = Plan {
         length: Duration::from_secs(length),
@@ -539,7 +539,7 @@ fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
     let unheard = frames - last_whole;
     assert!(
         unheard < 2000,
-        "{}: the last {unheard} frames lack a node that is there",
+        "{}: the last {unheard} frames lack a node that is online",
         structure.name()
     );
 }

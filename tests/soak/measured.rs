@@ -27,7 +27,7 @@ impl Series {
         let mut values = self.within(of, from, to);
         assert!(
             !values.is_empty(),
-            "nothing was heard of {of} from {from:?} to {to:?}"
+            "no status of {of} from {from:?} to {to:?}"
         );
         values.sort_unstable_by(f64::total_cmp);
         values[values.len() / 2]

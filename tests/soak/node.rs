@@ -106,7 +106,7 @@ impl Clock {
 
 #[expect(
     clippy::disallowed_methods,
-    reason = "sensors put samples when they are measured"
+    reason = "sensors publish samples when they measure them"
 )]
 pub fn wall_ns() -> i64 {
     SystemTime::now()

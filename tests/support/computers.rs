@@ -235,7 +235,7 @@ impl Computers {
     /// `scp FILE… ADDRESS:spandrel/` does.
     fn copy(&self, computer: &str, files: &[&str], target: &str) {
         let (address, folder) = target.split_once(':').unwrap();
-        assert_eq!(folder, "spandrel/", "{target}: the repository is there");
+        assert_eq!(folder, "spandrel/", "{target}: the repository is installed");
         let name = self.lab.name_at(address);
         let target = self.home(name).join("source");
         self.said(

@@ -18,6 +18,7 @@ mod record;
 mod secured;
 mod sensors;
 mod site;
+mod skip;
 
 pub use building::{distributed_storeys, five_storeys, storeys, two_storeys};
 pub use computers::{Computers, packaged_postgresql};
@@ -30,6 +31,7 @@ pub use record::Record;
 pub use secured::Secured;
 pub use sensors::{Node, Sensors, put_raw};
 pub use site::{Site, free_endpoint};
+pub use skip::{records_or_skip, skip};
 
 use std::future::Future;
 use std::time::Duration;

@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn output_that_agrees_is_told_from_output_that_does_not() {
+    fn matching_output_is_distinguished_from_other_output() {
         let said =
             "12000 frames\n\n  lower  1.0003 ± 0.0014\nalert since 2026-11-21 19:30:59 UTC; over\n";
         for right in [
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_are_found_with_what_is_shown_of_them() {
+    fn blocks_are_found_with_their_shown_output() {
         let page = "```text\nnot of a command\n```\n```sh\na\nb\n```\nprose\n```text\nsaid\n```\n```sh service\nc\n```\n";
         let found = steps(page);
         assert_eq!(found.len(), 2);

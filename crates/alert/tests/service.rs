@@ -2,7 +2,7 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "a helper of tests may fail them"
+    reason = "helper functions of tests may panic"
 )]
 
 use std::path::Path;
@@ -191,7 +191,7 @@ async fn loss_is_raised_acknowledged_and_answered_on_query() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn estimates_put_before_the_service_came_are_decided_too() {
+async fn estimates_published_before_the_start_of_the_service_are_decided() {
     let (bus, keys, estimates) = open("alert-test-b").await;
     estimates.put(block(0, 70, 0.86)).await.unwrap();
     let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
@@ -268,7 +268,7 @@ async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn token_is_there_while_the_service_runs() {
+async fn token_exists_while_the_service_runs() {
     let (bus, keys, _estimates) = open("alert-test-c").await;
     let mut live = bus.watch_live(keys.all_live(Service::Alert)).await.unwrap();
     let running = Running::start(&bus, &keys).await;

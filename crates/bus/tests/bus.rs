@@ -166,7 +166,7 @@ async fn a_reader_in_the_same_session_that_stalls_loses_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_was_away_finds_what_it_had_not_however_soon_the_rest_is_forgotten() {
+async fn a_returning_reader_receives_all_unread_items_although_the_ring_drops_read_ones() {
     let (first, second) = pair().await;
     let keep = Keep {
         released: Some(Forget {
@@ -195,12 +195,12 @@ async fn who_was_away_finds_what_it_had_not_however_soon_the_rest_is_forgotten()
     assert_eq!(
         delivery.unwrap(),
         Ok(Delivery::Gap(forgotten)),
-        "what nobody needs any more"
+        "items that every reader has released"
     );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_the_ring_has_forgotten_is_a_gap() {
+async fn items_that_the_ring_has_dropped_are_a_gap() {
     let endpoint = free_endpoint();
     let first = Bus::open(&listening(&endpoint)).await.unwrap();
     let publisher = publisher(&first, 10).await;
@@ -252,7 +252,7 @@ async fn numbers_up_to(stream: &Stream<FrameBlock>, end: u64) -> Vec<Option<u64>
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_a_source_without_buffer_only_the_blocks_not_sent_are_lost() {
+async fn a_source_without_buffer_loses_only_the_blocks_that_it_did_not_send() {
     let (first, second) = pair().await;
     let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
     let publisher = publisher_by_hand(&first).await;
@@ -276,7 +276,7 @@ async fn of_a_source_without_buffer_only_the_blocks_not_sent_are_lost() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_source_too_busy_to_answer_at_first_loses_nothing() {
+async fn a_source_that_does_not_reply_at_first_loses_nothing() {
     const UNANSWERED: usize = 5;
     let (first, second) = pair().await;
     let asked = Arc::new(AtomicUsize::new(0));
@@ -388,7 +388,7 @@ async fn tokens_are_seen_in_the_session_that_holds_them() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn progress_reaches_a_watcher_that_joins_after_it_was_put() {
+async fn progress_reaches_a_subscriber_that_joins_later() {
     let (first, second) = pair().await;
     let key = keys().progress(Service::Identify);
     let publisher = first.publish_progress(key.clone(), "identify-1".into());
@@ -400,7 +400,7 @@ async fn progress_reaches_a_watcher_that_joins_after_it_was_put() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_latest_value_is_given_on_query_under_its_own_key() {
+async fn a_query_returns_the_latest_value_under_its_own_key() {
     let (first, second) = pair().await;
     let name = "storey-2".parse().unwrap();
     let publisher = first.publish_latest::<Event>(keys().alert(&name));
@@ -431,7 +431,7 @@ async fn the_latest_value_is_given_on_query_under_its_own_key() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_port_in_use_is_named() {
+async fn the_error_names_a_port_in_use() {
     let endpoint = free_endpoint();
     let _first = Bus::open(&listening(&endpoint)).await.unwrap();
     let opened = timeout(DEADLINE, Bus::open(&listening(&endpoint))).await;
@@ -444,7 +444,7 @@ async fn a_port_in_use_is_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_endpoint_where_nobody_answers_is_named() {
+async fn the_error_names_an_endpoint_without_reply() {
     let endpoint = free_endpoint();
     for mode in [Mode::Peer, Mode::Client] {
         let config = BusConfig {
@@ -483,7 +483,7 @@ async fn a_client_talks_to_another_through_a_router() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_source_that_floods_is_dropped_unread_and_counted() {
+async fn messages_of_a_flooding_source_are_dropped_and_counted() {
     const PUT: u64 = 150_000;
     let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
     let key = keys().event();
@@ -500,10 +500,7 @@ async fn a_source_that_floods_is_dropped_unread_and_counted() {
         why: "it can".into(),
     };
     let publisher = bus.publish_display::<Event>(key).await.unwrap();
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "the limit goes by the clock of the wall"
-    )]
+    #[expect(clippy::disallowed_methods, reason = "the limit uses the wall clock")]
     let start = std::time::Instant::now();
     for _ in 0..PUT {
         publisher.put(&event).await.unwrap();

@@ -354,7 +354,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 }
 
 #[test]
-fn every_type_is_among_them_and_decodes() {
+fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
     assert_eq!(messages.len(), 21);
     for (name, bytes, decode) in messages {
@@ -377,7 +377,7 @@ fn the_fuzzer_starts_from_real_messages() {
         let kept = std::fs::read(&path).unwrap_or_default();
         assert!(
             kept == seed,
-            "fuzz/seeds/messages/{name} is another message; UPDATE_DOCS=1 writes it anew"
+            "fuzz/seeds/messages/{name} is another message; UPDATE_DOCS=1 rewrites it"
         );
     }
 }
@@ -404,7 +404,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_claimed_is_not_reserved() {
+fn a_claimed_length_reserves_no_memory() {
     for (name, bytes, decode) in messages() {
         for at in 0..bytes.len() {
             let mut claiming = bytes.clone();
@@ -415,7 +415,7 @@ fn what_is_claimed_is_not_reserved() {
 }
 
 #[test]
-fn the_largest_message_takes_what_it_holds() {
+fn the_largest_message_needs_no_more_memory_than_its_content() {
     // As many minimal items as possible: zeros decode as absent options, empty lists and small
     // numbers.
     for (name, bytes, decode) in messages() {

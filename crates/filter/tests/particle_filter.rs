@@ -5,7 +5,7 @@
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "a test fails by panicking"
+    reason = "a test that fails panics"
 )]
 
 use nalgebra::{DMatrix, DVector, Vector4};
@@ -568,7 +568,7 @@ fn step_allocates_nothing() {
 }
 
 #[test]
-fn impossible_datum_is_an_error_and_a_restart_gives_the_first_bits_again() {
+fn impossible_datum_is_an_error_and_a_restart_is_bit_identical_to_the_first_start() {
     let mut filter = decay_filter(ParticleSettings {
         particles: 100,
         ..ParticleSettings::default()

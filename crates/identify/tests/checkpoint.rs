@@ -73,7 +73,7 @@ fn said(core: &mut Identification, input: IdentificationInput) -> Vec<String> {
 }
 
 #[test]
-fn every_example_goes_on_from_its_checkpoint_with_the_same_bits() {
+fn every_example_resumes_from_its_checkpoint_with_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let mut tried = 0;
     for file in examples() {

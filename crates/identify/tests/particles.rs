@@ -80,7 +80,7 @@ fn phase_at(outputs: &[Output], second: usize) -> Phase {
 }
 
 #[test]
-fn the_effective_number_of_particles_is_published_and_no_event_while_they_follow_the_data() {
+fn particles_that_follow_the_data_publish_their_effective_number_and_no_event() {
     let outputs = run(frames(20, |_, acceleration| acceleration));
     let effective: Vec<f64> = outputs
         .iter()
@@ -107,7 +107,7 @@ fn the_effective_number_of_particles_is_published_and_no_event_while_they_follow
 }
 
 #[test]
-fn a_lost_state_is_an_event_and_no_alert_is_decided_until_it_is_back() {
+fn a_lost_state_is_an_event_and_suspends_alert_decisions() {
     let jumps = |time_s: f64, acceleration: f64| {
         if (10.0..14.0).contains(&time_s) {
             -4.0 * acceleration
@@ -135,7 +135,7 @@ fn a_lost_state_is_an_event_and_no_alert_is_decided_until_it_is_back() {
 }
 
 #[test]
-fn particles_that_stay_lost_are_drawn_again_from_the_prior() {
+fn particles_that_stay_lost_are_redrawn_from_the_prior() {
     let outputs = run(frames(50, |time_s, acceleration| {
         if time_s < 10.0 {
             acceleration

@@ -131,7 +131,7 @@ async fn next(stream: &Stream<FrameBlock>) -> FrameBlock {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn all_samples_become_frames_however_far_one_node_leads() {
+async fn all_samples_become_frames_however_far_one_node_is_ahead() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
@@ -163,7 +163,7 @@ async fn all_samples_become_frames_however_far_one_node_leads() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_is_gone_is_no_longer_waited_for() {
+async fn ingest_does_not_wait_for_a_node_without_token() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
@@ -183,7 +183,7 @@ async fn a_node_that_is_gone_is_no_longer_waited_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_silent_node_is_waited_for_as_long_as_allowed_only() {
+async fn ingest_waits_for_a_silent_node_only_for_the_lateness() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, FrameWait::Limited(Duration::from_millis(200))).await;
     let base = node(&first, "base").await;
@@ -197,7 +197,7 @@ async fn a_silent_node_is_waited_for_as_long_as_allowed_only() {
 // A query to a source without a buffer must not hold back the blocks behind the gap for longer than
 // frames wait.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_only() {
+async fn a_lost_block_of_a_node_without_buffer_affects_only_its_own_frames() {
     const BLOCKS: u64 = 100;
     const LOST: u64 = 40;
     let (first, second) = pair().await;
@@ -245,7 +245,7 @@ async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_on
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_status_counts_what_was_refused() {
+async fn the_status_counts_rejected_messages() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let statuses = first

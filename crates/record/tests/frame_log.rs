@@ -1,10 +1,14 @@
 //! Tests the frame log when its process is killed and when its disk is full.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(clippy::unwrap_used, reason = "a test that fails panics")]
+
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use skip::skip;
 use spandrel_record::{FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LoggedFrames};
 
 /// Environment variable with the log folder of the child process, set by the parent.
@@ -55,7 +59,7 @@ fn settings() -> LogSettings {
 }
 
 #[test]
-#[ignore = "the child of a_killed_writer_has_lost_nothing_that_it_was_told_is_there"]
+#[ignore = "the child of a_killed_writer_loses_no_acknowledged_frame"]
 fn writes_until_it_is_killed() {
     let folder = PathBuf::from(std::env::var_os(FOLDER).unwrap());
     let (mut log, opened) = FrameLog::open(&folder, layout(), settings()).unwrap();
@@ -68,7 +72,7 @@ fn writes_until_it_is_killed() {
 }
 
 #[test]
-fn a_killed_writer_has_lost_nothing_that_it_was_told_is_there() {
+fn a_killed_writer_loses_no_acknowledged_frame() {
     let folder = tempfile::tempdir().unwrap();
     let mut next = 0;
     for life in 1..=20 {
@@ -118,7 +122,7 @@ fn a_killed_writer_has_lost_nothing_that_it_was_told_is_there() {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// Mounts a file system of the given size. Without permission, prints that the test is skipped.
+    /// Mounts a file system of the given size. Skips the test without permission.
     fn or_skip(folder: &Path, size: &str) -> Option<Self> {
         let options = format!("size={size}");
         let mounted = Command::new("mount")
@@ -128,9 +132,7 @@ impl SmallDisk {
         if mounted.is_ok_and(|output| output.status.success()) {
             return Some(Self(folder.to_owned()));
         }
-        let why = "skipped: a small disk cannot be mounted here";
-        assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
-        println!("{why}");
+        skip("a small disk cannot be mounted here");
         None
     }
 }
@@ -143,7 +145,7 @@ impl Drop for SmallDisk {
 }
 
 #[test]
-fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_there_is_space() {
+fn a_full_disk_rejects_appends_and_the_log_continues_when_there_is_space() {
     let folder = tempfile::tempdir().unwrap();
     let Some(_disk) = SmallDisk::or_skip(folder.path(), "256k") else {
         return;
@@ -193,8 +195,8 @@ fn a_full_disk_costs_the_appends_that_were_refused_and_the_log_goes_on_when_ther
 
 #[test]
 #[ignore = "measures; run it alone, with --nocapture"]
-#[expect(clippy::disallowed_methods, reason = "it measures time")]
-fn what_an_append_and_a_read_cost() {
+#[expect(clippy::disallowed_methods, reason = "this test measures time")]
+fn duration_of_an_append_and_a_read() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = FrameLog::open(folder.path(), layout(), LogSettings::default()).unwrap();
     let appends = 60_000;

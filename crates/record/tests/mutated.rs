@@ -106,7 +106,7 @@ fn within_memory<T>(what: &str, file_bytes: usize, work: impl FnOnce() -> T) -> 
 }
 
 #[test]
-fn a_damaged_segment_is_read_as_it_was_written_or_refused() {
+fn a_damaged_segment_is_read_unchanged_or_rejected() {
     let (name, bytes) = kept();
     let folder = quick_folder();
     let truth = read(folder.path(), &name, &bytes).unwrap();
@@ -147,7 +147,7 @@ fn a_damaged_segment_is_read_as_it_was_written_or_refused() {
 }
 
 #[test]
-fn a_damaged_segment_is_a_recording_or_an_error_in_words() {
+fn a_damaged_segment_gives_a_recording_or_an_error_message() {
     let (name, bytes) = kept();
     let folder = quick_folder();
     let path: PathBuf = folder.path().join(name);

@@ -3,10 +3,14 @@
 //! Source: STAIRlab/mdof, `notebooks/uploads/mini_shake_table`, BSD-2-Clause (Chrystal Chern,
 //! 2023).
 
-#![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
+#![expect(clippy::unwrap_used, reason = "helper functions of tests may panic")]
+
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
 use std::path::PathBuf;
 
+use skip::records_or_skip;
 use spandrel_record::{
     ChannelColumn, ColumnMapping, OffsetRemoval, Quantity, RecordReader, Recording,
 };
@@ -25,18 +29,9 @@ const RECORDS: [(&str, usize, &[&str]); 8] = [
 const THREE_STOREYS: &[&str] = &["ground", "floor1", "floor2", "floor3"];
 const ONE_STOREY: &[&str] = &["ground", "top"];
 
-/// Returns the folder of the records. If it does not exist, prints that the test is skipped.
-fn folder() -> Option<PathBuf> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data/mini-shake-table/aligned");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!(
-        "SKIPPED: the shake table records are not at hand ({} is absent)",
-        folder.display()
-    );
-    None
+/// Returns the folder of the records, or skips the test.
+fn folder_or_skip() -> Option<PathBuf> {
+    records_or_skip("mini-shake-table/aligned")
 }
 
 fn mapping(channels: &[&str]) -> ColumnMapping {
@@ -50,8 +45,10 @@ fn mapping(channels: &[&str]) -> ColumnMapping {
 }
 
 #[test]
-fn shake_table_records_are_read_whole_at_120_hz() {
-    let Some(folder) = folder() else { return };
+fn shake_table_records_are_read_completely_at_120_hz() {
+    let Some(folder) = folder_or_skip() else {
+        return;
+    };
     for (file, rows, channels) in RECORDS {
         let mut recording =
             Recording::open(&folder.join(file), &mapping(channels), OffsetRemoval::Keep).unwrap();
@@ -81,8 +78,10 @@ fn shake_table_records_are_read_whole_at_120_hz() {
 }
 
 #[test]
-fn tilt_of_the_sensors_is_gone_after_removal_of_the_offset() {
-    let Some(folder) = folder() else { return };
+fn offset_removal_removes_the_tilt_of_the_sensors() {
+    let Some(folder) = folder_or_skip() else {
+        return;
+    };
     let offset = OffsetRemoval::MeanOfFirst { seconds: 1.0 };
     let mut recording = Recording::open(
         &folder.join("stiff-northridge.csv"),

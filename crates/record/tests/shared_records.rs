@@ -4,30 +4,19 @@
 //! The records are in `shared/data` beside the repository. A page in each folder lists source,
 //! licence and figures.
 
-#![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
+#![expect(clippy::unwrap_used, reason = "helper functions of tests may panic")]
 
-use std::path::PathBuf;
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
+use skip::records_or_skip;
 use spandrel_record::{
     Quantity, ReadOptions, RecordError, RecordedChannel, RecordedFile, Spectrum, Statistics,
     TimeOrigin, TimeUnit,
 };
 
-/// Returns the path of a shared file or folder. If it does not exist, prints that the test is
-/// skipped.
-fn at_hand(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data")
-        .join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("SKIPPED: {} is not at hand", path.display());
-    None
-}
-
 fn read(name: &str) -> Option<RecordedFile> {
-    Some(RecordedFile::read(&at_hand(name)?, &ReadOptions::default()).unwrap())
+    Some(RecordedFile::read(&records_or_skip(name)?, &ReadOptions::default()).unwrap())
 }
 
 fn channel<'a>(file: &'a RecordedFile, name: &str) -> &'a RecordedChannel {
@@ -43,7 +32,7 @@ fn channel<'a>(file: &'a RecordedFile, name: &str) -> &'a RecordedChannel {
         .find(|channel| channel.name() == name);
     assert!(
         found.is_some(),
-        "no channel {name}, there are {:?}",
+        "no channel {name}, the file has {:?}",
         known()
     );
     found.unwrap()
@@ -75,7 +64,7 @@ fn check(channel: &RecordedChannel, count: usize, rate_hz: f64, peak: f64, toler
 }
 
 #[test]
-fn steim_compressed_mini_seed_of_strong_motion_is_whole() {
+fn steim_compressed_mini_seed_of_strong_motion_is_complete() {
     for component in ["HNE", "HNN", "HNZ"] {
         let name = format!(
             "reader-formats/CE.79435.10.{component}__20211220T201310Z__20211220T202040Z.mseed"
@@ -136,7 +125,7 @@ fn reference_mini_seed_is_the_same_in_both_versions_and_byte_orders() {
 }
 
 #[test]
-fn three_channels_are_told_apart_in_both_versions() {
+fn three_channels_are_distinguished_in_both_versions() {
     let Some(second) = read("reader-formats/testdata-3channel-signal.mseed2") else {
         return;
     };
@@ -160,7 +149,7 @@ fn three_channels_are_told_apart_in_both_versions() {
 }
 
 #[test]
-fn records_out_of_order_give_the_series_that_they_were_cut_from() {
+fn records_out_of_order_give_the_original_series() {
     let Some(mixed) = read("reader-formats/testdata-oneseries-mixedlengths-mixedorder.mseed2")
     else {
         return;
@@ -179,8 +168,9 @@ fn records_out_of_order_give_the_series_that_they_were_cut_from() {
 }
 
 #[test]
-fn damaged_blockettes_are_refused_with_file_and_place() {
-    let Some(path) = at_hand("reader-formats/testdata-invalid-blockette-offsets.mseed2") else {
+fn damaged_blockettes_are_rejected_with_file_and_position() {
+    let Some(path) = records_or_skip("reader-formats/testdata-invalid-blockette-offsets.mseed2")
+    else {
         return;
     };
     let error = RecordedFile::read(&path, &ReadOptions::default()).unwrap_err();
@@ -543,7 +533,7 @@ fn zipped_table_of_a_load_test_has_its_units_and_peaks() {
 #[test]
 fn tables_without_header_are_read_at_a_declared_rate() {
     for name in ["wn_01.dat", "wn_02.dat", "wn_03.dat"] {
-        let Some(path) = at_hand(&format!("unison-tower/{name}")) else {
+        let Some(path) = records_or_skip(&format!("unison-tower/{name}")) else {
             return;
         };
         let options = ReadOptions {
@@ -567,13 +557,13 @@ fn tables_without_header_are_read_at_a_declared_rate() {
 }
 
 #[test]
-fn compressed_files_of_a_recorder_are_read_behind_their_preamble() {
+fn compressed_files_of_a_recorder_are_read_after_their_preamble() {
     let options = ReadOptions {
         time_column: Some("SampleTimeFine".to_owned()),
         time_unit: Some(TimeUnit::Microseconds),
         ..ReadOptions::default()
     };
-    let Some(folder) = at_hand("mini-shake-table/raw") else {
+    let Some(folder) = records_or_skip("mini-shake-table/raw") else {
         return;
     };
     let mut files = 0;

@@ -105,7 +105,7 @@ async fn next(stream: &Stream<SampleBlock>) -> SampleBlock {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_source_keeps_within_the_window_of_what_is_identified_and_ends() {
+async fn a_source_stays_within_the_window_ahead_of_identify_and_ends() {
     let (first, second) = pair().await;
     let total = 5 * WINDOW_FRAMES;
     let service = sensor(&first, vec![Service::Identify]).await;
@@ -168,7 +168,7 @@ async fn a_source_that_is_stopped_ends_its_nodes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_source_that_is_stopped_while_it_waits_leaves_at_once() {
+async fn a_waiting_source_stops_at_once() {
     let (first, _second) = pair().await;
     let service = sensor(&first, vec![Service::Identify]).await;
     let running = service.run(rows(10), ready(()));

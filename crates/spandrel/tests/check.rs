@@ -1,5 +1,5 @@
 //! Tests of the built binary with `spandrel check`: exit codes and output streams.
-#![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
+#![expect(clippy::unwrap_used, reason = "helper functions of tests may panic")]
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -49,7 +49,7 @@ fn examples_are_checked_with_exit_code_0_and_nothing_on_standard_error() {
 }
 
 #[test]
-fn a_structure_without_parameters_is_said_to_have_motion_and_levels_only() {
+fn a_structure_without_parameters_reports_only_motion_and_levels() {
     for (name, adapted) in [
         ("fifty-storeys.toml", "yes"),
         ("fifty-storeys-wind.toml", "yes"),
@@ -69,7 +69,7 @@ fn a_structure_without_parameters_is_said_to_have_motion_and_levels_only() {
 }
 
 #[test]
-fn warnings_are_no_failure() {
+fn warnings_are_not_failures() {
     let output = check(&[&example("output-only.toml")]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let page = text(&output.stdout);
@@ -80,7 +80,7 @@ fn warnings_are_no_failure() {
 }
 
 #[test]
-fn json_is_one_object_for_the_length_asked_for() {
+fn json_is_one_object_for_the_requested_length() {
     let output = check(&[&example("demo.toml"), "--after", "120", "--json"]);
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(

@@ -1,5 +1,5 @@
-//! Tests of the documentation: every link has a target, every page is in the book, and the
-//! command-line page matches the program.
+//! Tests of the documentation: every link has a target, every page is in the book, the command-line
+//! page matches the program, and the table of crates matches the workspace.
 
 #![allow(
     clippy::unwrap_used,
@@ -8,7 +8,8 @@
     reason = "a test that fails panics"
 )]
 
-use std::collections::BTreeSet;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -76,7 +77,7 @@ fn links(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn every_link_leads_somewhere() {
+fn every_link_has_a_target() {
     let mut all = Vec::new();
     pages(&root(), &mut all);
     assert!(all.len() > 20, "{all:?}");
@@ -141,7 +142,7 @@ fn every_page_is_in_the_book() {
 
 /// The code on the page must equal the compiled example.
 #[test]
-fn the_subscriber_in_rust_is_that_of_the_example() {
+fn the_subscriber_in_rust_equals_the_example() {
     let topics = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
     let (_, rest) = topics
         .split_once("\n### Rust\n")
@@ -191,7 +192,7 @@ fn commands_of(help: &str) -> Vec<&str> {
 
 /// Compares the page with the output of the program. `UPDATE_DOCS=1` rewrites the page.
 #[test]
-fn the_command_line_is_as_the_program_says() {
+fn the_command_line_page_matches_the_program() {
     let whole = help(&[]);
     let names = commands_of(&whole);
     assert!(
@@ -222,6 +223,88 @@ fn the_command_line_is_as_the_program_says() {
     let found = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         found == text,
-        "docs/command-line.md is not what the program says: run this test with UPDATE_DOCS=1"
+        "docs/command-line.md differs from the help of the program; UPDATE_DOCS=1 rewrites it"
+    );
+}
+
+/// The crates of the workspace without the prefix `spandrel-`, each with the crates on which it
+/// depends.
+type Crates = BTreeMap<String, BTreeSet<String>>;
+
+/// Returns the members of the workspace and their normal dependencies on each other.
+fn crates_of_the_workspace() -> Crates {
+    let mut command = Command::new(env!("CARGO"));
+    command.args(["metadata", "--no-deps", "--offline", "--format-version=1"]);
+    let output = command.current_dir(root()).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "cargo metadata: {said}");
+    let metadata: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let name = |of: &Value| of["name"].as_str().unwrap().to_owned();
+    let packages = metadata["packages"].as_array().unwrap();
+    let members: BTreeSet<String> = packages.iter().map(name).collect();
+    let short = |name: String| name.trim_start_matches("spandrel-").to_owned();
+    let depends_on = |package: &Value| {
+        let all = package["dependencies"].as_array().unwrap().iter();
+        let normal = all.filter(|dependency| dependency["kind"].is_null());
+        let own = normal.map(name).filter(|name| members.contains(name));
+        own.map(short).collect()
+    };
+    packages
+        .iter()
+        .map(|package| (short(name(package)), depends_on(package)))
+        .collect()
+}
+
+/// Returns the rows of the table "Crates" of docs/architecture.md. `known` are the names to which
+/// "all but" refers.
+fn crates_of_the_page(known: &BTreeSet<String>) -> Crates {
+    let page = std::fs::read_to_string(root().join("docs/architecture.md")).unwrap();
+    let (_, section) = page.split_once("\n## Crates\n").expect("a section Crates");
+    let (section, _) = section.split_once("\n## ").unwrap_or((section, ""));
+    let rows = section.lines().filter(|line| line.starts_with("| ["));
+    let list = |text: &str| -> BTreeSet<String> { text.split(", ").map(str::to_owned).collect() };
+    let mut crates = Crates::new();
+    for row in rows {
+        let cells: Vec<&str> = row.trim_matches('|').split(" | ").map(str::trim).collect();
+        let [title, _, _, depends_on] = cells[..] else {
+            panic!("a row of the table Crates must have four cells: {row}");
+        };
+        let (name, _) = title[1..].split_once(']').expect("the name is a link");
+        let mut depends_on = match depends_on.strip_prefix("all but ") {
+            Some(others) => known.difference(&list(others)).cloned().collect(),
+            None if depends_on == "none" => BTreeSet::new(),
+            None => list(depends_on),
+        };
+        depends_on.remove(name); // "all" does not include the crate itself
+        let earlier = crates.insert(name.to_owned(), depends_on);
+        assert!(earlier.is_none(), "{name} has two rows in the table Crates");
+    }
+    crates
+}
+
+#[test]
+fn the_table_of_crates_lists_the_workspace_and_its_dependencies() {
+    let expected = crates_of_the_workspace();
+    let found = crates_of_the_page(&expected.keys().cloned().collect());
+    let mut wrong = String::new();
+    for name in expected.keys().filter(|name| !found.contains_key(*name)) {
+        let _ = writeln!(wrong, "{name} has no row");
+    }
+    for (name, written) in &found {
+        match expected.get(name) {
+            None => {
+                let _ = writeln!(wrong, "{name} has a row, but is not a workspace member");
+            }
+            Some(depends_on) if depends_on != written => {
+                let missing: Vec<_> = depends_on.difference(written).collect();
+                let extra: Vec<_> = written.difference(depends_on).collect();
+                let _ = writeln!(wrong, "{name}: missing {missing:?}, not used {extra:?}");
+            }
+            Some(_) => {}
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "table Crates of docs/architecture.md, compared with cargo metadata:\n{wrong}"
     );
 }

@@ -1,6 +1,6 @@
 //! Tests of the built binary with `spandrel estimate`: its summary of a recording, and the particle
 //! filter compared with the Kalman filter.
-#![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
+#![expect(clippy::unwrap_used, reason = "helper functions of tests may panic")]
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -61,7 +61,7 @@ fn summary(structure: &Path, record: &Path, more: &[&str]) -> Value {
 }
 
 #[test]
-fn missing_and_discarded_samples_and_the_misfit_are_told() {
+fn the_summary_reports_missing_and_discarded_samples_and_the_misfit() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "40");
@@ -120,7 +120,7 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
 }
 
 #[test]
-fn particles_agree_with_the_kalman_filter_where_there_are_few_states() {
+fn particles_agree_with_the_kalman_filter_for_few_states() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (
         example("hysteretic-oscillator.toml"),
@@ -205,7 +205,7 @@ fn simulated_record_is_read_with_the_same_file() {
 }
 
 #[test]
-fn channels_that_are_swapped_are_warned_of() {
+fn swapped_channels_give_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     // long enough to learn the reference, and before the damage
@@ -240,7 +240,7 @@ fn channels_that_are_swapped_are_warned_of() {
 }
 
 #[test]
-fn record_that_ends_before_the_reference_is_known_is_warned_of() {
+fn record_that_ends_before_the_reference_is_known_gives_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "40");
@@ -252,7 +252,7 @@ fn record_that_ends_before_the_reference_is_known_is_warned_of() {
 }
 
 #[test]
-fn parameters_keep_the_order_of_the_file_and_classes_are_told() {
+fn the_summary_keeps_the_parameter_order_and_reports_the_classes() {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(example("demo.toml")).unwrap();
     let text = text
@@ -309,7 +309,7 @@ fn parameters_keep_the_order_of_the_file_and_classes_are_told() {
 }
 
 #[test]
-fn options_that_would_do_nothing_are_refused() {
+fn options_without_effect_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "2");
@@ -376,7 +376,7 @@ fn particles_of_a_large_model_come_with_a_warning() {
 }
 
 #[test]
-fn responses_and_noise_levels_are_written_where_there_are_no_parameters() {
+fn responses_and_noise_levels_are_written_without_parameters() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (
         example("fifty-storeys.toml"),
@@ -445,7 +445,7 @@ fn a_structure_without_parameters_has_no_baseline() {
 }
 
 #[test]
-fn baseline_is_not_learnt_from_data_that_contradict_the_model() {
+fn data_that_contradict_the_model_give_no_baseline() {
     let folder = tempfile::tempdir().unwrap();
     let record = folder.path().join("building.csv");
     simulate(&example("demo.toml"), &record, "59");
@@ -471,7 +471,7 @@ fn baseline_is_not_learnt_from_data_that_contradict_the_model() {
 }
 
 #[test]
-fn particles_follow_a_linear_structure_without_parameters_too() {
+fn particles_follow_a_linear_structure_without_parameters() {
     let folder = tempfile::tempdir().unwrap();
     let file = std::fs::read_to_string(example("sixty-storeys.toml")).unwrap();
     let two = file

@@ -1,6 +1,6 @@
 //! Test of `--open`: the desktop receives the address of the page that is printed.
 #![cfg(target_os = "linux")]
-#![expect(clippy::disallowed_methods, reason = "a deadline has a clock")]
+#![expect(clippy::disallowed_methods, reason = "a deadline needs a clock")]
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;

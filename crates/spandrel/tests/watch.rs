@@ -3,7 +3,7 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "a helper of tests may fail them"
+    reason = "helper functions of tests may panic"
 )]
 
 use spandrel_bus::{
@@ -152,7 +152,7 @@ fn spandrel(arguments: &[&str]) -> Command {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_alert_that_was_raised_before_is_told_and_sigterm_ends_with_0() {
+async fn watch_prints_an_earlier_alert_and_sigterm_ends_it_with_0() {
     let site = Site::open().await;
     let _alerts = site.raise().await;
     let watch = site.watch(&[]);
@@ -165,7 +165,7 @@ async fn an_alert_that_was_raised_before_is_told_and_sigterm_ends_with_0() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_structure_is_told_every_second_with_its_values() {
+async fn watch_prints_a_structure_with_its_values_every_second() {
     let site = Site::open().await;
     let watch = site.watch(&["tower"]);
     let display = ParameterDisplay {
@@ -200,7 +200,7 @@ async fn a_structure_is_told_every_second_with_its_values() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_silent_bus_is_told_once() {
+async fn watch_reports_a_silent_bus_once() {
     let site = Site::open().await;
     let line = site.watch(&[]).line("no messages yet", async || {}).await;
     assert_eq!(
@@ -210,7 +210,7 @@ async fn a_silent_bus_is_told_once() {
 }
 
 #[test]
-fn nobody_there_ends_with_1_and_says_what_to_do() {
+fn watch_without_a_bus_ends_with_1_and_suggests_a_remedy() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", free.local_addr().unwrap());
     drop(free);
@@ -226,7 +226,7 @@ fn nobody_there_ends_with_1_and_says_what_to_do() {
 }
 
 #[test]
-fn a_structure_that_can_be_no_key_ends_with_2() {
+fn a_structure_name_that_is_not_a_key_ends_with_2() {
     let output = spandrel(&["watch", "Tower/1", "--listen", "tcp/127.0.0.1:0"])
         .output()
         .unwrap();

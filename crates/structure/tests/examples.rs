@@ -1,6 +1,9 @@
 //! Checks, simulates and estimates every example. Examples without parameters must find their noise
 //! levels.
-#![expect(clippy::panic, reason = "helpers of tests are no tests to clippy")]
+#![expect(
+    clippy::panic,
+    reason = "Clippy does not treat helper functions as tests"
+)]
 
 use spandrel_filter::{ExtendedKalmanFilter, Frame, Step};
 use spandrel_structure::{SimulatedFrame, Structure, StructureModel};
@@ -269,7 +272,7 @@ fn assert_finds_its_levels(name: &str, actual: [f64; 2], scatter: [f64; 2]) -> V
 }
 
 #[test]
-fn levels_of_unmeasured_ground_motion_and_of_sensors_are_found_from_far_too_large_ones() {
+fn levels_of_unmeasured_ground_motion_and_sensors_converge_from_far_too_large_values() {
     for found in assert_finds_its_levels("fifty-storeys", GROUND, [0.048, 0.017]) {
         for (stated, expected) in found.stated.into_iter().zip([0.079, 0.0244]) {
             assert!(

@@ -2,7 +2,7 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "helpers of tests are no tests to clippy"
+    reason = "Clippy does not treat helper functions as tests"
 )]
 
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, Frame, ProcessModel};
@@ -98,7 +98,7 @@ fn the_demo_is_identified_before_and_after_its_damage() {
 
 /// The simulated damping is three times, or a third of, the damping in the filter's file.
 #[test]
-fn damping_that_the_file_does_not_know_is_identified_and_stays_positive() {
+fn unknown_damping_is_identified_and_stays_positive() {
     let demo = example("demo.toml");
     for factor in [3.0, 1.0 / 3.0] {
         let text = demo
@@ -265,7 +265,7 @@ fn step_with_variance(variance: f64) -> Result<f64, FilterError> {
 }
 
 #[test]
-fn negative_variance_ends_the_step_with_its_place() {
+fn negative_variance_is_an_error_with_its_position() {
     let last = run(&example("demo.toml"), 0.1, 1).mean().len() - 1;
     let found = step_with_variance(-0.01);
     assert!(

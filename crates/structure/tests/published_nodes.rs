@@ -5,7 +5,7 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "helpers of tests are no tests to clippy"
+    reason = "Clippy does not treat helper functions as tests"
 )]
 
 use spandrel_structure::{PeriodNumbers, Structure};
@@ -165,7 +165,7 @@ fn messages_have_as_many_numbers_as_the_weights_of_the_source() {
 }
 
 #[test]
-fn modes_are_kept_by_the_mass_that_they_carry() {
+fn modes_are_selected_by_their_mass() {
     // Building: 0.82, 0.09, 0.03, 0.02, 0.01. Bridge: 0.018, 0.214, 0.677 in modes 2, 4, 7, and
     // zero in the other modes up to the eighth.
     let missed = |name: &str, modes: usize| {

@@ -3,7 +3,7 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "helpers of tests are no tests to clippy"
+    reason = "Clippy does not treat helper functions as tests"
 )]
 
 mod by_operator;

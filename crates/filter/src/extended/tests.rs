@@ -329,17 +329,31 @@ fn quiet_stretch_does_not_wind_up() {
 
 #[test]
 fn forgotten_motion_is_as_uncertain_as_it_has_been_large() {
-    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
-    run(&mut filter, 0..500);
-    let size = filter.mean().map(f64::abs);
+    // The prior is much narrower than the motion, so that the motion determines the result.
+    const PRIOR_STD: f64 = 1e-4;
+    let mut settings = settings();
+    settings.prior_std.fill(PRIOR_STD);
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings).unwrap();
+    let mut sum_of_squares = [0.0; 4];
+    for k in 0..500 {
+        run(&mut filter, k..k + 1);
+        for (sum, mean) in sum_of_squares.iter_mut().zip(filter.mean().iter()) {
+            *sum += mean * mean;
+        }
+    }
     filter.forget_motion();
     assert_eq!(filter.mean().amax(), 0.0);
-    for j in 0..4 {
-        let std = filter.covariance()[(j, j)].sqrt();
+    for (j, sum) in sum_of_squares.into_iter().enumerate() {
+        let root_mean_square = (sum / 500.0).sqrt();
         assert!(
-            std > 0.1 * size[j] && std.is_finite(),
-            "state {j}: {std} after a motion of {}",
-            size[j]
+            root_mean_square > 10.0 * PRIOR_STD,
+            "state {j} moves by {root_mean_square}"
+        );
+        let std = filter.covariance()[(j, j)].sqrt();
+        let expected = PRIOR_STD.hypot(root_mean_square);
+        assert!(
+            (std / expected - 1.0).abs() < 0.05,
+            "state {j}: standard deviation {std}, expected {expected}"
         );
         assert!(
             filter

@@ -1,6 +1,7 @@
 use super::*;
+use crate::memory::identity;
 use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, Keep, NumberedStream};
-use spandrel_checkpoint::Remembering;
+use spandrel_checkpoint::{Checkpoints, Remembering};
 use spandrel_service::Service as _;
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -82,11 +83,29 @@ fn without_the_frame() -> Vec<String> {
         .collect()
 }
 
-/// Runs the service on frames, one of which causes a panic. Returns the estimates that a subscriber
-/// receives.
-async fn estimates_of_a_service_that_dies(
-    remembering: Option<Remembering>,
-) -> (Vec<(u64, String)>, u64) {
+/// Waits for a checkpoint behind the first frame.
+async fn wait_for_a_checkpoint(remembering: &Remembering) {
+    let checkpoints = Checkpoints::open(&remembering.folder, identity(&structure())).unwrap();
+    let saved = async {
+        while !(checkpoints.places().unwrap().last()).is_some_and(|place| place.sequence > FIRST) {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(30), saved)
+        .await
+        .expect("a checkpoint");
+}
+
+/// What a subscriber receives from a service that panics on one of its frames.
+struct Received {
+    estimates: Vec<(u64, String)>,
+    restarts: u64,
+    /// The frame from which the identification resumed after its first panic.
+    resumed_from: u64,
+}
+
+/// Runs the service on frames, one of which causes a panic.
+async fn run_with_a_frame_that_panics(remembering: Option<Remembering>) -> Received {
     let config = BusConfig {
         root: "poison".into(),
         listen: vec!["tcp/127.0.0.1:0".into()],
@@ -109,7 +128,7 @@ async fn estimates_of_a_service_that_dies(
     let plan = IdentifyPlan {
         instance: Instance::new(&bus, id),
         monitored: Monitored {
-            remembering,
+            remembering: remembering.clone(),
             ..Monitored::new(&structure(), keys.clone())
         },
         pool,
@@ -131,11 +150,16 @@ async fn estimates_of_a_service_that_dies(
         )
         .await
         .unwrap();
+    let events = bus.subscribe::<Event>(keys.event(), 64).await.unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let running = tokio::spawn(service.run(Box::pin(async move { drop(stopped.await) })));
     for block in blocks() {
+        if let Some(remembering) = &remembering
+            && (block.header.sequence..block.end()).contains(&POISON)
+        {
+            wait_for_a_checkpoint(remembering).await;
+        }
         frames.put(block).await.unwrap();
-        tokio::time::sleep(Duration::from_millis(20)).await; // time for checkpoints between them
     }
     let mut found = Vec::new();
     loop {
@@ -173,7 +197,21 @@ async fn estimates_of_a_service_that_dies(
         "{:?}",
         status.drops
     );
-    (found, status.restarts)
+    let resumed_from = |(_, event): (_, Event)| {
+        let frame = event
+            .what
+            .strip_prefix("identification resumes from frame ")?;
+        Some(frame.parse().unwrap())
+    };
+    let resumed: Vec<u64> = events.messages().drain().filter_map(resumed_from).collect();
+    let [resumed_from] = resumed[..] else {
+        panic!("one event for the first panic, found {resumed:?}");
+    };
+    Received {
+        estimates: found,
+        restarts: status.restarts,
+        resumed_from,
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -181,15 +219,27 @@ async fn a_frame_that_kills_the_identification_twice_is_set_aside_and_nothing_el
     let folder = tempfile::tempdir().unwrap();
     let remembering = Remembering {
         folder: folder.path().to_owned(),
-        every: Duration::from_millis(50),
+        every: Duration::ZERO,
     };
     for remembering in [Some(remembering), None] {
-        let (found, restarts) = estimates_of_a_service_that_dies(remembering).await;
-        assert_eq!(restarts, 2);
-        let numbers: Vec<u64> = found.iter().map(|(number, _)| *number).collect();
+        let has_checkpoints = remembering.is_some();
+        let received = run_with_a_frame_that_panics(remembering).await;
+        assert_eq!(received.restarts, 2);
+        assert_eq!(
+            (FIRST + 1..=POISON).contains(&received.resumed_from),
+            has_checkpoints,
+            "resumed from frame {}, checkpoints: {has_checkpoints}",
+            received.resumed_from
+        );
+        let numbers: Vec<u64> = received
+            .estimates
+            .iter()
+            .map(|(number, _)| *number)
+            .collect();
         assert_eq!(numbers, (FIRST..FIRST + FRAMES).collect::<Vec<_>>());
         let expected = without_the_frame();
-        let differs = found
+        let differs = received
+            .estimates
             .iter()
             .zip(&expected)
             .position(|((_, found), expected)| found != expected);

@@ -119,7 +119,7 @@ impl Browser {
             let message = tokio::time::timeout(DEADLINE, self.socket.next()).await;
             let message = message
                 .unwrap_or_else(|_| panic!("{method}: no answer"))
-                .expect("the browser is there")
+                .expect("a running browser")
                 .unwrap();
             let Ok(text) = message.to_text() else {
                 continue;

@@ -31,7 +31,7 @@ fn demo(arguments: &[&str]) -> Program {
 
 /// Regression test: a red "connecting …" was shown for a second although data had just arrived.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_page_says_that_it_is_connected_with_the_first_message() {
+async fn the_page_shows_that_it_is_connected_from_the_first_message_on() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -52,7 +52,7 @@ async fn the_page_says_that_it_is_connected_with_the_first_message() {
 
 /// Regression test: labels were at the line of another mark, or on the curve.
 #[tokio::test(flavor = "multi_thread")]
-async fn words_of_marks_stand_at_their_own_lines() {
+async fn labels_of_marks_are_at_their_own_lines() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -114,7 +114,7 @@ fn check_words(flags: &[Value], moments: &str) {
 
 /// Regression test: storey 1 was in alarm, but was a strip of five pixels without a name.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_small_part_that_has_probably_lost_has_its_name_beside_the_drawing() {
+async fn a_small_part_with_a_probable_loss_is_named_beside_the_drawing() {
     let Some(mut browser) = browser().await else {
         return;
     };

@@ -13,9 +13,12 @@
 
 mod chromium;
 mod layout;
+#[path = "../../../../tests/support/skip.rs"]
+mod skip;
 
 use chromium::Browser;
 use serde_json::json;
+use skip::skip;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -72,12 +75,7 @@ fn free_address() -> String {
 /// required.
 async fn browser() -> Option<Browser> {
     let Some(program) = chromium::installed() else {
-        let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
-        assert!(
-            !required,
-            "Chromium is not installed, and REQUIRE_ALL_TESTS is set: apt-get install chromium"
-        );
-        eprintln!("skipped: no Chromium is installed (apt-get install chromium)");
+        skip("Chromium is not installed (apt-get install chromium)");
         return None;
     };
     let screenshots: PathBuf = Path::new(env!("CARGO_TARGET_TMPDIR")).join("../screenshots");
@@ -85,7 +83,7 @@ async fn browser() -> Option<Browser> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heals() {
+async fn the_page_shows_the_damage_acknowledges_the_alert_and_reconnects() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -118,7 +116,7 @@ async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heal
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_page_with_tokens_asks_for_one() {
+async fn a_page_with_tokens_requires_one() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -188,7 +186,7 @@ async fn a_page_with_tokens_asks_for_one() {
 
 /// Regression test: the page did not show which node was silent, excluded or alive.
 #[tokio::test(flavor = "multi_thread")]
-async fn nodes_that_identify_for_themselves_are_in_a_table() {
+async fn nodes_with_their_own_filters_are_in_a_table() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -297,7 +295,7 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
 
 /// Regression test: the plots and files of a record without dates showed dates in 1970.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_record_without_dates_is_plotted_by_its_own_time() {
+async fn a_record_without_dates_is_plotted_over_its_own_time() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -484,7 +482,7 @@ fn run_in(folder: &Path, structure: &str) -> (Program, String) {
 
 /// Tests the TypeScript example without its types.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_subscriber_of_the_docs_hears_parameters() {
+async fn the_subscriber_of_the_docs_receives_parameters() {
     let Some(mut browser) = browser().await else {
         return;
     };
@@ -915,7 +913,7 @@ async fn cost(browser: &mut Browser) -> Cost {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes 20 minutes"]
-async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rate() {
+async fn the_page_needs_no_more_resources_after_twenty_minutes_at_24_times_the_display_rate() {
     const MINUTES: usize = 20;
     // Until this minute, the span of ten minutes and its plots fill up.
     const SETTLED: usize = 4;
