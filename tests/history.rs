@@ -106,6 +106,13 @@ async fn the_history_survives_a_restart_of_all_services() {
         "{:?}",
         before.rows.mean.last()
     );
+    let losses = span(&bus, &site, "kind=loss;points=20000", is_whole).await;
+    let (loss, probability) = (&losses.rows.mean, &losses.rows.probability_of_loss);
+    assert!((loss.last().unwrap() - 0.15).abs() < 0.05, "{loss:?}");
+    assert!(
+        probability[0] < 0.5 && *probability.last().unwrap() > 0.99,
+        "{probability:?}"
+    );
     bus.close().await.unwrap();
     services.stop().expect_code(0);
     assert!(

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use spandrel_bus::{CredibleInterval, LossDisplay, Name};
 
 use crate::Reference;
-use crate::scatter::{NormalPlusStudent, bisect, normal_cdf};
+use crate::scatter::{NormalPlusStudent, normal_cdf, root};
 
 /// Mean and standard deviation of a parameter at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -122,10 +122,10 @@ pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, 
 /// 1954). They are the roots q = 1 − L of (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A
 /// [`Reference`] is at least three standard deviations from zero. The first coefficient is
 /// therefore positive and the interval finite. With scatter from few records, the function finds
-/// the ends by bisection.
+/// the ends numerically.
 pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     if reference.scatter().is_some() {
-        return loss_by_bisection(estimate, reference);
+        return loss_of_any_distribution(estimate, reference);
     }
     let (m, r) = (estimate.mean, reference.mean());
     let zs = CredibleInterval::HALF_WIDTH_95 * estimate.std;
@@ -159,33 +159,33 @@ pub(crate) fn loss_within_record(
 
 /// Computes [`loss_estimate`] for any distribution. The probability of a loss decreases as that
 /// loss grows.
-fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+fn loss_of_any_distribution(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     let loss = 1.0 - estimate.mean / reference.mean();
-    let is_below =
-        |level: f64| move |loss: f64| probability_of_loss(estimate, reference, loss) < level;
-    // A loss is a share of the reference, which determines the steps of the search for a bracket.
-    let end = |level: f64| {
-        let (mut low, mut high, mut step) = (loss, loss, FIRST_STEP);
-        while is_below(level)(low) && step < LARGEST_STEP {
-            low -= step;
+    let excess =
+        |level: f64| move |loss: f64| level - probability_of_loss(estimate, reference, loss);
+    // The usual width of the interval determines the steps of the search for a bracket.
+    let std = estimate.std.hypot((1.0 - loss) * reference.std()) / reference.mean();
+    let first_step = (CredibleInterval::HALF_WIDTH_95 * std).max(LEAST_STEP);
+    let end = |level: f64, side: f64| {
+        let (mut near, mut far, mut step) = (loss, loss + side * first_step, first_step);
+        while side * excess(level)(far) < 0.0 && step < LARGEST_STEP {
+            near = far;
             step *= 2.0;
+            far += side * step;
         }
-        step = FIRST_STEP;
-        while !is_below(level)(high) && step < LARGEST_STEP {
-            high += step;
-            step *= 2.0;
-        }
-        bisect(low, high, is_below(level))
+        root(near, far, ACCURACY, excess(level))
     };
     LossEstimate {
         loss,
-        low: end(0.975),
-        high: end(0.025),
+        low: end(0.975, -1.0),
+        high: end(0.025, 1.0),
     }
 }
 
-/// First step of the search for an end of the interval, as a share of the reference.
-const FIRST_STEP: f64 = 0.01;
+/// Accuracy of an end of the interval, as a share of the reference.
+const ACCURACY: f64 = 1e-12;
+/// First step of the search for that end if both deviations are zero, as a share of the reference.
+const LEAST_STEP: f64 = 1e-9;
 /// Last step of that search, as a share of the reference.
 const LARGEST_STEP: f64 = 1e6;
 

@@ -87,7 +87,12 @@ fn without_the_frame() -> Vec<String> {
 async fn wait_for_a_checkpoint(remembering: &Remembering) {
     let checkpoints = Checkpoints::open(&remembering.folder, identity(&structure())).unwrap();
     let saved = async {
-        while !(checkpoints.places().unwrap().last()).is_some_and(|place| place.sequence > FIRST) {
+        while checkpoints
+            .places()
+            .unwrap()
+            .last()
+            .is_none_or(|place| place.sequence <= FIRST)
+        {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
