@@ -10,8 +10,8 @@
 use futures_util::StreamExt;
 use serde_json::{Value, json};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, DisplayPublisher, Keys,
-    LatestPublisher, Name, ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, CredibleInterval, DisplayPublisher,
+    Keys, LatestPublisher, LossDisplay, Name, ParameterDisplay,
 };
 use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
 use spandrel_service::{Instance, Monitored, Service as _};
@@ -37,6 +37,7 @@ struct Site {
     keys: Keys,
     client: Client,
     parameter: DisplayPublisher<ParameterDisplay>,
+    loss: DisplayPublisher<LossDisplay>,
     alert: LatestPublisher<AlertMessage>,
     stop: oneshot::Sender<()>,
     running: JoinHandle<Result<(), DashboardError>>,
@@ -106,6 +107,10 @@ impl Site {
             .publish_display(keys.parameter(&name("storey-2")))
             .await
             .unwrap();
+        let loss = bus
+            .publish_display(keys.loss(&name("storey-2")))
+            .await
+            .unwrap();
         let alert = bus
             .publish_latest(keys.alert(&name("storey-2")))
             .await
@@ -126,6 +131,7 @@ impl Site {
             keys,
             client: Client { address },
             parameter,
+            loss,
             alert,
             stop,
             running,
@@ -137,6 +143,19 @@ impl Site {
         let display =
             ParameterDisplay::of_normal(&name("demo"), &name("storey-2"), time_ns, mean, 1e-4);
         self.parameter.put(&display).await.unwrap();
+        let loss = LossDisplay {
+            structure: name("demo"),
+            parameter: name("storey-2"),
+            time_ns,
+            loss: 1.0 - mean,
+            interval: CredibleInterval::of_normal(1.0 - mean, 1e-4),
+            probability_of_loss: if mean < 0.95 { 1.0 } else { 0.0 },
+            rule_loss: 0.05,
+            rule_credibility: 0.99,
+            reference: 1.0,
+            reference_std: 0.0,
+        };
+        self.loss.put(&loss).await.unwrap();
     }
 
     async fn raise(&self, state: AlertState) {
@@ -261,7 +280,10 @@ async fn what_is_put_on_the_bus_is_seen_in_the_overview_and_in_the_structure() {
         5
     );
     assert_eq!(whole["standing"]["parameters"]["storey-2"]["mean"], 0.85);
-    assert_eq!(whole["standing"]["series"], json!(["parameter/storey-2"]));
+    assert_eq!(
+        whole["standing"]["series"],
+        json!(["parameter/storey-2", "loss/storey-2"])
+    );
     let alerts = site.get("/api/alerts?state=raised").await.json();
     assert_eq!(alerts["standing"][0]["parameter"], "storey-2");
     assert!(

@@ -15,28 +15,15 @@ const NEEDS: Needs = Needs {
 const DEADLINE: Duration = Duration::from_secs(30);
 
 async fn open() -> (Bus, Keys) {
-    open_with(BusConfig {
-        listen: vec!["tcp/127.0.0.1:0".into()],
-        ..BusConfig::default()
-    })
-    .await
-}
-
-async fn open_with(config: BusConfig) -> (Bus, Keys) {
     let config = BusConfig {
         root: "watched".into(),
-        ..config
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::default()
     };
     (
         Bus::open(&config).await.unwrap(),
         config.keys("tower").unwrap(),
     )
-}
-
-/// Returns an endpoint on which no process listens yet.
-fn free_endpoint() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    format!("tcp/{}", listener.local_addr().unwrap())
 }
 
 /// Returns the parameters of `tower` with an alert.
@@ -159,22 +146,9 @@ async fn one_structure_is_heard_alone() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
-    let endpoint = free_endpoint();
-    let (bus, keys) = open_with(BusConfig {
-        listen: vec![endpoint.clone()],
-        ..BusConfig::default()
-    })
-    .await;
-    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
-        .await
-        .unwrap();
-    while listener.asked.join_next().await.is_some() {} // no service was present to reply
-    let (other, _) = open_with(BusConfig {
-        connect: vec![endpoint],
-        ..BusConfig::default()
-    })
-    .await;
-    let latest = other
+    let (bus, keys) = open().await;
+    // Before the subscription, so that only a query can return it.
+    let latest = bus
         .publish_latest(keys.alert(&name("storey-1")))
         .await
         .unwrap();
@@ -182,12 +156,14 @@ async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
         .put(&alert("storey-1", 1, AlertState::Raised))
         .await
         .unwrap();
-    let _token = other
+    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
+        .await
+        .unwrap();
+    while listener.asked.join_next().await.is_some() {} // discards the reply to the first query
+    let _token = bus
         .announce(keys.live(Service::Alert, &name("a")))
         .await
         .unwrap();
-    gather_until(&mut listener, |structures| {
-        alerts(structures) == ["storey-1"]
-    })
-    .await;
+    let is_answered = |structures: &Structures| alerts(structures) == ["storey-1"];
+    gather_until(&mut listener, is_answered).await;
 }
