@@ -5,7 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
-    FrameBlock, HistoryLog, HistorySpan, LocalMessage, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 
@@ -30,7 +30,7 @@ fn block<B: Block>(payload: &[u8]) {
     }
 }
 
-const TYPES: [fn(&[u8]); 21] = [
+const TYPES: [fn(&[u8]); 22] = [
     block::<SampleBlock>,
     block::<FrameBlock>,
     block::<EstimateBlock>,
@@ -52,6 +52,7 @@ const TYPES: [fn(&[u8]); 21] = [
     message::<HistoryLog>,
     message::<StateMessage>,
     message::<FitDisplay>,
+    message::<LossDisplay>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {
