@@ -76,11 +76,11 @@ impl spandrel_service::Service for AlertService {
     type Plan = AlertPlan;
     type Error = AlertError;
 
-    /// Validates the settings and joins the bus. `id` names this instance.
+    /// Validates the settings and joins the bus.
     ///
-    /// `baseline` replaces references that would be learnt, if it contains the parameter. If
-    /// `remembering` is set, the service resumes from its last checkpoint and publishes the state
-    /// of each parameter again. Alerts that a changed structure file does not raise end.
+    /// If [`Monitored::remembering`] is set, the service resumes from its last checkpoint and
+    /// publishes the state of each parameter again. If the structure file has changed since, alerts
+    /// that the new file does not raise end.
     ///
     /// # Errors
     /// Fails if the rules do not match the structure, a name cannot be a key, checkpoints cannot be

@@ -107,8 +107,7 @@ impl spandrel_service::Service for HistoryService {
     type Plan = HistoryPlan;
     type Error = HistoryError;
 
-    /// Opens the database, subscribes to messages and announces liveliness tokens. `id` names this
-    /// instance.
+    /// Opens the database, subscribes to messages and announces liveliness tokens.
     ///
     /// If a server does not reply yet, or a disk is full or fails, the service retries later. A
     /// path that cannot contain a file is an error.
