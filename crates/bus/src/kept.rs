@@ -46,7 +46,7 @@ struct Page {
 }
 
 /// End of a block in its page: items and bytes since the start of the page, and the publication
-/// time relative to the page.
+/// time relative to that of the page.
 #[derive(Clone, Copy, Debug, Default)]
 struct Place {
     items: u32,
