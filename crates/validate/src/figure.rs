@@ -184,8 +184,8 @@ impl Figure {
         self
     }
 
-    /// States why this figure is known to miss its requirement, as [`Figure::known_miss`] does, if
-    /// the measured number is within `limits`. A miss beyond them fails the run.
+    /// States why this figure is known to miss its requirement, as [`Figure::known_miss()`] does,
+    /// if the measured number is within `limits`. A miss beyond them fails the run.
     #[must_use]
     pub fn known_miss_within(self, limits: Required, reason: &str) -> Self {
         match self.measured {
