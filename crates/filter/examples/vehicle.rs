@@ -122,7 +122,7 @@ fn truth(time_s: f64) -> ([f64; 2], [f64; 2]) {
 }
 
 /// Returns a random jerk with the known standard deviation 0.14 m/s³, and a position noise to be
-/// identified, which starts at a standard deviation of 10 m.
+/// identified. Its initial standard deviation is 10 m.
 fn noise() -> NoiseModel {
     let mut noise = NoiseModel::known(DMatrix::identity(2, 2) * 0.02, DMatrix::zeros(2, 2));
     noise.parameters.push(NoiseParameter {

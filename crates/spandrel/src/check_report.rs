@@ -9,8 +9,8 @@
 //!   `damping_ratio` (share of critical) and `sensitivity`. The latter is the relative change of
 //!   the frequency per relative change of each parameter, in the order of `parameters`
 //! - `time_step`: `highest_frequency_hz`, `rate_times_step` (bound of the highest rate times the
-//!   time step), `substeps` of each step, and `series_order` (number of terms of the series in each
-//!   substep)
+//!   time step), `substeps` of each step, and `series_order` (number of terms of the matrix
+//!   exponential beyond the identity)
 //! - `after_s`: length of the data for `std_after`
 //! - `memory_s`: equivalent length of the data in fading memory. If no filter settles on this
 //!   structure, `after_s` and `memory_s` are `null`, and the next three fields are empty
