@@ -161,13 +161,13 @@ pub(crate) fn loss_within_record(
     }
 }
 
-/// Computes [`loss_estimate`] for any distribution. Bisection is possible because the probability
-/// of a loss decreases as the loss grows.
+/// Computes [`loss_estimate`] for any distribution. The probability of a loss decreases as that
+/// loss grows.
 fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     let loss = 1.0 - estimate.mean / reference.mean();
     let is_below =
         |level: f64| move |loss: f64| probability_of_loss(estimate, reference, loss) < level;
-    // The steps of the search for a bracket are shares of the reference, as the loss is.
+    // A loss is a share of the reference, which determines the steps of the search for a bracket.
     let end = |level: f64| {
         let (mut low, mut high, mut step) = (loss, loss, FIRST_STEP);
         while is_below(level)(low) && step < LARGEST_STEP {

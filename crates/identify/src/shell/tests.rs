@@ -82,7 +82,7 @@ fn without_the_frame() -> Vec<String> {
         .collect()
 }
 
-/// Runs the service on frames. One of them causes a panic. Returns the estimates that a subscriber
+/// Runs the service on frames, one of which causes a panic. Returns the estimates that a subscriber
 /// receives.
 async fn estimates_of_a_service_that_dies(
     remembering: Option<Remembering>,
