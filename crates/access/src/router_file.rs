@@ -38,8 +38,8 @@ pub struct RouterPlan<'p> {
     pub authority: &'p Path,
     /// All holders of a certificate.
     ///
-    /// Other routers get the right to forward what their own parties may do. Parties without rights
-    /// on the bus get no rules.
+    /// Each party receives the rules of its role, or no rules if its role has no rights on the bus.
+    /// All other routers receive one rule, which allows everything that any party may do.
     pub parties: &'p [Party],
 }
 

@@ -110,7 +110,7 @@ impl SiteFolder {
     /// Opens the existing folder of a site.
     ///
     /// # Errors
-    /// The folder contains no authority.
+    /// The folder lacks the certificate or the private key of an authority.
     pub fn open(folder: &Path) -> Result<Self, AccessError> {
         for file in [AUTHORITY_FILE, AUTHORITY_KEY_FILE] {
             if !folder.join(file).is_file() {

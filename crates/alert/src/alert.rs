@@ -37,7 +37,7 @@ pub struct Alert {
     pub fit: Option<FitVerdict>,
     /// The reasons why the fit is not supported.
     pub fit_reasons: FitReasons,
-    /// Whether the filter follows a sudden change. The loss is then still moving.
+    /// Whether the filter follows a sudden change. The loss is then still changing.
     pub follows_jump: bool,
     /// The reason why no decision is possible. `None` while alerts are decided.
     pub undecided_because: Option<UndecidedBecause>,
@@ -70,7 +70,8 @@ impl Alert {
         said(self) == said(other) && self.acknowledgement == other.acknowledgement
     }
 
-    /// Returns the loss with its interval within this record. `None` while the reference is learnt.
+    /// Returns the loss with the interval due to the uncertainty of this record alone. `None` while
+    /// the reference is learnt.
     pub(crate) fn loss_within_record(&self) -> Option<LossEstimate> {
         self.reference
             .as_ref()

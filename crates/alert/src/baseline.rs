@@ -13,11 +13,11 @@
 //!
 //! b² has the expectation σ_b² + v̄ and n − 1 degrees of freedom. The difference between a further
 //! record and m̄ has two parts. The first is a Student variable with the scale b·√(1 + 1/n), and
-//! the second is the uncertainty of that record. b² includes v̄, which the further record counts
-//! again. This errs on the safe side.
+//! the second is the uncertainty of that record. The further record counts v̄ again, although b²
+//! already includes it. This errs on the safe side.
 //!
-//! A sound structure rarely scatters by more than a quarter between records. With few degrees of
-//! freedom, this limits the tail of the Student variable (`scatter`).
+//! The parameters of a sound structure rarely scatter by more than a quarter between records. With
+//! few degrees of freedom, this limits the tail of the Student variable (`scatter`).
 //!
 //! A single record contains no information about σ_b, but the owner can state it. A further record
 //! then differs from m̄ by a normal variable with the variance σ_b²·(1 + 1/n) + v̄/n.

@@ -4,9 +4,12 @@
 //! unless its scatter was estimated from few records. It is then the sum of a normal and a Student
 //! variable (`scatter`).
 //!
-//! Notation: m, s mean and standard deviation of the parameter; r, s_r the same for the reference
-//! (all ratios to nominal); L loss, so that L = 1 − parameter/reference; Φ the standard normal
-//! distribution function.
+//! Notation:
+//!
+//! - m, s: mean and standard deviation of the parameter, as ratios to nominal
+//! - r, s_r: mean and standard deviation of the reference, as ratios to nominal
+//! - L: loss, 1 − parameter/reference
+//! - Φ: standard normal distribution function
 //!
 //! Source of the interval of a quotient: E. C. Fieller, *Some problems in interval estimation*, J.
 //! R. Stat. Soc. B 16 (1954), 175-185. Independence errs on the safe side if the reference was
@@ -21,7 +24,7 @@ use crate::scatter::{NormalPlusStudent, normal_cdf, root};
 /// Mean and standard deviation of a parameter at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterEstimate {
-    /// Time of the frame, ns.
+    /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
     /// Mean, ratio to nominal.
     pub mean: f64,
@@ -30,7 +33,8 @@ pub struct ParameterEstimate {
 }
 
 impl ParameterEstimate {
-    /// Returns the 95 % interval within the record of the estimate.
+    /// Returns the 95 % interval of the parameter, m ± 1.96 s, as a ratio to nominal. It contains
+    /// the uncertainty of this record only, not the scatter between records.
     pub fn interval(&self) -> CredibleInterval {
         CredibleInterval::of_normal(self.mean, self.std)
     }
@@ -39,7 +43,7 @@ impl ParameterEstimate {
 /// A loss and its 95 % interval, as shares of the reference (0.1 = 10 %).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LossEstimate {
-    /// 1 − m/r
+    /// The loss at the means, 1 − m/r.
     pub loss: f64,
     /// The loss is more than this with probability 0.975.
     pub low: f64,
@@ -63,7 +67,7 @@ impl LossEstimate {
 pub struct ParameterLoss {
     /// Index of the parameter in state order.
     pub parameter: usize,
-    /// Time of the frame, ns.
+    /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
     /// The loss with its interval.
     pub loss: LossEstimate,
@@ -98,8 +102,8 @@ impl ParameterLoss {
 /// Returns the probability that the parameter has lost more than `loss` (share of the reference).
 ///
 /// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter minus (1 − L) times the
-/// reference is normal. If the scatter was estimated from few records, the distribution function of
-/// `scatter` replaces Φ.
+/// reference is normal. If the scatter between records was estimated ([`Reference::scatter`]), the
+/// reference has a Student part. The distribution function of the sum then replaces Φ.
 pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, loss: f64) -> f64 {
     let kept = 1.0 - loss;
     let margin = kept * reference.mean() - estimate.mean;

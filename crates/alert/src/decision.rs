@@ -107,7 +107,7 @@ enum Watching {
     },
 }
 
-/// Whether the estimate rests on measurements.
+/// Whether the estimate comes from measurements or from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Knowledge {
     Measured,
@@ -180,7 +180,7 @@ impl Decision {
             .filter(|_| self.last_alert.is_none() && self.support.decides())
     }
 
-    /// Returns the loss by the last estimate. `None` before the first estimate and while the
+    /// Returns the loss at the last estimate. `None` before the first estimate and while the
     /// reference is being learnt.
     pub fn loss(&self) -> Option<ParameterLoss> {
         let Stage::Watching { reference, .. } = &self.stage else {
@@ -289,9 +289,9 @@ impl Decision {
                     .support
                     .excludes_losses(estimate, reference, &self.rule)
         };
-        // An uncertain estimate can still satisfy or exclude the rule, but it must rest on data. A
-        // narrow prior excludes losses without any data. An estimate that rests on an unmeasured
-        // excitation is never much narrower than its prior.
+        // An uncertain estimate can still satisfy or exclude the rule, but it must come from data.
+        // A narrow prior excludes losses without any data. An estimate that depends on an
+        // unmeasured excitation is never much narrower than its prior.
         let is_learnt = self.knowledge == Knowledge::Measured
             && (self.support.shows_losses(estimate, reference, &self.rule)
                 || (self.is_measured(estimate) && answers()));

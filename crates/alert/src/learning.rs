@@ -63,10 +63,10 @@ impl SpanSummary {
     /// Returns the variance of the difference between a later estimate and the mean of this span,
     /// without the stated variance of the later estimate.
     ///
-    /// Both parts count once. If the estimate wandered beyond its stated deviation, a later
-    /// estimate wanders as well. Its difference to the mean of n independent stretches of the same
-    /// wandering has (n + 1)/(n − 1) times the variance seen in the span. A span contains few
-    /// stretches: n = 2.
+    /// The stated variance and the drift variance count once. If the drift exceeds the stated
+    /// variance, a later estimate drifts as well. Its difference from the mean of n independent
+    /// stretches of the same drift has (n + 1)/(n − 1) times the variance in the span. The excess
+    /// therefore counts this many times, with n = 2, because a span contains few stretches.
     pub fn variance(&self) -> f64 {
         let unstated = (self.drift_variance - self.estimate_variance).max(0.0);
         self.estimate_variance + self.drift_variance + (OF_TWO_STRETCHES - 1.0) * unstated

@@ -70,8 +70,8 @@ impl AlertState {
         })
     }
 
-    /// Continues from `former`, which can rest on another structure file. Alerts that end because
-    /// of it are added to `unsent`.
+    /// Continues from `former`, which may be the state under another structure file. If the new
+    /// file ends an alert, the end is added to [`Self::unsent`].
     pub(crate) fn succeed(mut self, former: Self) -> Self {
         let names = &mut self.basis.parameters;
         let told = former

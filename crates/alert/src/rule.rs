@@ -27,10 +27,13 @@ pub enum ReferenceRule {
 }
 
 impl Rule {
-    /// Creates a rule for `loss` (share, 0 to 1) with probability `credibility` (0 to 1) for
-    /// `sustain_s` (s), against the design value.
+    /// Creates a rule that raises an alert when a loss has had a sufficient probability for long
+    /// enough.
     ///
-    /// A raised alert is cleared below the probability `clear_credibility` (0 to `credibility`).
+    /// - `loss`: share of the reference, 0 to 1. The reference is the design value.
+    /// - `credibility`: required probability of this loss, 0 to 1
+    /// - `sustain_s`: time for which the probability must last (s, 0 to 3.2e8)
+    /// - `clear_credibility`: probability below which a raised alert is cleared, 0 to `credibility`
     ///
     /// # Errors
     /// Returns [`AlertError::Setting`] with the setting, its value and the valid range.
@@ -60,7 +63,7 @@ impl Rule {
         })
     }
 
-    /// Sets the reference of the loss.
+    /// Replaces the reference of the loss, which is the design value by default.
     pub fn with_reference(self, reference: Reference) -> Self {
         Self {
             reference: ReferenceRule::Given(reference),
@@ -68,10 +71,11 @@ impl Rule {
         }
     }
 
-    /// Learns the reference of the loss from the first `span_s` (s).
+    /// Replaces the reference of the loss by the one learnt from the estimates of the first
+    /// `span_s` (s, 0 to 3.2e8).
     ///
     /// # Errors
-    /// Same as [`Rule::new`].
+    /// Returns [`AlertError::Setting`] if the span is out of range.
     pub fn with_learnt_reference(self, span_s: f64) -> Result<Self, AlertError> {
         let span_ns = ns_from_s(check_between(
             "learning time in s",

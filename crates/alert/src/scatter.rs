@@ -1,8 +1,11 @@
 //! The sum of a normal variable and a Student variable. It describes a difference if a part of its
 //! scatter was estimated from few records.
 //!
-//! Notation: X = s·Z + τ·T, with Z standard normal and T Student with ν degrees of freedom; c
-//! largest usual scatter; Φ the standard normal distribution function.
+//! Notation:
+//!
+//! - X = s·Z + τ·T, with Z standard normal and T Student with ν degrees of freedom
+//! - c: largest usual scatter
+//! - Φ: standard normal distribution function
 //!
 //! T = Z'/√w with w = χ²_ν/ν. For a given w, X is therefore normal with variance s² + τ²/w, and
 //!

@@ -22,7 +22,8 @@ const QUESTIONS_WAITING: usize = 16;
 
 /// Maximum product of parameters and frames for which the calling thread processes a block.
 ///
-/// Such a block takes some hundred microseconds, less than the cost of moving it to another thread.
+/// Such a block takes a few hundred microseconds, which is less than the cost of moving it to
+/// another thread.
 const BRIEF: usize = 1_000;
 
 /// What the alert service of one structure needs to start.
@@ -62,7 +63,7 @@ pub struct AlertService {
     questions: Questions,
 }
 
-/// The alerts of one parameter.
+/// The publishers of one parameter.
 #[derive(Debug)]
 struct AlertTopic {
     parameter: Name,
@@ -76,11 +77,11 @@ impl spandrel_service::Service for AlertService {
     type Plan = AlertPlan;
     type Error = AlertError;
 
-    /// Validates the settings and joins the bus. `id` names this instance.
+    /// Validates the settings and joins the bus.
     ///
-    /// `baseline` replaces references that would be learnt, if it contains the parameter. If
-    /// `remembering` is set, the service resumes from its last checkpoint and publishes the state
-    /// of each parameter again. Alerts that a changed structure file does not raise end.
+    /// If [`Monitored::remembering`] is set, the service resumes from its last checkpoint and
+    /// publishes the state of each parameter again. If the structure file has changed since, alerts
+    /// that the new file does not raise end.
     ///
     /// # Errors
     /// Fails if the rules do not match the structure, a name cannot be a key, checkpoints cannot be
@@ -257,7 +258,7 @@ impl AlertService {
         Ok(())
     }
 
-    /// Saves a checkpoint with the new alerts. Returns them for publication, which must not happen
+    /// Saves a checkpoint with the new alerts, and returns the alerts. They must not be published
     /// earlier.
     fn keep(&mut self, alerts: Vec<Alert>) -> Vec<Alert> {
         alerts.iter().for_each(|alert| note(&mut self.log, alert));

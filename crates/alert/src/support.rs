@@ -9,7 +9,8 @@ use crate::{ParameterEstimate, Reference, Rule, probability_of_loss};
 
 /// Time for which a change between decided and undecided must last, ns of measurement time.
 const PERSISTS_NS: i64 = 1_000_000_000;
-/// Factor on the standard deviation until a parameter counts as learnt again. It prevents flapping.
+/// Factor on the standard deviation while a parameter counts as too uncertain. It prevents flapping
+/// between decided and undecided.
 const LEARNT_AGAIN: f64 = 1.1;
 
 /// Whether alerts of a parameter are decided.
@@ -78,8 +79,8 @@ impl Support {
         probability_of_loss(&of_twice_the_loss, reference, loss) >= rule.credibility()
     }
 
-    /// Returns `true` if the estimate excludes a loss of twice the rule's loss, with a probability
-    /// of at most 1 minus the credibility.
+    /// Returns `true` if the estimate excludes a loss of twice the rule's loss: its probability is
+    /// at most 1 minus the credibility.
     ///
     /// The distance from a sound structure to a loss of 2L exceeds the distance from that loss to
     /// L. An estimate can therefore exclude the loss although it is too uncertain to raise an
@@ -94,7 +95,7 @@ impl Support {
             <= 1.0 - rule.credibility()
     }
 
-    /// Returns the estimate, with a larger deviation if the parameter must be learnt again.
+    /// Returns the estimate, with a larger deviation while the parameter counts as too uncertain.
     fn cautious(&self, estimate: &ParameterEstimate) -> ParameterEstimate {
         let slack = if self.because == Some(UndecidedBecause::NothingLearnt) {
             LEARNT_AGAIN
@@ -146,14 +147,14 @@ struct FirstJump {
 /// Time without new alerts after the start of a jump, ns of measurement time.
 ///
 /// After a loss of 60 % in one of five storeys, the estimates of sound storeys were wrong for up to
-/// 6 s although the fit was supported again.
+/// 6 s. The fit was already supported again.
 const HELD_NS: i64 = 8_000_000_000;
 
 /// Maximum time without new alerts after the first jump, ns of measurement time.
 ///
 /// It applies while the verdict on the fit is worse than before the jump. If the fit remained
-/// doubtful after a loss of 60 %, sound storeys were up to 35 % too low with narrow intervals, for
-/// 20 s.
+/// doubtful after a loss of 60 %, the estimates of sound storeys were up to 35 % too low for 20 s.
+/// Their intervals were narrow.
 const LONGEST_HELD_NS: i64 = 30_000_000_000;
 
 impl Jump {

@@ -153,7 +153,7 @@ fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     )
 }
 
-/// Returns the words for a loss that is still moving, with its lower limit.
+/// Returns a loss that is still changing in words, with its lower limit.
 fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&Alert>) -> String {
     let has_risen = before
         .is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);

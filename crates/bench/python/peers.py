@@ -1,4 +1,4 @@
-"""The same filter of the same building with what Python has: filterpy and SciPy's expm, and plain NumPy with expm.
+"""Runs the same filter of the same building in Python, with filterpy and with plain NumPy. Both use expm of SciPy.
 
 Reads the building and its samples (JSON, written by the benchmark `peers`) and prints one line of JSON for each filter:
 name, times of the steps with a prediction (s), and the last mean of the state. Versions are those of requirements.txt:

@@ -88,8 +88,8 @@ impl Building {
         ExtendedKalmanFilter::new(self.structure.model(), self.settings.clone())
     }
 
-    /// Creates the same filter with all noise levels known and without start-up aid or limits, as
-    /// in the peers.
+    /// Creates the same filter with all noise levels known, without start-up aid and limits. The
+    /// filters in Python work like this.
     ///
     /// # Errors
     /// The settings do not fit the model.

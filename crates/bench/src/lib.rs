@@ -6,7 +6,7 @@
 //! - [`dense`]: a textbook filter with dense matrices
 //! - [`floor`]: operations and bytes of a step, and the speed of this machine
 //! - [`timing`]: times of single steps
-//! - [`python`]: the peers in Python, from `python/peers.py`
+//! - [`python`]: the filters in Python for comparison (the peers), from `python/peers.py`
 //! - [`table`]: the table and the plot
 
 pub mod building;

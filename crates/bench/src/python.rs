@@ -1,4 +1,4 @@
-//! The peers in Python.
+//! The filters in Python for comparison, here called peers: filterpy and NumPy, both with SciPy.
 //!
 //! They are in `python/peers.py`. The interpreter must have the packages of `requirements.txt`.
 
@@ -48,7 +48,8 @@ pub struct PythonPeer {
     pub mean: Vec<f64>,
 }
 
-/// Runs the peers on the first `frames` frames of a building.
+/// Runs the filters of `python/peers.py` on the first `frames` frames of a building, each on one
+/// core.
 ///
 /// # Errors
 /// The interpreter cannot be run, or the script fails.

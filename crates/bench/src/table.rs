@@ -12,15 +12,15 @@ pub struct Row {
     pub storeys: usize,
     /// Spandrel's filter with fading memory and identified noise.
     pub spandrel: f64,
-    /// Spandrel's filter with known noise, as in the peers.
+    /// Spandrel's filter with known noise, as in the other filters of this table.
     pub spandrel_known: f64,
-    /// Lower bound from operations and bytes.
+    /// Lower bound from operations and bytes ([`crate::floor`]).
     pub floor: f64,
-    /// Dense nalgebra with a matrix exponential.
+    /// Textbook filter with dense nalgebra matrices and a matrix exponential ([`crate::dense`]).
     pub dense: f64,
-    /// filterpy with SciPy's `expm`.
+    /// Filter of the Python library filterpy, with SciPy's `expm`.
     pub filterpy: f64,
-    /// NumPy with SciPy's `expm`.
+    /// Textbook filter with NumPy matrices and SciPy's `expm`.
     pub numpy: f64,
 }
 

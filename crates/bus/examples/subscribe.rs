@@ -1,4 +1,5 @@
-//! Prints the parameters of the demo as they are published: run `spandrel demo` beside it.
+//! Prints the parameters of the demo as they are published. Run `spandrel demo` in another
+//! terminal.
 
 use spandrel_bus::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode, ParameterDisplay};
 use std::io::Write;

@@ -88,7 +88,8 @@ impl Arrivals {
         self.last_ns.is_some_and(|last_ns| !self.is_live(last_ns))
     }
 
-    /// Returns the arrival time of the last live value, on the clock of the caller.
+    /// Returns the arrival time of the last live value, on the clock of the caller. Returns `None`
+    /// before the first live value.
     #[must_use]
     pub fn heard(&self) -> Option<Duration> {
         self.heard

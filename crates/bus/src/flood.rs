@@ -7,8 +7,8 @@ use std::time::Duration;
 
 /// Maximum number of messages of one key per second, and in one burst.
 ///
-/// The limits are far above the rate of a record at full speed (a few thousand per second), and far
-/// below the decoding rate of a reader.
+/// The limits are far above the rate of a record at full speed, which is a few thousand per second.
+/// They are far below the decoding rate of a reader.
 const PER_SECOND: u32 = 10_000;
 const AT_ONCE: u32 = 20_000;
 /// Maximum number of keys per reader. Names come from structure files, so that no site has nearly

@@ -118,8 +118,8 @@ pub struct FollowCounts {
 const HELD_BLOCKS: usize = 256;
 /// Number of fetches without a reply after which missing items are abandoned.
 const MAX_FAILURES: u32 = 8;
-/// The same limit if no source is available: with the pauses between them 0.15 s, so that the items
-/// after the gap are not late as well.
+/// The same limit if no source is available. The fetches and the pauses between them take 0.15 s,
+/// so that the items after the gap are not late as well.
 ///
 /// It is above 1 because the declaration of the source may arrive after its first blocks.
 const MAX_FAILURES_WITHOUT_BUFFER: u32 = 3;

@@ -45,8 +45,8 @@ struct Page {
     forgotten: usize,
 }
 
-/// End of a block in its page: items and bytes since the start of the page, and the publication
-/// time relative to the page.
+/// End of a block in its page: items and bytes since the start of the page. The publication time is
+/// relative to that of the page.
 #[derive(Clone, Copy, Debug, Default)]
 struct Place {
     items: u32,

@@ -78,7 +78,8 @@ pub struct Claims {
 }
 
 impl Claims {
-    /// Returns the highest claim that this process knows, including its own.
+    /// Returns the highest claim that this process knows, including its own. Returns `None` if it
+    /// knows no claim.
     #[must_use]
     pub fn leading(&self) -> Option<Claim> {
         leading(&self.watch.present())
@@ -120,8 +121,8 @@ impl Bus {
 
     /// Queries the network for the highest current claim.
     ///
-    /// The reply includes all earlier claims of other processes, unless their link is lost or does
-    /// not reply in time.
+    /// The replies include all earlier claims of other processes, except those whose link is lost
+    /// or which do not reply within `timeout`. Returns `None` without any claim.
     ///
     /// # Errors
     /// Fails if Zenoh rejects the key expression or the session is closed.
@@ -135,8 +136,8 @@ impl Bus {
         ))
     }
 
-    /// Queries the leading identification for its state. Returns `None` without a valid reply in
-    /// time.
+    /// Queries the identification services of a structure for their state, and returns the state
+    /// with the highest term. Returns `None` without a valid reply within `timeout`.
     ///
     /// # Errors
     /// Fails if Zenoh rejects the key or the session is closed.

@@ -198,8 +198,8 @@ impl fmt::Display for SpanQuery {
 mod tests {
     use super::*;
 
-    /// Regression test: the end of a span was rounded up to the start of the next span, so that
-    /// both replies contained the first point of the next span.
+    /// Regression test: the end of a span was rounded up to the start of the next span. Both
+    /// replies then contained the first point of the next span.
     #[test]
     fn a_query_is_read_back_to_the_nanosecond() {
         let at_ns = 1_671_532_441_000_000_000;

@@ -37,7 +37,7 @@ pub struct Remembering {
     pub every: Duration,
 }
 
-/// The checkpoints of one identity in a folder.
+/// The checkpoints of one service and structure in a folder.
 #[derive(Debug, Clone)]
 pub struct Checkpoints {
     folder: PathBuf,
@@ -92,7 +92,7 @@ impl Checkpoints {
     }
 
     /// Renames the checkpoint at `place`, whose content is invalid although its file is intact, so
-    /// that it is not read again.
+    /// that it is not read again. Returns the path of the file and the reason `why`.
     pub fn refuse(&self, place: Place, why: String) -> (PathBuf, Refusal) {
         let why = Refusal::Content(why);
         (set_aside(&self.path(place), &why), why)
@@ -137,8 +137,10 @@ impl Checkpoints {
         self.load(self.places().unwrap_or_default().into_iter().rev(), open)
     }
 
-    /// Returns the result of `restore` for the newest usable state that `restore` accepts. Files
-    /// rejected on the way are renamed.
+    /// Passes usable states to `restore`, newest first, until it accepts one. Returns the position
+    /// of this state and the result of `restore`, or `None` if it accepts no state.
+    ///
+    /// A file that is unusable, or whose state `restore` rejects, is renamed and logged.
     pub fn recall<T: DeserializeOwned, R, E: Display>(
         &self,
         mut restore: impl FnMut(T) -> Result<R, E>,
@@ -170,8 +172,9 @@ impl Checkpoints {
 
     /// Removes the checkpoints that are no longer required.
     ///
-    /// Keeps the last two, the newest one at or before `needed`, and all later ones, but at most
-    /// `MOST_KEPT` files.
+    /// Keeps the last two checkpoints, the newest one at or before `needed`, and all later ones,
+    /// but at most `MOST_KEPT` files. With `None`, nobody needs an earlier checkpoint, and only the
+    /// last two are kept.
     ///
     /// # Errors
     /// A file cannot be removed.

@@ -117,8 +117,7 @@ impl spandrel_service::Service for DashboardService {
     type Plan = DashboardPlan;
     type Error = DashboardError;
 
-    /// Binds the address, subscribes to the bus and declares the liveliness tokens. `id` names this
-    /// instance.
+    /// Binds the address, subscribes to the bus and declares the liveliness tokens.
     ///
     /// # Errors
     /// - The process cannot listen on the address.

@@ -1,4 +1,4 @@
-//! Present state and bounded past of one structure, updated from messages. It uses neither clock nor
+//! Present state and bounded past of one structure, updated from messages, without clock or
 //! network.
 
 use crate::about::About;

@@ -1,8 +1,9 @@
-//! A system that is no structure: a vehicle whose position is observed, and whose velocity and acceleration are not.
+//! Tracks a vehicle, as an example of a system that is not a structure. Only its position is
+//! measured. The filter estimates position, velocity and acceleration.
 //!
-//! It drives straight, then on two semicircles: Huang & Yuen (2023), §2.3.1. The filter knows of a constant acceleration
-//! that is shaken by an unknown jerk, and finds the noise of the position by itself. Run with
-//! `cargo run -p spandrel-filter --example vehicle`.
+//! The vehicle drives straight, then on two semicircles: Huang & Yuen (2023), §2.3.1. The model of
+//! the filter is a constant acceleration, disturbed by an unknown jerk. The filter also identifies
+//! the variance of the position noise. Run with `cargo run -p spandrel-filter --example vehicle`.
 
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
@@ -14,13 +15,13 @@ use spandrel_filter::{
 };
 use std::f64::consts::PI;
 
-/// Length of the way (s), a position every second.
+/// Number of measured positions, one per second.
 const SECONDS: usize = 462;
-/// The first semicircle begins (s).
+/// Start of the first semicircle (s).
 const TURN: f64 = 60.0;
 /// Angular velocity on the semicircles (rad/s): 201 s for each.
 const ANGULAR_VELOCITY: f64 = PI / 201.0;
-/// Standard deviation of an observed position (m), which the filter is not told.
+/// Standard deviation of the noise of a measured position (m). The filter does not know it.
 const POSITION_STD: f64 = 5.0;
 
 /// `y = [x, ẋ, ẍ, y, ẏ, ÿ]` (m, m/s, m/s²), driven by the jerk in both directions (m/s³).
@@ -68,7 +69,8 @@ impl ProcessModel for Vehicle {
         (out[(2, 0)], out[(5, 1)]) = (1.0, 1.0);
     }
 
-    /// The eigenvalues are all zero; the rate of 1/s stands for the terms of the series that a second needs.
+    /// Returns 1/s although all eigenvalues are zero, so that the series has enough terms for a
+    /// step of 1 s.
     fn rate_bound(&self) -> f64 {
         1.0
     }
@@ -98,7 +100,7 @@ impl ObservationModel for Vehicle {
     }
 }
 
-/// Position (m) and velocity (m/s) after `time_s`.
+/// Returns the true position (m) and velocity (m/s) at `time_s` (s).
 fn truth(time_s: f64) -> ([f64; 2], [f64; 2]) {
     let angle = ANGULAR_VELOCITY * (time_s - TURN);
     let speed = 100.0 * ANGULAR_VELOCITY;
@@ -119,7 +121,8 @@ fn truth(time_s: f64) -> ([f64; 2], [f64; 2]) {
     )
 }
 
-/// A jerk of 0.14 m/s³, and positions whose noise is to be found, from a first guess of 10 m.
+/// Returns a random jerk with the known standard deviation 0.14 m/s³, and a position noise to be
+/// identified. Its initial standard deviation is 10 m.
 fn noise() -> NoiseModel {
     let mut noise = NoiseModel::known(DMatrix::identity(2, 2) * 0.02, DMatrix::zeros(2, 2));
     noise.parameters.push(NoiseParameter {

@@ -190,8 +190,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Sets the noise parameters `psi` (N_ψ) to known levels, for example from a schedule.
     ///
-    /// The next step starts from these levels. Every rule except [`NoiseRule::Fixed`](crate::NoiseRule::Fixed) then updates
-    /// them.
+    /// The next step starts from these levels. Every rule except [`Fixed`](crate::NoiseRule::Fixed)
+    /// then updates them.
     ///
     /// # Errors
     /// Returns an error if the number of levels does not fit the model, or if a level is not

@@ -152,7 +152,8 @@ impl Sum {
     }
 }
 
-/// Misfit of all parameters between two steps.
+/// Sums of scores and published variances of all parameters between two steps, as a part of the
+/// filter state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MisfitState {
     parameters: Vec<ParameterMisfit>,

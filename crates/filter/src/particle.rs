@@ -87,7 +87,7 @@ pub struct ParticleStep {
     pub effective_size: f64,
     /// Standard deviation of the weights over their mean after this frame.
     pub coefficient_of_variation: f64,
-    /// The particles were resampled before this frame.
+    /// `true` if the particles were resampled before this frame.
     pub resampled: bool,
 }
 
@@ -102,7 +102,8 @@ pub struct ParticleState {
     ancestors: Vec<u32>,
     steps: u64,
     seed: u64,
-    /// The particles already belong to the time of the next frame, so there is no previous input.
+    /// `true` if the particles already belong to the time of the next frame, so that there is no
+    /// previous input.
     fresh: bool,
     /// Input of the last frame, NaN where it was missing (p).
     previous_input: DVector<f64>,

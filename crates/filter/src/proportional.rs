@@ -80,7 +80,7 @@ struct Substep {
 pub(crate) struct Transition {
     blocks: Blocks,
     accelerations: Accelerations,
-    /// The step uses the accelerations instead of the blocks.
+    /// `true` if the step uses the accelerations instead of the blocks.
     through_accelerations: bool,
 }
 

@@ -238,7 +238,7 @@ pub(crate) fn multiply_to(arch: Arch, p: &DMatrix<f64>, x: &DMatrix<f64>, out: &
 
 /// Computes each column of `out` as a weighted sum of the columns of `left`.
 struct Combine<'m, W> {
-    /// Adds the sums to the existing values.
+    /// `true` to add the sums to the existing values, `false` to replace them.
     adds: bool,
     left: &'m [f64],
     weight: W,

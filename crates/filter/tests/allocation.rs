@@ -21,7 +21,8 @@ use spandrel_filter::{
 const MASSES: usize = 8; // n = 19: all dimensions above the size from which nalgebra's products allocate
 const STIFFNESS: f64 = 5000.0;
 
-/// Masses of 1 kg on a spring each, y = [x, ẋ, θ, α, β]: ẍ = −θ k (x + β ẋ) − α ẋ + f, all accelerations without f observed.
+/// Masses of 1 kg, each on its own spring: `ẍ = −θ k (x + β ẋ) − α ẋ + f`, with the state `y = [x,
+/// ẋ, θ, α, β]`. The sensors measure all accelerations, without `f`.
 #[derive(Debug, Clone)]
 struct Springs {
     state: DVector<f64>,

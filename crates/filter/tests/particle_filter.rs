@@ -40,13 +40,15 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// ẍ + 2ζω ẋ + ω² x = f + w, y = [x, ẋ, ω, ζ]; displacement is observed, and velocity or the acceleration, which feels the force.
+/// An oscillator: `ẍ + 2ζω ẋ + ω² x = f + w`, with the state `y = [x, ẋ, ω, ζ]`. The sensors
+/// measure the displacement, and either the velocity or the acceleration. The acceleration depends
+/// directly on the force.
 #[derive(Debug, Clone, Default)]
 struct Oscillator {
     process: [f64; 4],
     observed: [f64; 4],
     force: [f64; 2],
-    /// the direct term of sensors that feel the force
+    /// Feedthrough of the force to the sensors, if any.
     felt: Option<DMatrix<f64>>,
 }
 

@@ -110,10 +110,12 @@ pub struct Fusion {
 }
 
 impl Fusion {
-    /// Creates the station of a structure. `epoch` must be higher at each start.
+    /// Creates the station of a structure. `source` names it in the headers of its messages.
+    /// `epoch` must be higher at each start.
     ///
     /// # Errors
-    /// Fails if identification is not distributed or the station rejects its settings.
+    /// Fails if identification is not distributed, the station rejects its settings, or a name in
+    /// the structure file cannot be part of a key.
     pub fn new(
         structure: &Structure,
         source: impl Into<String>,
@@ -241,7 +243,8 @@ impl Fusion {
 
     /// Returns the time up to which all data are processed, in ns.
     ///
-    /// This is the time of the last fusion or, after all nodes have ended, of the last sample.
+    /// This is the time of the last fusion or, after all nodes have ended, of the last sample. It
+    /// is `None` while neither exists.
     #[must_use]
     pub fn done_ns(&self) -> Option<i64> {
         if !self.ended {
@@ -270,7 +273,7 @@ impl Fusion {
         self.nodes.iter().map(Node::channel_names)
     }
 
-    /// Adds to the number of bytes sent to a node.
+    /// Adds `bytes` to the count of bytes sent to the node with the index `node`.
     pub fn count_sent(&mut self, node: usize, bytes: u64) {
         if let Some(node) = self.nodes.get_mut(node) {
             node.bytes_sent += bytes;
@@ -339,7 +342,8 @@ impl Fusion {
         heard(Pace::Live).any(|node| !node.is_over()) || heard(Pace::Replayed).next().is_none()
     }
 
-    /// Returns whether the nodes measure live or replay a record. `None` before the first message.
+    /// Returns [`Pace::Live`] while a live node has not ended, or if no node replays a record.
+    /// Otherwise returns [`Pace::Replayed`], and before the first message `None`.
     pub fn pace(&self) -> Option<Pace> {
         let is_heard = self.nodes.iter().any(|node| node.heard_ever);
         is_heard.then(|| {

@@ -261,7 +261,8 @@ impl Node {
         ))
     }
 
-    /// Returns the state of the node after the last fusion. `is_over` is the same as for `judge`.
+    /// Returns the state of the node after the last fusion. `is_over` is the same as for
+    /// [`Self::judge`].
     pub(crate) fn display(
         &self,
         structure: &Name,

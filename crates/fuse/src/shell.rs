@@ -37,7 +37,8 @@ const MESSAGES_WAITING: usize = 1024;
 /// What the fusion of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct FusePlan {
-    /// The instance. The time of its clock is the epoch of the estimates.
+    /// The instance. Its clock sets the epoch of the estimates, so it must show a later time at
+    /// each start.
     pub instance: Instance,
     /// The structure.
     pub monitored: Monitored,
@@ -73,8 +74,7 @@ impl spandrel_service::Service for FuseService {
 
     /// Validates the settings and joins the bus.
     ///
-    /// `id` names this instance, and `epoch` must be higher at each start. If `remembering` is set,
-    /// the station resumes from its last checkpoint.
+    /// If [`Monitored::remembering`] is set, the station resumes from its last checkpoint.
     ///
     /// # Errors
     /// Fails if the nodes do not identify the structure, checkpoints cannot be written, or the bus

@@ -21,8 +21,9 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
-/// The stored topics, and the log of the alert service. The log includes changes that were published
-/// while there was no link, and changes that a former run of this service did not write.
+/// The stored topics, and the log of the alert service. The log includes changes that were
+/// published during a loss of the link, and changes that an earlier run of this service did not
+/// write.
 const NEEDS: Needs = Needs {
     topics: &[
         T::Parameters,
@@ -107,8 +108,7 @@ impl spandrel_service::Service for HistoryService {
     type Plan = HistoryPlan;
     type Error = HistoryError;
 
-    /// Opens the database, subscribes to messages and announces liveliness tokens. `id` names this
-    /// instance.
+    /// Opens the database, subscribes to messages and announces liveliness tokens.
     ///
     /// If a server does not reply yet, or a disk is full or fails, the service retries later. A
     /// path that cannot contain a file is an error.

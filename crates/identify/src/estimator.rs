@@ -67,7 +67,8 @@ impl Estimator {
         Ok(Self::Particles(Box::new(particles)))
     }
 
-    /// Processes one frame.
+    /// Processes one frame. Returns the result of the step, such as the number of used channels.
+    /// The estimates are available from the other methods.
     ///
     /// # Errors
     /// Fails if the frame has the wrong size, or if the estimation has diverged and must be
@@ -95,7 +96,8 @@ impl Estimator {
         }
     }
 
-    /// Resets the motion and keeps everything else.
+    /// Discards the motion after a gap that is too long to bridge: the physical state returns to
+    /// its prior. Parameters, noise levels and plausibilities remain.
     pub fn forget_motion(&mut self) {
         match self {
             Self::Filter(filter) => filter.forget_motion(),
@@ -158,8 +160,8 @@ impl Estimator {
         }
     }
 
-    /// Returns the covariance of two parameters. For one model, it includes the contribution of the
-    /// misfit.
+    /// Returns the covariance of the parameters with the indices `i` and `j` in file order (ratios
+    /// to nominal). For one model, it includes the contribution of the misfit.
     #[must_use]
     pub fn parameter_covariance(&self, i: usize, j: usize) -> f64 {
         match self {
@@ -169,8 +171,10 @@ impl Estimator {
         }
     }
 
-    /// Returns mean and standard deviation of a linear combination of entries (from 0) of the
-    /// physical state.
+    /// Returns mean and standard deviation of a linear combination of the physical state.
+    ///
+    /// Each of the `terms` is the index of a state entry, from 0, and its factor. The results have
+    /// the unit of the sum, for example m for displacements.
     ///
     /// With several model classes, it uses the most plausible class.
     #[must_use]
@@ -196,7 +200,8 @@ impl Estimator {
         (value, variance.max(0.0).sqrt())
     }
 
-    /// Returns `true` if the last step kept a parameter at one of its bounds.
+    /// Returns `true` if the last step kept a parameter, given by its index in file order, at one
+    /// of its bounds.
     #[must_use]
     pub fn is_at_bound(&self, parameter: usize) -> bool {
         match self {

@@ -235,7 +235,7 @@ impl NodeIdentification {
     }
 
     /// Returns the number of the message whose feedback must arrive before replayed samples
-    /// continue.
+    /// continue. Returns `None` if nothing is awaited.
     #[must_use]
     pub fn awaits(&self) -> Option<u64> {
         self.stream.and_then(|stream| stream.awaits)
@@ -247,7 +247,7 @@ impl NodeIdentification {
         self.done
     }
 
-    /// Returns the time (ns) of the last filtered sample.
+    /// Returns the time (ns) of the last filtered sample, or `None` before the first one.
     #[must_use]
     pub fn last_ns(&self) -> Option<i64> {
         self.stream.map(|stream| stream.last_ns)

@@ -41,7 +41,8 @@ type ProcessNodeInput = fn(&mut NodeIdentification, NodeInput, &mut Vec<NodeOutp
 pub struct NodeServicePlan {
     /// The session.
     pub bus: Bus,
-    /// The wall clock. Its time is the epoch of the estimates.
+    /// The wall clock. It sets the epoch of the estimates, so it must show a later time at each
+    /// start.
     pub clock: Clock,
     /// The structure.
     pub monitored: Monitored,
@@ -86,10 +87,10 @@ impl spandrel_service::Service for NodeService {
     type Plan = NodeServicePlan;
     type Error = IdentifyError;
 
-    /// Validates the settings and joins the bus. `epoch` must be higher at each start.
+    /// Validates the settings and joins the bus.
     ///
-    /// If `remembering` is set, the worker resumes from its last checkpoint and reads later samples
-    /// from the sensor's buffer.
+    /// If [`Monitored::remembering`] is set, the worker resumes from its last checkpoint and reads
+    /// later samples from the sensor's buffer.
     ///
     /// # Errors
     /// Fails if the node cannot run its own identification, checkpoints cannot be written, or the

@@ -99,10 +99,10 @@ impl spandrel_service::Service for IdentifyService {
     type Plan = IdentifyPlan;
     type Error = IdentifyError;
 
-    /// Validates the settings and joins the bus. `id` names this instance.
+    /// Validates the settings and joins the bus.
     ///
-    /// The service resumes from its last checkpoint if `remembering` is set, or from the state of
-    /// the leader.
+    /// The service resumes from its last checkpoint if [`Monitored::remembering`] is set, or from
+    /// the state of the leader.
     ///
     /// # Errors
     /// Fails if the filter cannot be created, checkpoints cannot be written, or the bus rejects a

@@ -170,7 +170,7 @@ impl Listener {
         Some(Input::Present(present))
     }
 
-    /// Returns the number of messages that `gather` has returned, without misplaced ones.
+    /// Returns the number of messages that [`Self::gather`] has returned, without misplaced ones.
     #[must_use]
     pub fn taken(&self) -> u64 {
         self.taken

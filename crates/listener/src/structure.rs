@@ -234,7 +234,8 @@ impl StructureState {
         self.now
     }
 
-    /// Returns the time since the last live data, or `None` before the first.
+    /// Returns the time since a parameter or noise level last arrived live, or `None` before the
+    /// first.
     ///
     /// Values replayed from the recording do not count.
     #[must_use]
@@ -242,14 +243,14 @@ impl StructureState {
         Some(self.now.saturating_sub(self.arrivals.heard()?))
     }
 
-    /// Returns the time since the last live data, if the data is stale.
+    /// Returns [`Self::silence`] if it exceeds [`STALE_AFTER`], and otherwise `None`.
     #[must_use]
     pub fn stale_for(&self) -> Option<Duration> {
         self.silence().filter(|silence| *silence > STALE_AFTER)
     }
 
-    /// Returns the time since the last status of an instance, if the status is stale. Returns
-    /// `None` also without any status.
+    /// Returns the time since the last status of an instance, if it exceeds [`STALE_AFTER`].
+    /// Returns `None` for a newer status, and without a status.
     #[must_use]
     pub fn status_stale_for(&self, instance: &InstanceState) -> Option<Duration> {
         instance.status.as_ref()?;
@@ -271,7 +272,7 @@ impl StructureState {
         self.arrivals.is_live(time_ns)
     }
 
-    /// Returns `true` if the last value comes from the recording.
+    /// Returns `true` if the last parameter or noise level comes from the recording.
     #[must_use]
     pub fn is_from_the_recording(&self) -> bool {
         self.arrivals.is_from_the_recording()
@@ -299,7 +300,8 @@ impl StructureState {
         pace_told(self.statuses().map(|(_, status)| status))
     }
 
-    /// Returns the loss of an alert's parameter by its newest value, if that is newer than the alert.
+    /// Returns the newest loss of an alert's parameter in words, if it is newer than the alert and
+    /// belongs to the same rule.
     #[must_use]
     pub fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
         self.losses.get(&alert.parameter)?.since(alert)

@@ -81,7 +81,7 @@ impl Structures {
         self.structures.iter()
     }
 
-    /// Returns one structure.
+    /// Returns one structure, or `None` if its name is unknown.
     #[must_use]
     pub fn structure(&self, name: &Name) -> Option<&StructureState> {
         self.structures.get(name)

@@ -151,8 +151,8 @@ impl ChannelColumn {
     }
 
     /// Declares that the channel is a `quantity` in the unit that the recording states. If that
-    /// unit is missing or unknown, the numbers are in SI units. The calibration applies after the
-    /// conversion to SI.
+    /// unit is missing or unknown, the numbers are in SI units. The conversion to SI precedes the
+    /// calibration, which then applies to numbers in SI units.
     pub fn in_unit_of_file(self, quantity: Quantity) -> Self {
         Self {
             file_unit: Some(quantity),
@@ -181,8 +181,7 @@ impl ChannelColumn {
         }
     }
 
-    /// Sets the calibration: `scale` in column units per number in the file, and `offset` in column
-    /// units.
+    /// Sets the calibration: the value in column units is `scale` × number in the file + `offset`.
     ///
     /// # Errors
     /// [`RecordError::Calibration`] if a value is not finite or the scale is zero.
@@ -290,7 +289,8 @@ impl TimeUnit {
         }
     }
 
-    /// Returns the unit for a symbol: `s`, `ms`, `us`, `µs` or `ns`.
+    /// Returns the unit for a symbol: `s`, `ms`, `us`, `µs` or `ns`. Returns `None` for any other
+    /// text.
     pub fn of_symbol(symbol: &str) -> Option<Self> {
         match symbol {
             "s" => Some(Self::Seconds),

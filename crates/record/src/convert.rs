@@ -42,8 +42,10 @@ impl OutputFormat {
 }
 
 impl RecordedFile {
-    /// Converts all channels to one sampling rate in Hz, on one time grid. [`crate::resample`]
-    /// describes the filter.
+    /// Converts all channels to the sampling rate `rate_hz` (Hz), on one time grid that contains
+    /// the time of the earliest sample. [`crate::resample`] describes the filter.
+    ///
+    /// Channels that already have this rate to 0.1 % remain unchanged, with their own times.
     ///
     /// # Errors
     /// The rate is not positive and finite, or a channel has no sampling rate.

@@ -48,7 +48,8 @@ impl EstimateWriter {
         self.csv.write_row(time_ns, &self.row)
     }
 
-    /// Flushes buffered rows to the file.
+    /// Flushes buffered rows to the file. Dropping the writer without this call may silently lose
+    /// the last rows.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -68,7 +68,7 @@ impl Format {
         })
     }
 
-    /// Returns the format that the first bytes of a file prove.
+    /// Returns the format that the first bytes of a file prove, or `None` if they prove none.
     pub fn of_content(head: &[u8]) -> Option<Self> {
         let binary = [
             (mcap::is_mcap(head), Self::Mcap),

@@ -39,7 +39,7 @@ impl RecordWriter {
         }
     }
 
-    /// Writes buffered data to the file.
+    /// Completes the file. Dropping the writer without this call may silently lose the last rows.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -19,13 +19,13 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Creates a segment whose first sample was taken at `start_ns` (ns). `NaN` is a missing
-    /// sample.
+    /// Creates a segment whose first sample was taken at `start_ns` (ns since the [`TimeOrigin`] of
+    /// its channel). The samples are in the unit of the channel, `NaN` if missing.
     pub fn new(start_ns: i64, samples: Vec<f64>) -> Self {
         Self { start_ns, samples }
     }
 
-    /// Returns the time of the first sample, in ns.
+    /// Returns the time of the first sample, in ns since the [`TimeOrigin`] of the channel.
     pub fn start_ns(&self) -> i64 {
         self.start_ns
     }
@@ -39,7 +39,7 @@ impl Segment {
 /// A run of missing samples between two existing ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Gap {
-    /// Time of the last sample before the gap, in ns.
+    /// Time of the last sample before the gap, in ns since the [`TimeOrigin`] of the channel.
     pub after_ns: i64,
     /// Number of missing samples.
     pub samples: u64,
@@ -180,7 +180,8 @@ impl RecordedChannel {
         self.unit.as_deref().and_then(Quantity::of_unit)
     }
 
-    /// Returns the description of location and direction from the file.
+    /// Returns the description of location and direction from the file, or `None` if the file has
+    /// none.
     pub fn description(&self) -> Option<&str> {
         self.description.as_deref()
     }
@@ -212,20 +213,21 @@ impl RecordedChannel {
             .flat_map(|segment| segment.samples.iter().copied())
     }
 
-    /// Returns the time of the first sample, in ns.
+    /// Returns the time of the first sample, in ns since [`Self::origin`]. Returns `None` without
+    /// samples.
     pub fn start_ns(&self) -> Option<i64> {
         self.segments.first().map(|segment| segment.start_ns)
     }
 
-    /// Returns the time of the last sample, in ns. Returns `None` without samples or without a
-    /// rate.
+    /// Returns the time of the last sample, in ns since [`Self::origin`]. Returns `None` without
+    /// samples or without a rate.
     pub fn end_ns(&self) -> Option<i64> {
         let (segment, rate_hz) = (self.segments.last()?, self.sampling_rate_hz?);
         Some(time_of(segment, segment.samples.len() - 1, rate_hz))
     }
 
-    /// Returns times and values in order, including missing samples. Without a rate, the iterator
-    /// is empty.
+    /// Returns times (ns since [`Self::origin`]) and values in order, including missing samples.
+    /// Without a rate, the iterator is empty.
     pub fn timed_samples(&self) -> impl Iterator<Item = (i64, f64)> + '_ {
         self.sampling_rate_hz.into_iter().flat_map(move |rate_hz| {
             self.segments.iter().flat_map(move |segment| {

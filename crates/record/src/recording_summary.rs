@@ -42,9 +42,10 @@ pub struct ChannelSummary {
     /// Whether the times are dates in UTC. Otherwise they are relative to the start of the
     /// recording.
     pub is_dated: bool,
-    /// Time of the first sample, in ns.
+    /// Time of the first sample, in ns: since 1970 if `is_dated`, otherwise since the start of the
+    /// recording. `None` without samples.
     pub start_ns: Option<i64>,
-    /// Time from the first to the last sample, in s.
+    /// Time from the first to the last sample, in s. `None` without samples or without a rate.
     pub span_s: Option<f64>,
     /// Number of samples that are not missing.
     pub samples: u64,

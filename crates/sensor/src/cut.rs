@@ -144,8 +144,8 @@ impl Cutter {
         self
     }
 
-    /// Skips samples of frames before number `next`. Ingest has already built these frames from the
-    /// samples of an earlier run of the nodes.
+    /// Skips all samples whose nearest frame in the grid `frames` has a number below `next`. Ingest
+    /// has already built these frames from the samples of an earlier run of the nodes.
     #[must_use]
     pub fn resuming(mut self, frames: TimeGrid, next: u64) -> Self {
         self.resume = Some((frames, next));

@@ -87,7 +87,8 @@ impl RowsPut {
 }
 
 impl Window {
-    /// Returns `true` if a batch of `rows` rows may follow `put`.
+    /// Returns `true` if a batch of `rows` rows may follow the batches in `put`, given the
+    /// `progress` of one service. `None` means that the service has not reported any.
     ///
     /// Progress beyond the published rows belongs to an earlier run over the same record and is
     /// ignored.
@@ -106,7 +107,8 @@ impl Window {
         put.after(done_ns) + rows <= self.rows.max(rows)
     }
 
-    /// Returns `true` if everything up to the last sample, at `last_ns` (ns), has been processed.
+    /// Returns `true` if the service that reports `progress` has processed everything up to the
+    /// last sample, at `last_ns` (ns).
     #[must_use]
     pub fn all_done(&self, last_ns: i64, progress: &Progress) -> bool {
         // The frame of the last sample is at most half a step before it.

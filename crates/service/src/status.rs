@@ -13,7 +13,8 @@ use crate::{Clock, Instance};
 /// Interval between status messages.
 pub const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// What a service reports of itself. The fields are those of [`Status`].
+/// What a service reports about itself. [`StatusPublisher::put`] adds the other fields of
+/// [`Status`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// Number of the first unprocessed item.
@@ -40,7 +41,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Returns the time between the last processed item and now, in seconds.
+    /// Returns the time between the last processed item and now, in seconds. Returns `None` without
+    /// a processed item.
     #[must_use]
     pub fn lag_s(&self, clock: &Clock) -> Option<f64> {
         self.processed_ns
@@ -59,7 +61,7 @@ pub struct StatusPublisher {
 }
 
 impl StatusPublisher {
-    /// Declares the topic.
+    /// Declares the status topic of one instance of `service`, for the structure of `keys`.
     ///
     /// # Errors
     /// The bus rejects the declaration.
@@ -78,7 +80,7 @@ impl StatusPublisher {
         })
     }
 
-    /// Publishes a report with the present time.
+    /// Publishes a report with the present time, and with the lag behind it.
     ///
     /// # Errors
     /// The report is malformed, or the session is closed.

@@ -9,21 +9,18 @@
 //!   `damping_ratio` (share of critical) and `sensitivity`. The latter is the relative change of
 //!   the frequency per relative change of each parameter, in the order of `parameters`
 //! - `time_step`: `highest_frequency_hz`, `rate_times_step` (bound of the highest rate times the
-//!   time step), `substeps` of each step, and `series_order` (number of terms of the series in each
-//!   substep)
+//!   time step), `substeps` of each step, and `series_order` (number of terms of the matrix
+//!   exponential beyond the identity)
 //! - `after_s`: length of the data for `std_after`
 //! - `memory_s`: equivalent length of the data in fading memory. If no filter settles on this
 //!   structure, `after_s` and `memory_s` are `null`, and the next three fields are empty
-//! - `parameters`: list of objects with these fields:
-//!   - `name`, `prior_mean`, `prior_std`, `std_after`
-//!   - `std_steady`: standard deviation in the long run, with fading memory
-//!   - `std_reported`: standard deviation that the filter reports in the long run
-//!   - `settling_s`: time in which an error falls to a third, `null` for never
-//!   - `dynamic_sensitivity`: shift of the predicted data of one frame for a change of 1 %, in
-//!     standard deviations of the data
-//!   - `verdict`: the most serious finding for the parameter, in words
-//!   - `shifts`: shift of the estimate if a stated noise level is 10 % too high, in the order of
-//!     `noise_levels`
+//! - `parameters`: list of objects with these fields: - `name`, `prior_mean`, `prior_std`,
+//!   `std_after` - `std_steady`: standard deviation in the long run, with fading memory -
+//!   `std_reported`: standard deviation that the filter reports in the long run - `settling_s`:
+//!   time in which an error falls to 1/e (37 %), `null` for never - `dynamic_sensitivity`: shift of
+//!   the predicted data of one frame for a change of 1 %, in standard deviations of the data -
+//!   `verdict`: the most serious finding for the parameter, in words - `shifts`: shift of the
+//!   estimate if a stated noise level is 10 % too high, in the order of `noise_levels`
 //! - `noise_levels`: list of objects with these fields:
 //!   - `name`, `std` as the file states it in `unit`, and whether `adapted`
 //!   - `relative_std_after`: relative deviation of the level after the data, if it were adapted

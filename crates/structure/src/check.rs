@@ -49,7 +49,8 @@ pub struct ModeReport {
     pub period_s: f64,
     /// Damping ratio.
     pub damping_ratio: f64,
-    /// Relative change of the frequency per relative change of each parameter, `∂ln f/∂θ`.
+    /// Relative change of the frequency per relative change of each parameter, `∂ln f/∂θ`, in state
+    /// order. It is 0 for a parameter that scales neither mass nor stiffness.
     pub sensitivity: Vec<f64>,
 }
 
@@ -60,16 +61,17 @@ pub struct TimeStepReport {
     pub highest_frequency_hz: f64,
     /// Upper bound of the highest rate of the model times the time step, at the prior.
     pub rate_times_step: f64,
-    /// Number of equal substeps in each step.
+    /// Number of equal substeps in each time step.
     pub substeps: usize,
-    /// Number of terms of the series in each substep.
+    /// Number of terms beyond the identity in the series of the matrix exponential, in each
+    /// substep.
     pub series_order: usize,
 }
 
 /// Information of the sensors about parameters and noise levels.
 #[derive(Debug, Clone, Serialize)]
 pub struct IdentificationReport {
-    /// Length of the data (s) for the `after` values.
+    /// Length of the data (s) for the values `std_after` and `relative_std_after`.
     pub duration_s: f64,
     /// Length of the data (s) that corresponds to the fading memory, `Δt/(λ − 1)`.
     pub memory_s: f64,
@@ -90,16 +92,18 @@ pub struct ParameterReport {
     pub name: String,
     /// Standard deviation before any data.
     pub prior_std: f64,
-    /// Standard deviation after the duration.
+    /// Standard deviation after [`IdentificationReport::duration_s`] of data.
     pub std_after: f64,
-    /// Standard deviation in the long run, with fading memory: the information in the data.
+    /// Standard deviation in the long run that the data support, with fading memory.
     pub std_steady: f64,
-    /// Standard deviation that the filter will report in the long run.
+    /// Standard deviation that the filter will report in the long run. It is smaller than
+    /// `std_steady` if the filter counts more information than the data contain.
     pub std_reported: f64,
-    /// Time (s) in which the filter reduces an error of this parameter to a third (1/e).
+    /// Time (s) in which the filter reduces an error of this parameter to 1/e (37 %).
     ///
-    /// It equals the memory if the filter uses all the information it counts. It is infinite if the
-    /// filter hardly forgets an error.
+    /// It is about [`IdentificationReport::memory_s`] if all the information that the filter counts
+    /// also corrects the parameter. It is infinite above 100 times the memory, or if the linearised
+    /// error does not decay.
     pub settling_s: f64,
     /// Change of the predicted data of one frame per 1 % change of the parameter.
     ///

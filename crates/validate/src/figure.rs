@@ -145,7 +145,7 @@ pub struct Figure {
     pub judgement: Judgement,
     /// Measured number, or `None` if it could not be determined.
     pub measured: Option<f64>,
-    /// Reason why a miss is expected, or `None` if a miss is a surprise. The requirement remains
+    /// Reason why a miss is expected, or `None` if a miss fails the run. The requirement remains
     /// that of the specification.
     #[serde(default)]
     pub known_miss: Option<String>,
@@ -184,7 +184,8 @@ impl Figure {
         self
     }
 
-    /// States why this figure is known to miss its requirement, and how far: a miss beyond the limits is a surprise.
+    /// States why this figure is known to miss its requirement, as [`Figure::known_miss()`] does,
+    /// if the measured number is within `limits`. A miss beyond them fails the run.
     #[must_use]
     pub fn known_miss_within(self, limits: Required, reason: &str) -> Self {
         match self.measured {

@@ -49,7 +49,8 @@ pub struct Plot {
     pub abscissa: String,
     /// Quantity and unit of the ordinate.
     pub ordinate: String,
-    /// Range of the ordinate, if a start value far off would hide the rest.
+    /// Lower and upper limit of the ordinate. `None` shows all points. A limit is useful if a
+    /// distant start value would flatten the curves.
     pub range: Option<(f32, f32)>,
     /// Curves.
     pub series: Vec<Series>,

@@ -158,7 +158,7 @@ impl CaseReport {
             });
             let merged = &mut self.figures[at];
             merged.measured[position] = figure.measured;
-            // a miss is known only if that of every seed is
+            // A miss is known only if the misses of all seeds are known.
             merged.known_miss = merged.known_miss.take().and(known_miss);
         }
         if self.plots.is_empty() && self.tables.is_empty() {

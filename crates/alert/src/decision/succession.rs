@@ -42,8 +42,8 @@ impl Decision {
         }
     }
 
-    /// Ends a decision that no rule of the structure file continues. Returns `None` if it had no
-    /// active alert.
+    /// Ends a decision whose rule is no longer in the structure file. Returns the alert for its
+    /// last state, cleared or normal, with the reason `end`. Returns `None` if no alert was active.
     pub(crate) fn ended(mut self, end: &End) -> Option<Alert> {
         let state = match self.state() {
             AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed => {

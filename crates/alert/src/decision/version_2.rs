@@ -40,7 +40,8 @@ impl From<Decision> for crate::Decision {
                 .map(|estimate| (estimate, EstimateFlags::working())),
             last_alert: former.last_alert.map(Into::into),
         };
-        // The filter of those estimates does not continue: the present one starts from its prior.
+        // The filter that made those estimates does not continue. The present filter starts from
+        // its prior.
         decision.handle(Input::NewSource, &mut Vec::new());
         decision
     }

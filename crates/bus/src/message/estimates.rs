@@ -25,16 +25,16 @@ pub enum Phase {
 pub struct EstimateFlags {
     /// Operating phase of the filter.
     pub phase: Phase,
-    /// The filter was restarted from its prior at this frame.
+    /// `true` if the filter was restarted from its prior at this frame.
     pub restarted: bool,
-    /// No channel was usable, so that the estimate is the prediction.
+    /// `true` if no channel was usable, so that the estimate is the prediction.
     pub prediction_only: bool,
     /// Verdict on the fit. `None` for the station of distributed identification and for particle
     /// filters, which do not assess the fit.
     pub fit: Option<FitVerdict>,
     /// Reasons why the verdict is not supported.
     pub fit_reasons: FitReasons,
-    /// The filter follows a sudden change, so that the estimates are still moving.
+    /// `true` while the filter follows a sudden change. The estimates are then still changing.
     pub follows_jump: bool,
 }
 

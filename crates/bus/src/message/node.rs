@@ -50,8 +50,9 @@ pub struct NodeDisplay {
     /// Time of the first of the uninterrupted fusions without a usable message of the node, ns
     /// since the Unix epoch, UTC.
     pub silent_since_ns: Option<i64>,
-    /// Time of the last message, ns since the Unix epoch, UTC: its arrival by the station's clock
-    /// or, for replayed samples, the time of its last sample.
+    /// Time of the last message, ns since the Unix epoch, UTC. For live samples, this is the
+    /// arrival time by the station's clock. For replayed samples, it is the time of the last sample
+    /// in the message.
     pub heard_ns: Option<i64>,
     /// Share of the fusions that excluded the node.
     pub excluded_share: f64,

@@ -301,7 +301,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         self.state.calibrations
     }
 
-    /// Returns the settings of the full model.
+    /// Returns the settings of the full model, in which each component is a parameter of its own.
     #[must_use]
     pub fn template(&self) -> &FilterSettings {
         &self.template

@@ -30,7 +30,8 @@ const QUANTILE_95: f64 = 1.96;
 pub(super) struct Limited {
     /// Number of clamped entries.
     pub(super) states: usize,
-    /// The data moved a parameter to its limit, so that its interval excludes the prior mean.
+    /// `true` if the data moved a parameter to its limit, so that its interval excludes the prior
+    /// mean.
     pub(super) rests_on_bound: bool,
 }
 

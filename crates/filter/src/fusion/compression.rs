@@ -89,9 +89,10 @@ impl Weights {
 /// - Samples: by instant and channel, in sensor units, NaN for a missing sample, without variances
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CompressedMotion {
-    /// Means.
+    /// Means, in the order and units of [`CompressedMotion`].
     pub mean: DVector<f64>,
-    /// Variances, all positive. Empty for samples, because their noise is known.
+    /// Variances of the entries of `mean`, in their squared units, all positive. Empty for samples,
+    /// because the noise of a sample is known.
     pub variance: DVector<f64>,
 }
 

@@ -16,7 +16,8 @@ pub struct GlobalDetector {
     pub screening: f64,
     /// Outlier probability at and above which a suspicious node is excluded, 0.5 in the source.
     pub exclusion: f64,
-    /// Excludes the farthest node and repeats the test, instead of testing all nodes at once.
+    /// `true` if the test excludes the farthest node and is repeated, instead of testing all nodes
+    /// at once.
     ///
     /// One node with a gross error then makes no other node suspicious.
     pub one_at_a_time: bool,
@@ -70,7 +71,8 @@ impl Default for GlobalDetector {
 pub struct NodeDistance {
     /// `d`: simplified Mahalanobis distance from all other nodes, (7.52).
     pub distance: f64,
-    /// The node is suspicious. This fusion excludes it, unless weights are graded.
+    /// `true` if the node is suspicious. The fusion excludes it, unless the detector uses
+    /// [`Weighting::Graded`].
     pub excluded: bool,
     /// `min(1, limit²/d²)`, where `d` is the distance from the regular nodes; 1 for a node that is
     /// not suspicious.

@@ -70,7 +70,7 @@ impl Gaussian {
         self.covariance.diagonal().as_slice().to_vec()
     }
 
-    /// Returns the information form.
+    /// Returns the information form, `Δ = Σ⁻¹` and `δ = Σ⁻¹ μ`.
     ///
     /// # Errors
     /// Returns an error if the covariance is not positive definite or a number is not finite.
@@ -111,7 +111,7 @@ impl Information {
         self.vector /= growth;
     }
 
-    /// Returns mean and covariance.
+    /// Returns the mean `μ = Δ⁻¹ δ` and the covariance `Σ = Δ⁻¹`.
     ///
     /// # Errors
     /// Returns an error if the matrix is not positive definite or a number is not finite.

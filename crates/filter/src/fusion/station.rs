@@ -48,18 +48,20 @@ impl Refusal {
 /// The result of a fusion for one node.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct NodeReport {
-    /// The node has sent a message since the previous fusion, and it is not stale.
+    /// `true` if the node has sent a message since the previous fusion, and the message is not
+    /// stale.
     pub heard: bool,
     /// Distance of the node from the others. `None` without a detector or without a message.
     pub distance: Option<f64>,
-    /// The fusion excluded the node.
+    /// `true` if the fusion excluded the node.
     pub excluded: bool,
     /// Weight of the information that the node has learnt.
     ///
     /// It is 1 for a regular node, less for a discounted node, and 0 for an excluded node or
     /// without a message.
     pub weight: f64,
-    /// The fusion ignored the node's motion, because its time differs from that of most nodes.
+    /// `true` if the fusion ignored the node's motion, because its time differs from that of most
+    /// nodes.
     pub out_of_step: bool,
 }
 
@@ -78,10 +80,10 @@ pub struct Fused {
     pub nodes: Vec<NodeReport>,
     /// Answers by node, to its last message. `None` without a message.
     pub feedback: Vec<Option<Feedback>>,
-    /// The fused means were out of range, and the station restarted from the prior.
+    /// `true` if the fused means were out of range, and the station restarted from the prior.
     pub started_anew: bool,
-    /// The station adopted the information of its nodes, because they knew more from a past that it
-    /// does not know.
+    /// `true` if the station adopted the information of its nodes, because they knew more from a
+    /// past that it does not know.
     pub adopted: bool,
 }
 
@@ -262,7 +264,8 @@ impl Station {
         }
     }
 
-    /// Returns the time of the last fusion (fusion periods).
+    /// Returns the time of the last fusion (fusion periods), or `None` before the first fusion
+    /// since the start or since [`Station::restore`].
     #[must_use]
     pub fn last_fusion(&self) -> Option<f64> {
         self.at

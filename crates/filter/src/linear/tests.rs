@@ -360,7 +360,8 @@ fn scaling_all_noises_scales_the_covariances_and_not_the_estimates() {
 
 #[test]
 fn levels_of_the_same_ratio_give_the_same_state() {
-    // Yuen et al. (2013), acceptance 10: once the prior is forgotten, the ratio of the levels is all that a gain knows
+    // Yuen et al. (2013), acceptance 10: once the prior is forgotten, the gain depends only on the
+    // ratio of the levels.
     let (mut large, mut small) = (scaled(1.0, 1.0), scaled(0.01, 1.0));
     let mut differences = [0.0; 2];
     for k in 0..4000 {
@@ -427,8 +428,9 @@ fn gap_ages_the_levels_and_nothing_else() {
 
 #[test]
 fn displacement_that_nothing_observes_winds_up_alone() {
-    // Huang & Yuen (2023), chapter 2, §5 check 12: fading alone makes 2^75 = 3.8e22 of its deviation in 150 000 steps of half-life
-    // 2000; here a mass on a dashpot, whose displacement appears in no equation
+    // Huang & Yuen (2023), chapter 2, §5 check 12: with a half-life of 2000 steps, fading alone
+    // multiplies the deviation by 2^75 = 3.8e22 in 150 000 steps. The system is a mass on a
+    // dashpot. Its displacement appears in no equation.
     let filter = |kept: usize| {
         let system = DMatrix::from_row_slice(2, 2, &[0.0, 1.0, 0.0, -0.5]);
         let input = DMatrix::from_row_slice(2, 1, &[0.0, 1.0]);

@@ -13,7 +13,8 @@ use std::fmt::Write as _;
 
 /// Largest share of the frames of a recording in which the data may contradict the model.
 ///
-/// Beyond it, little more than the start remains, where the filter has not detected the contradiction.
+/// Above this share, little remains except the start, when the filter has not yet detected the
+/// contradiction.
 const LARGEST_CONTRADICTED: f64 = 0.95;
 
 /// Identifies each recording from its start and writes the mean and scatter of each parameter.

@@ -388,7 +388,8 @@ pub fn fit_words(display: &FitDisplay) -> String {
     format!("{}: {}", display.verdict.as_str(), display.words())
 }
 
-/// Returns the leading class with its plausibility, and the believed class if it differs.
+/// Returns the most plausible class with its plausibility, and the number of calibrations. Adds the
+/// last class with a lasting lead if it is a different one.
 pub fn leading_class(display: &ModelClassDisplay) -> String {
     let ModelClassDisplay {
         leading,

@@ -7,7 +7,8 @@ const STEP_NS: i64 = 2_000_000_000;
 /// Maximum number of entries, three minutes.
 const LONGEST: usize = 90;
 
-/// Means over steps of measurement time, oldest first.
+/// Means of the values of one parameter, over steps of [`STEP_NS`] of measurement time. It contains
+/// at most the last [`LONGEST`] steps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Trail {
     /// Number of the newest step, time / [`STEP_NS`].
@@ -23,8 +24,9 @@ struct Step {
 }
 
 impl Trail {
-    /// Adds a value (ratio to nominal) at `time_ns`. A time before the trail, or long after it,
-    /// starts a new trail.
+    /// Adds a value (ratio to nominal) at `time_ns` (ns since the Unix epoch, UTC). A time before
+    /// the trail, or more than [`LONGEST`] steps after it, starts a new trail. A time within the
+    /// trail first deletes all later steps.
     pub fn push(&mut self, time_ns: i64, value: f64) {
         let number = time_ns.div_euclid(STEP_NS);
         let back = usize::try_from(self.newest.saturating_sub(number)).unwrap_or(0);

@@ -81,9 +81,9 @@ pub enum Finding {
     SlowToSettle {
         /// Name of the parameter.
         parameter: String,
-        /// Time (s) in which an error falls to a third.
+        /// Time (s) in which the filter reduces an error to 1/e (37 %).
         settling_s: f64,
-        /// Time (s) expected from the memory of the filter.
+        /// Length of the memory of the filter (s), which would be the time without this finding.
         memory_s: f64,
     },
     /// An adapted noise level will follow every burst.

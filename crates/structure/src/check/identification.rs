@@ -140,10 +140,11 @@ impl Structure {
 
     /// Returns the diagonal of `G⁻¹` (frames) over the `unknown` quantities.
     ///
-    /// An error of these quantities decays as `exp(−k G)`. `G = J⁻¹ F` divided by the memory of
-    /// each quantity (frames): `F` is the information that moves the filter, `J` the information it
-    /// counts. The prior is part of `J`, because the variance is bounded. The result is infinite
-    /// for a quantity without any pull; such a quantity does not affect the other quantities.
+    /// An error of these quantities decays as `exp(−k G)` over `k` frames. `G` is `J⁻¹ F` divided
+    /// by the memory of each quantity (frames). `F` is the information that moves the filter, and
+    /// `J` is the information that it counts. The prior is part of `J`, because the variance is
+    /// bounded. The result is infinite for a quantity that the data do not move. Such a quantity
+    /// does not affect the other quantities.
     fn settling(
         &self,
         information: &Information,

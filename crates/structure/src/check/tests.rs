@@ -534,7 +534,7 @@ fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
 /// Half the samples of a sensor contain as much information as all samples with twice the variance.
 ///
 /// If every node is slower than the frames, the report equals that of a structure with equally slow
-/// frames, except for the information lost between samples.
+/// frames. Only the information between the samples is lost.
 #[test]
 fn slower_nodes_are_counted_by_what_they_measure() {
     let settling = |text: &str| {

@@ -92,7 +92,7 @@ pub(super) struct FusionContext<'c> {
     /// Sampling rate of the structure (Hz).
     pub(super) rate_hz: Option<f64>,
     pub(super) nodes: &'c [Node],
-    /// The file compares model classes.
+    /// `true` if the file compares model classes.
     pub(super) has_classes: bool,
 }
 

@@ -34,7 +34,7 @@ pub(super) fn simulate(text: &str, seconds: f64, run: &Run<'_>) -> Result<Scene,
 const BETA: usize = 2;
 const BETA_BOUND: f64 = 20.0;
 
-/// Runs two channels, one of which is late by one sample and by ten samples.
+/// Runs two channels. The second channel is synchronous, one sample late, or ten samples late.
 pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let seconds = run.pick(100.0, 40.0);
     let scene = simulate(TWO_DOF, seconds, run)?;

@@ -229,7 +229,7 @@ fn measure(
     Ok(())
 }
 
-/// Adds the figures of which class leads when.
+/// Adds the figures that state which class leads at which time.
 fn lead_figures(building: &Building, seen: &Comparison, figures: &mut Vec<Figure>) {
     let named = |what: &str| format!("{} storeys: {what}", building.storeys);
     let [first_s, second_s] = building.damage_s;

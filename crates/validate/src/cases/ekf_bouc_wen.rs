@@ -1,4 +1,4 @@
-//! Chapter 2, §2.4.3: a chain of ten masses with yielding springs, two of which are damaged.
+//! Chapter 2, §2.4.3: a chain of ten masses with yielding springs. Two springs are damaged.
 //!
 //! Not printed and therefore fixed here: masses of 1000 kg, which alone give the printed damping,
 //! start values 20 % too high and too low in turn, and the start-up aid. With the printed intensity
@@ -176,7 +176,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         [[60.0, 100.0], [160.0, 200.0], [260.0, 300.0]],
         [[20.0, 28.0], [38.0, 44.0], [54.0, 60.0]],
     );
-    // A shortened record leaves 10 s after each drop, of which the filter needs 5 to 6.
+    // A shortened record leaves 10 s after each drop. The filter needs 5 to 6 s of them.
     let within = run.pick(0.005, 0.015);
     let mut figures = vec![Figure::new(
         "steps at which a state was clipped",

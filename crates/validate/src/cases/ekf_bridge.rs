@@ -1,4 +1,4 @@
-//! Chapter 2, §2.4.2: a three-pier bridge with seven groups of members, two of which lose 5 % one
+//! Chapter 2, §2.4.2: a three-pier bridge with seven groups of members. Two groups lose 5 %, one
 //! after the other.
 //!
 //! Not printed and therefore fixed here: the size of the damage (from chapter 3), the start values
@@ -340,8 +340,9 @@ mod tests {
 
     #[test]
     fn wide_prior_of_the_motion_locks_the_bridge_at_wrong_factors() {
-        // chapter 2, §5 check 12 and §3.6: locked with deviations of 0.001 to 0.003 at 12 s; at rest and annealed all factors
-        // are within 0.4 %
+        // Chapter 2, §5 check 12 and §3.6. With a wide prior, the filter is locked at 12 s, with
+        // deviations of 0.001 to 0.003. With a start at rest and annealing, all factors are within
+        // 0.4 %.
         let (locked, guarded) = (start(true), start(false));
         println!("wide prior: {locked:.4?}; at rest, annealed: {guarded:.4?}");
         assert!(locked[0] > 0.1, "the wide prior did not lock: {locked:?}");

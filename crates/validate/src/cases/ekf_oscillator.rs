@@ -165,8 +165,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     ];
     let late = || record.truth[10_000..].iter();
     let power = [0, 1].map(|j| rms(late().map(|u| u[j])).powi(2));
-    // the deviations are inverse to the rms of the record, which scatters by a factor of two and a half, as a record of 200 s has
-    // few independent swings: beside the bound of each record they are judged singly, and in the mean over eight
+    // The deviations are inversely proportional to the rms of the record. That rms varies by a
+    // factor of two and a half, because a record of 200 s contains few independent vibrations. The
+    // deviations are therefore judged for each record, as a mean over eight records, and against
+    // the bound of the record.
     for (j, name, low, high) in [(2, "ω (rad/s)", 0.05, 0.08), (3, "ζ", 0.07, 0.12)] {
         let accuracy = &published.late[j];
         let bound =
@@ -282,8 +284,8 @@ mod tests {
         estimates.collect()
     }
 
-    /// The same filter by dense matrices, (2.60) to (2.65); as printed in (2.78) and (2.81), `B_i` and `δ_i` have `A_y` in
-    /// place of `A_y⁻¹`.
+    /// Returns the estimates of the same filter with dense matrices, (2.60) to (2.65). With
+    /// `misprinted`, `B_i` and `δ_i` contain `A_y` instead of `A_y⁻¹`, as in (2.78) and (2.81).
     fn estimates_by_dense_matrices(
         record: &Record,
         lambda: f64,
@@ -337,7 +339,8 @@ mod tests {
 
     #[test]
     fn without_fading_it_is_the_plain_extended_filter() {
-        // chapter 2, §5 check 3, by a second route; to rounding, because series and exponential round differently
+        // Chapter 2, §5 check 3, by another computation. The results agree except for rounding,
+        // which differs between series and exponential.
         for seed in [1, 2, 3] {
             let record = simulate(seed, 2_000);
             let dense = estimates_by_dense_matrices(&record, 1.0, false);

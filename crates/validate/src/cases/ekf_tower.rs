@@ -3,8 +3,9 @@
 //!
 //! The whole tower has 372 states and takes seconds per step. The case uses a surrogate of twelve
 //! beams with the same height and sections, and with the sensors at the nearest nodes. The two
-//! factors scale the bending stiffness in the two directions, each of which has its own energy. The
-//! source instead splits the stiffness matrix by entries, and the resulting parts are indefinite.
+//! factors scale the bending stiffness in the two directions. Each direction has its own energy.
+//! The source instead splits the stiffness matrix by entries, and the resulting parts are
+//! indefinite.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};

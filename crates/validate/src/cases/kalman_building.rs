@@ -17,12 +17,13 @@ const OF_THE_RECORD: &str = "200 s are 33 periods of the first mode: the motion,
 const STEP_S: f64 = 0.005;
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
 const STEPS: usize = 40_000;
-/// Steps after which errors count (20 s).
+/// Number of steps after which errors count (20 s).
 const SETTLED: usize = 4_000;
 /// Number of steps after which the deviations are steady (10 s).
 const STEADY: usize = 2_000;
 
-/// Steady deviations of displacement (m) and velocity (m/s) of floors 1, 30, 60 in a run that is independent of this one.
+/// Steady standard deviations of displacement (m) and velocity (m/s) of floors 1, 30 and 60. They
+/// come from an independent run.
 const STEADY_STD: [[f64; 2]; 3] = [[4.1e-6, 2.1e-4], [9.3e-5, 2.5e-4], [1.3e-4, 2.7e-4]];
 
 /// `M⁻¹ K` (1/s²).
@@ -334,10 +335,11 @@ mod tests {
 
     #[test]
     fn one_strength_of_the_first_mode_gives_all_six_deviations() {
-        // chapter 2, §5 check 6: 4.1e-6, 9.3e-5, 1.3e-4 m and 2.1, 2.5, 2.7e-4 m/s, ± 5 %, reached within 10 s. They depend on the
-        // record through nothing but the noise, 5 % of what it shows, and a record of 200 s differs from the stationary response in
-        // its first mode above all, of which it has 33 periods. How strong that one was is the unknown: found from the
-        // displacement of the roof, it has to give the other five
+        // Chapter 2, §5 check 6: 4.1e-6, 9.3e-5, 1.3e-4 m and 2.1, 2.5, 2.7e-4 m/s, ± 5 %, reached
+        // within 10 s. They depend on the record only through the noise, which is 5 % of the
+        // response. A record of 200 s contains only 33 periods of the first mode. This mode
+        // therefore differs most from the stationary response. Its strength is unknown. The test
+        // finds it from the displacement of the roof. The other five deviations must then agree.
         let model = building();
         let excited = &model.input * &model.excitation_covariance * model.input.transpose();
         let covariance = lyapunov_by_doubling(model.transition.clone(), excited).unwrap();
@@ -374,7 +376,7 @@ mod tests {
             "strength {weak:.3}: {found:?}; of the stationary response {:?}",
             steady(1.0)
         );
-        // as records of 200 s scatter
+        // This is the scatter of records of 200 s.
         assert!((0.8..=1.5).contains(&weak), "strength {weak}");
         for (found, expected) in found.iter().flatten().zip(STEADY_STD.iter().flatten()) {
             assert!(

@@ -337,9 +337,10 @@ mod tests {
 
     #[test]
     fn level_that_the_data_hardly_inform_stays_uncertain() {
-        // ch3 §5, failure signatures: a force needs more than one sample to reach the sensors while the likelihood sees one
-        // step. The published rule takes a level as known once training has ended, so it must stay in training. The scoring rule
-        // goes on learning, so its training ends at its limit, 40 periods = 12.5 s, and the level stays as uncertain as it is.
+        // Chapter 3, §5, failure signatures: a force needs more than one sample to reach the
+        // sensors, but the likelihood covers one step. The published rule treats a level as known
+        // after its training, so it must stay in training. The scoring rule continues to learn. Its
+        // training ends at the limit of 40 periods (12.5 s), and the level remains uncertain.
         for (rule, seconds, phase) in [
             (NoiseRule::Published, 20.0, NoisePhase::Training),
             (NoiseRule::Fisher, 12.0, NoisePhase::Training),

@@ -123,7 +123,7 @@ fn closed_form(case: Case, levels: [f64; 2]) -> Result<[Tabulated; 2], FilterErr
     Ok([right, wrong].map(|covariance| tabulated(|j| covariance[(j, j)].sqrt())))
 }
 
-/// The building, its motion and its stationary errors, of which no record is needed.
+/// Returns figures of the building, its motion and its stationary errors. They need no record.
 fn figures_of_the_building() -> Result<Vec<Figure>, FilterError> {
     let level = held_variance(GROUND_INTENSITY, STEP_S);
     let within = |of, by| Required::Within { of, by };
@@ -199,7 +199,8 @@ fn figures_of_five_starts(record: &Record, run: &Run<'_>) -> Result<Vec<Figure>,
             tall_building::Run::new(record, levels, HALF_LIFE).map_err(ValidateError::setting)?,
         );
     }
-    // when a trial last was apart from the first, and any from another
+    // Last time at which each trial differed from the first by more than 2 %, and at which any two
+    // trials did.
     let (mut apart_s, mut all_apart_s) = ([0.0; 5], 0.0);
     for k in 0..(WITHIN_S / STEP_S) as usize {
         let time_s = (k + 1) as f64 * STEP_S;
@@ -315,7 +316,7 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
     );
 
     let full = |required: Required| run.pick(required, Required::Reported);
-    // records of 150 s hold fewer of the states' own correlation times
+    // A record of 150 s contains fewer correlation times of the states.
     let (most, published_most) = match case {
         Case::Ground => (run.pick(0.0005, 0.001), 1.87e-4),
         Case::ModulatedGround => (0.005, 2.4e-3),
@@ -549,7 +550,8 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
                 top,
                 required,
             ));
-            // both levels follow A_f², whose mean over 100 to 1000 s is 2.458; 1.08e-6 is the ensemble value of the 5 % rule
+            // Both levels are proportional to A_f². Its mean over 100 to 1000 s is 2.458. The
+            // factor 1.08e-6 is the ensemble value of the 5 % rule.
             let squares = (0..90_000).map(|k| case.modulation(100.0 + 0.01 * f64::from(k)).powi(2));
             let level = squares.sum::<f64>() / 9e4;
             let [right, _] =

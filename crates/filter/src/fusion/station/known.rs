@@ -55,7 +55,7 @@ pub(super) struct WaitingEstimate {
     /// Time of the message on the station's clock (fusion periods).
     pub(super) at: f64,
     pub(super) learnt: Option<Information>,
-    /// The node started from a density that this station does not know.
+    /// `true` if the node started from a density that this station does not know.
     pub(super) of_unknown_past: bool,
     pub(super) motion: Option<CompressedMotion>,
     /// Time of the motion (fusion periods of measurement time).

@@ -100,7 +100,8 @@ pub(super) const RMS_3: [[f64; 3]; 20] = [
     [1.138e-3, 5.173e-3, 1.138e-3],
 ];
 
-/// Stationary rms errors in case 1, derived from the levels: with the actual ones and with [10, 10].
+/// Stationary rms errors in case 1, derived from the levels: with the actual levels and with `[10,
+/// 10]`.
 #[rustfmt::skip]
 pub(super) const STATIONARY_1: [[f64; 20]; 2] = [
     [1.0734e-4, 1.9773e-4, 2.7577e-4, 3.4349e-4, 4.0160e-4, 4.5046e-4, 4.9001e-4, 5.1986e-4, 5.3920e-4, 5.4683e-4,

@@ -13,11 +13,14 @@ pub struct Row {
     pub false_alerts: Option<usize>,
     /// Share of the comparisons within the stated interval, 0 to 1.
     pub coverage: Option<f64>,
-    /// Shares of the motion with the verdicts supported, doubtful and contradicted.
+    /// Shares of the frames in motion with the verdicts supported, doubtful and contradicted, 0 to
+    /// 1. A frame is in motion while a measured response exceeds the threshold of its case, and
+    /// shortly afterwards.
     pub verdicts: Option<[f64; 3]>,
-    /// Share of the motion with a decision on every parameter.
+    /// Share of the frames in motion with a decision on every parameter, 0 to 1.
     pub decided_share: Option<f64>,
-    /// Shares of the motion without a decision, by the reason and the first parameter without one.
+    /// Shares of the frames in motion without a decision, 0 to 1, each with the reason and the
+    /// first parameter without a decision.
     #[serde(default)]
     pub undecided: Vec<(String, f64)>,
     /// Requirement in words.
