@@ -298,7 +298,7 @@ impl Beside {
     /// Returns the number of processes that claim to lead the identification.
     async fn leaders(&self) -> usize {
         self.bus
-            .ask_who_is_there(&self.site.keys().all_leaders(), DEADLINE)
+            .query_tokens(&self.site.keys().all_leaders(), DEADLINE)
             .await
             .unwrap()
             .len()

@@ -113,3 +113,23 @@ pub enum AccessError {
         path: PathBuf,
     },
 }
+
+impl AccessError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(
+            self,
+            Self::Party(_)
+                | Self::Exists { .. }
+                | Self::NoSite { .. }
+                | Self::NoHost { .. }
+                | Self::Host { .. }
+                | Self::Days { .. }
+                | Self::NoRouter { .. }
+                | Self::SeveralRouters { .. }
+                | Self::PlainEndpoint { .. }
+                | Self::PathNotText { .. }
+        )
+    }
+}

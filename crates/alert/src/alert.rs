@@ -57,7 +57,7 @@ pub struct Acknowledged {
 impl Alert {
     /// Returns `true` if `other` is the same alert in the same state, possibly with a different
     /// loss.
-    pub(crate) fn says_the_same(&self, other: &Self) -> bool {
+    pub(crate) fn is_same_state(&self, other: &Self) -> bool {
         let said = |alert: &Self| {
             (
                 alert.rule,

@@ -26,7 +26,7 @@ use crate::{
     alert::Acknowledged,
     credibility::{ParameterLoss, loss_estimate, probability_of_loss},
     rule::ReferenceRule,
-    support::{DecidedFrames, Jump, Support, rests_on_bound},
+    support::{DecidedFrames, Jump, Support, is_on_bound},
 };
 
 /// The inputs of a decision.
@@ -275,7 +275,7 @@ impl Decision {
         if flags.fit == Some(FitVerdict::Contradicted) {
             return Some(UndecidedBecause::FitContradicted);
         }
-        if rests_on_bound(estimate, self.subject.bounds) {
+        if is_on_bound(estimate, self.subject.bounds) {
             return Some(UndecidedBecause::ParameterAtBound);
         }
         let Stage::Watching { reference, .. } = &self.stage else {

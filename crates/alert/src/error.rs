@@ -139,3 +139,17 @@ pub enum AlertError {
     #[error(transparent)]
     Bus(#[from] spandrel_bus::BusError),
 }
+
+impl AlertError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(
+            self,
+            Self::File { .. }
+                | Self::BaselineSyntax { .. }
+                | Self::BaselineFormat { .. }
+                | Self::BaselineStructure { .. }
+        )
+    }
+}

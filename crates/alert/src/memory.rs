@@ -141,7 +141,7 @@ const CHANGES_KEPT: usize = 256;
 pub(crate) fn note(log: &mut VecDeque<Alert>, alert: &Alert) {
     let of_rule = |kept: &&mut Alert| (kept.rule, kept.parameter) == (alert.rule, alert.parameter);
     match log.iter_mut().rev().find(of_rule) {
-        Some(last) if alert.revision > 0 && alert.says_the_same(last) => last.clone_from(alert),
+        Some(last) if alert.revision > 0 && alert.is_same_state(last) => last.clone_from(alert),
         Some(_) | None => log.push_back(alert.clone()),
     }
     log.drain(..log.len().saturating_sub(CHANGES_KEPT));
@@ -240,7 +240,7 @@ impl Memory {
 
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
-            let failures = self.failures.in_a_row();
+            let failures = self.failures.consecutive();
             warn!(%error, failures, "cannot save decisions; alerts may be published again after a crash");
         }
     }

@@ -70,7 +70,7 @@ struct AlertTopic {
     publisher: LatestPublisher<AlertMessage>,
     losses: DisplayPublisher<LossDisplay>,
     /// Whether the state of the parameter has been published.
-    is_told: bool,
+    is_published: bool,
 }
 
 impl spandrel_service::Service for AlertService {
@@ -138,7 +138,7 @@ impl AlertService {
                     parameter,
                     publisher,
                     losses,
-                    is_told: false,
+                    is_published: false,
                 });
             }
             let acknowledgements = bus
@@ -253,7 +253,7 @@ impl AlertService {
             }
             // The end of an alert under a former rule does not determine the state under another
             // rule.
-            topic.is_told = standing.is_some();
+            topic.is_published = standing.is_some();
         }
         Ok(())
     }
@@ -392,7 +392,7 @@ impl AlertService {
         let mut last_put: BTreeMap<usize, Alert> = BTreeMap::new();
         for alert in alerts {
             if let Some(topic) = self.alerts.get_mut(alert.parameter) {
-                topic.is_told = true;
+                topic.is_published = true;
                 log(structure, &topic.parameter, &alert);
                 topic
                     .publisher
@@ -426,14 +426,14 @@ impl AlertService {
             .alerts
             .iter_mut()
             .enumerate()
-            .filter(|(_, topic)| !topic.is_told)
+            .filter(|(_, topic)| !topic.is_published)
         {
             if let Some(alert) = self.watch.unannounced(index) {
                 topic
                     .publisher
                     .put(&alert.to_message(structure, &topic.parameter))
                     .await?;
-                topic.is_told = true;
+                topic.is_published = true;
             }
         }
         Ok(())

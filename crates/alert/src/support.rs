@@ -119,7 +119,7 @@ fn twice(rule: &Rule) -> f64 {
 /// The filter moves an estimate outside the bounds to the nearest bound. The next steps then shift
 /// it by a fraction of its standard deviation. An estimate within one standard deviation therefore
 /// still counts as at the bound.
-pub(crate) fn rests_on_bound(estimate: &ParameterEstimate, bounds: (f64, f64)) -> bool {
+pub(crate) fn is_on_bound(estimate: &ParameterEstimate, bounds: (f64, f64)) -> bool {
     estimate.mean - bounds.0 <= estimate.std || bounds.1 - estimate.mean <= estimate.std
 }
 
@@ -347,10 +347,9 @@ mod tests {
     fn estimate_within_a_deviation_of_its_bound_rests_on_it() {
         let bounds = (0.1, 2.0);
         assert!(
-            rests_on_bound(&estimate(0.1, 0.0), bounds)
-                && rests_on_bound(&estimate(1.995, 0.01), bounds)
+            is_on_bound(&estimate(0.1, 0.0), bounds) && is_on_bound(&estimate(1.995, 0.01), bounds)
         );
-        assert!(!rests_on_bound(&estimate(0.12, 0.01), bounds));
+        assert!(!is_on_bound(&estimate(0.12, 0.01), bounds));
     }
 
     /// Processes half-second jumps at `jumps` (s). Returns the last time (s) at which alerts are

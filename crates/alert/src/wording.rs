@@ -181,7 +181,7 @@ pub(crate) enum End {
     /// The rule and the model have changed, so no estimate exists that the rule could apply to.
     RuleAndModelChanged,
     /// The reference of the loss is unknown, because it is learnt again.
-    ReferenceLearntAnew,
+    ReferenceRelearnt,
 }
 
 /// Returns the end of an alert in words.
@@ -196,9 +196,9 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
             probability: found,
         } => {
             let found = RoundedProbability::new(*found, &[from.credibility(), to.credibility()]);
-            let is_counted_anew = from.reference() != to.reference();
-            let asked_by = |rule: &Rule| {
-                let counted = if is_counted_anew {
+            let reference_changed = from.reference() != to.reference();
+            let requirement_of = |rule: &Rule| {
+                let counted = if reference_changed {
                     counted_from(rule.reference())
                 } else {
                     String::new()
@@ -209,7 +209,7 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
                     duration(rule.sustain_ns())
                 )
             };
-            let (from, to) = (asked_by(from), asked_by(to));
+            let (from, to) = (requirement_of(from), requirement_of(to));
             format!(
                 "its rule changed from {from} to {to}; the probability of that loss by the last \
                  estimate is {found}"
@@ -219,7 +219,7 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
             "its rule and the model in the structure file changed, and identification restarts"
                 .to_owned()
         }
-        End::ReferenceLearntAnew => {
+        End::ReferenceRelearnt => {
             "its reference is being learnt again because the rule or the model changed".to_owned()
         }
     };

@@ -225,3 +225,30 @@ pub enum BusError {
         source: ZenohError,
     },
 }
+
+impl BusError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            // A corrected clock or a new certificate resolves this error, so a service manager must
+            // retry.
+            Self::Tls(TlsError::NotInTime { .. }) => false,
+            Self::ConfigFile { .. }
+            | Self::Setting { .. }
+            | Self::Root { .. }
+            | Self::Structure { .. }
+            | Self::ConnectTimeout { .. }
+            | Self::Lease { .. }
+            | Self::TlsOverTcp { .. }
+            | Self::NotARouter { .. }
+            | Self::PathNotText { .. }
+            | Self::Unprotected { .. }
+            | Self::NoCertificateAsked { .. }
+            | Self::Multicast
+            | Self::NoCertificates { .. }
+            | Self::Tls(_) => true,
+            _ => false,
+        }
+    }
+}

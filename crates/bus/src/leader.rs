@@ -126,13 +126,13 @@ impl Bus {
     ///
     /// # Errors
     /// Fails if Zenoh rejects the key expression or the session is closed.
-    pub async fn ask_who_leads(
+    pub async fn query_leader(
         &self,
         keys: &Keys,
         timeout: Duration,
     ) -> Result<Option<Claim>, BusError> {
         Ok(leading(
-            &self.ask_who_is_there(&keys.all_leaders(), timeout).await?,
+            &self.query_tokens(&keys.all_leaders(), timeout).await?,
         ))
     }
 

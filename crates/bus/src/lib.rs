@@ -96,7 +96,7 @@ pub use message::{
     ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState,
     NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, RoundedProbability,
     SampleBlock, ScreenedChannel, Standing, StateMessage, Status, StreamState, ToldMotion,
-    ToldSamples, UndecidedBecause, fit_in_words, is_without_date, pace_told,
+    ToldSamples, UndecidedBecause, fit_in_words, is_without_date, reported_pace,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

@@ -135,7 +135,7 @@ impl Bus {
     ///
     /// # Errors
     /// Fails if Zenoh rejects the key expression or the session is closed.
-    pub fn ask_who_is_there<'a>(
+    pub fn query_tokens<'a>(
         &'a self,
         key_expression: &'a str,
         timeout: Duration,

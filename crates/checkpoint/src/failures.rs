@@ -7,7 +7,7 @@
 #[derive(Debug, Default)]
 pub struct Failures {
     total: u64,
-    in_a_row: u64,
+    consecutive: u64,
 }
 
 impl Failures {
@@ -15,22 +15,22 @@ impl Failures {
     #[must_use]
     pub fn failed(&mut self) -> bool {
         self.total += 1;
-        self.in_a_row += 1;
-        self.in_a_row.is_power_of_two()
+        self.consecutive += 1;
+        self.consecutive.is_power_of_two()
     }
 
     /// Records a success. Returns the number of consecutive failures that it ends, or `None` if
     /// there were none.
     #[must_use]
     pub fn succeeded(&mut self) -> Option<u64> {
-        let ended = std::mem::take(&mut self.in_a_row);
+        let ended = std::mem::take(&mut self.consecutive);
         (ended > 0).then_some(ended)
     }
 
     /// Returns the number of failures since the last success.
     #[must_use]
-    pub fn in_a_row(&self) -> u64 {
-        self.in_a_row
+    pub fn consecutive(&self) -> u64 {
+        self.consecutive
     }
 
     /// Returns the total number of failures under the status key `checkpoints-not-kept`, or `None`
@@ -53,7 +53,7 @@ mod tests {
         assert_eq!((failures.succeeded(), failures.drops()), (None, None));
         let told: Vec<bool> = (0..5).map(|_| failures.failed()).collect();
         assert_eq!(told, [true, true, false, true, false]);
-        assert_eq!(failures.in_a_row(), 5);
+        assert_eq!(failures.consecutive(), 5);
         assert_eq!(
             (failures.succeeded(), failures.succeeded()),
             (Some(5), None)

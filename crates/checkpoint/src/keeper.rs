@@ -104,7 +104,7 @@ impl Keeper {
         if self.failures.failed() {
             warn!(
                 error = why,
-                failures = self.failures.in_a_row(),
+                failures = self.failures.consecutive(),
                 "checkpoint save failed; a crash now would lose more results"
             );
         }
@@ -173,14 +173,14 @@ mod tests {
         .unwrap();
         keeper.keep(at(2), 2_u64, None).await;
         keeper.finish().await;
-        assert_eq!(keeper.failures().in_a_row(), 1);
+        assert_eq!(keeper.failures().consecutive(), 1);
         assert_eq!(
             keeper.checkpoints().recall::<u64, _, CheckpointError>(Ok),
             Some((at(1), 1))
         );
         keeper.keep(at(3), 1_u64, None).await;
         keeper.finish().await;
-        assert_eq!(keeper.failures().in_a_row(), 0);
+        assert_eq!(keeper.failures().consecutive(), 0);
         assert_eq!(
             keeper.failures().drops(),
             Some(("checkpoints-not-kept".to_owned(), 1))

@@ -88,3 +88,20 @@ pub enum DashboardError {
     #[error(transparent)]
     Name(#[from] spandrel_bus::NameError),
 }
+
+impl DashboardError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(
+            self,
+            Self::Unprotected { .. }
+                | Self::Tls(_)
+                | Self::Certificate { .. }
+                | Self::TokenFile { .. }
+                | Self::NotTokens { .. }
+                | Self::NoTokens { .. }
+                | Self::TokenExists { .. }
+        )
+    }
+}

@@ -139,7 +139,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         sentence,
         now,
         worst,
-        lag_s: store.told_lag(lag_s(store)),
+        lag_s: store.displayed_lag(lag_s(store)),
         replayed: store.state.is_replayed(),
         age_s: store.state.silence().map(|silence| silence.as_secs_f64()),
         time_s: store.state.time_ns.map(|time_ns| time_ns as f64 / 1e9),

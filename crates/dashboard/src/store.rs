@@ -215,7 +215,7 @@ impl Store {
 
     fn take(&mut self, change: AlertChange) {
         let AlertChange { alert, was_known } = change;
-        if (was_known || tells_something(&alert)) && !self.revise(&alert) {
+        if (was_known || is_notable(&alert)) && !self.revise(&alert) {
             self.changes.push_front(alert);
             self.changes.truncate(CHANGES_KEPT);
         }
@@ -261,7 +261,7 @@ impl Store {
     /// state of alerts.
     fn take_past(&mut self, log: HistoryLog) {
         for alert in log.alerts {
-            if tells_something(&alert) && !self.revise(&alert) {
+            if is_notable(&alert) && !self.revise(&alert) {
                 let place = self
                     .changes
                     .partition_point(|known| known.time_ns > alert.time_ns);
@@ -302,7 +302,7 @@ impl Store {
     }
 
     /// Returns the lag behind the wall clock if it is meaningful and data arrives.
-    pub(crate) fn told_lag(&self, lag_s: Option<f64>) -> Option<f64> {
+    pub(crate) fn displayed_lag(&self, lag_s: Option<f64>) -> Option<f64> {
         let arrives = self.state.silence().is_some() && self.state.stale_for().is_none();
         lag_s.filter(|_| arrives && self.state.has_lag())
     }
@@ -355,7 +355,7 @@ impl Store {
 
 /// Returns `true` if the first known alert of a parameter counts as a change. A normal or undecided
 /// state does not.
-fn tells_something(alert: &AlertMessage) -> bool {
+fn is_notable(alert: &AlertMessage) -> bool {
     !matches!(
         alert.state,
         AlertState::Normal | AlertState::Learning | AlertState::Undecided

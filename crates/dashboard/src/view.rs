@@ -81,7 +81,7 @@ impl<'s> Standing<'s> {
                 service: key.0.as_str(),
                 id: key.1.as_str(),
                 present: instance.is_some_and(|instance| instance.is_present),
-                lag_s: store.told_lag(status.and_then(|status| status.lag_s)),
+                lag_s: store.displayed_lag(status.and_then(|status| status.lag_s)),
                 status,
             }
         };

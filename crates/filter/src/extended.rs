@@ -172,7 +172,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let limited = self.limit_state();
         let bounded_variances = self.bound_variances();
         self.check_result()?;
-        self.judge_fit(frame, per_channel, limited.rests_on_bound);
+        self.judge_fit(frame, per_channel, limited.is_on_bound);
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
             normalised_innovation_squared: evidence.normalised_innovation_squared,

@@ -98,7 +98,7 @@ pub struct Fusion {
     last_ns: Option<i64>,
     ended: bool,
     /// `true` if nodes have been present and none is now.
-    deserted: bool,
+    all_nodes_gone: bool,
     /// `false` from the event that nothing can be fused until the event that fusion has resumed.
     healthy: bool,
     /// Number of consecutive fusions without a usable estimate.
@@ -173,7 +173,7 @@ impl Fusion {
             next_index: Some(i64::MIN + 1),
             last_ns: None,
             ended: false,
-            deserted: false,
+            all_nodes_gone: false,
             healthy: true,
             without: 0,
             variances: plan.sends_variances(),
@@ -392,7 +392,7 @@ impl Fusion {
             node.present = *present;
         }
         let now = self.nodes.iter().any(|node| node.present);
-        self.deserted = !now && (before || self.deserted);
+        self.all_nodes_gone = !now && (before || self.all_nodes_gone);
         if !before || now || !self.nodes.iter().any(|node| node.heard_ever) {
             return;
         }
@@ -590,7 +590,12 @@ impl Fusion {
         let mut events = Vec::new();
         for (node, report) in self.nodes.iter_mut().zip(&fused.nodes) {
             let mut news = Vec::new();
-            node.judge(*report, node.ended || self.deserted, time_ns, &mut news);
+            node.judge(
+                *report,
+                node.ended || self.all_nodes_gone,
+                time_ns,
+                &mut news,
+            );
             let distance = report.distance.zip(self.distance_limit);
             events.extend(news.into_iter().map(|(kind, what, mut why)| {
                 if let Some((distance, limit)) = distance {
@@ -605,7 +610,7 @@ impl Fusion {
             self.tell(kind, &subject, what, why, time_ns, outputs);
         }
         self.show_nodes(time_ns, outputs);
-        if fused.started_anew {
+        if fused.restarted_from_prior {
             let why = "a fused parameter was outside its plausible range".to_owned();
             self.tell(
                 EventKind::Restart,
@@ -657,7 +662,7 @@ impl Fusion {
             node.display(
                 &self.structure,
                 time_ns,
-                node.ended || self.deserted,
+                node.ended || self.all_nodes_gone,
                 self.distance_limit,
             )
         });

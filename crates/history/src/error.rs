@@ -63,9 +63,17 @@ pub enum HistoryError {
 }
 
 impl HistoryError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::Address { .. })
+    }
+}
+
+impl HistoryError {
     /// Returns `true` if a retry can succeed, for example after a full disk or before a server has
     /// started. A wrong path is permanent.
-    pub(crate) fn may_pass(&self, address: &Address) -> bool {
+    pub(crate) fn is_transient(&self, address: &Address) -> bool {
         match (self, address) {
             (Self::Folder { source, .. } | Self::File { source, .. }, _) => !matches!(
                 source.kind(),

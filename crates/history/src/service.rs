@@ -140,7 +140,7 @@ impl HistoryService {
             let database = Database::new(address)?;
             let waiting = Arc::<Waiting>::default();
             if let Err(error) = database.ready().await {
-                if !error.may_pass(address) {
+                if !error.is_transient(address) {
                     return Err(error);
                 }
                 waiting.failures.fetch_add(1, Ordering::Relaxed);
@@ -342,7 +342,7 @@ async fn write(
     life: String,
     mut stopping: watch::Receiver<bool>,
 ) {
-    let (mut retry_after, mut in_a_row) = (RETRY_AFTER.0, 0_u64);
+    let (mut retry_after, mut consecutive) = (RETRY_AFTER.0, 0_u64);
     loop {
         let batches: Vec<Arc<Batch>> = waiting.backlog().oldest(ROWS_AT_ONCE);
         let Some(last) = batches.last().map(|batch| batch.number) else {
@@ -359,15 +359,15 @@ async fn write(
         match database.write(&life, &batches).await {
             Ok(()) => {
                 waiting.backlog().written(last);
-                if in_a_row > 0 {
-                    info!(failures = in_a_row, "history writes succeed again");
+                if consecutive > 0 {
+                    info!(failures = consecutive, "history writes succeed again");
                 }
-                (retry_after, in_a_row) = (RETRY_AFTER.0, 0);
+                (retry_after, consecutive) = (RETRY_AFTER.0, 0);
             }
             Err(error) => {
                 waiting.failures.fetch_add(1, Ordering::Relaxed);
-                in_a_row += 1;
-                if in_a_row.is_power_of_two() {
+                consecutive += 1;
+                if consecutive.is_power_of_two() {
                     let rows = waiting.backlog().rows();
                     warn!(%error, reason = reason(&error), rows_waiting = rows, "history write failed; retrying");
                 }

@@ -59,3 +59,11 @@ pub enum IdentifyError {
         structure: String,
     },
 }
+
+impl IdentifyError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::StateTooLarge { .. })
+    }
+}

@@ -357,7 +357,7 @@ impl Identification {
     }
 
     /// Returns the number of display values omitted since the last call.
-    pub fn take_shed(&mut self) -> u64 {
+    pub fn take_omitted(&mut self) -> u64 {
         std::mem::take(&mut self.shed)
     }
 

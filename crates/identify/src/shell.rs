@@ -179,7 +179,7 @@ impl IdentifyService {
                 clock: *clock,
             };
             let leader = bus
-                .ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN)
+                .query_leader(&service.keys, standing::WHO_LEADS_WITHIN)
                 .await?;
             service.hear(leader.as_ref());
             match precedence {
@@ -226,7 +226,7 @@ impl IdentifyService {
                         if let Some(decided) = self.alert.latest() {
                             self.seat.release(&decided);
                         }
-                        if !self.look_at_the_load().await? {
+                        if !self.update_load().await? {
                             self.put_status().await?;
                         }
                     }
@@ -297,7 +297,7 @@ impl IdentifyService {
                     return self.revive(from, to).await; // the following frames arrive again
                 };
                 left = rest;
-                self.shed += core.take_shed();
+                self.shed += core.take_omitted();
                 self.core = Some(core);
                 if !self.has_kept_the_lead().await? {
                     return Ok(());
@@ -324,7 +324,7 @@ impl IdentifyService {
         if let (Some(memory), Some(core)) = (&mut self.memory, &self.core) {
             memory.keep_if_due(core).await;
         }
-        self.look_at_the_load().await?;
+        self.update_load().await?;
         Ok(())
     }
 

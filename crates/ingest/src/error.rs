@@ -35,3 +35,11 @@ pub enum IngestError {
     #[error(transparent)]
     Bus(#[from] BusError),
 }
+
+impl IngestError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::Record(RecordError::OtherLog { .. }))
+    }
+}

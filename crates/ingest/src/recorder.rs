@@ -152,7 +152,7 @@ impl Recorder {
         {
             self.write_waiting();
         }
-        self.waiting.lose_what_is_too_much();
+        self.waiting.drop_excess();
     }
 
     /// Returns `true` if no frames wait for the disk.

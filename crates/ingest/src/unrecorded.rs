@@ -61,7 +61,7 @@ impl UnrecordedFrames {
     }
 
     /// Drops the oldest blocks while a limit is exceeded, and counts their frames as lost.
-    pub(crate) fn lose_what_is_too_much(&mut self) {
+    pub(crate) fn drop_excess(&mut self) {
         while self.frames > MOST_FRAMES || self.bytes > MOST_BYTES {
             let Some(oldest) = self.blocks.pop_front() else {
                 return;
@@ -131,7 +131,7 @@ mod tests {
         let mut waiting = UnrecordedFrames::default();
         for k in 0..40 {
             waiting.push(block(k * 128, 128, 4096));
-            waiting.lose_what_is_too_much();
+            waiting.drop_excess();
         }
         assert!(
             waiting.bytes <= MOST_BYTES && waiting.frames() == 32 * 128,
@@ -143,7 +143,7 @@ mod tests {
         let mut waiting = UnrecordedFrames::default();
         for k in 0..3 {
             waiting.push(block(k * 65_536, 65_536, 2));
-            waiting.lose_what_is_too_much();
+            waiting.drop_excess();
         }
         assert_eq!((waiting.frames(), waiting.lost()), (131_072, 65_536));
     }

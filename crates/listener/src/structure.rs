@@ -4,7 +4,7 @@ use crate::input::{Input, Instance};
 use spandrel_bus::{
     AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay, Name,
     NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Service, Status,
-    is_without_date, pace_told,
+    is_without_date, reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -297,7 +297,7 @@ impl StructureState {
     }
 
     fn pace(&self) -> Option<Pace> {
-        pace_told(self.statuses().map(|(_, status)| status))
+        reported_pace(self.statuses().map(|(_, status)| status))
     }
 
     /// Returns the newest loss of an alert's parameter in words, if it is newer than the alert and

@@ -36,3 +36,11 @@ pub enum NotifyError {
     #[error(transparent)]
     Name(#[from] NameError),
 }
+
+impl NotifyError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::Setting { .. } | Self::Secret { .. })
+    }
+}

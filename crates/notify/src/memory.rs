@@ -112,7 +112,7 @@ impl Memory {
 
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
-            let failures = self.failures.in_a_row();
+            let failures = self.failures.consecutive();
             warn!(%error, failures, "cannot save notices; after a crash, notices may be missing or be sent twice");
         }
     }

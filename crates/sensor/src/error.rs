@@ -17,6 +17,14 @@ pub enum SensorError {
     Record(#[from] RecordError),
 }
 
+impl SensorError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::Record(_))
+    }
+}
+
 impl From<std::convert::Infallible> for SensorError {
     fn from(never: std::convert::Infallible) -> Self {
         match never {}

@@ -174,7 +174,7 @@ pub enum AppError {
         "no recipients of notices: the configuration must have at least one [[notify.webhook]] or \
          [[notify.email]]"
     )]
-    NobodyToTell,
+    NoRecipients,
     /// No estimate arrived during a measurement.
     #[error("no estimate was received; check that the measurement is longer than 5 s")]
     NothingMeasured,
@@ -269,10 +269,26 @@ pub enum AppError {
 impl AppError {
     /// Returns the exit code: 2 for bad input files and bad usage, 1 for everything else.
     pub fn exit_code(&self) -> ExitCode {
+        if self.is_bad_input() {
+            ExitCode::from(BAD_INPUT)
+        } else {
+            ExitCode::FAILURE
+        }
+    }
+
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    fn is_bad_input(&self) -> bool {
         match self {
-            // A corrected clock or a new certificate resolves this error, so a service manager must
-            // retry.
-            Self::Bus(BusError::Tls(TlsError::NotInTime { .. })) => ExitCode::FAILURE,
+            Self::Access(error) => error.is_bad_input(),
+            Self::Alert(error) => error.is_bad_input(),
+            Self::Bus(error) => error.is_bad_input(),
+            Self::Dashboard(error) => error.is_bad_input(),
+            Self::History(error) => error.is_bad_input(),
+            Self::Identify(error) => error.is_bad_input(),
+            Self::Ingest(error) => error.is_bad_input(),
+            Self::Notify(error) => error.is_bad_input(),
+            Self::Sensor(error) => error.is_bad_input(),
+            Self::Validate(error) => error.is_bad_input(),
             Self::Structure(_)
             | Self::Record(_)
             | Self::NoConfiguration { .. }
@@ -288,80 +304,21 @@ impl AppError {
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NoPage
-            | Self::Dashboard(
-                DashboardError::Unprotected { .. }
-                | DashboardError::Tls(_)
-                | DashboardError::Certificate { .. }
-                | DashboardError::TokenFile { .. }
-                | DashboardError::NotTokens { .. }
-                | DashboardError::NoTokens { .. }
-                | DashboardError::TokenExists { .. },
-            )
             | Self::NoHistory
-            | Self::NobodyToTell
-            | Self::Notify(NotifyError::Setting { .. } | NotifyError::Secret { .. })
+            | Self::NoRecipients
             | Self::NoStateFolder
             | Self::SyncTime { .. }
-            | Self::History(HistoryError::Address { .. })
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }
             | Self::WarmUpTooLong { .. }
             | Self::Name(_)
-            | Self::Validate(ValidateError::UnknownCase { .. } | ValidateError::File { .. })
-            | Self::Sensor(SensorError::Record(_))
-            | Self::Ingest(IngestError::Record(RecordError::OtherLog { .. }))
-            | Self::Identify(IdentifyError::StateTooLarge { .. })
             | Self::CertificateOfNone { .. }
-            | Self::WrongRole { .. }
-            | Self::Access(
-                AccessError::Party(_)
-                | AccessError::Exists { .. }
-                | AccessError::NoSite { .. }
-                | AccessError::NoHost { .. }
-                | AccessError::Host { .. }
-                | AccessError::Days { .. }
-                | AccessError::NoRouter { .. }
-                | AccessError::SeveralRouters { .. }
-                | AccessError::PlainEndpoint { .. }
-                | AccessError::PathNotText { .. },
-            )
-            | Self::Bus(
-                BusError::ConfigFile { .. }
-                | BusError::Setting { .. }
-                | BusError::Root { .. }
-                | BusError::Structure { .. }
-                | BusError::ConnectTimeout { .. }
-                | BusError::Lease { .. }
-                | BusError::TlsOverTcp { .. }
-                | BusError::NotARouter { .. }
-                | BusError::PathNotText { .. }
-                | BusError::Unprotected { .. }
-                | BusError::NoCertificateAsked { .. }
-                | BusError::Multicast
-                | BusError::NoCertificates { .. }
-                | BusError::Tls(_),
-            )
-            | Self::Alert(
-                AlertError::File { .. }
-                | AlertError::BaselineSyntax { .. }
-                | AlertError::BaselineFormat { .. }
-                | AlertError::BaselineStructure { .. },
-            ) => ExitCode::from(BAD_INPUT),
-            Self::Access(_)
-            | Self::Bus(_)
-            | Self::Ingest(_)
-            | Self::Identify(_)
-            | Self::Fuse(_)
-            | Self::Alert(_)
-            | Self::Dashboard(_)
-            | Self::History(_)
-            | Self::Notify(_)
-            | Self::Sensor(_)
-            | Self::Validate(_)
+            | Self::WrongRole { .. } => true,
+            Self::Fuse(_)
             | Self::FiguresMissed { .. }
             | Self::NothingMeasured
             | Self::Io { .. }
-            | Self::Panicked { .. } => ExitCode::FAILURE,
+            | Self::Panicked { .. } => false,
         }
     }
 

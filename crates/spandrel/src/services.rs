@@ -97,7 +97,7 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
 }
 
 /// Warns of baseline entries without effect, and of parameters that still have to be learnt.
-pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &Path) {
+pub fn warn_unused_baseline(structure: &Structure, baseline: &Baseline, path: &Path) {
     let (path, names) = (path.display(), || {
         structure
             .parameters()
@@ -158,7 +158,7 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
     let baseline = match settings.baselines.get(structure.name()) {
         Some(path) => {
             let baseline = Baseline::read(path)?;
-            tell_unused_baseline(&structure, &baseline, path);
+            warn_unused_baseline(&structure, &baseline, path);
             Some(baseline)
         }
         None => None,

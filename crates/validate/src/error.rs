@@ -61,6 +61,14 @@ pub enum ValidateError {
 }
 
 impl ValidateError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::UnknownCase { .. } | Self::File { .. })
+    }
+}
+
+impl ValidateError {
     /// Returns a function that converts the error of a filter which stopped at a time (s).
     pub(crate) fn at(time_s: f64) -> impl FnOnce(spandrel_filter::FilterError) -> Self {
         move |source| Self::Filter { time_s, source }

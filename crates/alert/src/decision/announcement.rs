@@ -40,7 +40,7 @@ impl Decision {
 
     /// Returns the alert for `state` at the last estimate.
     pub(super) fn alert(&self, state: AlertState) -> Option<Alert> {
-        let (estimate, flags) = self.told_estimate(state)?;
+        let (estimate, flags) = self.announced_estimate(state)?;
         let reference = match &self.stage {
             Stage::Learning { .. } => None,
             Stage::Watching { reference, .. } => Some(*reference),
@@ -69,7 +69,7 @@ impl Decision {
         alert.revision = self
             .last_alert
             .as_ref()
-            .filter(|last| alert.says_the_same(last))
+            .filter(|last| alert.is_same_state(last))
             .map_or(0, |last| last.revision + 1);
         alert.why = describe(&self.subject, &self.rule, &alert, self.last_alert.as_ref());
         Some(alert)
@@ -79,7 +79,7 @@ impl Decision {
     ///
     /// This is the last estimate. For an unconfirmed alert without a decision, it is the last
     /// announced estimate, with the present time.
-    fn told_estimate(&self, state: AlertState) -> Option<(ParameterEstimate, EstimateFlags)> {
+    fn announced_estimate(&self, state: AlertState) -> Option<(ParameterEstimate, EstimateFlags)> {
         let (estimate, flags) = self.last?;
         let is_unsupported =
             state == AlertState::Unconfirmed && self.support.undecided_because().is_some();

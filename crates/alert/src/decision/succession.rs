@@ -35,7 +35,7 @@ impl Decision {
             self.decided = former.decided;
             self.last_alert = former.last_alert.clone().map(|last| self.renumbered(last));
         } else {
-            self.judge_anew(former, model, alerts);
+            self.reevaluate(former, model, alerts);
         }
         if model == Model::Changed {
             self.handle(super::Input::NewSource, alerts);
@@ -64,7 +64,7 @@ impl Decision {
     }
 
     /// Applies the rule of this decision to the state under another rule.
-    fn judge_anew(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
+    fn reevaluate(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
         if former.state() == AlertState::Undecided {
             self.last_alert = former.last_alert.clone().map(|last| self.renumbered(last));
         }
@@ -124,7 +124,7 @@ impl Decision {
     fn end(&self, former: &Self, model: Model) -> Option<End> {
         let (Stage::Watching { reference, .. }, Some((estimate, _))) = (&self.stage, &self.last)
         else {
-            return Some(End::ReferenceLearntAnew);
+            return Some(End::ReferenceRelearnt);
         };
         if model == Model::Changed {
             return Some(End::RuleAndModelChanged);

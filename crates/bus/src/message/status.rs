@@ -105,7 +105,7 @@ const WITHOUT_DATES_BEFORE_NS: u64 = 100_000_000_000_000_000;
 /// For replayed samples, the lag behind the wall clock is meaningless. Returns `None` if no status
 /// reports it.
 #[must_use]
-pub fn pace_told<'s>(statuses: impl Iterator<Item = &'s Status>) -> Option<Pace> {
+pub fn reported_pace<'s>(statuses: impl Iterator<Item = &'s Status>) -> Option<Pace> {
     statuses
         .filter(|status| status.pace.is_some())
         .max_by_key(|status| status.time_ns)?
@@ -166,7 +166,7 @@ mod tests {
             time_ns,
             ..status(pace)
         };
-        let told = |all: &[Status]| pace_told(all.iter());
+        let told = |all: &[Status]| reported_pace(all.iter());
         assert_eq!(told(&[]), None);
         assert_eq!(told(&[status(None)]), None);
         let [live, replayed] = [Some(Pace::Live), Some(Pace::Replayed)];

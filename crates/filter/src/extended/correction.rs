@@ -32,7 +32,7 @@ pub(super) struct Limited {
     pub(super) states: usize,
     /// `true` if the data moved a parameter to its limit, so that its interval excludes the prior
     /// mean.
-    pub(super) rests_on_bound: bool,
+    pub(super) is_on_bound: bool,
 }
 
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
@@ -176,7 +176,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 if j >= first {
                     let off = inside - settings.prior_mean[j];
                     let variance = work.update.variances[j] * widening(j);
-                    limited.rests_on_bound |= off * off > QUANTILE_95 * QUANTILE_95 * variance;
+                    limited.is_on_bound |= off * off > QUANTILE_95 * QUANTILE_95 * variance;
                 }
             }
         }

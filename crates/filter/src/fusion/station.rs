@@ -81,7 +81,7 @@ pub struct Fused {
     /// Answers by node, to its last message. `None` without a message.
     pub feedback: Vec<Option<Feedback>>,
     /// `true` if the fused means were out of range, and the station restarted from the prior.
-    pub started_anew: bool,
+    pub restarted_from_prior: bool,
     /// `true` if the station adopted the information of its nodes, because they knew more from a
     /// past that it does not know.
     pub adopted: bool,

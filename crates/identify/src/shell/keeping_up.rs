@@ -9,7 +9,7 @@ use std::cmp::Ordering;
 impl IdentifyService {
     /// Compares the progress with that of ingest. If the load has changed, publishes it and returns
     /// `true`.
-    pub(super) async fn look_at_the_load(&mut self) -> Result<bool, IdentifyError> {
+    pub(super) async fn update_load(&mut self) -> Result<bool, IdentifyError> {
         if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
             self.pace = status.pace;
         }

@@ -203,8 +203,8 @@ impl IdentifyService {
         // be outdated.
         let ingest = self.keys.all_live(Service::Ingest);
         let (ingest, leader) = tokio::join!(
-            self.bus.ask_who_is_there(&ingest, WHO_LEADS_WITHIN),
-            self.bus.ask_who_leads(&self.keys, WHO_LEADS_WITHIN)
+            self.bus.query_tokens(&ingest, WHO_LEADS_WITHIN),
+            self.bus.query_leader(&self.keys, WHO_LEADS_WITHIN)
         );
         let leader = leader?;
         self.hear(leader.as_ref());
@@ -229,7 +229,7 @@ impl IdentifyService {
         }
         let claim = Claim::new(term, self.bus.instance()?);
         let token = self.bus.claim(&self.keys, &claim).await?;
-        let highest = self.bus.ask_who_leads(&self.keys, WHO_LEADS_WITHIN).await?;
+        let highest = self.bus.query_leader(&self.keys, WHO_LEADS_WITHIN).await?;
         if let Some(other) = highest.filter(|other| *other > claim) {
             self.hear(Some(&other));
             return Ok(token.withdraw().await?);
@@ -317,7 +317,7 @@ impl IdentifyService {
             return Ok(true);
         }
         let own = own.claim.clone();
-        let highest = self.bus.ask_who_leads(&self.keys, WHO_LEADS_WITHIN).await?;
+        let highest = self.bus.query_leader(&self.keys, WHO_LEADS_WITHIN).await?;
         self.awake = Instant::now();
         match highest.filter(|other| *other > own) {
             Some(leader) => self.step_back(leader).await.map(|()| false),

@@ -121,7 +121,7 @@ impl Plan {
             return Err(AppError::NoHistory);
         }
         if services == Services::NOTIFY && settings.notify.is_empty() {
-            return Err(AppError::NobodyToTell);
+            return Err(AppError::NoRecipients);
         }
         settings.notify.check()?;
         let served = if services.has(Service::Dashboard) {

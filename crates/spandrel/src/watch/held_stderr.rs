@@ -61,9 +61,9 @@ impl Held {
 
 /// Buffers the log until dropped.
 #[derive(Debug)]
-pub struct HeldBack(());
+pub struct BufferedStderr(());
 
-impl HeldBack {
+impl BufferedStderr {
     /// Starts buffering if standard error is a terminal. A log that goes to a file continues.
     pub fn start() -> Self {
         if io::stderr().is_terminal() {
@@ -73,7 +73,7 @@ impl HeldBack {
     }
 }
 
-impl Drop for HeldBack {
+impl Drop for BufferedStderr {
     fn drop(&mut self) {
         if let Some(held) = held().take() {
             let mut stderr = io::stderr().lock();

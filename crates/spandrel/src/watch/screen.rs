@@ -1,7 +1,7 @@
 //! The terminal as a screen with keys. It is always restored, even after an error.
 
 use super::draw::draw;
-use super::held_stderr::HeldBack;
+use super::held_stderr::BufferedStderr;
 use super::view::View;
 use crate::error::AppError;
 use ratatui::DefaultTerminal;
@@ -23,7 +23,7 @@ pub struct Screen {
     // log.
     terminal: DefaultTerminal,
     _taken: TakenTerminal,
-    _held: HeldBack,
+    _held: BufferedStderr,
 }
 
 /// Restores the terminal when dropped, even if it was only partly initialised.
@@ -46,7 +46,7 @@ impl Screen {
             let what = what.to_owned();
             move |source| AppError::Io { what, source }
         };
-        let held = HeldBack::start();
+        let held = BufferedStderr::start();
         let taken = TakenTerminal;
         let terminal = ratatui::try_init().map_err(cannot("cannot draw on the terminal"))?;
         let (sender, keys) = flume::bounded(KEYS_WAITING);

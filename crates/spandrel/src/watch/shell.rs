@@ -86,7 +86,7 @@ async fn show_screen(
             view.heard.handle(input, &mut Vec::new());
         }
         view.set_overwritten(listener.refused().values().sum());
-        view.look_for_answer();
+        view.check_acknowledgement();
         let action = match event {
             Some(Event::Key(key)) if key.kind != KeyEventKind::Release => view.key(key),
             _ => None,

@@ -250,7 +250,7 @@ impl View {
 
     /// Reports whether an acknowledgement was accepted, as soon as this is known or the time limit
     /// has passed.
-    pub fn look_for_answer(&mut self) {
+    pub fn check_acknowledgement(&mut self) {
         let Some(Sent {
             structure,
             parameter,
@@ -490,7 +490,7 @@ mod tests {
             let mut view = view(damaged_tower());
             view.heard.handle(at(100), &mut Vec::new());
             view.sent(name("tower"), name("storey-2"));
-            view.look_for_answer();
+            view.check_acknowledgement();
             assert_eq!(
                 view.notice(),
                 Some("acknowledgement of tower/storey-2 sent")
@@ -502,11 +502,11 @@ mod tests {
             Input::Alert(alert("storey-2", 46, AlertState::Acknowledged)),
             &mut Vec::new(),
         );
-        taken.look_for_answer();
+        taken.check_acknowledgement();
         assert_eq!(taken.notice(), Some("tower/storey-2 is acknowledged"));
         let mut lost = sent();
         lost.heard.handle(at(105), &mut Vec::new());
-        lost.look_for_answer();
+        lost.check_acknowledgement();
         let told =
             "no reply to the acknowledgement of tower/storey-2; is the alert service running?";
         assert_eq!(lost.notice(), Some(told));

@@ -85,8 +85,8 @@ impl Station {
         let used = round.used();
         let adopted = self.adopt(&used, &round);
         let mut parameters = self.add_learnt(&used, &round);
-        let started_anew = !self.settings.healthy.contain(&parameters.mean);
-        if started_anew && let Ok(prior) = self.settings.prior.information() {
+        let restarted_from_prior = !self.settings.healthy.contain(&parameters.mean);
+        if restarted_from_prior && let Ok(prior) = self.settings.prior.information() {
             (self.fused, parameters) = (prior, self.settings.prior.clone());
         }
         let motion = self.fuse_motion(&used, &mut round);
@@ -98,7 +98,7 @@ impl Station {
             used: used.len(),
             nodes: round.reports,
             feedback,
-            started_anew,
+            restarted_from_prior,
             adopted,
         }
     }

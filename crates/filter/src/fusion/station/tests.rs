@@ -153,12 +153,12 @@ fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
         station.receive(node, message(1, [1.0, 1.1]), 1.0).unwrap();
     }
     let fused = station.fuse(1.0);
-    assert!(!fused.started_anew && (fused.parameters.mean[1] - 1.1).abs() < 1e-9);
+    assert!(!fused.restarted_from_prior && (fused.parameters.mean[1] - 1.1).abs() < 1e-9);
     for node in 0..2 {
         station.receive(node, message(2, [1.0, -9.0]), 2.0).unwrap();
     }
     let fused = station.fuse(2.0);
-    assert!(fused.started_anew);
+    assert!(fused.restarted_from_prior);
     assert_eq!(fused.parameters.mean, prior().mean);
     // The nodes also receive the prior.
     assert_eq!(

@@ -15,7 +15,7 @@ pub struct Row {
     pub coverage: Option<f64>,
     /// Shares of the frames in motion with the verdicts supported, doubtful and contradicted, 0 to
     /// 1. A frame is in motion while a measured response exceeds the threshold of its case, and
-    /// shortly afterwards.
+    ///   shortly afterwards.
     pub verdicts: Option<[f64; 3]>,
     /// Share of the frames in motion with a decision on every parameter, 0 to 1.
     pub decided_share: Option<f64>,
