@@ -13,9 +13,9 @@ pub struct Row {
     pub false_alerts: Option<usize>,
     /// Share of the comparisons within the stated interval, 0 to 1.
     pub coverage: Option<f64>,
-    /// Shares of the frames in motion with the verdicts supported, doubtful and contradicted, 0 to
-    /// 1. A frame is in motion while a measured response exceeds the threshold of its case, and
-    ///   shortly afterwards.
+    /// Shares (0 to 1) of the frames in motion with the verdicts supported, doubtful and
+    /// contradicted. A frame is in motion while a measured response exceeds the threshold of its
+    /// case, and shortly afterwards.
     pub verdicts: Option<[f64; 3]>,
     /// Share of the frames in motion with a decision on every parameter, 0 to 1.
     pub decided_share: Option<f64>,
