@@ -2,7 +2,7 @@
 
 use spandrel_access::AccessError;
 use spandrel_alert::AlertError;
-use spandrel_bus::{BusError, NameError, TlsError};
+use spandrel_bus::{BusError, NameError};
 use spandrel_dashboard::DashboardError;
 use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
