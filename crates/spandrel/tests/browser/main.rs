@@ -672,6 +672,13 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
     browser
         .evaluate("document.querySelector('#plot-parameter-storey-1 .plot-holder').focus()")
         .await;
+    // New data would move the span under the crosshair.
+    browser
+        .wait(
+            "the end of the demo",
+            "document.body.innerText.includes('no new data')",
+        )
+        .await;
     browser.press("Home").await;
     browser.press("ArrowLeft").await;
     let newest = browser.evaluate(&first).await;
