@@ -165,7 +165,7 @@ impl IngestService {
     /// Starts the service for a layout that does not come from a structure file.
     ///
     /// `channels` contains the names of the channels in layout order. Otherwise this function works
-    /// like [`IngestService::start`].
+    /// like [`Service::start`](spandrel_service::Service::start).
     ///
     /// # Errors
     /// The recording cannot be opened, or the bus rejects a declaration.

@@ -91,14 +91,16 @@ impl Identification {
                     "the excitation of the structure is not known: alerts are suspended",
                 ),
                 Some(Heard::Again) => (
-                    EventKind::Calibration,
+                    EventKind::ChannelBack,
                     format!("{name} is measured again"),
                     "the estimates have had time to settle: alerts are active again",
                 ),
                 None => continue,
             };
             let subject = match kind {
-                EventKind::ChannelExcluded => channel.as_deref().unwrap_or(name),
+                EventKind::ChannelExcluded | EventKind::ChannelBack => {
+                    channel.as_deref().unwrap_or(name)
+                }
                 _ => IDENTIFY,
             };
             outputs.push(self.event_of(subject, time_ns, kind, &what, why));

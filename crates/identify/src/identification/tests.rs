@@ -550,7 +550,9 @@ fn excitation_that_falls_silent_is_trusted_again_only_after_it_has_been_back_for
     assert!(
         events(&outputs)
             .iter()
-            .any(|event| event.what == "ground is measured again")
+            .any(|event| event.what == "ground is measured again"
+                && event.kind == EventKind::ChannelBack
+                && event.subject == "ground")
     );
 }
 
