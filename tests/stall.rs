@@ -17,7 +17,7 @@ use spandrel_bus::{
 use spandrel_identify::{FilterPool, IdentifyPlan, IdentifyService, Precedence};
 use spandrel_ingest::{IngestPlan, IngestService};
 use spandrel_sensor::{Clocks, NodePlan, SensorService, SensorSettings, Speed, simulated_rows};
-use spandrel_service::{Instance, Monitored, Service as _};
+use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use std::convert::Infallible;
 use std::future::pending;
 use std::io::BufRead;
@@ -297,20 +297,20 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let monitored = Monitored::new(structure, keys.clone());
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let plan = AlertPlan {
-        instance: Instance::new(&bus, id("alert")),
+        instance: ServiceInstance::new(&bus, id("alert")),
         monitored: monitored.clone(),
         baseline: None,
     };
     let alert = AlertService::start(&plan).await.unwrap();
     let plan = IdentifyPlan {
-        instance: Instance::new(&bus, id("identify")),
+        instance: ServiceInstance::new(&bus, id("identify")),
         monitored: monitored.clone(),
         pool,
         precedence: Precedence::Leads,
     };
     let identify = IdentifyService::start(&plan).await.unwrap();
     let plan = IngestPlan {
-        instance: Instance::new(&bus, id("ingest")),
+        instance: ServiceInstance::new(&bus, id("ingest")),
         monitored,
         recording: None,
     };

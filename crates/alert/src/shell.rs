@@ -7,7 +7,7 @@ use spandrel_bus::{
     EstimateBlock, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay, Name,
     ProgressPublisher, Question, Questions, Service, Start, Stream, Subscription,
 };
-use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
+use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
 use spandrel_structure::Structure;
 use tracing::{debug, info, warn};
 
@@ -30,7 +30,7 @@ const BRIEF: usize = 1_000;
 #[derive(Clone, Debug)]
 pub struct AlertPlan {
     /// The instance.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structure.
     pub monitored: Monitored,
     /// Baseline that replaces learnt references of the parameters that it contains.
@@ -107,7 +107,7 @@ impl AlertService {
                 monitored,
                 baseline,
             } = plan;
-            let Instance { bus, id, .. } = instance;
+            let ServiceInstance { bus, id, .. } = instance;
             let Monitored {
                 structure,
                 keys,

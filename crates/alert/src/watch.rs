@@ -232,15 +232,12 @@ impl Watch {
 
     /// Returns the loss of each parameter under its first rule, once the reference is known.
     fn losses(&self) -> impl Iterator<Item = ParameterLoss> {
-        let is_first = |(index, decision): &(usize, &Decision)| {
-            let same = |other: &Decision| other.subject().parameter == decision.subject().parameter;
-            !self.decisions[..*index].iter().any(same)
-        };
-        self.decisions
-            .iter()
-            .enumerate()
-            .filter(is_first)
-            .filter_map(|(_, decision)| decision.loss())
+        let mut seen = vec![false; self.parameter_count];
+        self.decisions.iter().filter_map(move |decision| {
+            let seen = seen.get_mut(decision.subject().parameter)?;
+            let is_first = !std::mem::replace(seen, true);
+            is_first.then(|| decision.loss()).flatten()
+        })
     }
 
     /// Returns the number of frames of a parameter with and without a decision since its reference

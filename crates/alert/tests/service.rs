@@ -15,7 +15,7 @@ use spandrel_bus::{
     NumberedStream, Service, Status, StreamState, Subscription, UndecidedBecause,
 };
 use spandrel_checkpoint::Remembering;
-use spandrel_service::{Instance, Monitored, Service as _};
+use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::Structure;
 use tokio::sync::oneshot;
 use tokio::time::timeout;
@@ -101,7 +101,7 @@ impl Running {
             .unwrap_or_else(|error| panic!("{error}"));
         let id = Name::new("alert-1").unwrap();
         let plan = AlertPlan {
-            instance: Instance::new(bus, id),
+            instance: ServiceInstance::new(bus, id),
             monitored: Monitored {
                 remembering: remembering.cloned(),
                 ..Monitored::new(&structure, keys.clone())

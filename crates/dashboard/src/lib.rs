@@ -7,14 +7,14 @@
 //! ```no_run
 //! use spandrel_bus::{Bus, BusConfig, Name};
 //! use spandrel_dashboard::{DashboardPlan, DashboardService, Listen};
-//! use spandrel_service::{Instance, Monitored, Service};
+//! use spandrel_service::{ServiceInstance, Monitored, Service};
 //! use spandrel_structure::Structure;
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 //! let structure = Structure::read("demo.toml".as_ref())?;
 //! let config = BusConfig::default();
 //! let (bus, keys) = (Bus::open(&config).await?, config.keys(structure.name())?);
 //! let plan = DashboardPlan {
-//!     instance: Instance::new(&bus, Name::new("dashboard")?),
+//!     instance: ServiceInstance::new(&bus, Name::new("dashboard")?),
 //!     structures: vec![Monitored::new(&structure, keys)],
 //!     page: Listen::Default.into(),
 //! };

@@ -11,7 +11,7 @@ use crate::store::Store;
 use crate::tokens::Tokens;
 use spandrel_bus::{BoxedFuture, Keys, LiveToken, Service};
 use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
-use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
+use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -88,7 +88,7 @@ impl From<Listen> for PageSettings {
 #[derive(Clone, Debug)]
 pub struct DashboardPlan {
     /// The instance.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structures.
     pub structures: Vec<Monitored>,
     /// Settings of the page.

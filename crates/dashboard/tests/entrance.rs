@@ -17,7 +17,7 @@ use spandrel_dashboard::{
     DashboardError, DashboardPlan, DashboardService, Listen, PageCertificate, PageRole,
     PageSettings, Tokens,
 };
-use spandrel_service::{Instance, Monitored, Service as _};
+use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::Structure;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -93,7 +93,7 @@ async fn start(
     page: PageSettings,
 ) -> Result<DashboardService, DashboardError> {
     let plan = DashboardPlan {
-        instance: Instance::new(bus, name("page")),
+        instance: ServiceInstance::new(bus, name("page")),
         structures,
         page,
     };

@@ -14,7 +14,7 @@ use spandrel_bus::{
     Keys, LatestPublisher, LossDisplay, Name, ParameterDisplay,
 };
 use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
-use spandrel_service::{Instance, Monitored, Service as _};
+use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::Structure;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -116,7 +116,7 @@ impl Site {
             .await
             .unwrap();
         let plan = DashboardPlan {
-            instance: Instance::new(&bus, name("dashboard")),
+            instance: ServiceInstance::new(&bus, name("dashboard")),
             structures: vec![Monitored::new(&structure, keys.clone())],
             page,
         };
@@ -303,7 +303,7 @@ async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let structure = Structure::read(&path).unwrap();
     let plan = DashboardPlan {
-        instance: Instance::new(&site.bus, name("late")),
+        instance: ServiceInstance::new(&site.bus, name("late")),
         structures: vec![Monitored::new(&structure, site.keys.clone())],
         page: Listen::At("127.0.0.1:0".into()).into(),
     };
@@ -605,7 +605,7 @@ async fn an_address_that_was_asked_for_is_that_or_an_error() {
     let address = taken.local_addr().unwrap().to_string();
     let site = Site::start().await;
     let plan = DashboardPlan {
-        instance: Instance::new(&site.bus, name("other")),
+        instance: ServiceInstance::new(&site.bus, name("other")),
         structures: Vec::new(),
         page: Listen::At(address.clone()).into(),
     };

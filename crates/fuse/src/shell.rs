@@ -10,7 +10,9 @@ use spandrel_bus::{
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_filter::fusion::compression::MISSED_MASS;
-use spandrel_service::{Clock, EventPublisher, Instance, Monitored, Report, StatusPublisher, Stop};
+use spandrel_service::{
+    Clock, EventPublisher, Monitored, Report, ServiceInstance, StatusPublisher, Stop,
+};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -39,7 +41,7 @@ const MESSAGES_WAITING: usize = 1024;
 pub struct FusePlan {
     /// The instance. Its clock sets the epoch of the estimates, so it must show a later time at
     /// each start.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structure.
     pub monitored: Monitored,
 }
@@ -100,7 +102,7 @@ impl FuseService {
                 instance,
                 monitored,
             } = plan;
-            let Instance { bus, id, clock } = instance;
+            let ServiceInstance { bus, id, clock } = instance;
             let Monitored {
                 structure,
                 keys,

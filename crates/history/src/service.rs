@@ -10,7 +10,7 @@ use spandrel_bus::{
     parse_key,
 };
 use spandrel_listener::{DisplayTopic as T, Listener, Needs};
-use spandrel_service::{Clock, Instance, Monitored, Report, StatusPublisher, Stop};
+use spandrel_service::{Clock, Monitored, Report, ServiceInstance, StatusPublisher, Stop};
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -58,7 +58,7 @@ const END_WITHIN: Duration = Duration::from_secs(5);
 #[derive(Clone, Debug)]
 pub struct HistoryPlan {
     /// The instance.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structures.
     pub structures: Vec<Monitored>,
     /// The database.
@@ -169,7 +169,7 @@ impl HistoryService {
     async fn listen(
         &mut self,
         monitored: &Monitored,
-        instance: &Instance,
+        instance: &ServiceInstance,
     ) -> Result<(), HistoryError> {
         let bus = &instance.bus;
         let Monitored {

@@ -11,7 +11,7 @@ use spandrel_bus::{
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_service::{
-    Clock, EventPublisher, Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop,
+    Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -134,7 +134,7 @@ impl NodeService {
                 })
             };
             let node = named(structure.nodes()[*position].name())?;
-            let instance = Instance {
+            let instance = ServiceInstance {
                 bus: bus.clone(),
                 id: node.clone(),
                 clock: *clock,

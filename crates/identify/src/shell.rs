@@ -14,7 +14,9 @@ use spandrel_bus::{
     LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, StreamState,
     Subscription,
 };
-use spandrel_service::{Clock, Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
+use spandrel_service::{
+    Clock, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+};
 use spandrel_structure::Structure;
 use std::sync::Arc;
 use std::time::Duration;
@@ -44,7 +46,7 @@ type ProcessInput =
 #[derive(Clone, Debug)]
 pub struct IdentifyPlan {
     /// The instance.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structure.
     pub monitored: Monitored,
     /// The threads of the filters.
@@ -130,7 +132,7 @@ impl IdentifyService {
                 pool,
                 precedence,
             } = plan;
-            let Instance { bus, id, clock } = instance;
+            let ServiceInstance { bus, id, clock } = instance;
             let Monitored {
                 structure,
                 keys,

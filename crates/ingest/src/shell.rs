@@ -9,7 +9,7 @@ use spandrel_bus::{
     NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading, SampleBlock,
     Service, Start, StreamGroup, StreamState,
 };
-use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
+use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
@@ -58,7 +58,7 @@ pub enum FrameWait {
 #[derive(Clone, Debug)]
 pub struct IngestPlan {
     /// The instance. The time of its clock is the epoch of the first run.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structure.
     pub monitored: Monitored,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
@@ -172,13 +172,13 @@ impl IngestService {
     pub fn start_with<'a>(
         layout: Layout,
         channels: Vec<String>,
-        instance: &'a Instance,
+        instance: &'a ServiceInstance,
         keys: Keys,
         settings: IngestSettings,
     ) -> BoxedFuture<'a, Result<Self, IngestError>> {
         Box::pin(async move {
             let IngestSettings { waiting, recording } = settings;
-            let Instance { bus, id, clock } = instance;
+            let ServiceInstance { bus, id, clock } = instance;
             let epoch = clock.epoch();
             let (recorder, past) = match &recording {
                 Some(recording) => {

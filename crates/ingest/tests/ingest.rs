@@ -17,7 +17,7 @@ use spandrel_bus::{
     StreamSettings, StreamState,
 };
 use spandrel_ingest::{FrameWait, IngestService, IngestSettings, Layout, NodeLayout};
-use spandrel_service::{Clock, Instance, Service as _};
+use spandrel_service::{Clock, Service as _, ServiceInstance};
 use tokio::time::timeout;
 use zenoh::qos::CongestionControl;
 
@@ -65,9 +65,9 @@ async fn start_ingest_of(
         ranges: vec![1e9],
     });
     let layout = Layout::new(nodes.collect(), 200.0, 0.0025).unwrap();
-    let instance = Instance {
+    let instance = ServiceInstance {
         clock: Clock::fixed(1),
-        ..Instance::new(bus, name("ingest-1"))
+        ..ServiceInstance::new(bus, name("ingest-1"))
     };
     let settings = IngestSettings {
         waiting,

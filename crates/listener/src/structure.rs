@@ -20,7 +20,8 @@ pub const STALE_AFTER: Duration = Duration::from_secs(3);
 pub struct StructureState {
     /// Estimates of the parameters.
     pub parameters: BTreeMap<Name, ParameterDisplay>,
-    /// Losses of the parameters with a rule, once their reference is known.
+    /// Losses of the parameters with a rule, once their reference is known. They are removed when
+    /// the alert service disappears, or publishes none for [`STALE_AFTER`] while estimates arrive.
     pub losses: BTreeMap<Name, LossDisplay>,
     /// Estimates of the noise levels.
     pub noise: BTreeMap<Name, NoiseDisplay>,
@@ -44,6 +45,8 @@ pub struct StructureState {
     pub left_out: u64,
     /// Alerts whose service has disappeared, and which no other service has confirmed yet.
     stale_alerts: BTreeSet<Name>,
+    /// Arrival time of each loss.
+    losses_at: BTreeMap<Name, Duration>,
     arrivals: Arrivals,
     now: Duration,
 }
@@ -78,18 +81,21 @@ impl StructureState {
             Input::Parameter(display) => {
                 let time_ns = display.time_ns;
                 let name = display.parameter.clone();
+                let loss_at = self.losses_at.get(&name);
+                if loss_at.is_some_and(|at| self.now.saturating_sub(*at) > STALE_AFTER) {
+                    self.losses.remove(&name);
+                    self.losses_at.remove(&name);
+                }
                 if keep(&mut self.parameters, name, display, left_out) {
                     self.arrivals.value(time_ns, self.now);
                     self.time_ns = Some(time_ns);
                 }
             }
             Input::Loss(display) => {
-                keep(
-                    &mut self.losses,
-                    display.parameter.clone(),
-                    display,
-                    left_out,
-                );
+                let name = display.parameter.clone();
+                if keep(&mut self.losses, name.clone(), display, left_out) {
+                    self.losses_at.insert(name, self.now);
+                }
             }
             Input::Noise(display) => {
                 let time_ns = display.time_ns;
@@ -182,6 +188,8 @@ impl StructureState {
             .retain(|_, instance| instance.is_present || instance.status.is_some());
         if had_alert && !self.has(Service::Alert) {
             self.stale_alerts = self.alerts.keys().cloned().collect();
+            self.losses.clear();
+            self.losses_at.clear();
         }
         if had_ingest && !self.has(Service::Ingest) {
             self.arrivals.ingest_left();

@@ -2,7 +2,8 @@
 
 use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, AlertState, FitReasons, Header, Name, ParameterDisplay, Progress, Service, Status,
+    AlertMessage, AlertState, CredibleInterval, FitReasons, Header, LossDisplay, Name,
+    ParameterDisplay, Progress, Service, Status,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -17,6 +18,21 @@ pub(crate) fn at(second: u64) -> Input {
 
 pub(crate) fn parameter(parameter: &str, time_ns: i64) -> ParameterDisplay {
     ParameterDisplay::of_normal(&name("tower"), &name(parameter), time_ns, 1.0, 0.1)
+}
+
+pub(crate) fn loss(parameter: &str, time_ns: i64) -> LossDisplay {
+    LossDisplay {
+        structure: name("tower"),
+        parameter: name(parameter),
+        time_ns,
+        loss: 0.0,
+        interval: CredibleInterval::of_normal(0.0, 0.1),
+        probability_of_loss: 0.3,
+        rule_loss: 0.05,
+        rule_credibility: 0.95,
+        reference: 1.0,
+        reference_std: 0.0,
+    }
 }
 
 pub(crate) fn alert(parameter: &str, time_ns: i64, state: AlertState) -> AlertMessage {

@@ -5,8 +5,9 @@ use crate::outbox::{Remembered, version_1};
 use serde::{Deserialize, Serialize};
 use spandrel_bus::Name;
 use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Place};
+use spandrel_service::Clock;
 use std::path::Path;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tracing::{info, warn};
 
 /// Version of the layout of [`State`]. Every change of a field in it or in a nested type must
@@ -124,13 +125,7 @@ impl Memory {
 }
 
 fn unix_s() -> u64 {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "how long a process was away goes by the clock of the machine"
-    )]
-    let now = SystemTime::now();
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_secs())
+    Clock::of_machine().epoch() / 1_000_000_000
 }
 
 #[cfg(test)]

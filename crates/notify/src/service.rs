@@ -7,7 +7,7 @@ use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use spandrel_bus::{AlertMessage, BoxedFuture, Keys, LiveToken, Name, Service};
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs};
-use spandrel_service::{Instance, Monitored, Report, STATUS_EVERY, StatusPublisher, Stop};
+use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ const END_WITHIN: Duration = Duration::from_secs(5);
 #[derive(Clone, Debug)]
 pub struct NotifyPlan {
     /// The instance.
-    pub instance: Instance,
+    pub instance: ServiceInstance,
     /// The structures.
     pub structures: Vec<Monitored>,
     /// The receivers.

@@ -1,6 +1,6 @@
 //! What all services share: how they start and stop, their clock, status and events.
 //!
-//! A service implements [`Service`]. Its plan contains an [`Instance`] and the [`Monitored`]
+//! A service implements [`Service`]. Its plan contains a [`ServiceInstance`] and the [`Monitored`]
 //! structures. The program starts the service from the plan, restarts it after a panic, and stops
 //! it.
 //!
@@ -13,7 +13,7 @@
 //! ```
 //!
 //! - [`Service`], [`Stop`]: how a service starts and runs
-//! - [`Instance`], [`Monitored`]: what a plan contains
+//! - [`ServiceInstance`], [`Monitored`]: what a plan contains
 //! - [`Clock`]: the wall clock
 //! - [`StatusPublisher`], [`Report`]: the status, once per second
 //! - [`EventPublisher`], [`log_event`]: events, on the bus and in the log
@@ -28,6 +28,6 @@ mod status;
 
 pub use clock::Clock;
 pub use events::{EventPublisher, log_event};
-pub use plan::{Instance, Monitored};
+pub use plan::{Monitored, ServiceInstance};
 pub use service::{Service, Stop};
 pub use status::{Report, STATUS_EVERY, StatusPublisher};

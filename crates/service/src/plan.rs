@@ -10,7 +10,7 @@ use crate::{Clock, StatusPublisher};
 
 /// One instance of a service: its session, id and clock.
 #[derive(Clone, Debug)]
-pub struct Instance {
+pub struct ServiceInstance {
     /// The session.
     pub bus: Bus,
     /// Id of the instance, as in the keys of its status and its liveliness token.
@@ -30,7 +30,7 @@ pub struct Monitored {
     pub remembering: Option<Remembering>,
 }
 
-impl Instance {
+impl ServiceInstance {
     /// Creates an instance with the clock of the machine.
     #[must_use]
     pub fn new(bus: &Bus, id: Name) -> Self {

@@ -8,7 +8,7 @@ use spandrel_bus::{
     UndecidedBecause,
 };
 
-use crate::{Clock, Instance};
+use crate::{Clock, ServiceInstance};
 
 /// Interval between status messages.
 pub const STATUS_EVERY: Duration = Duration::from_secs(1);
@@ -66,11 +66,11 @@ impl StatusPublisher {
     /// # Errors
     /// The bus rejects the declaration.
     pub async fn declare(
-        instance: &Instance,
+        instance: &ServiceInstance,
         service: Service,
         keys: &Keys,
     ) -> Result<Self, BusError> {
-        let Instance { bus, id, clock } = instance;
+        let ServiceInstance { bus, id, clock } = instance;
         Ok(Self {
             publisher: bus.publish_display(keys.status(service, id)).await?,
             structure: keys.structure().clone(),

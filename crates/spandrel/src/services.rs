@@ -14,7 +14,7 @@ use spandrel_identify::{
 };
 use spandrel_ingest::{IngestPlan, IngestService};
 use spandrel_notify::{NotifyPlan, NotifyService, NotifySettings};
-use spandrel_service::{Instance, Monitored, Service as _};
+use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
@@ -204,6 +204,8 @@ const STOP_ORDER: [Service; 7] = [
 pub struct Running {
     bus: Bus,
     monitored: Vec<Monitored>,
+    /// Baseline of each structure, in the same order.
+    baselines: Vec<Option<Baseline>>,
     stages: Vec<Stage>,
     pool: Option<FilterPool>,
 }
@@ -294,6 +296,10 @@ impl Running {
         Self {
             bus: bus.clone(),
             monitored: monitored.collect(),
+            baselines: watched
+                .iter()
+                .map(|watched| watched.baseline.clone())
+                .collect(),
             stages: STOP_ORDER.map(Stage::new).into(),
             pool: None,
         }
@@ -305,8 +311,8 @@ impl Running {
     }
 
     /// Returns the only instance of a service in this process.
-    fn instance(&self, service: Service) -> Instance {
-        Instance::new(&self.bus, service.name())
+    fn instance(&self, service: Service) -> ServiceInstance {
+        ServiceInstance::new(&self.bus, service.name())
     }
 
     /// Starts a service and runs it until a stop. `of` names its structures.
@@ -443,14 +449,20 @@ impl Running {
     ///
     /// # Errors
     /// An instance cannot start.
-    pub async fn start_alert(&mut self, watched: &[Watched]) -> Result<(), AppError> {
-        for (monitored, watched) in self.monitored.clone().into_iter().zip(watched) {
+    pub async fn start_alert(&mut self) -> Result<(), AppError> {
+        for (monitored, baseline) in self
+            .monitored
+            .clone()
+            .into_iter()
+            .zip(self.baselines.clone())
+        {
+            let of = monitored.structure.name().to_owned();
             let plan = AlertPlan {
                 instance: self.instance(Service::Alert),
                 monitored,
-                baseline: watched.baseline.clone(),
+                baseline,
             };
-            self.start::<AlertService>(Service::Alert, watched.structure.name(), plan)
+            self.start::<AlertService>(Service::Alert, &of, plan)
                 .await?;
         }
         Ok(())

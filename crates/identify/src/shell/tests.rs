@@ -131,7 +131,7 @@ async fn run_with_a_frame_that_panics(remembering: Option<Remembering>) -> Recei
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let id = Name::new("identify").unwrap();
     let plan = IdentifyPlan {
-        instance: Instance::new(&bus, id),
+        instance: ServiceInstance::new(&bus, id),
         monitored: Monitored {
             remembering: remembering.clone(),
             ..Monitored::new(&structure(), keys.clone())

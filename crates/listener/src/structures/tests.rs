@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{alert, at, ingested, name, parameter, present, status};
+use crate::testing::{alert, at, ingested, loss, name, parameter, present, status};
 use spandrel_bus::{AlertState, MAX_CHANNELS, Service};
 
 /// Returns the state after these inputs.
@@ -34,6 +34,28 @@ fn stale_alerts(structures: &Structures) -> Vec<&str> {
         .keys()
         .filter(|name| tower.is_alert_stale(name));
     stale.map(Name::as_str).collect()
+}
+
+/// The losses of an alert service that stalls or disappears must not pass for present ones.
+#[test]
+fn a_loss_ends_with_its_service_and_without_news_while_estimates_arrive() {
+    let value = |second| Input::Parameter(parameter("storey-1", second));
+    let there = || present(&[(Service::Alert, "a"), (Service::Identify, "a")]);
+    let known = |structures: &Structures| tower(structures).losses.contains_key("storey-1");
+    let start = || [at(10), there(), value(0), Input::Loss(loss("storey-1", 0))];
+
+    let mut structures = after(start());
+    changes(&mut structures, at(40));
+    assert!(known(&structures), "the measurement has ended");
+    changes(&mut structures, value(1));
+    assert!(!known(&structures), "the alert service stalls");
+
+    let mut structures = after(start());
+    changes(&mut structures, at(12));
+    changes(&mut structures, value(1));
+    assert!(known(&structures));
+    changes(&mut structures, present(&[(Service::Identify, "a")]));
+    assert!(!known(&structures), "the alert service has disappeared");
 }
 
 #[test]

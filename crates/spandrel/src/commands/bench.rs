@@ -202,7 +202,7 @@ fn measure(
             let watched = watched(&settings, structures)?;
             let before = Usage::now(std::process::id());
             let mut running = Running::new(&bus, &watched, None);
-            running.start_alert(&watched).await?;
+            running.start_alert().await?;
             running.start_identify(settings.threads, Share::ALL).await?;
             running.start_ingest(None).await?;
             let processes = [std::process::id()];

@@ -66,7 +66,7 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
             Some(page) => Some(serve_page(&mut running, &page, &arguments.page).await?),
             None => None,
         };
-        running.start_alert(&watched).await?;
+        running.start_alert().await?;
         running.start_fuse().await?;
         running.start_identify(settings.threads, Share::ALL).await?;
         if watched

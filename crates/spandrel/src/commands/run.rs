@@ -230,7 +230,7 @@ impl Plan {
             running.start_notify(&settings.notify).await?;
         }
         if services.has(Service::Alert) {
-            running.start_alert(watched).await?;
+            running.start_alert().await?;
         }
         if services.has(Service::Fuse) {
             running.start_fuse().await?;
