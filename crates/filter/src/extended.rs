@@ -169,6 +169,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.update_state();
         let per_channel = evidence.normalised_innovation_squared / used.max(1) as f64;
         self.answer_misfit(per_channel);
+        self.reopen_motion();
         let limited = self.limit_state();
         let bounded_variances = self.bound_variances();
         self.check_result()?;

@@ -12,13 +12,15 @@
 //! - If a channel rejects samples for long, its scale may be too small, and it is estimated again.
 //!   Otherwise, the sensor is faulty. Its samples are ignored until the residuals agree with the
 //!   model again.
-//! - If most channels reject samples at the same time, the motion has changed and not the sensors.
-//!   All these scales are estimated again.
+//! - If several sensors reject samples at the same time, the structure or its motion has changed and
+//!   not the sensors. All samples are used until the scales are known again.
 
+mod common;
 mod probability;
 mod window;
 
 use crate::error::FilterError;
+use common::{CommonChange, CommonStep};
 use serde::{Deserialize, Serialize};
 use window::{Recent, Window};
 
@@ -38,6 +40,9 @@ const RECOVERY_FACTOR: f64 = 3.0;
 /// Smallest scale, relative to the filter's own standard deviation. Without it, a dead channel
 /// would have a scale of zero.
 const LEAST_SCALE: f64 = 1e-3;
+
+/// Smallest number of residuals from which a scale is estimated.
+const FEWEST_RESIDUALS: usize = 10;
 
 /// Method for the first scale.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -75,13 +80,17 @@ pub struct OutlierSettings {
     /// Interval at which such a channel is examined, in samples, and the minimum number of recent
     /// samples.
     pub fault_window: usize,
+    /// Number of steps for which several sensors must reject samples before the structure or its
+    /// motion counts as changed.
+    pub change_steps: usize,
 }
 
 impl OutlierSettings {
     /// Creates the settings that the source recommends for a fundamental period (in steps).
     ///
     /// Training lasts ten periods, and at least 50 samples. The window covers a hundred periods,
-    /// and at least 1000 samples. `ε_l` is 2, and `ε_u` follows from (4.27).
+    /// and at least 1000 samples. `ε_l` is 2, and `ε_u` follows from (4.27). A common change lasts
+    /// for a quarter of a period, in which the motion rises to a peak.
     #[must_use]
     pub fn for_period(period_steps: f64) -> Self {
         let periods = |count: f64| (count * period_steps).round() as usize;
@@ -94,6 +103,7 @@ impl OutlierSettings {
             upper: upper_bound(window),
             fault_share: 0.2,
             fault_window: periods(10.0).max(100),
+            change_steps: periods(0.25).max(1),
         }
     }
 
@@ -170,7 +180,7 @@ pub enum Verdict {
 /// Change of a channel due to its last sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OutlierChange {
-    /// The first scale is known, and the screening has started.
+    /// The scale is known, and the screening has started or resumed.
     Trained,
     /// The scale was too small and has been estimated again.
     Rescaled,
@@ -290,6 +300,23 @@ impl ChannelScreen {
         self.recent.forgive();
     }
 
+    /// Classifies the last residual during a common change, whose residuals grow within a fraction of
+    /// a period: only a sample far beyond the latest residuals is an outlier.
+    fn screen_coarsely(
+        &self,
+        settings: &OutlierSettings,
+        deviation: f64,
+        sorted: &mut Vec<f64>,
+    ) -> Verdict {
+        let count = settings.change_steps.max(FEWEST_RESIDUALS);
+        let scale = self.recent.percentile(ONE_SIGMA, count, sorted);
+        if self.residual.abs() > settings.upper * scale.max(LEAST_SCALE * deviation) {
+            Verdict::Outlier
+        } else {
+            Verdict::Regular
+        }
+    }
+
     /// Classifies the last residual by (4.19) and (4.23), then updates window and scale by (4.28)
     /// and (4.29).
     ///
@@ -321,15 +348,30 @@ impl ChannelScreen {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OutlierState {
     channels: Vec<ChannelScreen>,
+    common: CommonChange,
 }
 
 impl OutlierState {
-    pub(crate) fn new(settings: &OutlierSettings, channels: usize) -> Self {
+    /// `sensors` (N_0) is the number of the sensor of each channel.
+    pub(crate) fn new(settings: &OutlierSettings, sensors: &[usize]) -> Self {
         // One by one, because a clone would not keep the reserved capacity.
         Self {
-            channels: (0..channels)
+            channels: sensors
+                .iter()
                 .map(|_| ChannelScreen::new(settings))
                 .collect(),
+            common: CommonChange::new(settings, sensors),
+        }
+    }
+
+    /// Returns the numbers of channels and sensors, or 0 if they disagree, as in a damaged
+    /// checkpoint.
+    pub(crate) fn shape(&self) -> (usize, usize) {
+        let shape = self.common.shape();
+        if shape.0 == self.channels.len() {
+            shape
+        } else {
+            (0, 0)
         }
     }
 
@@ -337,6 +379,15 @@ impl OutlierState {
     #[must_use]
     pub fn channels(&self) -> &[ChannelScreen] {
         &self.channels
+    }
+
+    /// Returns `true` if the last step revealed a common change: samples of several sensors disagree
+    /// with the model at the same time, so that the structure or its motion has changed.
+    ///
+    /// The screening then pauses, and all samples are used.
+    #[must_use]
+    pub fn change_began(&self) -> bool {
+        self.common.began()
     }
 
     /// Restarts the training of all channels, because residuals are large for some time after a
@@ -355,7 +406,7 @@ impl OutlierState {
             .iter_mut()
             .filter(|channel| channel.trained && !channel.faulty)
         {
-            let scale = channel.recent.percentile(ONE_SIGMA, sorted);
+            let scale = channel.recent.percentile(ONE_SIGMA, usize::MAX, sorted);
             if scale > 0.0 {
                 channel.rescale(scale);
             }
@@ -364,13 +415,15 @@ impl OutlierState {
 
     /// Screens the residuals (N_0) of one step and sets those that must not be used to NaN.
     ///
-    /// `variances` is the diagonal of the filter's own `S` (N_0). `sorted` is scratch space.
-    /// Returns the number of rejected residuals.
+    /// `variances` is the diagonal of the filter's own `S` (N_0). `follows_jump` is `true` while the
+    /// filter follows a jump of the parameters. `sorted` is scratch space. Returns the number of
+    /// rejected residuals.
     pub(crate) fn screen(
         &mut self,
         settings: &OutlierSettings,
         residuals: &mut [f64],
         variances: &[f64],
+        follows_jump: bool,
         sorted: &mut Vec<f64>,
     ) -> usize {
         let mut rejected = 0;
@@ -389,7 +442,10 @@ impl OutlierState {
             }
             let deviation = variance.max(0.0).sqrt();
             channel.seen += 1;
-            channel.verdict = if !channel.trained {
+            let is_paused = self.common.is_paused() && !channel.faulty;
+            channel.verdict = if is_paused {
+                channel.screen_coarsely(settings, deviation, sorted)
+            } else if !channel.trained {
                 train(channel, settings, deviation, sorted)
             } else if channel.faulty {
                 Verdict::Faulty
@@ -408,8 +464,24 @@ impl OutlierState {
                 rejected += 1;
             }
         }
-        self.look_into(settings, variances, sorted);
+        match self.common.take(settings, &self.channels, follows_jump) {
+            CommonStep::Absent => self.look_into(settings, variances, sorted),
+            CommonStep::Lasts => {}
+            CommonStep::Ended => self.resume(settings, variances, sorted),
+        }
         rejected
+    }
+
+    /// Resumes the screening after a common change, with the scales of the residuals since then.
+    fn resume(&mut self, settings: &OutlierSettings, variances: &[f64], sorted: &mut Vec<f64>) {
+        let sound = self.channels.iter_mut().zip(variances);
+        for (channel, variance) in sound.filter(|(channel, _)| !channel.faulty) {
+            let count = settings.training_steps;
+            let scale = channel.recent.percentile(ONE_SIGMA, count, sorted);
+            channel.rescale(scale.max(LEAST_SCALE * variance.max(0.0).sqrt()));
+            channel.trained = true;
+            channel.change = Some(OutlierChange::Trained);
+        }
     }
 
     /// Examines the channels with too many rejected samples, including the faulty ones.
@@ -437,7 +509,7 @@ impl OutlierState {
             let deviation = variance.max(0.0).sqrt();
             let scale = channel
                 .recent
-                .percentile(ONE_SIGMA, sorted)
+                .percentile(ONE_SIGMA, usize::MAX, sorted)
                 .max(LEAST_SCALE * deviation);
             if channel.faulty {
                 if scale <= RECOVERY_FACTOR * deviation || motion_changed {
@@ -467,7 +539,7 @@ fn train(
     if channel.recent.taken() + 1 >= settings.training_steps as u64 {
         channel.scale = channel
             .recent
-            .percentile(ONE_SIGMA, sorted)
+            .percentile(ONE_SIGMA, usize::MAX, sorted)
             .max(LEAST_SCALE * deviation);
         channel.trained = true;
         channel.change = Some(OutlierChange::Trained);

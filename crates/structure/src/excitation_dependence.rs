@@ -11,6 +11,7 @@ use crate::structure::Structure;
 use nalgebra::DMatrix;
 use spandrel_filter::FadingFactor;
 use std::f64::consts::PI;
+use std::sync::OnceLock;
 
 /// Standard deviation of the logarithm of the variance in one octave.
 ///
@@ -27,6 +28,18 @@ const BELOW_FIRST: f64 = 4.0;
 /// that loss.
 const SPOILING: f64 = 0.5;
 
+/// The errors by unmeasured excitations, which take seconds for a large structure.
+///
+/// A clone starts without them, because the clone may be changed.
+#[derive(Debug, Default)]
+pub(crate) struct ExcitationErrors(OnceLock<Vec<f64>>);
+
+impl Clone for ExcitationErrors {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
 impl Structure {
     /// Returns the standard deviation of the error of each parameter due to unmeasured excitations.
     ///
@@ -41,7 +54,10 @@ impl Structure {
     /// finite.
     #[must_use]
     pub fn errors_by_unmeasured_excitation(&self) -> Vec<f64> {
-        self.excitation_errors().unwrap_or_default()
+        self.excitation_errors
+            .0
+            .get_or_init(|| self.compute_excitation_errors().unwrap_or_default())
+            .clone()
     }
 
     /// Returns for each parameter, in state order, whether unmeasured excitations make it unusable.
@@ -69,7 +85,7 @@ impl Structure {
         index.is_some_and(|index| error > SPOILING * self.loss_of_interest(index))
     }
 
-    fn excitation_errors(&self) -> Option<Vec<f64>> {
+    fn compute_excitation_errors(&self) -> Option<Vec<f64>> {
         let theta = self.parameters.len();
         let unmeasured: Vec<usize> = (0..self.noise_levels.len())
             .filter(|level| self.is_unknown(*level))

@@ -24,6 +24,7 @@ mod tower;
 
 use crate::diagnostics::{Diagnostics, counted, one_of};
 use crate::error::StructureError;
+use crate::excitation_dependence::ExcitationErrors;
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::section::{Allowed, Section, short};
 use crate::structure::Structure;
@@ -248,6 +249,7 @@ impl<'t> StructureFile<'t> {
             alert_rules,
             record: record?,
             simulation,
+            excitation_errors: ExcitationErrors::default(),
         })
     }
 }

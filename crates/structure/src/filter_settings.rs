@@ -103,7 +103,32 @@ impl Structure {
         settings.outliers = plan
             .outliers
             .map(|outliers| self.outlier_settings(&outliers));
+        settings.sensors = self.sensors();
         Ok(settings)
+    }
+
+    /// Returns the number of the sensor of each observation: the channels of a node can fail
+    /// together.
+    ///
+    /// If one node measures everything, each channel is a sensor, because nothing else could then
+    /// confirm that the structure has changed.
+    fn sensors(&self) -> Vec<usize> {
+        let nodes = self.nodes.iter().enumerate();
+        let of_channels: Vec<usize> = nodes
+            .flat_map(|(position, node)| node.channels().iter().map(move |_| position))
+            .collect();
+        let measuring = self
+            .observation_channels
+            .iter()
+            .map(|channel| of_channels[*channel]);
+        let mut nodes: Vec<usize> = measuring.clone().collect();
+        nodes.dedup(); // in the order of the nodes
+        match nodes.len() {
+            1 => (0..self.observation_channels.len()).collect(),
+            _ => measuring
+                .map(|node| nodes.iter().take_while(|other| **other != node).count())
+                .collect(),
+        }
     }
 
     /// Returns the fading factor of the state.

@@ -5,6 +5,7 @@ use crate::classes::ClassesPlan;
 use crate::error::StructureError;
 use crate::estimated_response::EstimatedResponse;
 use crate::excitation::{Action, Excitation};
+use crate::excitation_dependence::ExcitationErrors;
 use crate::file::StructureFile;
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::fusion_plan::FusionPlan;
@@ -57,6 +58,7 @@ pub struct Structure {
     pub(crate) alert_rules: Vec<AlertRule>,
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
+    pub(crate) excitation_errors: ExcitationErrors,
 }
 
 /// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than

@@ -9,6 +9,7 @@ use crate::fading::bound_variances_mut;
 use crate::fit::{Shown, ShownParameters};
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::ExcitationPath;
+use crate::outlier::OutlierState;
 use crate::update::{self, ExcitationSpread};
 
 /// Largest magnitude of a negative variance, relative to the largest variance, that counts as
@@ -106,6 +107,22 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             state.annealed_from = state.steps;
         }
         diagonal_to(covariance, &mut update.variances);
+    }
+
+    /// Makes the motion uncertain after samples were rejected although the structure or its motion
+    /// had changed. The filter has then predicted the motion with a wrong model and few data.
+    ///
+    /// The running mean square of the motion is added to its variance.
+    pub(super) fn reopen_motion(&mut self) {
+        let Self { state, work, .. } = self;
+        let began = |outliers: &OutlierState| outliers.change_began();
+        if !state.outliers.as_ref().is_some_and(began) {
+            return;
+        }
+        for (j, mean_square) in state.motion_mean_square.iter().enumerate() {
+            work.covariance[(j, j)] += mean_square;
+        }
+        diagonal_to(&work.covariance, &mut work.update.variances);
     }
 
     /// Judges how well the model explains the data so far.

@@ -17,6 +17,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let n = self.model.state_len();
         let [(states, inputs), (own_states, own_inputs)] =
             [&state, &self.state].map(FilterState::course_shape);
+        let [(channels, sensors), (own_channels, own_sensors)] =
+            [&state, &self.state].map(FilterState::screened);
         let sizes = [
             ("mean of a checkpoint", state.mean.len(), n),
             ("covariance of a checkpoint", state.covariance.len(), n * n),
@@ -25,11 +27,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 state.last_excitation.len(),
                 self.model.excitation_len(),
             ),
-            (
-                "screened channels of a checkpoint",
-                state.screened(),
-                self.state.screened(),
-            ),
+            ("screened channels of a checkpoint", channels, own_channels),
+            ("screened sensors of a checkpoint", sensors, own_sensors),
             (
                 "noise parameters of a checkpoint",
                 state.noise.mean.len(),

@@ -109,10 +109,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             outliers.rescale(&mut work.sorted);
         }
         let residuals = work.update.innovation.as_mut_slice();
+        let follows_jump = state
+            .misfit
+            .as_ref()
+            .zip(settings.misfit.as_ref())
+            .is_some_and(|(misfit, settings)| misfit.follows_jump(settings));
         outliers.screen(
             outlier_settings,
             residuals,
             work.variances.as_slice(),
+            follows_jump,
             &mut work.sorted,
         )
     }

@@ -47,6 +47,9 @@ pub struct FilterSettings {
     pub noise_settings: NoiseSettings,
     /// Settings for the screening of outliers; `None` disables it.
     pub outliers: Option<OutlierSettings>,
+    /// Number of the sensor of each observation (N_0), from 0. A fault can affect all observations
+    /// of one sensor.
+    pub sensors: Vec<usize>,
     /// Start-up aid; `None` disables it.
     pub annealing: Option<Annealing>,
     /// Settings for the measurement of misfit and the reaction to it; `None` trusts the model.
@@ -64,7 +67,8 @@ pub struct FilterSettings {
 }
 
 impl FilterSettings {
-    /// Creates settings with no forgetting, no bounds, known noise covariances and no start-up aid.
+    /// Creates settings with no forgetting, no bounds, known noise covariances, no start-up aid, and
+    /// a sensor of its own for each observation.
     #[must_use]
     pub fn new(
         step_s: f64,
@@ -72,7 +76,7 @@ impl FilterSettings {
         prior_std: DVector<f64>,
         noise: NoiseModel,
     ) -> Self {
-        let n = prior_mean.len();
+        let (n, observations) = (prior_mean.len(), noise.sensors.nrows());
         Self {
             step_s,
             prior_mean,
@@ -84,6 +88,7 @@ impl FilterSettings {
             noise,
             noise_settings: NoiseSettings::default(),
             outliers: None,
+            sensors: (0..observations).collect(),
             annealing: None,
             misfit: None,
             considered_std: DVector::zeros(n),
@@ -129,6 +134,24 @@ impl FilterSettings {
                     expected: n,
                 });
             }
+        }
+        if self.sensors.len() != model.observation_len() {
+            return Err(FilterError::Dimension {
+                what: "sensors of the observations",
+                found: self.sensors.len(),
+                expected: model.observation_len(),
+            });
+        }
+        if let Some(sensor) = self
+            .sensors
+            .iter()
+            .find(|sensor| **sensor >= self.sensors.len())
+        {
+            return Err(FilterError::Setting {
+                what: "number of a sensor",
+                found: *sensor as f64,
+                allowed: "below the number of observations",
+            });
         }
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(FilterError::Setting {

@@ -48,11 +48,9 @@ impl FilterState {
         self.outliers.as_ref()
     }
 
-    /// Returns the number of channels with outlier screening, or 0 without screening.
-    pub(super) fn screened(&self) -> usize {
-        self.outliers
-            .as_ref()
-            .map_or(0, |outliers| outliers.channels().len())
+    /// Returns the numbers of channels and sensors with outlier screening, or 0 without screening.
+    pub(super) fn screened(&self) -> (usize, usize) {
+        self.outliers.as_ref().map_or((0, 0), OutlierState::shape)
     }
 
     /// Returns the number of parameters whose misfit is measured.
@@ -96,7 +94,7 @@ impl FilterState {
             noise: NoiseState::start(&settings.noise, &settings.noise_settings),
             outliers: settings
                 .outliers
-                .map(|outliers| OutlierState::new(&outliers, model.observation_len())),
+                .map(|outliers| OutlierState::new(&outliers, &settings.sensors)),
             misfit: settings
                 .misfit
                 .map(|_| MisfitState::new(model.parameter_len())),

@@ -67,6 +67,7 @@ fn settings(window: usize) -> OutlierSettings {
         upper: upper_bound(window),
         fault_share: 0.2,
         fault_window: 1000,
+        change_steps: 25,
     }
 }
 
@@ -94,16 +95,16 @@ proptest! {
             let normal: f64 = StandardNormal.sample(&mut random);
             if normal > 2.2 { 9.0 * normal } else { normal }
         };
-        let mut unbroken = OutlierState::new(&settings, 2);
+        let mut unbroken = OutlierState::new(&settings, &[0, 1]);
         let mut sorted = Vec::new();
         for _ in 0..stop {
-            unbroken.screen(&settings, &mut [draw(), draw()], &[1.0, 1.0], &mut sorted);
+            unbroken.screen(&settings, &mut [draw(), draw()], &[1.0, 1.0], false, &mut sorted);
         }
         let mut resumed: OutlierState = postcard::from_bytes(&postcard::to_stdvec(&unbroken).unwrap()).unwrap();
         for _ in 0..100 {
             let data = [draw(), draw()];
-            unbroken.screen(&settings, &mut data.clone(), &[1.0, 1.0], &mut sorted);
-            resumed.screen(&settings, &mut data.clone(), &[1.0, 1.0], &mut sorted);
+            unbroken.screen(&settings, &mut data.clone(), &[1.0, 1.0], false, &mut sorted);
+            resumed.screen(&settings, &mut data.clone(), &[1.0, 1.0], false, &mut sorted);
         }
         prop_assert_eq!(unbroken, resumed);
     }
@@ -228,30 +229,131 @@ fn feed(
     channels: usize,
     factor: impl Fn(usize, usize) -> f64,
 ) -> (OutlierState, Vec<(usize, usize, OutlierChange)>) {
+    let sensors: Vec<usize> = (0..channels).collect();
+    let fed = feed_sensors(steps, &sensors, factor);
+    (fed.state, fed.changes)
+}
+
+/// What a screening did with the residuals of [`feed_sensors`].
+struct Fed {
+    state: OutlierState,
+    /// Channel, step and kind of each change.
+    changes: Vec<(usize, usize, OutlierChange)>,
+    /// Steps at which a common change began.
+    common: Vec<usize>,
+}
+
+/// Feeds residuals as [`feed`] does. `sensors` is the sensor of each channel.
+fn feed_sensors(steps: usize, sensors: &[usize], factor: impl Fn(usize, usize) -> f64) -> Fed {
     let settings = OutlierSettings {
         fault_window: 500,
         ..settings(5000)
     };
-    let mut state = OutlierState::new(&settings, channels);
+    let mut fed = Fed {
+        state: OutlierState::new(&settings, sensors),
+        changes: Vec::new(),
+        common: Vec::new(),
+    };
     let mut random = ChaCha8Rng::seed_from_u64(3);
-    let (mut changes, mut sorted) = (Vec::new(), Vec::new());
+    let mut sorted = Vec::new();
     for step in 0..steps {
-        let mut residuals: Vec<f64> = (0..channels)
+        let mut residuals: Vec<f64> = (0..sensors.len())
             .map(|channel| {
                 let normal: f64 = StandardNormal.sample(&mut random);
                 normal * factor(channel, step)
             })
             .collect();
-        state.screen(&settings, &mut residuals, &vec![1.0; channels], &mut sorted);
-        changes.extend(
-            state
-                .channels()
-                .iter()
-                .enumerate()
-                .filter_map(|(c, channel)| Some((c, step, channel.change()?))),
+        let variances = vec![1.0; sensors.len()];
+        fed.state
+            .screen(&settings, &mut residuals, &variances, false, &mut sorted);
+        if fed.state.change_began() {
+            fed.common.push(step);
+        }
+        let channels = fed.state.channels().iter().enumerate();
+        fed.changes
+            .extend(channels.filter_map(|(c, channel)| Some((c, step, channel.change()?))));
+    }
+    fed
+}
+
+/// Two sensors of four hardly fail at the same time, so that their samples must not be lost.
+#[test]
+fn samples_of_several_sensors_that_disagree_for_long_are_used_again() {
+    let fed = feed_sensors(3000, &[0, 1, 2, 3], |channel, step| {
+        if channel >= 2 && step >= 1000 {
+            20.0
+        } else {
+            1.0
+        }
+    });
+    let [began] = fed.common[..] else {
+        panic!("{:?}", fed.common)
+    };
+    assert!((1025..1060).contains(&began), "began at step {began}");
+    let faults = |change: &&(usize, usize, OutlierChange)| change.2 == OutlierChange::FaultBegan;
+    assert_eq!(fed.changes.iter().find(faults), None);
+    for channel in &fed.state.channels()[2..] {
+        assert!(channel.rejected() < 150, "{} rejected", channel.rejected());
+        assert!(
+            (15.0..25.0).contains(&channel.scale()),
+            "{}",
+            channel.scale()
         );
     }
-    (state, changes)
+}
+
+#[test]
+fn a_sensor_of_two_channels_that_disagree_together_is_faulty() {
+    let fed = feed_sensors(3000, &[0, 1, 1, 2], |channel, step| {
+        if [1, 2].contains(&channel) && step >= 1000 {
+            50.0
+        } else {
+            1.0
+        }
+    });
+    assert_eq!(fed.common, []);
+    let faulty: Vec<bool> = fed
+        .state
+        .channels()
+        .iter()
+        .map(ChannelScreen::faulty)
+        .collect();
+    assert_eq!(faulty, [false, true, true, false]);
+}
+
+#[test]
+fn a_short_disturbance_of_all_channels_is_no_change_of_the_structure() {
+    // Ten samples, less than half of the time for which a change must last.
+    let fed = feed_sensors(3000, &[0, 1, 2, 3], |_, step| {
+        if (1000..1010).contains(&step) {
+            50.0
+        } else {
+            1.0
+        }
+    });
+    assert_eq!(fed.common, []);
+    for channel in fed.state.channels() {
+        // A residual of the disturbance can be small by chance.
+        assert!(
+            (5..100).contains(&channel.rejected()),
+            "{}",
+            channel.rejected()
+        );
+    }
+}
+
+#[test]
+fn independent_outliers_are_no_change_of_the_structure() {
+    // A fifth of the samples of each channel, which is more than their initial rate when they occur
+    // by chance in several channels at once.
+    let random = std::cell::RefCell::new(ChaCha8Rng::seed_from_u64(8));
+    let fed = feed_sensors(100_000, &[0, 1, 2, 3], |_, _| {
+        let draw: f64 = StandardNormal.sample(&mut *random.borrow_mut());
+        if draw > 0.84 { 50.0 } else { 1.0 }
+    });
+    assert_eq!(fed.common, []);
+    let rejected = fed.state.channels()[0].rejected();
+    assert!((15_000..22_000).contains(&rejected), "{rejected} rejected");
 }
 
 #[test]
@@ -330,11 +432,11 @@ fn motion_that_grows_on_all_channels_is_no_fault_of_sensors() {
 #[test]
 fn dead_and_missing_channels_leave_numbers() {
     let settings = settings(1000);
-    let mut state = OutlierState::new(&settings, 2);
+    let mut state = OutlierState::new(&settings, &[0, 1]);
     let mut sorted = Vec::new();
     for _ in 0..500 {
         let mut residuals = [0.0, f64::NAN];
-        state.screen(&settings, &mut residuals, &[1.0, 1.0], &mut sorted);
+        state.screen(&settings, &mut residuals, &[1.0, 1.0], false, &mut sorted);
         assert!(residuals[1].is_nan());
     }
     let [dead, missing] = state.channels() else {

@@ -108,11 +108,17 @@ impl Recent {
         self.rejected as f64 / self.ring.len().max(1) as f64
     }
 
-    /// Returns the residual that the given share of the stored residuals does not exceed, or 0 if
-    /// none are stored.
-    pub(super) fn percentile(&self, share: f64, sorted: &mut Vec<f64>) -> f64 {
+    /// Returns the residual that the given share of the latest `count` residuals does not exceed,
+    /// or 0 if none are stored.
+    pub(super) fn percentile(&self, share: f64, count: usize, sorted: &mut Vec<f64>) -> f64 {
         sorted.clear();
-        sorted.extend(self.ring.iter().map(|(residual, _)| *residual));
+        sorted.extend(
+            self.ring
+                .iter()
+                .rev()
+                .take(count)
+                .map(|(residual, _)| *residual),
+        );
         if sorted.is_empty() {
             return 0.0;
         }

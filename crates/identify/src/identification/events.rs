@@ -172,6 +172,14 @@ impl Identification {
         let Some(outliers) = self.estimator.outliers() else {
             return;
         };
+        if outliers.change_began() {
+            outputs.push(self.event(
+                time_ns,
+                EventKind::Calibration,
+                "outlier screening paused: the structure or its motion has changed",
+                "samples of several sensors disagree with the predicted response at the same time",
+            ));
+        }
         for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
             let Some((change, why)) = view.take(time_ns, screen) else {
                 continue;

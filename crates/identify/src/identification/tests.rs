@@ -644,3 +644,34 @@ fn verdict_on_the_fit_is_shown_with_the_parameters_and_in_the_flags() {
                 .all(|channel| channel.channel.as_str() != "ground")
     }));
 }
+
+/// The samples of a storey that loses stiffness at once look like outliers.
+#[test]
+fn a_sudden_loss_pauses_the_screening_and_is_reported_once() {
+    let (structure, block) = of_text(
+        |text| {
+            text.replace("[filter]", "[outliers]\n\n[filter]")
+                .replace("loss = 0.15", "loss = 0.6")
+        },
+        8_000,
+    );
+    let outputs = identified(&structure, block);
+    let paused: Vec<&Event> = events(&outputs)
+        .into_iter()
+        .filter(|event| event.what.starts_with("outlier screening paused"))
+        .collect();
+    let [event] = paused[..] else {
+        panic!("{paused:?}")
+    };
+    assert_eq!(
+        (event.kind, event.subject.as_str()),
+        (EventKind::Calibration, "identify")
+    );
+    let after_s = event.time_ns as f64 / 1e9 - 60.0;
+    assert!((0.2..1.5).contains(&after_s), "{after_s} s after the loss");
+    assert!(
+        events(&outputs)
+            .iter()
+            .all(|event| event.kind != EventKind::ChannelExcluded)
+    );
+}

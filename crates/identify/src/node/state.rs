@@ -22,7 +22,7 @@ pub struct NodeIdentificationState {
 impl NodeIdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 2;
+    pub const VERSION: u16 = 3;
 }
 
 impl NodeIdentification {

@@ -159,6 +159,22 @@ fn a_record_map_says_how_times_and_rates_become_those_of_the_structure() {
     assert!(told.contains("record.time-unit: is \"h\""), "{told}");
 }
 
+/// The channels of a node can fail together, unless it is the only node.
+#[test]
+fn the_sensors_of_the_filter_are_the_nodes() {
+    let sensors = |change: &dyn Fn(&str) -> String| {
+        let structure = Structure::parse(&change(DEMO), Path::new("demo.toml")).unwrap();
+        structure.filter_settings().unwrap().sensors
+    };
+    assert_eq!(sensors(&str::to_owned), [0, 1, 2, 3, 4]);
+    let without = |text: &str, floor: usize| {
+        text.replace(&format!("[[node]]\nname = \"floor-{floor}\"\n"), "")
+    };
+    assert_eq!(sensors(&|text| without(text, 3)), [0, 1, 1, 2, 3]);
+    let together = |text: &str| (1..=5).fold(text.to_owned(), |text, floor| without(&text, floor));
+    assert_eq!(sensors(&together), [0, 1, 2, 3, 4]);
+}
+
 #[test]
 fn filter_settings_are_in_steps_and_variances() {
     let settings = read(DEMO).unwrap().filter_settings().unwrap();

@@ -7,7 +7,7 @@
 use super::ground::Ground;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use rand_distr::{Bernoulli, Distribution, StandardNormal};
 
 /// Number of integration steps per sample.
 const SUBSTEPS: usize = 10;
@@ -32,6 +32,31 @@ pub(super) struct Loss {
     pub(super) share: f64,
 }
 
+/// Fault of the sensor of one floor, or of all.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct SensorFault {
+    /// Index of the floor, from 0; `None` for all floors.
+    pub(super) floor: Option<usize>,
+    pub(super) at_s: f64,
+    pub(super) kind: FaultKind,
+}
+
+/// Kind of a fault.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum FaultKind {
+    /// The sensor measures nothing, and only its noise remains.
+    Dead,
+    /// The motion is multiplied by this factor.
+    Gain(f64),
+    /// The noise is multiplied by this factor.
+    Noise(f64),
+    /// This share of the samples has an additional error of about [`SPIKE`].
+    Spikes(f64),
+}
+
+/// Standard deviation of spikes (m/s²), several times that of the response.
+const SPIKE: f64 = 1.0;
+
 /// The true building with its motion and sensors.
 #[derive(Debug, Clone)]
 pub(super) struct Building {
@@ -44,6 +69,7 @@ pub(super) struct Building {
     pub(super) damping_stays: bool,
     pub(super) yielding: Option<Yielding>,
     pub(super) loss: Option<Loss>,
+    pub(super) fault: Option<SensorFault>,
     pub(super) ground: Ground,
     /// Standard deviation of the noise of the ground channel and of each floor channel (m/s²).
     pub(super) ground_noise: f64,
@@ -67,7 +93,7 @@ impl Building {
             random.set_stream(stream);
             random
         };
-        let (mut noise, mut motion) = (random(1), random(0));
+        let (mut noise, mut motion, mut spikes) = (random(1), random(0), random(2));
         let ground = self
             .ground
             .draw(samples, SUBSTEPS, self.rate_hz, &mut motion);
@@ -87,17 +113,40 @@ impl Building {
             let first = sample * SUBSTEPS;
             let mut values = vec![ground[first] + self.ground_noise * normal(&mut noise)];
             let accelerations = motion.absolute_accelerations();
-            values.extend(
-                accelerations
-                    .into_iter()
-                    .map(|value| value + self.floor_noise * normal(&mut noise)),
-            );
+            let fault = self.fault.filter(|fault| time_s >= fault.at_s);
+            values.extend(accelerations.into_iter().enumerate().map(|(floor, value)| {
+                let noise = self.floor_noise * normal(&mut noise);
+                match fault.filter(|fault| fault.floor.is_none_or(|faulty| faulty == floor)) {
+                    Some(fault) => fault.kind.measured(value, noise, &mut spikes),
+                    None => value + noise,
+                }
+            }));
             frames.push(values);
             for substep in 0..SUBSTEPS {
                 motion.advance(step_s, ground[first + substep], ground[first + substep + 1]);
             }
         }
         frames
+    }
+}
+
+impl FaultKind {
+    /// Returns the sample of a faulty sensor (m/s²).
+    fn measured(self, acceleration: f64, noise: f64, random: &mut ChaCha8Rng) -> f64 {
+        match self {
+            Self::Dead => noise,
+            Self::Gain(gain) => gain * acceleration + noise,
+            Self::Noise(factor) => acceleration + factor * noise,
+            Self::Spikes(share) => {
+                let is_spike = Bernoulli::new(share).is_ok_and(|spike| spike.sample(random));
+                let spike = if is_spike {
+                    SPIKE * normal(random)
+                } else {
+                    0.0
+                };
+                acceleration + noise + spike
+            }
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Conditions of the robustness benchmark: the true building, and what its owner states.
 
-use super::building::{Building, Loss, Yielding};
+use super::building::{Building, FaultKind, Loss, SensorFault, Yielding};
 use super::file::{DAMPING_RATIO, FIRST_FREQUENCY_HZ, MASS_KG, STOREYS, Stated};
 use super::ground::{Envelope, Ground, Spectrum};
 use super::measure;
@@ -79,6 +79,7 @@ pub(super) fn right() -> (Building, Stated) {
         damping_stays: false,
         yielding: None,
         loss: None,
+        fault: None,
         ground: Ground {
             spectrum: Spectrum::WhiteStraight,
             envelope: Envelope::Constant,
@@ -93,6 +94,7 @@ pub(super) fn right() -> (Building, Stated) {
         ground_measured: true,
         ground_std: 0.1,
         noise_std: 0.005,
+        outliers: false,
         damping_identified: false,
         rule_loss: 0.05,
         filter: "half-life-s = 10\n".to_owned(),
@@ -115,6 +117,24 @@ fn lose_late(building: &mut Building, storey: usize, share: f64) {
         storey: storey - 1,
         at_s: LATE_LOSS_AT_S,
         share,
+    });
+}
+
+/// Makes the sensor of a floor faulty at the time of the other losses.
+fn fault(building: &mut Building, floor: usize, kind: FaultKind) {
+    building.fault = Some(SensorFault {
+        floor: Some(floor - 1),
+        at_s: LOSS_AT_S,
+        kind,
+    });
+}
+
+/// Adds spikes to this share of the samples of all floors, from the start.
+fn spikes(building: &mut Building, share: f64) {
+    building.fault = Some(SensorFault {
+        floor: None,
+        at_s: 0.0,
+        kind: FaultKind::Spikes(share),
     });
 }
 
@@ -228,4 +248,22 @@ conditions![
     "loss-60-storey-3" "Storey 3 loses 60 % at once", SUDDEN_S, sudden(33.3), |b, s, seed| lose(b, 3, 0.6);
     "loss-60-storey-4" "Storey 4 loses 60 % at once", SUDDEN_S, sudden(39.5), |b, s, seed| lose(b, 4, 0.6);
     "loss-60-storey-1-damping-stays" "Storey 1 loses 60 % at once, but none of its damping", SUDDEN_S, sudden(15.0), |b, s, seed| { b.damping_stays = true; lose(b, 1, 0.6) };
+    "outliers" "The file is right, with [outliers]", DURATION_S, RIGHT, |b, s, seed| s.outliers = true;
+    "outliers-loss-10" "The file is right, with [outliers]; storey 2 loses 10 %", DURATION_S, Expected::Loss { found: Some(1.0), within_s: Some(14.4) }, |b, s, seed| { s.outliers = true; lose(b, 2, 0.10) };
+    "outliers-loss-30-storey-2" "[outliers]; storey 2 loses 30 % at once", SUDDEN_S, sudden(8.6), |b, s, seed| { s.outliers = true; lose(b, 2, 0.3) };
+    "outliers-loss-40-storey-3" "[outliers]; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { s.outliers = true; lose(b, 3, 0.4) };
+    "outliers-loss-40-storey-5" "[outliers]; storey 5 loses 40 % at once", SUDDEN_S, sudden(19.8), |b, s, seed| { s.outliers = true; lose(b, 5, 0.4) };
+    "outliers-loss-60-storey-1" "[outliers]; storey 1 loses 60 % at once", SUDDEN_S, sudden(15.0), |b, s, seed| { s.outliers = true; lose(b, 1, 0.6) };
+    "outliers-loss-60-storey-4" "[outliers]; storey 4 loses 60 % at once", SUDDEN_S, sudden(39.5), |b, s, seed| { s.outliers = true; lose(b, 4, 0.6) };
+    "outliers-masses-off-loss-40" "[outliers]; each mass up to 10 % off; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { s.outliers = true; random_masses(b, seed); lose(b, 3, 0.4) };
+    "masses-off-loss-40" "each mass up to 10 % off; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { random_masses(b, seed); lose(b, 3, 0.4) };
+    "outliers-spikes" "[outliers]; a tenth of the samples of each floor are wrong", DURATION_S, Expected::WrongModel { decided: Some(0.95) }, |b, s, seed| { s.outliers = true; spikes(b, 0.1) };
+    "outliers-spikes-loss-10" "[outliers]; a tenth of the samples of each floor are wrong; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { s.outliers = true; spikes(b, 0.1); lose(b, 2, 0.1) };
+    "outliers-spikes-loss-40" "[outliers]; a tenth of the samples of each floor are wrong; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { s.outliers = true; spikes(b, 0.1); lose(b, 3, 0.4) };
+    "outliers-dead-floor-2" "[outliers]; the sensor of floor 2 dies", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 2, FaultKind::Dead) };
+    "outliers-dead-floor-5" "[outliers]; the sensor of floor 5 dies", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 5, FaultKind::Dead) };
+    "outliers-gain-floor-3" "[outliers]; the sensor of floor 3 loses 30 % of its gain", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 3, FaultKind::Gain(0.7)) };
+    "outliers-gain-floor-5" "[outliers]; the sensor of floor 5 loses 30 % of its gain", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 5, FaultKind::Gain(0.7)) };
+    "outliers-sign-floor-3" "[outliers]; the sensor of floor 3 changes its sign", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 3, FaultKind::Gain(-1.0)) };
+    "outliers-noisy-floor-3" "[outliers]; the sensor of floor 3 has twenty times its noise", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 3, FaultKind::Noise(20.0)) };
 ];

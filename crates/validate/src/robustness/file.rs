@@ -11,6 +11,8 @@ pub(super) struct Stated {
     /// Level of the ground motion, as the standard deviation of one sample (m/s²).
     pub(super) ground_std: f64,
     pub(super) noise_std: f64,
+    /// Whether the samples are screened for outliers.
+    pub(super) outliers: bool,
     /// Whether the two Rayleigh coefficients are identified.
     pub(super) damping_identified: bool,
     /// Loss of the alert rule, as a share.
@@ -71,6 +73,9 @@ impl Stated {
                  quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\n\
                  noise-std = {noise_std}\nnoise-group = \"floors\"\nadapt-noise = true\n"
             );
+        }
+        if self.outliers {
+            text += "\n[outliers]\n";
         }
         let stiffness: Vec<String> = (1..=STOREYS)
             .map(|storey| format!("\"storey-{storey}\""))

@@ -24,8 +24,8 @@ const WEAK: f64 = 1.0;
 /// minute before the motion.
 const SKIP_S: f64 = 30.0;
 
-/// Simulated loss.
-const LOSS: f64 = 0.4;
+/// What the title of a row with outlier screening adds.
+const SCREENED: &str = " with [outliers]";
 
 /// Archives with the four channels, in order of time. Three more archives of the folder lack the
 /// base of the bent.
@@ -104,8 +104,9 @@ pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
         batch(&events),
         sound(&structure, &events, &baselines)?,
         strong(&structure, &events, &baselines)?,
-        damaged("", &structure, &events, &baselines)?,
-        damaged(" with [outliers]", &screened, &events, &baselines)?,
+        damaged(0.4, "", &structure, &events, &baselines)?,
+        damaged(0.4, SCREENED, &screened, &events, &baselines)?,
+        damaged(0.6, SCREENED, &screened, &events, &baselines)?,
     ])
 }
 
@@ -306,9 +307,10 @@ fn coda(course: &Course) -> usize {
         .unwrap_or(0)
 }
 
-/// Runs weak events of a bridge whose supports have lost 40 %, including the unexplained part of
-/// the real record.
+/// Runs weak events of a bridge whose supports have lost this share, including the unexplained part
+/// of the real record.
 fn damaged(
+    loss: f64,
     what: &str,
     structure: &Structure,
     events: &[Event],
@@ -316,9 +318,10 @@ fn damaged(
 ) -> Result<Row, RecordsError> {
     let mut row = Row::new(
         format!(
-            "highway bridge: simulated loss of 40 % with the residual of each weak event{what}"
+            "highway bridge: simulated loss of {:.0} % with the residual of each weak event{what}",
+            100.0 * loss
         ),
-        "raised in every weak event; the interval at the raise holds 40 %",
+        "raised in every weak event; the interval at the raise holds the loss",
     );
     let replay = Replay::new(structure);
     let (mut courses, mut held) = (Vec::new(), 0);
@@ -330,10 +333,10 @@ fn damaged(
         let sound = baseline
             .parameter(PARAMETER)
             .map_or(1.0, |parameter| parameter.mean);
-        let rows = with_loss(&replay, structure, event, sound);
+        let rows = with_loss(&replay, structure, event, sound * (1.0 - loss));
         let course = Course::run(structure, &rows, Some(baseline), MOTION)?;
         let interval = course.raised().next().and_then(|(_, alert)| alert.loss);
-        held += usize::from(interval.is_some_and(|loss| (loss.low..=loss.high).contains(&LOSS)));
+        held += usize::from(interval.is_some_and(|found| (found.low..=found.high).contains(&loss)));
         row.seen += &told(event, &course);
         courses.push(course);
     }
@@ -348,21 +351,19 @@ fn damaged(
     Ok(row)
 }
 
-/// Returns the model response at 60 % of the undamaged stiffness plus the unexplained part of an
-/// event.
+/// Returns the model response at the stiffness `left` plus the unexplained part of an event.
 ///
-/// The unexplained part is the record minus the response at its own batch fit. The loss relative to
-/// the undamaged stiffness is therefore 40 % in each event, and the event contributes only the
-/// model error.
+/// The unexplained part is the record minus the response at its own batch fit. The stiffness is
+/// therefore the same in each event, and the event contributes only the model error.
 fn with_loss(
     replay: &Replay<'_>,
     structure: &Structure,
     event: &Event,
-    sound: f64,
+    left: f64,
 ) -> Vec<spandrel_sensor::Row> {
     let parameters = structure.parameters().len();
     let own = replay.response(&event.record.rows, &vec![event.batch.0; parameters]);
-    let soft = replay.response(&event.record.rows, &vec![sound * (1.0 - LOSS); parameters]);
+    let soft = replay.response(&event.record.rows, &vec![left; parameters]);
     let mut rows = event.record.rows.clone();
     for ((row, own), soft) in rows.iter_mut().zip(&own).zip(&soft) {
         for ((channel, own), soft) in structure
