@@ -34,22 +34,22 @@ pub enum BusError {
         source: ZenohError,
     },
     /// The first chunk of all keys is not a valid name.
-    #[error("bus.root cannot be used: {source}")]
+    #[error("bus.root cannot be used: {reason}")]
     Root {
         /// Reason for the rejection.
-        source: NameError,
+        reason: NameError,
     },
     /// The name of a claim to lead is not a valid chunk of a key.
-    #[error("claim to lead contains an invalid name: {source}")]
+    #[error("claim to lead contains an invalid name: {reason}")]
     Claim {
         /// Reason for the rejection.
-        source: NameError,
+        reason: NameError,
     },
     /// The name of the structure is not a valid chunk of a key.
-    #[error("invalid name of the structure: {source}")]
+    #[error("invalid name of the structure: {reason}")]
     Structure {
         /// Reason for the rejection.
-        source: NameError,
+        reason: NameError,
     },
     /// The connection timeout is negative or NaN.
     #[error("bus.connect_timeout_s is {found}, must be at least 0 s, or inf")]
@@ -137,7 +137,7 @@ pub enum BusError {
         why: String,
     },
     /// The session cannot listen on an endpoint, for example because another program uses it.
-    #[error("cannot listen on {endpoint}: {source}; {}", match source.kind() {
+    #[error("cannot listen on {endpoint}: {reason}; {}", match reason.kind() {
         ErrorKind::AddrInUse => format!(
             "another program already listens there; to join that spandrel or router, use \
              --connect {endpoint}; otherwise choose another port with {place}, or port 0 for a \
@@ -151,11 +151,11 @@ pub enum BusError {
         /// Setting that specifies the endpoint.
         place: String,
         /// Error from the operating system.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// No program replies at an endpoint.
     #[error(
-        "no reply from {endpoint}: {source}; start spandrel run, spandrel demo or a router there, \
+        "no reply from {endpoint}: {reason}; start spandrel run, spandrel demo or a router there, \
          or set the address of one with {place}"
     )]
     Unreachable {
@@ -164,7 +164,7 @@ pub enum BusError {
         /// Setting that specifies the endpoint.
         place: String,
         /// Error from the operating system.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The program at an endpoint does not use a supported Zenoh protocol.
     #[error(

@@ -56,7 +56,7 @@ impl Claim {
 
     fn key(&self, keys: &Keys) -> Result<String, BusError> {
         let name = Name::new(format!("{}-{}", self.term, self.instance));
-        Ok(keys.leader(&name.map_err(|source| BusError::Claim { source })?))
+        Ok(keys.leader(&name.map_err(|reason| BusError::Claim { reason })?))
     }
 }
 
@@ -98,7 +98,7 @@ impl Bus {
     /// Fails if Zenoh's id is not a name. In practice it is, because it consists of at most 32
     /// hexadecimal digits.
     pub fn instance(&self) -> Result<Name, BusError> {
-        Name::new(self.session().zid().to_string()).map_err(|source| BusError::Claim { source })
+        Name::new(self.session().zid().to_string()).map_err(|reason| BusError::Claim { reason })
     }
 
     /// Watches the claims to lead the identification of a structure.

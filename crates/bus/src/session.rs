@@ -209,11 +209,11 @@ impl BusConfig {
                 () if parts.is_quic() => UdpSocket::bind(parts.address()).map(drop),
                 () => Ok(()),
             };
-            if let Err(source) = bound {
+            if let Err(reason) = bound {
                 return BusError::Listen {
                     endpoint: endpoint.clone(),
                     place: self.place("listen"),
-                    source,
+                    reason,
                 };
             }
         }
@@ -228,11 +228,11 @@ impl BusConfig {
                 _ => Ok(None),
             };
             match reached {
-                Err(source) => {
+                Err(reason) => {
                     return BusError::Unreachable {
                         endpoint: endpoint.clone(),
                         place: self.place("connect"),
-                        source,
+                        reason,
                     };
                 }
                 Ok(Some(why)) => {
@@ -426,8 +426,8 @@ impl BusConfig {
     /// # Errors
     /// Fails if the root or the structure is not a [`Name`].
     pub fn keys(&self, structure: &str) -> Result<Keys, BusError> {
-        let root = Name::new(&*self.root).map_err(|source| BusError::Root { source })?;
-        let structure = Name::new(structure).map_err(|source| BusError::Structure { source })?;
+        let root = Name::new(&*self.root).map_err(|reason| BusError::Root { reason })?;
+        let structure = Name::new(structure).map_err(|reason| BusError::Structure { reason })?;
         Ok(Keys::new(root, structure))
     }
 }

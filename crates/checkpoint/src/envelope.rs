@@ -34,9 +34,9 @@ impl Identity {
     /// # Errors
     /// The state cannot be serialised.
     pub fn seal<T: Serialize>(&self, state: &T) -> Result<Vec<u8>, CheckpointError> {
-        seal(self, state).map_err(|source| CheckpointError::Encode {
+        seal(self, state).map_err(|reason| CheckpointError::Encode {
             kind: self.kind,
-            source,
+            reason,
         })
     }
 

@@ -6,22 +6,22 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// A file system operation failed.
-    #[error("{}: cannot {what}: {source}", path.display())]
+    #[error("{}: cannot {what}: {reason}", path.display())]
     Io {
         /// The failed operation.
         what: &'static str,
         /// The file or folder.
         path: PathBuf,
         /// The cause.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The state cannot be encoded.
-    #[error("the state of {kind} cannot be written: {source}")]
+    #[error("the state of {kind} cannot be written: {reason}")]
     Encode {
         /// The kind of checkpoint.
         kind: &'static str,
         /// The cause.
-        source: postcard::Error,
+        reason: postcard::Error,
     },
 }
 

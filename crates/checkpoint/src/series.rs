@@ -59,10 +59,10 @@ impl Checkpoints {
     /// # Errors
     /// The folder cannot be created or read.
     pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
-        let failed = |source| CheckpointError::Io {
+        let failed = |reason| CheckpointError::Io {
             what: "create the folder",
             path: folder.to_owned(),
-            source,
+            reason,
         };
         fs::create_dir_all(folder).map_err(failed)?;
         let checkpoints = Self {
@@ -195,10 +195,10 @@ impl Checkpoints {
             match fs::remove_file(&path) {
                 // A user has already deleted the file.
                 Err(source) if source.kind() == io::ErrorKind::NotFound => {}
-                removed => removed.map_err(|source| CheckpointError::Io {
+                removed => removed.map_err(|reason| CheckpointError::Io {
                     what: "remove",
                     path,
-                    source,
+                    reason,
                 })?,
             }
         }
@@ -210,10 +210,10 @@ impl Checkpoints {
     /// # Errors
     /// The folder cannot be read.
     pub fn places(&self) -> Result<Vec<Place>, CheckpointError> {
-        let failed = |source| CheckpointError::Io {
+        let failed = |reason| CheckpointError::Io {
             what: "read",
             path: self.folder.clone(),
-            source,
+            reason,
         };
         let mut places = Vec::new();
         for entry in fs::read_dir(&self.folder).map_err(failed)? {
@@ -274,10 +274,10 @@ fn write_whole(
     folder: &Path,
 ) -> Result<(), CheckpointError> {
     let failed = |what| {
-        move |source| CheckpointError::Io {
+        move |reason| CheckpointError::Io {
             what,
             path: beside.to_owned(),
-            source,
+            reason,
         }
     };
     let mut file = File::create(beside).map_err(failed("create"))?;
@@ -285,10 +285,10 @@ fn write_whole(
     file.sync_all().map_err(failed("synchronise to disk"))?;
     fs::rename(beside, path).map_err(failed("rename"))?;
     let forced = File::open(folder).and_then(|folder| folder.sync_all());
-    forced.map_err(|source| CheckpointError::Io {
+    forced.map_err(|reason| CheckpointError::Io {
         what: "synchronise to disk",
         path: folder.to_owned(),
-        source,
+        reason,
     })
 }
 

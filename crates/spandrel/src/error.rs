@@ -336,10 +336,8 @@ impl AppError {
         let mut cause = self.source();
         while let Some(error) = cause {
             let line = without_source_places(&error.to_string());
-            if !text.contains(&line) {
-                // Writing to a string cannot fail.
-                let _ = writeln!(text, "  because: {line}");
-            }
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "  because: {line}");
             cause = error.source();
         }
         text

@@ -6,16 +6,16 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ValidateError {
     /// A filter of a case stopped with an error.
-    #[error("the filter stopped at {time_s:.3} s: {source}")]
+    #[error("the filter stopped at {time_s:.3} s: {reason}")]
     Filter {
         /// Time in the record (s).
         time_s: f64,
         /// Error of the filter.
-        source: spandrel_filter::FilterError,
+        reason: spandrel_filter::FilterError,
     },
     /// The structure file of a case is invalid.
     #[error("the structure of the case is wrong: {0}")]
-    Structure(#[from] spandrel_structure::StructureError),
+    Structure(spandrel_structure::StructureError),
     /// An example contradicts itself.
     #[error("the {what} of the example is inconsistent")]
     Example {
@@ -43,12 +43,12 @@ pub enum ValidateError {
         known: String,
     },
     /// A file of the report cannot be read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {reason}", path.display())]
     File {
         /// Path of the file.
         path: PathBuf,
         /// I/O error.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// A diagram cannot be drawn.
     #[error("diagram {title}: {reason}")]
@@ -71,7 +71,7 @@ impl ValidateError {
 impl ValidateError {
     /// Returns a function that converts the error of a filter which stopped at a time (s).
     pub(crate) fn at(time_s: f64) -> impl FnOnce(spandrel_filter::FilterError) -> Self {
-        move |source| Self::Filter { time_s, source }
+        move |reason| Self::Filter { time_s, reason }
     }
 
     /// Converts the error of an example file that could not be run.
@@ -80,10 +80,16 @@ impl ValidateError {
     }
 
     /// Converts the error of a filter that could not be built.
-    pub(crate) fn setting(source: spandrel_filter::FilterError) -> Self {
+    pub(crate) fn setting(reason: spandrel_filter::FilterError) -> Self {
         Self::Filter {
             time_s: 0.0,
-            source,
+            reason,
         }
+    }
+}
+
+impl From<spandrel_structure::StructureError> for ValidateError {
+    fn from(error: spandrel_structure::StructureError) -> Self {
+        Self::Structure(error)
     }
 }

@@ -57,9 +57,9 @@ impl Kept {
         let ignore = path.join(".gitignore");
         std::fs::create_dir_all(path)
             .and_then(|()| std::fs::write(&ignore, "*\n"))
-            .map_err(|source| ValidateError::File {
+            .map_err(|reason| ValidateError::File {
                 path: path.clone(),
-                source,
+                reason,
             })
     }
 
@@ -130,9 +130,9 @@ impl Kept {
             std::fs::write(&unfinished, text)?;
             std::fs::rename(&unfinished, &path)
         };
-        text.and_then(write).map_err(|source| ValidateError::File {
+        text.and_then(write).map_err(|reason| ValidateError::File {
             path: path.clone(),
-            source,
+            reason,
         })
     }
 }

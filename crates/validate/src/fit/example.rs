@@ -82,9 +82,9 @@ impl Example {
         let directory = std::env::temp_dir().join(directory);
         write_matrices(&directory.join("matrices"))?;
         let structure = Structure::parse(&text, &directory.join(self.name));
-        std::fs::remove_dir_all(&directory).map_err(|source| ValidateError::File {
+        std::fs::remove_dir_all(&directory).map_err(|reason| ValidateError::File {
             path: directory,
-            source,
+            reason,
         })?;
         Ok(structure?)
     }
@@ -93,7 +93,7 @@ impl Example {
 fn write_matrices(directory: &Path) -> Result<(), ValidateError> {
     let failed = |path: &Path| {
         let path = PathBuf::from(path);
-        |source| ValidateError::File { path, source }
+        |reason| ValidateError::File { path, reason }
     };
     std::fs::create_dir_all(directory).map_err(failed(directory))?;
     for (name, text) in MATRICES {

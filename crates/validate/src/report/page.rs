@@ -118,7 +118,7 @@ fn judged(judgement: Judgement, seeds: usize) -> &'static str {
 pub(super) fn write(report: &Report, directory: &Path) -> Result<(), ValidateError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
-        move |source| ValidateError::File { path, source }
+        move |reason| ValidateError::File { path, reason }
     };
     let put = |name: &str, text: &str| {
         let path = directory.join(name);

@@ -5,7 +5,7 @@
 pub enum RecordsError {
     /// A structure file of the benchmark is invalid.
     #[error("the structure file of the benchmark is wrong: {0}")]
-    Structure(#[from] spandrel_structure::StructureError),
+    Structure(spandrel_structure::StructureError),
     /// A record cannot be read.
     #[error(transparent)]
     Record(#[from] spandrel_record::RecordError),
@@ -33,4 +33,10 @@ pub enum RecordsError {
         /// Missing text.
         expected: String,
     },
+}
+
+impl From<spandrel_structure::StructureError> for RecordsError {
+    fn from(error: spandrel_structure::StructureError) -> Self {
+        Self::Structure(error)
+    }
 }
