@@ -13,7 +13,8 @@
 //!   Otherwise, the sensor is faulty. Its samples are ignored until the residuals agree with the
 //!   model again.
 //! - If several sensors reject samples at the same time, the structure or its motion has changed and
-//!   not the sensors. All samples are used until the scales are known again.
+//!   not the sensors. The screening pauses, and rejects only samples far beyond the latest residuals.
+//!   If most channels reject samples for long, all their scales are estimated again.
 
 mod common;
 mod probability;
@@ -381,10 +382,10 @@ impl OutlierState {
         &self.channels
     }
 
-    /// Returns `true` if the last step revealed a common change: samples of several sensors disagree
-    /// with the model at the same time, so that the structure or its motion has changed.
+    /// Returns `true` if the last step revealed a common change.
     ///
-    /// The screening then pauses, and all samples are used.
+    /// Samples of several sensors then disagree with the model at the same time, because the
+    /// structure or its motion has changed. The screening pauses.
     #[must_use]
     pub fn change_began(&self) -> bool {
         self.common.began()

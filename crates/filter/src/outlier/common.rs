@@ -1,5 +1,6 @@
-//! Detection of a common change: samples of several sensors disagree with the model at the same time
-//! and for long, so that the structure or its motion has changed and not the sensors.
+//! Detection of a common change: the structure or its motion has changed, and not a sensor.
+//!
+//! Samples of several sensors then disagree with the model at the same time and for long.
 //!
 //! Two hypotheses compete at each step:
 //!
@@ -27,7 +28,7 @@ const RATES: std::ops::RangeInclusive<f64> = 0.01..=0.4;
 /// run length.
 const CREDIBLE: f64 = 20.7;
 
-/// Largest sum, so that the end of a change is noticed at once.
+/// Largest sum, so that a sum falls below [`CREDIBLE`] within some tens of regular steps.
 const LARGEST: f64 = 2.0 * CREDIBLE;
 
 /// Phase of the detection after one step.
