@@ -11,7 +11,7 @@
 
 use spandrel_bus::{Block, FrameBlock, Header, Pace, SampleBlock, StreamState, TimeGrid};
 
-use crate::counts::Counts;
+use crate::counts::{Counts, NodeCounts};
 use crate::layout::Layout;
 use crate::node_queue::{NodeQueue, Presence};
 
@@ -21,6 +21,14 @@ const BLOCK_FRAMES: usize = 512;
 /// Longest gap that is filled with empty frames, in frames. After a longer gap in the samples of
 /// all nodes, a new run starts.
 const LONGEST_HOLE: i64 = 100_000;
+
+/// Longest time, ns, by which live samples may lag behind the frames without having gone back in
+/// time.
+const LONGEST_LAG_NS: i64 = 2_000_000_000;
+
+/// Span of samples from the past, ns, after which a node begins a new run if the other nodes deliver
+/// nothing.
+const GONE_BACK_NS: i64 = 500_000_000;
 
 /// An input of the alignment; `node` is an index into the layout.
 #[derive(Clone, Debug)]
@@ -72,6 +80,8 @@ pub struct Alignment {
     run: Option<Run>,
     deadline_ns: i64,
     ended: bool,
+    /// Number of blocks that did not belong to closed frames.
+    in_time: u64,
     counts: Counts,
 }
 
@@ -101,6 +111,7 @@ impl Alignment {
             run: None,
             deadline_ns: i64::MIN,
             ended: false,
+            in_time: 0,
             counts: Counts::default(),
         }
     }
@@ -149,8 +160,23 @@ impl Alignment {
 
     /// Returns the counters of frames and of samples that did not become part of a frame.
     #[must_use]
-    pub fn counts(&self) -> &Counts {
-        &self.counts
+    pub fn counts(&self) -> Counts {
+        let mut counts = self.counts;
+        for queue in &self.queues {
+            counts.nodes += queue.counts;
+        }
+        counts
+    }
+
+    /// Returns the counters of each node, in layout order.
+    pub fn node_counts(&self) -> impl Iterator<Item = NodeCounts> {
+        self.queues.iter().map(|queue| queue.counts)
+    }
+
+    /// Returns the epoch of the frames. It rises with each run.
+    #[must_use]
+    pub fn epoch(&self) -> u64 {
+        self.epoch
     }
 
     /// Processes an input, and appends the frames that it closes to `blocks`, in order.
@@ -211,31 +237,45 @@ impl Alignment {
             }
         }
         if self.is_behind(node, &block) {
-            self.queues[node].park(block, &mut self.counts);
-            let expected = |queue: &&NodeQueue| queue.presence == Presence::Expected;
-            if self
-                .queues
-                .iter()
-                .filter(expected)
-                .all(NodeQueue::is_parked)
-            {
-                self.go_back(blocks);
-            }
+            self.park(node, block, blocks);
             return;
         }
-        self.queues[node].drop_parked(&mut self.counts);
+        self.in_time += 1;
+        self.queues[node].drop_parked();
         self.push(node, &block);
+    }
+
+    /// Parks a block of a node that has gone back in time. Starts a new run if no node delivers
+    /// samples of the present run any longer.
+    fn park(&mut self, node: usize, block: SampleBlock, blocks: &mut Vec<FrameBlock>) {
+        let queue = &mut self.queues[node];
+        if !queue.is_parked() {
+            queue.in_time_when_parked = self.in_time;
+        }
+        // A live node that has fallen silent must not hold back the others.
+        let is_live = block.pace == Pace::Live;
+        queue.park(block);
+        let others_are_silent = is_live
+            && queue.in_time_when_parked == self.in_time
+            && queue.parked_ns() >= GONE_BACK_NS;
+        let expected = |queue: &&NodeQueue| queue.presence == Presence::Expected;
+        let mut expected = self.queues.iter().filter(expected);
+        if others_are_silent || expected.all(NodeQueue::is_parked) {
+            self.go_back(blocks);
+        }
     }
 
     fn push(&mut self, node: usize, block: &SampleBlock) {
         self.queues[node].epoch = Some(block.header.epoch);
-        self.queues[node].push(block, &mut self.counts);
+        self.queues[node].push(block);
     }
 
     fn next_run(&mut self) {
         if self.run.take().is_some() {
             self.epoch += 1;
         }
+        // The deadline of the former run may lie in the future of the new one.
+        self.deadline_ns = i64::MIN;
         // Waiting samples belong to the new run. Earlier samples do not show how far a node has
         // come in it.
         for queue in &mut self.queues {
@@ -245,20 +285,28 @@ impl Alignment {
 
     /// Returns `true` if a block belongs to closed frames for another reason than being late.
     ///
-    /// This happens when a source restarts and replays its record, or when clocks are set far back.
-    /// A restarted live node continues on the same time scale, and may permanently lag a little
-    /// behind the other nodes.
+    /// This happens when a source restarts and replays its record, when live samples follow a
+    /// simulation, or when clocks are set back. A restarted live node continues on the same time
+    /// scale, and may permanently lag a little behind the other nodes.
     fn is_behind(&self, node: usize, block: &SampleBlock) -> bool {
         let Some(run) = &self.run else {
             return false;
         };
         let queue = &self.queues[node];
-        let is_replayed = block.pace == Pace::Replayed;
-        let restarted = is_replayed && queue.epoch.is_some_and(|epoch| block.header.epoch > epoch);
         let number = run.grid.nearest(block.header.time_ns);
-        let next = run.next as i64;
-        number < next
-            && (restarted || queue.is_parked() || number.saturating_add(LONGEST_HOLE) < next)
+        if number >= run.next as i64 {
+            return false;
+        }
+        let has_gone_back = match block.pace {
+            Pace::Replayed => {
+                queue.epoch.is_some_and(|epoch| block.header.epoch > epoch)
+                    || number.saturating_add(LONGEST_HOLE) < run.next as i64
+            }
+            Pace::Live => {
+                block.header.time_ns.saturating_add(LONGEST_LAG_NS) < run.grid.time_ns(run.next)
+            }
+        };
+        has_gone_back || queue.is_parked()
     }
 
     /// Starts a new run, because all nodes have gone back in time. Otherwise, all their samples
@@ -266,7 +314,6 @@ impl Alignment {
     fn go_back(&mut self, blocks: &mut Vec<FrameBlock>) {
         self.flush(StreamState::Ended, blocks);
         self.next_run();
-        self.deadline_ns = i64::MIN;
         for node in 0..self.queues.len() {
             for block in self.queues[node].unpark() {
                 self.push(node, &block);
@@ -317,7 +364,7 @@ impl Alignment {
         let mut earliest: Option<i64> = None;
         let mut waits = false;
         for queue in &mut self.queues {
-            let number = first_usable(queue, run, self.layout.tolerance_ns(), &mut self.counts);
+            let number = first_usable(queue, run, self.layout.tolerance_ns());
             let passed = number.is_some() || has_passed(queue, run);
             waits |= !passed && queue.presence == Presence::Expected;
             earliest = earliest.into_iter().chain(number).min();
@@ -432,12 +479,7 @@ fn has_passed(queue: &NodeQueue, run: &Run) -> bool {
 }
 
 /// Returns the frame number of the first usable sample. Drops and counts the samples before it.
-fn first_usable(
-    queue: &mut NodeQueue,
-    run: &Run,
-    tolerance_ns: i64,
-    counts: &mut Counts,
-) -> Option<i64> {
+fn first_usable(queue: &mut NodeQueue, run: &Run, tolerance_ns: i64) -> Option<i64> {
     while let Some(time_ns) = queue.first_ns() {
         let number = run.grid.nearest(time_ns);
         let Some(frame) = u64::try_from(number)
@@ -446,9 +488,9 @@ fn first_usable(
         else {
             let just_closed = number.saturating_add(1) == run.next as i64;
             let count = if just_closed {
-                &mut counts.duplicate
+                &mut queue.counts.duplicate
             } else {
-                &mut counts.late
+                &mut queue.counts.late
             };
             *count += 1;
             queue.pop();
@@ -457,7 +499,7 @@ fn first_usable(
         if run.grid.time_ns(frame).abs_diff(time_ns) as i64 <= tolerance_ns {
             return Some(number);
         }
-        counts.off_grid += 1;
+        queue.counts.off_grid += 1;
         queue.pop();
     }
     None

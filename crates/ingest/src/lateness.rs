@@ -32,7 +32,13 @@ impl Lateness {
         }
     }
 
-    /// Records the arrival of a sample with measurement time `time_ns` (ns). `now` is a reading of
+    /// Forgets all arrivals. Call it when a new run starts, because the times of the former run can
+    /// lie in its future.
+    pub fn reset(&mut self) {
+        self.nodes.fill_with(Arrivals::default);
+    }
+
+    /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a reading of
     /// any monotonic clock.
     pub fn arrived(&mut self, node: usize, time_ns: i64, now: Duration) {
         if let Some(arrivals) = self.nodes.get_mut(node) {
@@ -104,6 +110,15 @@ mod tests {
             lateness.arrived(1, 1_000_000 + step * 10, ms(10 * step as u64));
         }
         assert_eq!(lateness.deadline_ns(ms(300)), Some(200));
+    }
+
+    #[test]
+    fn times_of_a_former_run_set_no_deadline() {
+        let mut lateness = Lateness::new(ms(100), 1);
+        lateness.arrived(0, 1_000_000, ms(0));
+        assert_eq!(lateness.deadline_ns(ms(200)), Some(1_000_000));
+        lateness.reset();
+        assert_eq!(lateness.deadline_ns(ms(300)), None);
     }
 
     #[test]

@@ -38,6 +38,7 @@ mod layout;
 mod node_queue;
 
 mod align;
+mod drop_watch;
 mod lateness;
 
 mod disk;
@@ -47,7 +48,7 @@ mod shell;
 mod unrecorded;
 
 pub use align::{Alignment, AlignmentInput, NodePlace};
-pub use counts::Counts;
+pub use counts::{Counts, NodeCounts};
 pub use error::IngestError;
 pub use lateness::Lateness;
 pub use layout::{Layout, LayoutError, NodeLayout};

@@ -2,9 +2,9 @@
 
 use std::collections::VecDeque;
 
-use spandrel_bus::{Block, SampleBlock, StreamState};
+use spandrel_bus::{Block, Pace, SampleBlock, StreamState};
 
-use crate::counts::Counts;
+use crate::counts::NodeCounts;
 
 /// Maximum number of waiting samples. Further samples are dropped and counted, because a node with
 /// a wrong clock may be permanently ahead.
@@ -14,6 +14,9 @@ const MAX_WAITING: usize = 1 << 17;
 const ROOM_KEPT: usize = 1 << 10;
 /// Maximum number of parked blocks. It covers the blocks in transit from a replay that restarts.
 const MAX_PARKED: usize = 1 << 13;
+/// Longest span of parked live blocks, ns. It exceeds the time after which nodes that have gone
+/// back begin a new run.
+const PARKED_LIVE_NS: i64 = 2_000_000_000;
 
 /// The state of a node, which determines whether frames wait for its samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,8 +45,12 @@ pub(crate) struct NodeQueue {
     pub(crate) newest_ns: Option<i64>,
     /// Epoch of the last block of the node.
     pub(crate) epoch: Option<u64>,
-    /// Blocks from the distant past, parked until it is clear whether all nodes have gone back.
+    /// Blocks from the past, parked until it is clear whether all nodes have gone back.
     parked: VecDeque<SampleBlock>,
+    /// Number of blocks in time of all nodes when the first parked block arrived.
+    pub(crate) in_time_when_parked: u64,
+    /// What has become of the samples of this node.
+    pub(crate) counts: NodeCounts,
 }
 
 impl NodeQueue {
@@ -58,6 +65,8 @@ impl NodeQueue {
             newest_ns: None,
             epoch: None,
             parked: VecDeque::new(),
+            in_time_when_parked: 0,
+            counts: NodeCounts::default(),
         }
     }
 
@@ -91,32 +100,56 @@ impl NodeQueue {
         !self.parked.is_empty()
     }
 
-    /// Parks a block from the distant past, or counts its samples as overflowed if too many blocks
-    /// are parked.
-    pub(crate) fn park(&mut self, block: SampleBlock, counts: &mut Counts) {
+    /// Parks a block from the past, or counts its samples as overflowed if too many blocks are
+    /// parked.
+    ///
+    /// Of live blocks, only the latest [`PARKED_LIVE_NS`] remain parked. Earlier ones are late.
+    pub(crate) fn park(&mut self, block: SampleBlock) {
+        self.counts.received += block.count();
+        if block.pace == Pace::Live {
+            let newest_ns = block.header.time_ns;
+            let is_old = |parked: &SampleBlock| {
+                parked.header.time_ns.saturating_add(PARKED_LIVE_NS) < newest_ns
+            };
+            while let Some(old) = self.parked.pop_front_if(|parked| is_old(parked)) {
+                self.counts.late += old.count();
+            }
+        }
         if self.parked.len() < MAX_PARKED {
             self.parked.push_back(block);
         } else {
-            counts.overflowed += block.count();
+            self.counts.overflowed += block.count();
         }
     }
 
-    /// Removes and returns the parked blocks.
+    /// Returns the time between the first and the last parked block, ns.
+    pub(crate) fn parked_ns(&self) -> i64 {
+        match (self.parked.front(), self.parked.back()) {
+            (Some(first), Some(last)) => last.header.time_ns.saturating_sub(first.header.time_ns),
+            _ => 0,
+        }
+    }
+
+    /// Removes and returns the parked blocks, which are about to be received again.
     pub(crate) fn unpark(&mut self) -> VecDeque<SampleBlock> {
-        std::mem::take(&mut self.parked)
+        let parked = std::mem::take(&mut self.parked);
+        self.counts.received -= parked.iter().map(Block::count).sum::<u64>();
+        parked
     }
 
     /// Drops the parked blocks and counts them as late, because only this node had gone back.
-    pub(crate) fn drop_parked(&mut self, counts: &mut Counts) {
-        counts.late += self.unpark().iter().map(Block::count).sum::<u64>();
+    pub(crate) fn drop_parked(&mut self) {
+        let parked = std::mem::take(&mut self.parked);
+        self.counts.late += parked.iter().map(Block::count).sum::<u64>();
     }
 
     /// Appends the samples of a block, which must have the right number of channels.
-    pub(crate) fn push(&mut self, block: &SampleBlock, counts: &mut Counts) {
+    pub(crate) fn push(&mut self, block: &SampleBlock) {
         let Some(grid) = block.grid() else {
             // A checked block has a grid.
             return;
         };
+        self.counts.received += block.count();
         for (number, sample) in (0..).zip(block.iter()) {
             let time_ns = grid.time_ns(number);
             // The clock of the node has gone back, so the waiting samples from this time on were
@@ -125,12 +158,12 @@ impl NodeQueue {
                 self.times_ns.pop_back();
                 self.numbers.pop_back();
                 self.values.truncate(self.values.len() - self.channels());
-                counts.retracted += 1;
+                self.counts.retracted += 1;
             }
             self.give_back();
             self.newest_ns = Some(time_ns);
             if self.times_ns.len() >= MAX_WAITING {
-                counts.overflowed += 1;
+                self.counts.overflowed += 1;
                 continue;
             }
             self.times_ns.push_back(time_ns);
@@ -139,7 +172,7 @@ impl NodeQueue {
             let checked = sample
                 .iter()
                 .zip(&self.ranges)
-                .map(|(value, range)| checked(*value, *range, counts));
+                .map(|(value, range)| checked(*value, *range, &mut self.counts));
             self.values.extend(checked);
         }
         self.next = (block.header.epoch, block.end());
@@ -181,7 +214,7 @@ impl NodeQueue {
 }
 
 /// Returns the value, or NaN if it is infinite or beyond the range of its channel.
-fn checked(value: f64, range: f64, counts: &mut Counts) -> f64 {
+fn checked(value: f64, range: f64, counts: &mut NodeCounts) -> f64 {
     if value.is_infinite() {
         counts.not_finite += 1;
         return f64::NAN;
@@ -195,7 +228,7 @@ fn checked(value: f64, range: f64, counts: &mut Counts) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use spandrel_bus::{Header, Pace};
+    use spandrel_bus::Header;
 
     use super::*;
 
@@ -221,8 +254,8 @@ mod tests {
 
     #[test]
     fn what_a_node_that_was_ahead_has_taken_is_given_back() {
-        let (mut queue, mut counts) = (NodeQueue::new(vec![1.0; 2]), Counts::default());
-        queue.push(&block(0, 0, 100_000), &mut counts);
+        let mut queue = NodeQueue::new(vec![1.0; 2]);
+        queue.push(&block(0, 0, 100_000));
         let most = room(&queue);
         let mut frame = [0.0; 2];
         for _ in 0..99_900 {
@@ -235,8 +268,8 @@ mod tests {
             room(&queue)
         );
         // When a clock goes back, the queue drops the samples that were ahead.
-        queue.push(&block(100_000, 1_000_000_000_000, 100_000), &mut counts);
-        queue.push(&block(200_000, 999_000_000_000, 1), &mut counts);
+        queue.push(&block(100_000, 1_000_000_000_000, 100_000));
+        queue.push(&block(200_000, 999_000_000_000, 1));
         assert!(
             room(&queue) <= 4 * ROOM_KEPT * 40,
             "{} of {most} bytes",

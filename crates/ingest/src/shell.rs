@@ -5,15 +5,18 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, BoxedFuture, Delivery, Forget, FrameBlock, Keep, Keys, LiveToken, LiveWatch,
-    NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading, SampleBlock,
-    Service, Start, StreamGroup, StreamState,
+    Block, BoxedFuture, Delivery, Event, EventKind, Forget, FrameBlock, Keep, Keys, LiveToken,
+    LiveWatch, NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading,
+    SampleBlock, Service, Start, StreamGroup, StreamState,
 };
-use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
+use spandrel_service::{
+    EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
 use crate::align::{Alignment, AlignmentInput, NodePlace};
+use crate::drop_watch::DropWatch;
 use crate::error::IngestError;
 use crate::lateness::Lateness;
 use crate::layout::Layout;
@@ -107,6 +110,8 @@ pub struct IngestService {
     frames: NumberedPublisher<FrameBlock>,
     progress: ProgressPublisher,
     status: StatusPublisher,
+    drop_watch: DropWatch,
+    events: EventPublisher,
     keys: Keys,
     /// Pace of the last block. The nodes of a structure are either all live or all replayed.
     pace: Pace,
@@ -262,15 +267,16 @@ impl IngestService {
                 });
             }
             let node_count = nodes.len();
+            let allowed = match waiting {
+                FrameWait::Unlimited => None,
+                FrameWait::Limited(allowed) => Some(allowed),
+            };
             let nodes = bus
                 .follow_group(nodes, bus.reading(Start::Beginning).deliveries)
                 .await?;
             let service = Self {
                 core,
-                lateness: match waiting {
-                    FrameWait::Unlimited => None,
-                    FrameWait::Limited(allowed) => Some(Lateness::new(allowed, node_count)),
-                },
+                lateness: allowed.map(|allowed| Lateness::new(allowed, node_count)),
                 started: Instant::now(),
                 last_heard: vec![Duration::ZERO; node_count],
                 signs: vec![Sign::Present; node_count],
@@ -283,6 +289,12 @@ impl IngestService {
                 frames,
                 progress,
                 status: instance.publish_status(Service::Ingest, &keys).await?,
+                drop_watch: DropWatch::new(
+                    node_count,
+                    allowed.unwrap_or_default().as_secs_f64(),
+                    layout.tolerance_ns() as f64 / 1e9,
+                ),
+                events: EventPublisher::declare(bus, &keys).await?,
                 pace: Pace::Live,
                 pace_heard: None,
                 done,
@@ -334,7 +346,10 @@ impl IngestService {
                             recorder.tend().await;
                         }
                     }
-                    _ = status.tick() => self.put_status().await?,
+                    _ = status.tick() => {
+                        self.put_status().await?;
+                        self.report_drops().await?;
+                    }
                     () = &mut stop => break,
                 }
             }
@@ -374,7 +389,11 @@ impl IngestService {
         if self.signs[node] == Sign::Lost {
             self.signs[node] = Sign::Gone;
         }
-        if let (Some(lateness), Some(grid)) = (&mut self.lateness, block.grid()) {
+        // Frames of a replay wait without limit, and its times can lie in the future of the live
+        // samples that follow it.
+        let lateness = self.lateness.as_mut();
+        let lateness = lateness.filter(|_| block.pace == Pace::Live);
+        if let (Some(lateness), Some(grid)) = (lateness, block.grid()) {
             let count = block.iter().count() as u64;
             if let Some(last) = count.checked_sub(1) {
                 lateness.arrived(node, grid.time_ns(last), elapsed);
@@ -385,7 +404,13 @@ impl IngestService {
 
     async fn handle(&mut self, input: AlignmentInput) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
+        let epoch = self.core.epoch();
         self.core.handle(input, &mut blocks);
+        if self.core.epoch() != epoch
+            && let Some(lateness) = &mut self.lateness
+        {
+            lateness.reset();
+        }
         if let Some(recorder) = self.recorder.take_if(|_| !blocks.is_empty()) {
             let (recorder, recorded) = recorder.record(blocks, self.core.places()).await?;
             self.recorder = Some(recorder);
@@ -481,6 +506,32 @@ impl IngestService {
             Some(time_ns) => self.handle(AlignmentInput::Deadline { time_ns }).await,
             None => Ok(()),
         }
+    }
+
+    /// Publishes an event for each node that starts or ceases to lose a large share of its samples.
+    async fn report_drops(&mut self) -> Result<(), IngestError> {
+        let mut reports = Vec::new();
+        let counts = self.core.node_counts();
+        let elapsed = self.started.elapsed();
+        self.drop_watch.read(counts, elapsed, &mut reports);
+        for report in reports {
+            let Some(node) = self.layout.nodes().get(report.node) else {
+                continue; // reports have the indices of the layout
+            };
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: self.last_time_ns.unwrap_or(0),
+                kind: match report.is_over {
+                    true => EventKind::SamplesBack,
+                    false => EventKind::SamplesDropped,
+                },
+                subject: node.name.to_string(),
+                what: report.what,
+                why: report.why,
+            };
+            self.events.put(&event).await?;
+        }
+        Ok(())
     }
 
     async fn put_status(&self) -> Result<(), IngestError> {

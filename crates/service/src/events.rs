@@ -50,6 +50,7 @@ fn level(kind: EventKind) -> Level {
         | EventKind::LeadingClass
         | EventKind::NodeBack
         | EventKind::ChannelBack
+        | EventKind::SamplesBack
         | EventKind::CaughtUp => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
@@ -57,6 +58,8 @@ fn level(kind: EventKind) -> Level {
         | EventKind::NodeExcluded
         | EventKind::NodeSilent
         | EventKind::ChannelExcluded
+        | EventKind::SamplesDropped
+        | EventKind::Monitoring
         | EventKind::Gap
         | EventKind::Overloaded => Level::WARN,
     }

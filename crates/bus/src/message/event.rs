@@ -30,6 +30,12 @@ pub enum EventKind {
     ChannelExcluded,
     /// A channel is included again.
     ChannelBack,
+    /// A large share of the samples of a node does not reach the frames.
+    SamplesDropped,
+    /// The samples of such a node reach the frames again.
+    SamplesBack,
+    /// The watch over a structure is blind, degraded, or complete again.
+    Monitoring,
     /// Items are permanently lost.
     Gap,
     /// Identification is overloaded and publishes display values less often.

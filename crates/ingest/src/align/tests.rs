@@ -201,7 +201,10 @@ fn a_frame_whose_lateness_is_over_is_closed_and_what_comes_later_is_late() {
         vec![(1, block(1, T0 - STEP, &[9.0, 10.0, 20.0]))],
     );
     assert_eq!(values(&out), [2.0, 20.0]);
-    assert_eq!(alignment.counts().late + alignment.counts().duplicate, 2);
+    assert_eq!(
+        alignment.counts().nodes.late + alignment.counts().nodes.duplicate,
+        2
+    );
 }
 
 #[test]
@@ -213,7 +216,7 @@ fn a_second_sample_of_a_frame_is_a_duplicate() {
     };
     let out = feed(&mut alignment, vec![(0, double)]);
     assert_eq!(values(&out), [1.0, 2.0]);
-    assert_eq!(alignment.counts().duplicate, 2);
+    assert_eq!(alignment.counts().nodes.duplicate, 2);
 }
 
 #[test]
@@ -240,8 +243,8 @@ fn values_that_no_sensor_measures_are_missing_and_counted() {
     assert_eq!(values(&out), [-1.0, -1.0, -1.0, 5.0]);
     assert_eq!(
         (
-            alignment.counts().not_finite,
-            alignment.counts().out_of_range
+            alignment.counts().nodes.not_finite,
+            alignment.counts().nodes.out_of_range
         ),
         (1, 1)
     );
@@ -280,7 +283,7 @@ fn a_sample_outside_the_tolerance_belongs_to_no_frame() {
         (0, block(0, T0 + 2 * STEP, &[3.0])),
     ];
     assert_eq!(values(&feed(&mut alignment, inputs)), [1.0, -1.0, 3.0]);
-    assert_eq!(alignment.counts().off_grid, 1);
+    assert_eq!(alignment.counts().nodes.off_grid, 1);
 }
 
 #[test]
@@ -299,7 +302,7 @@ fn a_node_whose_samples_are_all_outside_the_tolerance_does_not_stop_the_others()
         values(&feed(&mut alignment, inputs)),
         [1.0, -1.0, 2.0, -1.0]
     );
-    assert_eq!(alignment.counts().off_grid, 3);
+    assert_eq!(alignment.counts().nodes.off_grid, 3);
 }
 
 #[test]
@@ -317,7 +320,7 @@ fn a_clock_far_ahead_does_not_stop_the_others() {
         values(&feed(&mut alignment, inputs)),
         [1.0, 10.0, 2.0, -1.0, 3.0, 30.0]
     );
-    assert_eq!(alignment.counts().retracted, 1);
+    assert_eq!(alignment.counts().nodes.retracted, 1);
 }
 
 #[test]
@@ -372,7 +375,7 @@ fn a_record_replayed_again_after_its_source_was_killed_gives_the_same_frames() {
         .filter(|block| block.header.epoch == 2)
         .collect();
     assert_eq!(values(&first), values(&again));
-    assert_eq!(alignment.counts().late, 0);
+    assert_eq!(alignment.counts().nodes.late, 0);
 }
 
 #[test]
@@ -391,7 +394,7 @@ fn a_node_that_alone_goes_back_is_late() {
         values(&feed(&mut alignment, inputs)),
         [1.0, 10.0, 2.0, 20.0, 3.0, 30.0]
     );
-    assert_eq!(alignment.counts().late, 1);
+    assert_eq!(alignment.counts().nodes.late, 1);
 }
 
 // Late blocks must not exclude the node even if frames close without it.
@@ -418,7 +421,7 @@ fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come
         2
     );
     assert_eq!(
-        alignment.counts().late + alignment.counts().duplicate,
+        alignment.counts().nodes.late + alignment.counts().nodes.duplicate,
         1,
         "of the frame that was closed before it came"
     );
