@@ -48,13 +48,14 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 10] = [
+const DISPLAYED: [KeyFamily; 11] = [
     K::Parameter,
     K::Loss,
     K::Noise,
     K::Outlier,
     K::ModelClass,
     K::Fit,
+    K::Monitoring,
     K::Node,
     K::Alert,
     K::Acknowledge,
@@ -146,7 +147,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
             each(
                 Right::Put,
-                &[K::Alert, K::Loss, K::Progress(Service::Alert)],
+                &[
+                    K::Alert,
+                    K::Loss,
+                    K::Monitoring,
+                    K::Event,
+                    K::Progress(Service::Alert),
+                ],
             ),
             each(Right::Query, &[K::EstimatesBuffer]),
             each(Right::Answer, &[K::Alert, K::AlertLog]),
@@ -162,7 +169,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         ]
         .concat(),
         Role::Notify => [
-            each(Right::Subscribe, &[K::Alert]),
+            each(Right::Subscribe, &[K::Alert, K::Monitoring]),
             each(Right::Query, &[K::Alert, K::AlertLog]),
             each(Right::Watch, &[K::Live(Service::Alert)]),
             of_service(Service::Notify),
@@ -227,6 +234,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Noise
         | K::ModelClass
         | K::Fit
+        | K::Monitoring
         | K::Node
         | K::Outlier
         | K::Event

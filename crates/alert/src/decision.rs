@@ -72,6 +72,9 @@ pub struct Decision {
     decided: DecidedFrames,
     last: Option<(ParameterEstimate, EstimateFlags)>,
     last_alert: Option<Alert>,
+    /// Standard deviation that the present learning rate sustains. Each estimate sets it.
+    #[serde(skip)]
+    sustained_std: Option<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -118,6 +121,28 @@ enum Knowledge {
 /// Share of the prior's standard deviation below which an estimate counts as measured.
 const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 
+/// Factor on the standard deviation that shows twice the loss of the rule, above which the present
+/// learning rate counts as blindness.
+///
+/// The learning rate follows the vibration. A calm that halves the amplitude doubles the standard
+/// deviation, and must not interrupt the decisions.
+const BLIND_FROM: f64 = 2.0;
+
+/// Whether a change of a parameter would be noticed at present, and if not, why.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Vigilance {
+    /// The present data reveal twice the loss of the rule.
+    Watching,
+    /// The data reveal it only after more time than usual.
+    LearnsLittle,
+    /// The reference is being learnt, so that there are no decisions yet.
+    LearnsReference,
+    /// Nothing is decided.
+    Undecided(UndecidedBecause),
+    /// Nothing is decided, because the present data reveal no change of the parameter.
+    LearnsNothing,
+}
+
 impl Decision {
     /// Creates the decision on `subject` by the rule with index `rule_number` in the structure
     /// file, from 0.
@@ -144,6 +169,7 @@ impl Decision {
             decided: DecidedFrames::default(),
             last: None,
             last_alert: None,
+            sustained_std: None,
         }
     }
 
@@ -261,6 +287,35 @@ impl Decision {
         }
     }
 
+    /// Sets the standard deviation that the present learning rate sustains, for the next estimate.
+    /// `None` if it is not measured.
+    pub(crate) fn set_sustained_std(&mut self, std: Option<f64>) {
+        self.sustained_std = std;
+    }
+
+    /// Returns whether a change of the parameter would be noticed at present. `None` before the
+    /// first estimate.
+    pub(crate) fn vigilance(&self) -> Option<Vigilance> {
+        let (estimate, _) = self.last.as_ref()?;
+        let because = self.support.undecided_because();
+        let Stage::Watching { reference, .. } = &self.stage else {
+            return Some(because.map_or(Vigilance::LearnsReference, Vigilance::Undecided));
+        };
+        let shows = |std: f64| {
+            let of_std = ParameterEstimate { std, ..*estimate };
+            self.support.shows_losses(&of_std, reference, &self.rule)
+        };
+        let learns = self.sustained_std.is_none_or(shows);
+        Some(match because {
+            Some(UndecidedBecause::NothingLearnt) if !learns && shows(estimate.std) => {
+                Vigilance::LearnsNothing
+            }
+            Some(because) => Vigilance::Undecided(because),
+            None if !learns => Vigilance::LearnsLittle,
+            None => Vigilance::Watching,
+        })
+    }
+
     /// Returns the most fundamental reason that prevents a decision on a frame, or `None`.
     fn hindrance(
         &self,
@@ -289,10 +344,19 @@ impl Decision {
                     .support
                     .excludes_losses(estimate, reference, &self.rule)
         };
+        // Without new data, an estimate does not show whether the part is still sound.
+        let learns = self.sustained_std.is_none_or(|std| {
+            let sustained = ParameterEstimate {
+                std: std / BLIND_FROM,
+                ..*estimate
+            };
+            self.support.shows_losses(&sustained, reference, &self.rule)
+        });
         // An uncertain estimate can still satisfy or exclude the rule, but it must come from data.
         // A narrow prior excludes losses without any data. An estimate that depends on an
         // unmeasured excitation is never much narrower than its prior.
         let is_learnt = self.knowledge == Knowledge::Measured
+            && learns
             && (self.support.shows_losses(estimate, reference, &self.rule)
                 || (self.is_measured(estimate) && answers()));
         (!is_learnt).then_some(UndecidedBecause::NothingLearnt)

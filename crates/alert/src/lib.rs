@@ -29,6 +29,7 @@
 //! - [`alert`], `wording`: the content and the words of an alert
 //! - [`decision`]: the state machine of one parameter, without clock or network
 //! - [`watch`]: all parameters of one structure
+//! - `monitoring`: whether the present data would reveal damage
 //! - [`shell`]: the connection to the bus
 //!
 //! Programs that need only the estimates at display rate can subscribe to the parameters without
@@ -51,6 +52,7 @@ pub mod alert;
 mod wording;
 
 pub mod decision;
+mod monitoring;
 pub mod watch;
 
 pub mod shell;

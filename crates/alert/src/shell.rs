@@ -4,14 +4,19 @@ use std::collections::{BTreeMap, VecDeque};
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Delivery, DisplayPublisher,
-    EstimateBlock, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay, Name,
-    ProgressPublisher, Question, Questions, Service, Start, Stream, Subscription,
+    EstimateBlock, Event, EventKind, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay,
+    MonitoringDisplay, MonitoringState, Name, ProgressPublisher, Question, Questions, Service,
+    Start, Stream, Subscription,
 };
-use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
+use spandrel_service::{
+    Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+};
 use spandrel_structure::Structure;
+use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
 use crate::memory::{AlertState as Remembered, Basis, Memory, note};
+use crate::monitoring::Monitoring;
 use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 
 /// Capacity of the queue for acknowledgements. When it is full, the oldest is dropped and counted,
@@ -51,6 +56,12 @@ pub struct AlertService {
     status: StatusPublisher,
     keys: Keys,
     token: Option<LiveToken>,
+    monitoring: Monitoring,
+    monitoring_topic: DisplayPublisher<MonitoringDisplay>,
+    events: EventPublisher,
+    clock: Clock,
+    /// Time of the last block of estimates, or of the start.
+    received_at: Instant,
     display_rate_hz: f64,
     done: u64,
     last_time_ns: Option<i64>,
@@ -107,7 +118,7 @@ impl AlertService {
                 monitored,
                 baseline,
             } = plan;
-            let ServiceInstance { bus, id, .. } = instance;
+            let ServiceInstance { bus, id, clock } = instance;
             let Monitored {
                 structure,
                 keys,
@@ -177,6 +188,11 @@ impl AlertService {
                 basis,
                 watch,
                 alerts,
+                monitoring: Monitoring::new(structure)?,
+                monitoring_topic: bus.publish_display(keys.monitoring()).await?,
+                events: EventPublisher::declare(bus, keys).await?,
+                clock: *clock,
+                received_at: Instant::now(),
                 display_rate_hz: structure.display_rate_hz(),
                 done,
                 last_time_ns,
@@ -215,7 +231,10 @@ impl AlertService {
                         self.acknowledge(&key, acknowledgement).await?;
                     }
                     Some(question) = self.questions.next() => self.answer(&question).await?,
-                    _ = status.tick() => self.put_status().await?,
+                    _ = status.tick() => {
+                        self.put_status().await?;
+                        self.put_monitoring().await?;
+                    }
                     () = &mut stop => break,
                     delivery = deliveries.recv_async() => match delivery {
                         Ok(delivery) => self.take(delivery).await?,
@@ -317,6 +336,9 @@ impl AlertService {
         };
         if let Err(error) = decided {
             self.refuse("estimates-of-another-structure", &error);
+        } else {
+            self.monitoring.take(block);
+            self.received_at = Instant::now();
         }
         self.done = block.end();
         if let (Some(grid), Some(last)) = (block.grid(), block.end().checked_sub(1)) {
@@ -457,6 +479,38 @@ impl AlertService {
         if count.is_power_of_two() {
             warn!(structure = self.keys.structure().as_str(), %error, reason, count = *count, "estimates rejected");
         }
+    }
+
+    /// Publishes the state of the monitoring, and an event if it has changed.
+    async fn put_monitoring(&mut self) -> Result<(), AlertError> {
+        let silence = self.received_at.elapsed();
+        let now_ns = self.clock.now_ns();
+        let (display, change) = self.monitoring.judge(&self.watch, silence, now_ns);
+        self.monitoring_topic.put(&display).await?;
+        if let Some(change) = change {
+            let state = change.display.state;
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: change.display.measured_ns.unwrap_or(now_ns),
+                kind: EventKind::Monitoring,
+                subject: state.as_str().to_owned(),
+                what: format!(
+                    "the monitoring is {} instead of {}",
+                    state.as_str(),
+                    change.before.as_str()
+                ),
+                why: match state {
+                    MonitoringState::Watching => {
+                        "the present data reveal damage of every part".to_owned()
+                    }
+                    MonitoringState::Degraded | MonitoringState::Blind => {
+                        change.display.reasons.join("; ")
+                    }
+                },
+            };
+            self.events.put(&event).await?;
+        }
+        Ok(())
     }
 
     async fn put_status(&self) -> Result<(), AlertError> {

@@ -8,7 +8,8 @@ use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
     Alert, AlertError, Baseline, DecidedFrames, Decision, Input, Model, ParameterEstimate,
-    ParameterLoss, Reference, Rule, Subject, alert::Acknowledged, wording::End,
+    ParameterLoss, Reference, Rule, Subject, alert::Acknowledged, decision::Vigilance,
+    wording::End,
 };
 
 /// The decisions on one structure, which also serve as the state in its checkpoint.
@@ -284,6 +285,13 @@ impl Watch {
         counts
     }
 
+    /// Returns whether a change of a parameter would be noticed at present, under its first rule.
+    /// `None` without a rule, or before the first estimate.
+    pub(crate) fn vigilance(&self, parameter: usize) -> Option<Vigilance> {
+        let is_of_parameter = |decision: &&Decision| decision.subject().parameter == parameter;
+        self.decisions.iter().find(is_of_parameter)?.vigilance()
+    }
+
     /// Returns the number of parameters of the structure.
     pub fn parameter_count(&self) -> usize {
         self.parameter_count
@@ -316,6 +324,10 @@ impl Watch {
                 mean: *mean,
                 std,
             };
+            let information = estimate.sustained_information.get(index);
+            decision.set_sustained_std(
+                information.map(|information| f64::from(*information).sqrt().recip()),
+            );
             decision.handle(Input::Estimate(of_parameter, estimate.flags), alerts);
         }
     }

@@ -134,6 +134,12 @@ impl Keys {
         self.all(KeyFamily::ModelClass)
     }
 
+    /// Returns the key of the state of the monitoring.
+    #[must_use]
+    pub fn monitoring(&self) -> String {
+        self.all(KeyFamily::Monitoring)
+    }
+
     /// Returns the key of the verdict on the fit.
     #[must_use]
     pub fn fit(&self) -> String {
@@ -389,6 +395,8 @@ pub enum KeyFamily {
     ModelClass,
     /// [`Keys::fit`]
     Fit,
+    /// [`Keys::monitoring`]
+    Monitoring,
     /// [`Keys::local`], one per node
     Local,
     /// [`Keys::feedback`], one per node
@@ -432,7 +440,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 24] = [
+    const WITHOUT_SERVICE: [Self; 25] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -444,6 +452,7 @@ impl KeyFamily {
         Self::Noise,
         Self::ModelClass,
         Self::Fit,
+        Self::Monitoring,
         Self::Local,
         Self::Feedback,
         Self::Node,
@@ -475,6 +484,7 @@ impl KeyFamily {
             Self::Noise => "noise/{of}",
             Self::ModelClass => "model-class",
             Self::Fit => "fit",
+            Self::Monitoring => "monitoring",
             Self::Local => "local/{of}",
             Self::Feedback => "feedback/{of}",
             Self::Node => "node/{of}",

@@ -87,16 +87,17 @@ pub use keys::{DEFAULT_ROOT, KeyFamily, Keys, Service, Topic, parse_key};
 pub use leader::{Claim, Claims};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
-    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelFitDisplay, ChannelState,
-    ClassCalibration, ClassPlausibility, CredibleInterval, DecodeError, Description, EncodeError,
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, FitDisplay,
-    FitReason, FitReasons, FitVerdict, Format, FrameBlock, Header, HistoryLog, HistoryRows,
-    HistorySpan, Load, LocalDensity, LocalMessage, LossDisplay, MAX_CHANNELS, MAX_ITEMS,
-    MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message,
-    ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState,
-    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, RoundedProbability,
-    SampleBlock, ScreenedChannel, Standing, StateMessage, Status, StreamState, ToldMotion,
-    ToldSamples, UndecidedBecause, fit_in_words, is_without_date, reported_pace,
+    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelFitDisplay,
+    ChannelMonitoring, ChannelState, ClassCalibration, ClassPlausibility, CredibleInterval,
+    DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event,
+    EventKind, FeedbackMessage, FitDisplay, FitReason, FitReasons, FitVerdict, Format, FrameBlock,
+    Header, HistoryLog, HistoryRows, HistorySpan, Load, LocalDensity, LocalMessage, LossDisplay,
+    MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed,
+    MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MonitoringState, MotionNumbers,
+    NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, ParameterMonitoring, Phase, Progress, RoundedProbability, SampleBlock,
+    ScreenedChannel, Standing, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
+    UndecidedBecause, fit_in_words, is_without_date, reported_pace,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

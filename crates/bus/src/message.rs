@@ -16,6 +16,7 @@ mod history;
 mod local;
 mod loss;
 mod model_class;
+mod monitoring;
 mod node;
 mod noise;
 mod outlier;
@@ -51,6 +52,7 @@ pub use local::{
 };
 pub use loss::LossDisplay;
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
+pub use monitoring::{ChannelMonitoring, MonitoringDisplay, MonitoringState, ParameterMonitoring};
 pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;
 pub use outlier::{ChannelState, MaskedSpan, OutlierDisplay};

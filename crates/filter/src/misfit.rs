@@ -27,6 +27,7 @@
 //! - A. S. Willsky & H. L. Jones, *A generalized likelihood ratio approach to the detection and
 //!   estimation of jumps in linear systems*, IEEE Trans. Automatic Control 21 (1976), 108-112
 
+use crate::fading::FadingFactor;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -94,6 +95,43 @@ struct ParameterMisfit {
     squared_information: f64,
     /// Published variance divided by `P`.
     scale: f64,
+    gained: Gained,
+}
+
+/// Number of segments of the half-life over which gained information is summed.
+const SEGMENTS: usize = 8;
+
+/// Information that the latest half-life has contributed, in segments.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct Gained {
+    /// Sums of complete segments, and of the present one. The segments form a ring.
+    segments: [f64; SEGMENTS],
+    present: f64,
+    /// Number of complete segments since the start.
+    complete: u64,
+    /// Number of steps in the present segment.
+    steps: u64,
+}
+
+impl Gained {
+    /// Adds the information of one step. `segment_steps` is the length of a segment in steps.
+    fn add(&mut self, segment_steps: f64, information: f64) {
+        self.present += information;
+        self.steps += 1;
+        if self.steps as f64 >= segment_steps {
+            self.segments[(self.complete % SEGMENTS as u64) as usize] = self.present;
+            self.complete += 1;
+            (self.present, self.steps) = (0.0, 0);
+        }
+    }
+
+    /// Returns the mean information per step over the complete segments, or `None` before the first
+    /// segment is complete.
+    fn per_step(&self, segment_steps: f64) -> Option<f64> {
+        let complete = self.complete.min(SEGMENTS as u64);
+        let steps = complete as f64 * segment_steps.ceil();
+        (complete > 0).then(|| self.segments.iter().sum::<f64>() / steps)
+    }
 }
 
 /// Sums of scores over one length.
@@ -200,6 +238,25 @@ impl MisfitState {
         self.parameters[j].scale
     }
 
+    /// Returns the published variance that parameter `j` would have if the filter had always learnt
+    /// as much per step as in the last half-life.
+    ///
+    /// A steady gain of `j` per step gives `J = j λ/(λ − 1)`, and a published variance of `P/2`
+    /// times the ratio of misfit. Returns infinity if nothing was learnt, and `None` in the first
+    /// eighth of a half-life and without fading.
+    #[must_use]
+    pub fn sustained_variance(&self, j: usize, fading: FadingFactor) -> Option<f64> {
+        let parameter = &self.parameters[j];
+        let segment_steps = segment_steps(fading)?;
+        let steady = parameter.gained.per_step(segment_steps)? * fading.memory_steps();
+        let of_fading = parameter.squared_information / parameter.information;
+        let ratio = match of_fading > 0.0 {
+            true => parameter.scale / of_fading,
+            false => 1.0,
+        };
+        Some(0.5 * ratio / steady)
+    }
+
     /// Returns the number of steps since the last jump of the parameters, or `None` before the
     /// first jump.
     #[must_use]
@@ -275,7 +332,13 @@ impl MisfitState {
     ///
     /// If the sandwich variance would exceed the prior variance, the data contain less
     /// information than the prior. The correction is then reduced to the information in the data.
-    fn weigh(&mut self, j: usize, settings: &MisfitSettings, fading: f64, step: Learnt) -> f64 {
+    fn weigh(
+        &mut self,
+        j: usize,
+        settings: &MisfitSettings,
+        fading: FadingFactor,
+        step: Learnt,
+    ) -> f64 {
         let Learnt {
             prior,
             before,
@@ -293,9 +356,10 @@ impl MisfitState {
             (parameter.information, parameter.squared_information) =
                 (before.recip(), before.recip());
         }
-        parameter.information = parameter.information / fading + information;
+        let factor = fading.value();
+        parameter.information = parameter.information / factor + information;
         parameter.squared_information =
-            parameter.squared_information / (fading * fading) + information;
+            parameter.squared_information / (factor * factor) + information;
         let after_fading = parameter.squared_information / parameter.information;
         let limit = (prior / before).max(after_fading);
         parameter.scale = (ratio * after_fading).min(limit);
@@ -303,8 +367,20 @@ impl MisfitState {
         // noise level follows within a second or two. Until then, the excess must not change the
         // parameters.
         let excess = (self.innovation_square / LARGEST_USUAL_SQUARE).max(1.0);
-        (prior / (ratio * before)).min(1.0) / excess
+        let accepted = (prior / (ratio * before)).min(1.0) / excess;
+        if let Some(segment_steps) = segment_steps(fading) {
+            parameter.gained.add(segment_steps, accepted * information);
+        }
+        accepted
     }
+}
+
+/// Returns the length of a segment of the half-life in steps, or `None` without fading.
+fn segment_steps(fading: FadingFactor) -> Option<f64> {
+    let half_life_steps = 2.0 * std::f64::consts::LN_2 / fading.value().ln();
+    half_life_steps
+        .is_finite()
+        .then(|| half_life_steps / SEGMENTS as f64)
 }
 
 /// What one step has learnt about a parameter.
@@ -387,7 +463,7 @@ impl Workspace {
         &self,
         state: &mut MisfitState,
         settings: &MisfitSettings,
-        fading: f64,
+        fading: FadingFactor,
         prior_std: &DVector<f64>,
         mean: &mut DVector<f64>,
         covariance: &mut DMatrix<f64>,

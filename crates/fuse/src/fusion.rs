@@ -521,6 +521,7 @@ impl Fusion {
                 prediction_only: fused.used == 0,
                 ..EstimateFlags::working()
             },
+            sustained_information: Vec::new(),
         };
         outputs.push(Output::Estimates(self.block(
             number,

@@ -171,6 +171,17 @@ impl Estimator {
         }
     }
 
+    /// Returns the variance of parameter `j` (ratio to nominal) that the present learning rate
+    /// sustains. `None` if it is not measured: at the start, with several model classes, and with
+    /// particles.
+    #[must_use]
+    pub fn sustained_variance(&self, j: usize) -> Option<f64> {
+        match self {
+            Self::Filter(filter) => filter.sustained_variance(j),
+            Self::Classes(_) | Self::Particles(_) => None,
+        }
+    }
+
     /// Returns mean and standard deviation of a linear combination of the physical state.
     ///
     /// Each of the `terms` is the index of a state entry, from 0, and its factor. The results have

@@ -638,7 +638,19 @@ impl Identification {
             log_evidence: step.map_or(0.0, |step| step.log_evidence),
             used_channels: used as u16,
             flags: self.flags(restarted, used),
+            sustained_information: self.sustained_information(),
         }
+    }
+
+    /// Returns the information about each parameter that the present learning rate sustains. Empty
+    /// if the estimator does not measure it.
+    fn sustained_information(&self) -> Vec<f32> {
+        let information = |variance: f64| variance.recip().clamp(0.0, f32::MAX.into()) as f32;
+        let of_each = 0..self.parameter_names.len();
+        of_each
+            .map(|j| self.estimator.sustained_variance(j).map(information))
+            .collect::<Option<_>>()
+            .unwrap_or_default()
     }
 
     fn flags(&self, restarted: bool, used: usize) -> EstimateFlags {

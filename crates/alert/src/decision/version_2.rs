@@ -39,6 +39,7 @@ impl From<Decision> for crate::Decision {
                 .last_estimate
                 .map(|estimate| (estimate, EstimateFlags::working())),
             last_alert: former.last_alert.map(Into::into),
+            sustained_std: None,
         };
         // The filter that made those estimates does not continue. The present filter starts from
         // its prior.

@@ -6,6 +6,7 @@ use super::block::continues;
 use super::{
     Block, FitReasons, FitVerdict, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES,
     Malformed, Message, StreamState, bounded, check_count, check_finite, check_finite_or_missing,
+    check_range,
 };
 use crate::grid::TimeGrid;
 
@@ -74,6 +75,12 @@ pub struct Estimate {
     pub used_channels: u16,
     /// Special conditions of the frame.
     pub flags: EstimateFlags,
+    /// Information about each parameter that the filter would keep if it continued to learn at its
+    /// present rate: one divided by a variance, ratio to nominal. 0 = nothing is being learnt.
+    ///
+    /// Empty if the rate is not measured: at the start, by the station of distributed
+    /// identification, with several model classes, and by particle filters.
+    pub sustained_information: Vec<f32>,
 }
 
 impl Estimate {
@@ -154,6 +161,16 @@ impl EstimateBlock {
             estimate.normalised_innovation_squared,
         )?;
         check_finite("log evidence", estimate.log_evidence)?;
+        if !estimate.sustained_information.is_empty() {
+            check_length(
+                "sustained information",
+                estimate.sustained_information.len(),
+                parameters,
+            )?;
+        }
+        for &information in &estimate.sustained_information {
+            check_range("sustained information", information.into(), 0.0, f64::MAX)?;
+        }
         check_count(
             "used channels",
             usize::from(estimate.used_channels),
@@ -176,7 +193,7 @@ fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(),
 
 impl Message for EstimateBlock {
     const TYPE: &'static str = "estimates";
-    const VERSION: u16 = 3;
+    const VERSION: u16 = 4;
     const FORMAT: Format = Format::Postcard;
 
     fn check(&self) -> Result<(), Malformed> {
@@ -228,7 +245,7 @@ impl Block for EstimateBlock {
         let values = parameters * (parameters + 3) / 2
             + 2 * usize::from(self.noise_parameters)
             + usize::from(self.channels);
-        (8 * values + LENGTHS_AND_FLAGS).min(MAX_MESSAGE_BYTES)
+        (8 * values + 4 * parameters + LENGTHS_AND_FLAGS).min(MAX_MESSAGE_BYTES)
     }
 
     fn skip(&mut self, items: u64) {

@@ -93,7 +93,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         scratch.temper(
             misfit,
             misfit_settings,
-            settings.fading.value(),
+            settings.fading,
             &settings.prior_std,
             mean,
             covariance,

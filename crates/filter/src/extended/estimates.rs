@@ -70,6 +70,19 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         scaled + self.settings.considered_std[first + i] * self.settings.considered_std[first + j]
     }
 
+    /// Returns the variance that parameter `j` (from 0) would have if the filter had always learnt
+    /// as much as in the last half-life. Infinity means that it has learnt nothing.
+    ///
+    /// Unlike [`Self::parameter_covariance`], it does not count what was learnt earlier. `None` if
+    /// the misfit is not measured, without fading, and in the first eighth of a half-life.
+    pub fn sustained_variance(&self, j: usize) -> Option<f64> {
+        let first = self.model.state_len() - self.model.parameter_len();
+        let considered = self.settings.considered_std[first + j];
+        let misfit = self.state.misfit.as_ref()?;
+        let own = misfit.sustained_variance(j, self.settings.fading)?;
+        Some(own + considered * considered)
+    }
+
     /// Returns the state of the outlier screening, or `None` if outliers are not screened.
     pub fn outliers(&self) -> Option<&OutlierState> {
         self.state.outliers.as_ref()

@@ -1,0 +1,411 @@
+//! Whether the present data would reveal damage, per structure, parameter and channel.
+//!
+//! An old estimate does not show whether a part is still sound. This module therefore looks at what
+//! arrives now: the share of samples that the filter uses, and the rate at which it learns about
+//! each parameter. It has no clock: the passage of time is an argument.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use spandrel_bus::{
+    Block, ChannelMonitoring, EstimateBlock, MonitoringDisplay, MonitoringState as State, Name,
+    ParameterMonitoring, Phase, StreamState, UndecidedBecause,
+};
+use spandrel_structure::Structure;
+
+use crate::decision::Vigilance;
+use crate::{AlertError, Watch};
+
+/// Span of measurement time over which shares of used samples are computed, s.
+const SPAN_S: f64 = 5.0;
+/// Number of segments of this span.
+const SEGMENTS: usize = 10;
+/// Share of the expected samples below which a channel is degraded.
+const DEGRADED_BELOW: f64 = 0.9;
+/// Share of the expected samples below which a channel is blind.
+const BLIND_BELOW: f64 = 0.05;
+/// Time without estimates after which the structure is blind.
+const SILENT_AFTER: Duration = Duration::from_secs(3);
+/// Maximum number of names in a reason.
+const NAMES_SHOWN: usize = 6;
+
+/// The monitoring of one structure.
+#[derive(Debug)]
+pub(crate) struct Monitoring {
+    structure: Name,
+    parameters: Vec<WatchedParameter>,
+    channels: Vec<WatchedChannel>,
+    segment_frames: u64,
+    /// Segments of the span, oldest first. The last one is incomplete.
+    segments: VecDeque<Segment>,
+    last: Option<Last>,
+    /// The present state, and the wall-clock time since which it has lasted, ns.
+    state: Option<(State, i64)>,
+    /// A state that the last judgement has found, but not the one before.
+    candidate: Option<State>,
+}
+
+#[derive(Debug)]
+struct WatchedParameter {
+    name: Name,
+    prior_std: f64,
+}
+
+#[derive(Debug)]
+struct WatchedChannel {
+    name: Name,
+    /// Number of samples of the channel per frame, at most 1.
+    samples_per_frame: f64,
+}
+
+/// Frames of one segment, and how many of them used each channel.
+#[derive(Debug, Default)]
+struct Segment {
+    frames: u64,
+    predicted: u64,
+    used: Vec<u64>,
+}
+
+/// What the last block showed.
+#[derive(Debug)]
+struct Last {
+    measured_ns: i64,
+    state: StreamState,
+    phase: Phase,
+    sustained_information: Vec<f32>,
+}
+
+/// A change of the state, with the state before.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Change {
+    pub(crate) before: State,
+    pub(crate) display: MonitoringDisplay,
+}
+
+impl Monitoring {
+    /// Creates the monitoring of a structure without any data.
+    ///
+    /// # Errors
+    /// Fails if the name of a parameter or channel cannot be a key.
+    pub(crate) fn new(structure: &Structure) -> Result<Self, AlertError> {
+        let named = |text: &str| {
+            Name::new(text).map_err(|source| AlertError::Name {
+                found: text.to_owned(),
+                source,
+            })
+        };
+        let parameters = structure.parameters().iter().map(|parameter| {
+            Ok(WatchedParameter {
+                name: named(parameter.name())?,
+                prior_std: parameter.std(),
+            })
+        });
+        let rate_hz = structure.sampling_rate_hz();
+        let of_nodes = structure.nodes().iter().flat_map(|node| {
+            let node_rate_hz = node.sampling_rate_hz().unwrap_or(rate_hz);
+            let samples_per_frame = (node_rate_hz / rate_hz).min(1.0);
+            node.channels()
+                .iter()
+                .map(move |channel| (channel.name(), samples_per_frame))
+        });
+        let of_nodes: Vec<(&str, f64)> = of_nodes.collect();
+        let observed = structure.observation_channels().iter();
+        let channels = observed
+            .filter_map(|index| of_nodes.get(*index))
+            .map(|(name, share)| {
+                Ok(WatchedChannel {
+                    name: named(name)?,
+                    samples_per_frame: *share,
+                })
+            });
+        Ok(Self {
+            structure: named(structure.name())?,
+            parameters: parameters.collect::<Result<_, AlertError>>()?,
+            channels: channels.collect::<Result<_, AlertError>>()?,
+            segment_frames: ((SPAN_S * rate_hz / SEGMENTS as f64) as u64).max(1),
+            segments: VecDeque::new(),
+            last: None,
+            state: None,
+            candidate: None,
+        })
+    }
+
+    /// Counts the used samples of a block.
+    pub(crate) fn take(&mut self, block: &EstimateBlock) {
+        if let (Some(estimate), Some(grid)) = (block.estimates.last(), block.grid()) {
+            self.last = Some(Last {
+                measured_ns: grid.time_ns(block.end().saturating_sub(1)),
+                state: block.state,
+                phase: estimate.flags.phase,
+                sustained_information: estimate.sustained_information.clone(),
+            });
+        } else if let Some(last) = &mut self.last {
+            last.state = block.state;
+        }
+        for estimate in &block.estimates {
+            let is_full = |segment: &Segment| segment.frames >= self.segment_frames;
+            if self.segments.back().is_none_or(is_full) {
+                if self.segments.len() > SEGMENTS {
+                    self.segments.pop_front();
+                }
+                self.segments.push_back(Segment {
+                    used: vec![0; self.channels.len()],
+                    ..Segment::default()
+                });
+            }
+            let Some(segment) = self.segments.back_mut() else {
+                continue; // one was just added
+            };
+            segment.frames += 1;
+            segment.predicted += u64::from(estimate.flags.prediction_only);
+            for (used, innovation) in segment.used.iter_mut().zip(&estimate.innovations) {
+                *used += u64::from(!innovation.is_nan());
+            }
+        }
+    }
+
+    /// Judges the state at the wall-clock time `now_ns` (ns since the Unix epoch, UTC). `silence` is
+    /// the time since the last block of estimates.
+    ///
+    /// Returns the display, and a change if the state has changed. A state that is found once may
+    /// be an accident, so that it counts from the second judgement on.
+    pub(crate) fn judge(
+        &mut self,
+        watch: &Watch,
+        silence: Duration,
+        now_ns: i64,
+    ) -> (MonitoringDisplay, Option<Change>) {
+        let parameters = self.parameter_states(watch);
+        let channels = self.channel_states();
+        let (found, reasons) = self.structure_state(&parameters, &channels, silence);
+        let before = self.state;
+        let is_repeated = self.candidate.replace(found) == Some(found);
+        let (state, since_ns) = match before {
+            Some((state, since_ns)) if state == found || !is_repeated => (state, since_ns),
+            _ => (found, now_ns),
+        };
+        self.state = Some((state, since_ns));
+        let display = MonitoringDisplay {
+            structure: self.structure.clone(),
+            time_ns: now_ns,
+            measured_ns: self.last.as_ref().map(|last| last.measured_ns),
+            state,
+            since_ns,
+            // The reasons belong to the state that was found.
+            reasons: if state == State::Watching {
+                Vec::new()
+            } else {
+                reasons
+            },
+            parameters,
+            channels,
+        };
+        let change = before
+            .filter(|(before, _)| *before != state)
+            .map(|(before, _)| Change {
+                before,
+                display: display.clone(),
+            });
+        (display, change)
+    }
+
+    fn parameter_states(&self, watch: &Watch) -> Vec<ParameterMonitoring> {
+        let states = self
+            .parameters
+            .iter()
+            .enumerate()
+            .map(|(index, parameter)| {
+                let information = self
+                    .last
+                    .as_ref()
+                    .and_then(|last| last.sustained_information.get(index));
+                let sustained_std =
+                    information.map(|information| f64::from(*information).sqrt().recip());
+                let (state, why) = match watch.vigilance(index) {
+                    Some(vigilance) => of_vigilance(vigilance),
+                    None => without_rule(self.last.is_some(), sustained_std, parameter.prior_std),
+                };
+                ParameterMonitoring {
+                    parameter: parameter.name.clone(),
+                    state,
+                    why: why.map(str::to_owned),
+                    sustained_std: sustained_std.filter(|std| std.is_finite()),
+                }
+            });
+        states.collect()
+    }
+
+    fn channel_states(&self) -> Vec<ChannelMonitoring> {
+        let frames: u64 = self.segments.iter().map(|segment| segment.frames).sum();
+        let states = self.channels.iter().enumerate().map(|(index, channel)| {
+            let used: u64 = { self.segments.iter() }
+                .filter_map(|segment| segment.used.get(index))
+                .sum();
+            let expected = (frames as f64 * channel.samples_per_frame).max(1.0);
+            let used_share = (used as f64 / expected).min(1.0);
+            ChannelMonitoring {
+                channel: channel.name.clone(),
+                state: match used_share {
+                    share if share < BLIND_BELOW => State::Blind,
+                    share if share < DEGRADED_BELOW => State::Degraded,
+                    _ => State::Watching,
+                },
+                used_share,
+            }
+        });
+        states.collect()
+    }
+
+    fn structure_state(
+        &self,
+        parameters: &[ParameterMonitoring],
+        channels: &[ChannelMonitoring],
+        silence: Duration,
+    ) -> (State, Vec<String>) {
+        let Some(last) = &self.last else {
+            return (State::Blind, vec!["no estimates have arrived".to_owned()]);
+        };
+        if last.state == StreamState::Ended {
+            return (State::Blind, vec!["the samples have ended".to_owned()]);
+        }
+        if silence > SILENT_AFTER {
+            let reason = format!("no estimates have arrived for {} s", silence.as_secs());
+            return (State::Blind, vec![reason]);
+        }
+        let mut reasons = Vec::new();
+        let mut is_blind = false;
+        if last.phase == Phase::ExcitationSilent {
+            reasons.push(UndecidedBecause::ExcitationSilent.words().to_owned());
+            is_blind = true;
+        }
+        let (frames, predicted) = self
+            .segments
+            .iter()
+            .fold((0, 0), |(frames, predicted), next| {
+                (frames + next.frames, predicted + next.predicted)
+            });
+        if predicted as f64 > (1.0 - BLIND_BELOW) * frames as f64 {
+            reasons.push("no sensor of the response delivers usable samples".to_owned());
+            is_blind = true;
+        } else {
+            reasons.extend(channel_reasons(channels));
+        }
+        reasons.extend(parameter_reasons(parameters));
+        let all_blind = |states: &[ParameterMonitoring]| {
+            !states.is_empty() && states.iter().all(|one| one.state == State::Blind)
+        };
+        let state = match () {
+            () if is_blind || all_blind(parameters) => State::Blind,
+            () if reasons.is_empty() => State::Watching,
+            () => State::Degraded,
+        };
+        (state, reasons)
+    }
+}
+
+/// Returns the state and the reason of a parameter with a rule.
+fn of_vigilance(vigilance: Vigilance) -> (State, Option<&'static str>) {
+    match vigilance {
+        Vigilance::Watching => (State::Watching, None),
+        Vigilance::LearnsLittle => (
+            State::Degraded,
+            Some("the present data reveal damage only after more time than usual"),
+        ),
+        Vigilance::LearnsReference => (State::Blind, Some("the reference is being learnt")),
+        Vigilance::LearnsNothing => (
+            State::Blind,
+            Some("the present data reveal nothing, so that the estimate rests on earlier data"),
+        ),
+        Vigilance::Undecided(because) => (State::Blind, Some(because.words())),
+    }
+}
+
+/// Returns the state and the reason of a parameter without a rule.
+fn without_rule(
+    has_estimates: bool,
+    sustained_std: Option<f64>,
+    prior_std: f64,
+) -> (State, Option<&'static str>) {
+    match sustained_std {
+        _ if !has_estimates => (State::Blind, Some("no estimates have arrived")),
+        Some(std) if std >= prior_std => (
+            State::Blind,
+            Some("the present data reveal less than the prior"),
+        ),
+        _ => (State::Watching, None),
+    }
+}
+
+/// Returns one reason for the unused channels, and one for each partly used channel.
+fn channel_reasons(channels: &[ChannelMonitoring]) -> Vec<String> {
+    let names = |state: State| {
+        let of_state = channels
+            .iter()
+            .filter(move |channel| channel.state == state);
+        of_state.map(|channel| &channel.channel)
+    };
+    let mut reasons = Vec::new();
+    if names(State::Blind).next().is_some() {
+        let names = listed(names(State::Blind));
+        reasons.push(format!("no samples of {names} are used"));
+    }
+    if names(State::Degraded).next().is_some() {
+        let of_state = channels
+            .iter()
+            .filter(|channel| channel.state == State::Degraded);
+        let least = of_state
+            .map(|channel| channel.used_share)
+            .fold(1.0, f64::min);
+        let share = 100.0 * least;
+        reasons.push(match names(State::Degraded).count() {
+            1 => format!(
+                "{share:.0} % of the samples of {} are used",
+                listed(names(State::Degraded))
+            ),
+            _ => format!(
+                "only a part of the samples of {} is used, at least {share:.0} % of each",
+                listed(names(State::Degraded))
+            ),
+        });
+    }
+    reasons
+}
+
+/// Returns one reason for all parameters with the same reason.
+fn parameter_reasons(parameters: &[ParameterMonitoring]) -> Vec<String> {
+    let mut whys: Vec<&str> = Vec::new();
+    for why in parameters
+        .iter()
+        .filter_map(|parameter| parameter.why.as_deref())
+    {
+        if !whys.contains(&why) {
+            whys.push(why);
+        }
+    }
+    let reason = |why: &str| {
+        let with = parameters
+            .iter()
+            .filter(|parameter| parameter.why.as_deref() == Some(why));
+        match with.clone().count() == parameters.len() {
+            true => why.to_owned(),
+            false => format!(
+                "{}: {why}",
+                listed(with.map(|parameter| &parameter.parameter))
+            ),
+        }
+    };
+    whys.into_iter().map(reason).collect()
+}
+
+/// Lists names in words, at most [`NAMES_SHOWN`] of them.
+fn listed<'n>(names: impl Iterator<Item = &'n Name>) -> String {
+    let names: Vec<&str> = names.map(Name::as_str).collect();
+    let shown = names.get(..NAMES_SHOWN).unwrap_or(&names);
+    match names.len().saturating_sub(shown.len()) {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests;
