@@ -305,6 +305,8 @@ impl Keys {
 pub enum Service {
     /// A sensor node, real, simulated or replayed.
     Sensor,
+    /// The service that connects instruments to the bus.
+    Feed,
     /// The sensor-ingest service.
     Ingest,
     /// The identification worker.
@@ -323,8 +325,9 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Sensor,
+        Self::Feed,
         Self::Ingest,
         Self::Identify,
         Self::Fuse,
@@ -339,6 +342,7 @@ impl Service {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Sensor => "sensor",
+            Self::Feed => "feed",
             Self::Ingest => "ingest",
             Self::Identify => "identify",
             Self::Fuse => "fuse",
