@@ -1,0 +1,32 @@
+//! Connections to sources. Each connection is a task that reads packets and passes them on.
+
+mod lines;
+mod outlet;
+mod retry;
+mod stdin;
+mod tcp;
+mod udp;
+
+use spandrel_bus::BoxedFuture;
+
+use crate::source_plan::SourceKind;
+
+pub(crate) use outlet::{Arrivals, Arrived, Clocks, Outlet};
+
+/// Reads a source until it ends. Most sources never end, because the connection is retried.
+///
+/// `since_ns` is the time of the last recorded frame (ns since the Unix epoch). A source that can
+/// repeat its samples delivers everything since then.
+pub(crate) fn read(
+    kind: SourceKind,
+    since_ns: Option<i64>,
+    outlet: Outlet,
+) -> BoxedFuture<'static, ()> {
+    let _ = since_ns;
+    match kind {
+        SourceKind::Udp { listen, format } => Box::pin(udp::read(listen, format, outlet)),
+        SourceKind::Tcp { address, format } => Box::pin(tcp::connect(address, format, outlet)),
+        SourceKind::TcpServer { listen, format } => Box::pin(tcp::serve(listen, format, outlet)),
+        SourceKind::Stdin { format } => Box::pin(stdin::read(format, outlet)),
+    }
+}

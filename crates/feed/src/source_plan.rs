@@ -1,0 +1,131 @@
+//! Sources and their channels, checked.
+
+use std::path::PathBuf;
+
+use crate::calibration::Calibration;
+use crate::lines::LineFormat;
+
+/// A connection to an instrument, or to a server of many instruments.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourcePlan {
+    /// Name of the source, unique in the configuration.
+    pub name: String,
+    /// Kind of the connection, with its address.
+    pub kind: SourceKind,
+    /// Origin of the times of the samples.
+    pub stamps: Stamps,
+    /// Time that a row waits for the other channels of its node, s.
+    pub wait_s: f64,
+    /// Channels of the source.
+    pub channels: Vec<ChannelPlan>,
+}
+
+/// Kind and address of a source.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SourceKind {
+    /// Receives datagrams. Each contains one or more lines.
+    Udp {
+        /// Address to listen on.
+        listen: String,
+        /// Format of the lines.
+        format: LineFormat,
+    },
+    /// Connects to a server that sends lines.
+    Tcp {
+        /// Address of the server.
+        address: String,
+        /// Format of the lines.
+        format: LineFormat,
+    },
+    /// Accepts connections of instruments that send lines.
+    TcpServer {
+        /// Address to listen on.
+        listen: String,
+        /// Format of the lines.
+        format: LineFormat,
+    },
+    /// Reads lines from standard input.
+    Stdin {
+        /// Format of the lines.
+        format: LineFormat,
+    },
+}
+
+impl SourceKind {
+    /// Returns `true` if the source delivers earlier samples again after a restart.
+    #[must_use]
+    pub fn can_repeat(&self) -> bool {
+        match self {
+            Self::Udp { .. } | Self::Tcp { .. } | Self::TcpServer { .. } | Self::Stdin { .. } => {
+                false
+            }
+        }
+    }
+
+    /// Returns the kind and address for people.
+    #[must_use]
+    pub fn description(&self) -> String {
+        match self {
+            Self::Udp { listen, .. } => format!("udp {listen}"),
+            Self::Tcp { address, .. } => format!("tcp {address}"),
+            Self::TcpServer { listen, .. } => format!("tcp-server {listen}"),
+            Self::Stdin { .. } => "stdin".to_owned(),
+        }
+    }
+}
+
+/// Origin of the times of the samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stamps {
+    /// The source states the time of each packet. It may deviate by `jitter_s` (s) from the time
+    /// that follows from the previous packet. The minimum is half a time step.
+    Source {
+        /// Allowed deviation, s.
+        jitter_s: f64,
+    },
+    /// Samples are counted from the arrival of the first packet. A packet that arrives more than
+    /// `jitter_s` (s) too early or too late sets the time again.
+    Arrival {
+        /// Allowed deviation, s.
+        jitter_s: f64,
+    },
+}
+
+/// A channel of a source, and the channel of a structure that it feeds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelPlan {
+    /// Name of the channel in the source.
+    pub label: String,
+    /// Index into the nodes of the configuration.
+    pub node: usize,
+    /// Position of the channel in its node.
+    pub position: usize,
+    /// Name of the channel in the structure file.
+    pub channel: String,
+    /// Conversion to SI units.
+    pub calibration: Calibration,
+    /// SI unit of the channel.
+    pub unit: &'static str,
+}
+
+/// A node with at least one channel that a source feeds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodePlan {
+    /// Index into the structures of the configuration.
+    pub structure: usize,
+    /// Name of the node.
+    pub name: String,
+    /// Number of channels.
+    pub channels: usize,
+    /// Sampling rate, Hz.
+    pub rate_hz: f64,
+}
+
+/// A structure with at least one node that a source feeds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StructurePlan {
+    /// Name.
+    pub name: String,
+    /// File of the structure.
+    pub file: PathBuf,
+}
