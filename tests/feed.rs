@@ -19,9 +19,10 @@ use spandrel_bus::{
     Subscription, TimeGrid,
 };
 use std::collections::BTreeMap;
+use std::fs::OpenOptions;
 use std::io::Write;
 use std::net::{TcpListener, UdpSocket};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::thread::JoinHandle;
@@ -457,6 +458,152 @@ async fn source_that_cannot_be_reached_is_failed_and_others_are_not_disturbed() 
     );
     assert_eq!((alive.errors, dead.samples), (0, 0));
     shake.stop();
+    feed.stop().expect_code(0);
+}
+
+/// Appends rows of a table `t,note,a,b` to a file.
+fn append(path: &Path, t0_ns: i64, rows: std::ops::Range<i64>) {
+    let mut file = OpenOptions::new().create(true).append(true).open(path).unwrap();
+    let mut text = String::new();
+    if file.metadata().unwrap().len() == 0 {
+        text += "t,note,a,b\n";
+    }
+    for number in rows {
+        let [a, b] = counts(number);
+        text += &format!("{},calm,{a},{b}\n", t0_ns + number * STEP_NS);
+    }
+    file.write_all(text.as_bytes()).unwrap();
+}
+
+/// Returns the source of a table, with the time in nanoseconds.
+fn of_file(name: &str, from: &str) -> String {
+    format!(
+        "[[feed.source]]\nname = \"log\"\nkind = \"file\"\npath = \"{name}\"\nfrom = \"{from}\"\n\
+         format = \"csv\"\ntime-field = \"t\"\ntime-unit = \"ns\"\n"
+    ) + &channels(["a", "b"])
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn growing_file_loses_nothing_when_it_is_renamed_and_the_feed_is_killed() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let t0_ns = ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let (log, old) = (site.folder().join("log.csv"), site.folder().join("log.csv.1"));
+    append(&log, t0_ns, 0..300);
+    let configuration = configure(&site, &of_file("log.csv", "start"));
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(299).await;
+    append(&log, t0_ns, 300..400);
+    std::fs::rename(&log, &old).unwrap();
+    append(&old, t0_ns, 400..500); // the writer still has its handle
+    append(&log, t0_ns, 500..600);
+    frames.up_to(599).await;
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let mut next = 600;
+    let mut feed = Some(feed);
+    for round in 0..4 {
+        let rows = random.random_range(2000..9000);
+        append(&log, t0_ns, next..next + rows);
+        frames.up_to(next + random.random_range(0..rows)).await;
+        feed.take().unwrap().kill();
+        next += rows;
+        if round == 2 {
+            // Rotated while the feed does not run.
+            append(&log, t0_ns, next..next + 50);
+            std::fs::rename(&log, &old).unwrap();
+            next += 50;
+        }
+        append(&log, t0_ns, next..next + 50);
+        next += 50;
+        feed = Some(start_feed(&site, &configuration));
+    }
+    frames.up_to(next - 1).await;
+    assert_eq!(frames.missing(), [0, 0]);
+    assert_eq!(frames.found.len() as i64, next);
+    feed.take().unwrap().stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn dated_files_are_read_one_after_the_other() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let t0_ns = ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let day = |day: &str| site.folder().join(format!("log-2026-11-{day}.csv"));
+    append(&day("08"), t0_ns, 0..100);
+    append(&day("09"), t0_ns, 100..200);
+    let feed = start_feed(&site, &configure(&site, &of_file("log-*.csv", "start")));
+    frames.up_to(199).await;
+    append(&day("09"), t0_ns, 200..300);
+    append(&day("10"), t0_ns, 300..400);
+    frames.up_to(399).await;
+    assert_eq!(frames.missing(), [0, 0]);
+    assert_eq!(frames.found.len(), 400);
+    feed.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn file_without_a_mapped_column_is_failed_and_named() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let statuses = bus
+        .subscribe::<Status>(site.keys().statuses(Service::Feed), 256)
+        .await
+        .unwrap();
+    std::fs::write(site.folder().join("log.csv"), "t,a,c\n1,2,3\n").unwrap();
+    let feed = start_feed(&site, &configure(&site, &of_file("log.csv", "start")));
+    let status = status_where(&statuses, "a failed file", |log| {
+        log.state == InstrumentState::Failed
+    })
+    .await;
+    let error = status.instruments["log"].last_error.clone().unwrap();
+    assert!(error.ends_with("has no column b, its columns are t, a, c"), "{error}");
+    feed.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn files_dropped_into_a_folder_are_read_once_in_the_order_of_their_times() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let t0_ns = ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let inbox = site.folder().join("inbox");
+    std::fs::create_dir(&inbox).unwrap();
+    let drop_file = |name: &str, rows: std::ops::Range<i64>| {
+        let mut text = "time,a,b\n".to_owned();
+        for number in rows {
+            let ([a, b], t_ns) = (counts(number), t0_ns + number * STEP_NS);
+            let (whole, hundredth) = (t_ns / SECOND_NS, t_ns % SECOND_NS / 10_000_000);
+            text += &format!("{whole}.{hundredth:02},{a},{b}\n");
+        }
+        std::fs::write(inbox.join(name), text).unwrap();
+    };
+    // The names are not in the order of the times.
+    drop_file("b.csv", 0..2000);
+    drop_file("a.csv", 2000..4000);
+    std::fs::write(inbox.join("notes.bin"), [0, 1, 2]).unwrap();
+    let text = format!(
+        "[[feed.source]]\nname = \"inbox\"\nkind = \"folder\"\npath = \"{}\"\n",
+        inbox.display()
+    ) + &channels(["a", "b"]);
+    let configuration = configure(&site, &text);
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(1000).await;
+    feed.kill();
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(3999).await;
+    feed.stop().expect_code(0);
+    drop_file("c.csv", 4000..4500);
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(4499).await;
+    assert_eq!(frames.missing(), [0, 0]);
+    assert_eq!(frames.found.len(), 4500);
+    feed.wait_for_log("source error");
     feed.stop().expect_code(0);
 }
 

@@ -66,7 +66,7 @@ pub async fn listen(
     let mut arrivals = Arrivals::default();
     let mut tasks = JoinSet::new();
     for (index, source) in core.config().sources.iter().enumerate() {
-        let outlet = arrivals.add(index, clocks);
+        let outlet = arrivals.add(index, &source.kind, clocks);
         tasks.spawn(read(source.kind.clone(), None, outlet));
     }
     let mut tick = interval(TICK);
@@ -76,7 +76,7 @@ pub async fn listen(
     let mut outputs = Vec::new();
     loop {
         tokio::select! {
-            arrived = arrivals.next() => match arrived {
+            arrived = arrivals.next(&[]) => match arrived {
                 Some(arrived) => core.handle(arrived.input, arrived.at, &mut outputs),
                 None => break,
             },

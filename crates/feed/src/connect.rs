@@ -1,5 +1,7 @@
 //! Connections to sources. Each connection is a task that reads packets and passes them on.
 
+mod folder;
+mod growing_file;
 mod lines;
 mod outlet;
 mod retry;
@@ -22,11 +24,12 @@ pub(crate) fn read(
     since_ns: Option<i64>,
     outlet: Outlet,
 ) -> BoxedFuture<'static, ()> {
-    let _ = since_ns;
     match kind {
         SourceKind::Udp { listen, format } => Box::pin(udp::read(listen, format, outlet)),
         SourceKind::Tcp { address, format } => Box::pin(tcp::connect(address, format, outlet)),
         SourceKind::TcpServer { listen, format } => Box::pin(tcp::serve(listen, format, outlet)),
         SourceKind::Stdin { format } => Box::pin(stdin::read(format, outlet)),
+        SourceKind::File(file) => Box::pin(growing_file::read(file, since_ns, outlet)),
+        SourceKind::Folder(folder) => Box::pin(folder::read(folder, since_ns, outlet)),
     }
 }

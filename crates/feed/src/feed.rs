@@ -120,6 +120,7 @@ impl Feed {
                 for packet in &packets {
                     self.packet(source, packet, at, out);
                 }
+                self.each_node(out, |node, given| node.release(at, given));
             }
             Input::Malformed { source, fault } => self.error(source, fault, 1, at, out),
             Input::Dropped { source, messages } => {

@@ -47,6 +47,7 @@ mod timing;
 
 mod check;
 mod connect;
+mod gate;
 mod shell;
 
 pub use blocks::BLOCK_S;
@@ -61,5 +62,8 @@ pub use mistake::Mistake;
 pub use packet::Packet;
 pub use settings::{FeedConfig, FeedSettings};
 pub use shell::{FeedPlan, FeedService, WhenEnded};
-pub use source_plan::{ChannelPlan, NodePlan, SourceKind, SourcePlan, Stamps, StructurePlan};
+pub use source_plan::{
+    ChannelPlan, DropFolder, GrowingFile, NodePlan, SourceKind, SourcePlan, Stamps, StartAt,
+    StructurePlan,
+};
 pub use station_xml::StationXml;

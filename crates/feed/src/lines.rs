@@ -11,7 +11,7 @@ use spandrel_record::TimeUnit;
 
 use crate::packet::Packet;
 
-pub(crate) use csv::{cells, has_header};
+pub(crate) use csv::cells;
 pub(crate) use splitter::{LineSplitter, Split};
 
 /// Maximum length of a text that an error quotes, in bytes.

@@ -143,7 +143,6 @@ impl NodeFeed {
         if !self.place(lane, &series, arrival, out) {
             self.hold(lane, series, arrival, out);
         }
-        self.release(arrival.at, out);
     }
 
     /// Drops the samples at the beginning that are part of recorded frames.

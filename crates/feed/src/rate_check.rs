@@ -15,8 +15,24 @@ const MIN_SAMPLES: u64 = 64;
 /// Minimum duration for a statement if the times are arrival times, s. A network delays packets by
 /// tenths of a second.
 const MIN_ARRIVAL_S: f64 = 10.0;
-/// An interval longer than this multiple of the median contains a gap, and does not count.
-const GAP_FACTOR: f64 = 3.0;
+/// Intervals that contain no gap, if the times are those of the source: up to this multiple of a
+/// short interval. One lost packet doubles an interval.
+const SOURCE: Regular = Regular {
+    quantile: 0.2,
+    factor: 1.5,
+};
+/// The same for arrival times. A network delays packets, so that intervals vary.
+const ARRIVAL: Regular = Regular {
+    quantile: 0.5,
+    factor: 3.0,
+};
+
+/// Intervals without a gap: at most `factor` times the interval at this quantile.
+#[derive(Clone, Copy, Debug)]
+struct Regular {
+    quantile: f64,
+    factor: f64,
+}
 
 /// The rate of one channel.
 #[derive(Clone, Debug)]
@@ -80,11 +96,15 @@ impl RateCheck {
         let per_sample = |(interval_s, count): &(f64, u64)| interval_s / *count as f64;
         let mut sorted: Vec<f64> = self.intervals.iter().map(per_sample).collect();
         sorted.sort_unstable_by(f64::total_cmp);
-        let median = sorted.get(sorted.len() / 2)?;
+        let Regular { quantile, factor } = match self.min_span_s > 0.0 {
+            true => ARRIVAL,
+            false => SOURCE,
+        };
+        let typical = sorted.get((sorted.len() as f64 * quantile) as usize)?;
         let regular = self
             .intervals
             .iter()
-            .filter(|interval| per_sample(interval) <= GAP_FACTOR * median);
+            .filter(|interval| per_sample(interval) <= factor * typical);
         let (mut span_s, mut samples) = (0.0, 0);
         for (interval_s, count) in regular {
             span_s += interval_s;

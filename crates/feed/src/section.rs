@@ -149,14 +149,6 @@ impl<'a> Section<'a> {
         }
     }
 
-    /// Returns a switch.
-    pub(crate) fn flag(&mut self, key: &'static str, mistakes: &mut Vec<Mistake>) -> Option<bool> {
-        match self.take(key)? {
-            Value::Bool(flag) => Some(*flag),
-            other => self.wrong(key, other, "must be true or false", mistakes),
-        }
-    }
-
     /// Returns a list of tables, each with its own key.
     pub(crate) fn tables(
         &mut self,

@@ -1,11 +1,11 @@
 //! The configuration of the feed: `[[feed.source]]`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde_json::{Map, Value};
-use spandrel_record::TimeUnit;
+use spandrel_record::{ReadOptions, TimeUnit};
 use spandrel_structure::Structure;
 
 use crate::calibration::Calibration;
@@ -13,7 +13,10 @@ use crate::error::FeedError;
 use crate::lines::{LineFormat, TimeField};
 use crate::mistake::Mistake;
 use crate::section::Section;
-use crate::source_plan::{ChannelPlan, NodePlan, SourceKind, SourcePlan, Stamps, StructurePlan};
+use crate::source_plan::{
+    ChannelPlan, DropFolder, GrowingFile, NodePlan, SourceKind, SourcePlan, Stamps, StartAt,
+    StructurePlan,
+};
 use crate::station_xml::StationXml;
 
 /// Default time that a row waits for other channels of its node, s. Packets of the common
@@ -83,6 +86,7 @@ impl FeedSettings {
                     .collect(),
                 ..FeedConfig::default()
             },
+            names: BTreeSet::new(),
             fed: BTreeMap::new(),
             files: BTreeMap::new(),
             mistakes: Vec::new(),
@@ -109,6 +113,8 @@ struct Reading<'a> {
     structures: &'a [&'a Structure],
     folder: PathBuf,
     config: FeedConfig,
+    /// Names of all sources.
+    names: BTreeSet<String>,
     /// Key of the channel of a source, by structure and channel.
     fed: BTreeMap<(usize, String), String>,
     /// StationXML files by their path. `None` for a file with an error.
@@ -123,6 +129,8 @@ enum Kind {
     Tcp,
     TcpServer,
     Stdin,
+    File,
+    Folder,
 }
 
 /// Formats of lines.
@@ -140,17 +148,22 @@ enum Origin {
     Arrival,
 }
 
-const KINDS: [(&str, Kind); 4] = [
+const KINDS: [(&str, Kind); 6] = [
     ("udp", Kind::Udp),
     ("tcp", Kind::Tcp),
     ("tcp-server", Kind::TcpServer),
     ("stdin", Kind::Stdin),
+    ("file", Kind::File),
+    ("folder", Kind::Folder),
 ];
 const FORMATS: [(&str, Format); 3] = [
     ("raspberry-shake", Format::RaspberryShake),
     ("json", Format::Json),
     ("csv", Format::Csv),
 ];
+const STARTS: [(&str, StartAt); 2] = [("start", StartAt::Start), ("end", StartAt::End)];
+/// Default name of the file with the names of the recordings that were read.
+const MEMORY: &str = ".spandrel-feed";
 const ORIGINS: [(&str, Origin); 2] = [("source", Origin::Source), ("arrival", Origin::Arrival)];
 
 impl Reading<'_> {
@@ -158,7 +171,7 @@ impl Reading<'_> {
         let mistakes = &mut self.mistakes;
         let name = section.required_text("name", "must be a name for this source", mistakes);
         if let Some(name) = &name
-            && self.config.sources.iter().any(|other| other.name == *name)
+            && !self.names.insert(name.clone())
         {
             let found = format!("is \"{name}\" again");
             section.report(
@@ -228,7 +241,7 @@ impl Reading<'_> {
             Kind::Udp => {
                 let (listen, format) = (
                     address(section, mistakes),
-                    line_format(section, labels, mistakes),
+                    line_format(section, labels, Columns::Declared, mistakes),
                 );
                 Some(SourceKind::Udp {
                     listen: listen?,
@@ -238,7 +251,7 @@ impl Reading<'_> {
             Kind::Tcp => {
                 let (address, format) = (
                     address(section, mistakes),
-                    line_format(section, labels, mistakes),
+                    line_format(section, labels, Columns::Declared, mistakes),
                 );
                 Some(SourceKind::Tcp {
                     address: address?,
@@ -248,7 +261,7 @@ impl Reading<'_> {
             Kind::TcpServer => {
                 let (listen, format) = (
                     address(section, mistakes),
-                    line_format(section, labels, mistakes),
+                    line_format(section, labels, Columns::Declared, mistakes),
                 );
                 Some(SourceKind::TcpServer {
                     listen: listen?,
@@ -256,8 +269,38 @@ impl Reading<'_> {
                 })
             }
             Kind::Stdin => {
-                let format = line_format(section, labels, mistakes)?;
+                let format = line_format(section, labels, Columns::Declared, mistakes)?;
                 Some(SourceKind::Stdin { format })
+            }
+            Kind::File => {
+                let allowed = "must be a file; a * in its name stands for any text, such as a date";
+                let path = section.required_text("path", allowed, mistakes);
+                let start = section.choice("from", &STARTS, mistakes);
+                let format = line_format(section, labels, Columns::OfHeader, mistakes);
+                Some(SourceKind::File(GrowingFile {
+                    path: self.folder.join(path?),
+                    format: format?,
+                    start: start.unwrap_or(StartAt::End),
+                }))
+            }
+            Kind::Folder => {
+                let path = section.required_text("path", "must be a folder", mistakes);
+                let memory = section.text("memory", mistakes);
+                let time_column = section.text("time-field", mistakes);
+                let time_unit = section.choice("time-unit", &TIME_UNITS, mistakes);
+                let path = self.folder.join(path?);
+                Some(SourceKind::Folder(DropFolder {
+                    memory: match memory {
+                        Some(memory) => self.folder.join(memory),
+                        None => path.join(MEMORY),
+                    },
+                    path,
+                    options: ReadOptions {
+                        time_column,
+                        time_unit,
+                        sampling_rate_hz: None,
+                    },
+                }))
             }
         }
     }
@@ -520,18 +563,30 @@ impl SourceKind {
             Self::Udp { format, .. }
             | Self::Tcp { format, .. }
             | Self::TcpServer { format, .. }
-            | Self::Stdin { format } => match format {
+            | Self::Stdin { format }
+            | Self::File(GrowingFile { format, .. }) => match format {
                 LineFormat::RaspberryShake => true,
                 LineFormat::Json { time, .. } | LineFormat::Csv { time, .. } => time.is_some(),
             },
+            Self::Folder(_) => true,
         }
     }
+}
+
+/// Where the names of the columns are if the configuration does not state them.
+#[derive(Clone, Copy, PartialEq)]
+enum Columns {
+    /// The configuration must state them.
+    Declared,
+    /// The first line of a file states them.
+    OfHeader,
 }
 
 /// Reads the format of the lines.
 fn line_format(
     section: &mut Section<'_>,
     mut fields: Vec<String>,
+    source_of_columns: Columns,
     mistakes: &mut Vec<Mistake>,
 ) -> Option<LineFormat> {
     fields.dedup();
@@ -565,8 +620,17 @@ fn line_format(
             return None;
         }
     };
+    let before = mistakes.len();
     let columns = section.texts("columns", mistakes);
     let Some(columns) = columns else {
+        if mistakes.len() == before && source_of_columns == Columns::OfHeader {
+            return Some(LineFormat::Csv {
+                separator,
+                columns: Vec::new(),
+                time,
+                fields,
+            });
+        }
         if mistakes.len() == before {
             let allowed =
                 "must name the columns in their order, such as [\"time\", \"ax\", \"ay\"]";

@@ -20,7 +20,9 @@ use crate::core_input::{Input, Output, Recorded};
 use crate::error::FeedError;
 use crate::feed::Feed;
 use crate::gap::GapReport;
+use crate::gate::Ahead;
 use crate::settings::FeedConfig;
+use crate::source_plan::SourcePlan;
 
 /// Interval at which time passes for the core. Blocks of slow channels wait so long at most.
 pub(crate) const TICK: Duration = Duration::from_millis(50);
@@ -62,6 +64,8 @@ pub struct FeedService {
     core: Feed,
     clocks: Clocks,
     publishers: Vec<NumberedPublisher<SampleBlock>>,
+    /// The samples of each node that ingest has not processed.
+    ahead: Vec<Ahead>,
     structures: Vec<FedStructure>,
     node_tokens: Vec<LiveToken>,
     when_ended: WhenEnded,
@@ -155,6 +159,7 @@ impl FeedService {
             core: Feed::new(config.clone(), epoch),
             clocks: Clocks::start(instance.clock),
             publishers,
+            ahead: vec![Ahead::default(); config.nodes.len()],
             structures,
             node_tokens,
             when_ended: *when_ended,
@@ -168,7 +173,7 @@ impl FeedService {
         let sources = self.core.config().sources.clone();
         let mut outlets = Vec::new();
         for (index, source) in sources.iter().enumerate() {
-            let outlet = arrivals.add(index, self.clocks);
+            let outlet = arrivals.add(index, &source.kind, self.clocks);
             match source.kind.can_repeat() {
                 true => outlets.push((index, outlet)),
                 // The first samples wait in the queue while ingest is queried.
@@ -230,8 +235,9 @@ impl FeedService {
         status.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut have_ended = false;
         loop {
+            let held = self.held();
             tokio::select! {
-                arrived = arrivals.next(), if !have_ended => match arrived {
+                arrived = arrivals.next(&held), if !have_ended => match arrived {
                     Some(Arrived { input, at }) => self.handle_at(input, at).await?,
                     None => {
                         have_ended = true;
@@ -246,6 +252,36 @@ impl FeedService {
                 () = &mut *stop => return Ok(()),
             }
         }
+    }
+
+    /// Returns for each source whether it must wait for ingest.
+    fn held(&mut self) -> Vec<bool> {
+        for of in self.structures.iter().filter(|of| !of.is_distributed) {
+            let Some(progress) = of.progress.latest() else {
+                continue;
+            };
+            let nodes = self.core.config().nodes.iter().zip(&mut self.ahead);
+            for (_, ahead) in nodes.filter(|(node, _)| node.structure == of.index) {
+                ahead.processed(progress.header.time_ns);
+            }
+        }
+        let config = self.core.config();
+        let is_ahead = |node: usize| {
+            let of = config.nodes.get(node).map(|node| node.structure);
+            let is_ingested = self
+                .structures
+                .iter()
+                .any(|structure| Some(structure.index) == of && !structure.is_distributed);
+            is_ingested && self.ahead.get(node).is_some_and(|ahead| !ahead.has_room())
+        };
+        let is_held = |source: &SourcePlan| {
+            source.kind.can_repeat()
+                && source
+                    .channels
+                    .iter()
+                    .any(|channel| is_ahead(channel.node))
+        };
+        config.sources.iter().map(is_held).collect()
     }
 
     async fn handle(&mut self, input: Input) -> Result<(), FeedError> {
@@ -263,6 +299,10 @@ impl FeedService {
         for output in outputs {
             match output {
                 Output::Block { node, block } => {
+                    let last = block.grid().zip(block.count().checked_sub(1));
+                    if let (Some(ahead), Some((grid, last))) = (self.ahead.get_mut(node), last) {
+                        ahead.published(grid.time_ns(last), block.count());
+                    }
                     if let Some(publisher) = self.publishers.get(node) {
                         publisher.put(block).await?;
                     }
@@ -419,7 +459,7 @@ impl FeedService {
         for of in &self.structures {
             let (processed_ns, done) = self.core.published(of.index);
             let config = self.core.config();
-            let feeds = |source: &crate::source_plan::SourcePlan| {
+            let feeds = |source: &SourcePlan| {
                 source.channels.iter().any(|channel| {
                     let node = config.nodes.get(channel.node);
                     node.is_some_and(|node| node.structure == of.index)

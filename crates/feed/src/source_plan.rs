@@ -1,6 +1,8 @@
 //! Sources and their channels, checked.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use spandrel_record::ReadOptions;
 
 use crate::calibration::Calibration;
 use crate::lines::LineFormat;
@@ -49,6 +51,74 @@ pub enum SourceKind {
         /// Format of the lines.
         format: LineFormat,
     },
+    /// Follows a file that grows.
+    File(GrowingFile),
+    /// Reads the files that are dropped into a folder.
+    Folder(DropFolder),
+}
+
+/// A file that grows, and its rotation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GrowingFile {
+    /// Path. A `*` in the file name stands for any text, such as a date. The files are then read
+    /// in the order of their names.
+    pub path: PathBuf,
+    /// Format of the lines.
+    pub format: LineFormat,
+    /// Start position if ingest has no frames yet.
+    pub start: StartAt,
+}
+
+/// Start position in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartAt {
+    /// The first line.
+    Start,
+    /// The present end of the file.
+    End,
+}
+
+/// A folder into which recordings are dropped.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DropFolder {
+    /// Path of the folder.
+    pub path: PathBuf,
+    /// File with the names of the recordings that were read.
+    pub memory: PathBuf,
+    /// Properties that the recordings may not state themselves.
+    pub options: ReadOptions,
+}
+
+impl GrowingFile {
+    /// Returns the folder of the file.
+    pub(crate) fn folder(&self) -> &Path {
+        match self.path.parent() {
+            Some(folder) if folder.as_os_str().is_empty() => Path::new("."),
+            Some(folder) => folder,
+            None => Path::new("/"),
+        }
+    }
+
+    /// Returns `true` if the path stands for several files.
+    pub(crate) fn is_pattern(&self) -> bool {
+        self.name().contains('*')
+    }
+
+    /// Returns `true` if a file name fits the pattern.
+    pub(crate) fn matches(&self, name: &str) -> bool {
+        let pattern = self.name();
+        let Some((before, after)) = pattern.split_once('*') else {
+            return pattern == name;
+        };
+        name.len() >= before.len() + after.len()
+            && name.starts_with(before)
+            && name.ends_with(after)
+    }
+
+    fn name(&self) -> String {
+        let name = self.path.file_name().unwrap_or_default();
+        name.to_string_lossy().into_owned()
+    }
 }
 
 impl SourceKind {
@@ -59,6 +129,7 @@ impl SourceKind {
             Self::Udp { .. } | Self::Tcp { .. } | Self::TcpServer { .. } | Self::Stdin { .. } => {
                 false
             }
+            Self::File(_) | Self::Folder(_) => true,
         }
     }
 
@@ -70,6 +141,8 @@ impl SourceKind {
             Self::Tcp { address, .. } => format!("tcp {address}"),
             Self::TcpServer { listen, .. } => format!("tcp-server {listen}"),
             Self::Stdin { .. } => "stdin".to_owned(),
+            Self::File(file) => format!("file {}", file.path.display()),
+            Self::Folder(folder) => format!("folder {}", folder.path.display()),
         }
     }
 }

@@ -8,10 +8,14 @@ use tokio::time::Instant;
 
 use crate::core_input::{Input, Link, Moment};
 use crate::packet::Packet;
+use crate::source_plan::SourceKind;
 
-/// Maximum number of messages of one source that wait for the core. If the queue is full, a source
-/// that cannot wait drops its newest message, and all others wait.
-const QUEUE: usize = 1024;
+/// Maximum number of datagrams that wait for the core. If the queue is full, the newest datagram is
+/// dropped and counted.
+pub(crate) const DATAGRAMS: usize = 1024;
+/// Maximum number of messages of another source that wait for the core. If the queue is full, the
+/// source waits. A message has up to 64 KiB of text.
+pub(crate) const MESSAGES: usize = 16;
 
 /// The clocks of the feed.
 #[derive(Clone, Copy, Debug)]
@@ -62,8 +66,12 @@ pub(crate) struct Arrivals {
 
 impl Arrivals {
     /// Adds the queue of a source.
-    pub(crate) fn add(&mut self, source: usize, clocks: Clocks) -> Outlet {
-        let (queue, arrived) = mpsc::channel(QUEUE);
+    pub(crate) fn add(&mut self, source: usize, kind: &SourceKind, clocks: Clocks) -> Outlet {
+        let capacity = match kind {
+            SourceKind::Udp { .. } => DATAGRAMS,
+            _ => MESSAGES,
+        };
+        let (queue, arrived) = mpsc::channel(capacity);
         self.queues.push(arrived);
         Outlet {
             source,
@@ -74,7 +82,9 @@ impl Arrivals {
 
     /// Returns the next input, from one source after the other. Returns `None` if all sources have
     /// ended. The wait is cancel-safe.
-    pub(crate) async fn next(&mut self) -> Option<Arrived> {
+    ///
+    /// A source that is `held` keeps its inputs until a later call.
+    pub(crate) async fn next(&mut self, held: &[bool]) -> Option<Arrived> {
         std::future::poll_fn(|context| {
             let count = self.queues.len();
             let mut is_open = false;
@@ -83,6 +93,10 @@ impl Arrivals {
                 let Some(queue) = self.queues.get_mut(index) else {
                     continue;
                 };
+                if held.get(index).is_some_and(|is_held| *is_held) {
+                    is_open = true;
+                    continue;
+                }
                 match queue.poll_recv(context) {
                     Poll::Ready(Some(arrived)) => {
                         self.next = index + 1;

@@ -67,7 +67,7 @@ pub(crate) fn cells(line: &str, separator: char) -> impl Iterator<Item = &str> {
 }
 
 /// Returns `true` if a line is the header of these columns.
-pub(crate) fn has_header(line: &str, separator: char, columns: &[String]) -> bool {
+fn has_header(line: &str, separator: char, columns: &[String]) -> bool {
     cells(line, separator).eq(columns.iter().map(String::as_str))
 }
 

@@ -37,11 +37,6 @@ impl LineSplitter {
         }
     }
 
-    /// Returns the number of bytes of the open line, which has no end yet.
-    pub(crate) fn open_bytes(&self) -> usize {
-        self.open.len()
-    }
-
     /// Ends the open line, and returns it unless it is empty.
     pub(crate) fn end(&mut self) -> Option<Split> {
         if std::mem::take(&mut self.is_too_long) {
