@@ -463,7 +463,11 @@ async fn source_that_cannot_be_reached_is_failed_and_others_are_not_disturbed() 
 
 /// Appends rows of a table `t,note,a,b` to a file.
 fn append(path: &Path, t0_ns: i64, rows: std::ops::Range<i64>) {
-    let mut file = OpenOptions::new().create(true).append(true).open(path).unwrap();
+    let mut file = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(path)
+        .unwrap();
     let mut text = String::new();
     if file.metadata().unwrap().len() == 0 {
         text += "t,note,a,b\n";
@@ -490,7 +494,10 @@ async fn growing_file_loses_nothing_when_it_is_renamed_and_the_feed_is_killed() 
     let bus = site.join().await;
     let t0_ns = ago(3600);
     let mut frames = Frames::follow(&bus, &site, t0_ns).await;
-    let (log, old) = (site.folder().join("log.csv"), site.folder().join("log.csv.1"));
+    let (log, old) = (
+        site.folder().join("log.csv"),
+        site.folder().join("log.csv.1"),
+    );
     append(&log, t0_ns, 0..300);
     let configuration = configure(&site, &of_file("log.csv", "start"));
     let feed = start_feed(&site, &configuration);
@@ -561,7 +568,10 @@ async fn file_without_a_mapped_column_is_failed_and_named() {
     })
     .await;
     let error = status.instruments["log"].last_error.clone().unwrap();
-    assert!(error.ends_with("has no column b, its columns are t, a, c"), "{error}");
+    assert!(
+        error.ends_with("has no column b, its columns are t, a, c"),
+        "{error}"
+    );
     feed.stop().expect_code(0);
 }
 
@@ -593,6 +603,7 @@ async fn files_dropped_into_a_folder_are_read_once_in_the_order_of_their_times()
     ) + &channels(["a", "b"]);
     let configuration = configure(&site, &text);
     let feed = start_feed(&site, &configuration);
+    feed.wait_for_log("notes.bin");
     frames.up_to(1000).await;
     feed.kill();
     let feed = start_feed(&site, &configuration);
@@ -603,7 +614,6 @@ async fn files_dropped_into_a_folder_are_read_once_in_the_order_of_their_times()
     frames.up_to(4499).await;
     assert_eq!(frames.missing(), [0, 0]);
     assert_eq!(frames.found.len(), 4500);
-    feed.wait_for_log("source error");
     feed.stop().expect_code(0);
 }
 

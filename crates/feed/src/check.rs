@@ -67,7 +67,7 @@ pub async fn listen(
     let mut tasks = JoinSet::new();
     for (index, source) in core.config().sources.iter().enumerate() {
         let outlet = arrivals.add(index, &source.kind, clocks);
-        tasks.spawn(read(source.kind.clone(), None, outlet));
+        tasks.spawn(read(source, None, outlet));
     }
     let mut tick = interval(TICK);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);

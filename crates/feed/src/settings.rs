@@ -14,14 +14,16 @@ use crate::lines::{LineFormat, TimeField};
 use crate::mistake::Mistake;
 use crate::section::Section;
 use crate::source_plan::{
-    ChannelPlan, DropFolder, GrowingFile, NodePlan, SourceKind, SourcePlan, Stamps, StartAt,
-    StructurePlan,
+    ChannelPlan, DropFolder, GrowingFile, NodePlan, SeedLinkServer, SourceKind, SourcePlan, Stamps,
+    StartAt, StructurePlan,
 };
 use crate::station_xml::StationXml;
 
 /// Default time that a row waits for other channels of its node, s. Packets of the common
 /// instruments cover less.
 const WAIT_S: f64 = 1.0;
+/// The same for SeedLink, s. Records of 512 bytes cover some seconds at 100 Hz.
+const SEEDLINK_WAIT_S: f64 = 30.0;
 /// Longest allowed waiting time, s.
 const MAX_WAIT_S: f64 = 600.0;
 /// Units of numeric times.
@@ -131,6 +133,7 @@ enum Kind {
     Stdin,
     File,
     Folder,
+    SeedLink,
 }
 
 /// Formats of lines.
@@ -148,13 +151,14 @@ enum Origin {
     Arrival,
 }
 
-const KINDS: [(&str, Kind); 6] = [
+const KINDS: [(&str, Kind); 7] = [
     ("udp", Kind::Udp),
     ("tcp", Kind::Tcp),
     ("tcp-server", Kind::TcpServer),
     ("stdin", Kind::Stdin),
     ("file", Kind::File),
     ("folder", Kind::Folder),
+    ("seedlink", Kind::SeedLink),
 ];
 const FORMATS: [(&str, Format); 3] = [
     ("raspberry-shake", Format::RaspberryShake),
@@ -206,12 +210,16 @@ impl Reading<'_> {
             .filter_map(|channel| self.channel(channel))
             .collect();
         section.finish(&mut self.mistakes);
+        let default_wait_s = match kind {
+            Some(SourceKind::SeedLink(_)) => SEEDLINK_WAIT_S,
+            _ => WAIT_S,
+        };
         if let (Some(name), Some(kind), Some(stamps)) = (name, kind, stamps) {
             self.config.sources.push(SourcePlan {
                 name,
                 kind,
                 stamps,
-                wait_s: wait_s.unwrap_or(WAIT_S),
+                wait_s: wait_s.unwrap_or(default_wait_s),
                 channels,
             });
         }
@@ -282,6 +290,22 @@ impl Reading<'_> {
                     format: format?,
                     start: start.unwrap_or(StartAt::End),
                 }))
+            }
+            Kind::SeedLink => {
+                let address = address(section, mistakes);
+                let is_id = |label: &&String| {
+                    let codes: Vec<&str> = label.split('.').collect();
+                    matches!(codes[..], [network, station, location, channel]
+                        if !network.is_empty() && !station.is_empty()
+                            && location.len() <= 2 && channel.len() == 3)
+                };
+                for label in labels.iter().filter(|label| !is_id(label)) {
+                    let found = format!("has source \"{label}\"");
+                    let allowed =
+                        "must be NETWORK.STATION.LOCATION.CHANNEL, such as AM.R1234.00.ENZ";
+                    section.report("channel", found, allowed, mistakes);
+                }
+                Some(SourceKind::SeedLink(SeedLinkServer { address: address? }))
             }
             Kind::Folder => {
                 let path = section.required_text("path", "must be a folder", mistakes);
@@ -568,7 +592,7 @@ impl SourceKind {
                 LineFormat::RaspberryShake => true,
                 LineFormat::Json { time, .. } | LineFormat::Csv { time, .. } => time.is_some(),
             },
-            Self::Folder(_) => true,
+            Self::Folder(_) | Self::SeedLink(_) => true,
         }
     }
 }

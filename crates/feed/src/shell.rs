@@ -178,7 +178,7 @@ impl FeedService {
                 true => outlets.push((index, outlet)),
                 // The first samples wait in the queue while ingest is queried.
                 false => {
-                    connections.spawn(read(source.kind.clone(), None, outlet));
+                    connections.spawn(read(source, None, outlet));
                 }
             }
         }
@@ -211,7 +211,7 @@ impl FeedService {
                 .filter(|(structure, _)| of_source(structure))
                 .map(|(_, recorded)| last_ns(recorded))
                 .min();
-            connections.spawn(read(source.kind.clone(), since_ns, outlet));
+            connections.spawn(read(source, since_ns, outlet));
         }
         self.serve(&mut arrivals, &mut stop).await?;
         while let Some(Arrived { input, at }) = arrivals.next_now() {
@@ -275,11 +275,7 @@ impl FeedService {
             is_ingested && self.ahead.get(node).is_some_and(|ahead| !ahead.has_room())
         };
         let is_held = |source: &SourcePlan| {
-            source.kind.can_repeat()
-                && source
-                    .channels
-                    .iter()
-                    .any(|channel| is_ahead(channel.node))
+            source.kind.can_repeat() && source.channels.iter().any(|channel| is_ahead(channel.node))
         };
         config.sources.iter().map(is_held).collect()
     }

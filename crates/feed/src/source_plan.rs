@@ -55,6 +55,15 @@ pub enum SourceKind {
     File(GrowingFile),
     /// Reads the files that are dropped into a folder.
     Folder(DropFolder),
+    /// Receives miniSEED records from a SeedLink server.
+    SeedLink(SeedLinkServer),
+}
+
+/// A SeedLink server. The names of the channels are `NET.STA.LOC.CHA`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SeedLinkServer {
+    /// Address, HOST:PORT.
+    pub address: String,
 }
 
 /// A file that grows, and its rotation.
@@ -129,7 +138,7 @@ impl SourceKind {
             Self::Udp { .. } | Self::Tcp { .. } | Self::TcpServer { .. } | Self::Stdin { .. } => {
                 false
             }
-            Self::File(_) | Self::Folder(_) => true,
+            Self::File(_) | Self::Folder(_) | Self::SeedLink(_) => true,
         }
     }
 
@@ -142,6 +151,7 @@ impl SourceKind {
             Self::TcpServer { listen, .. } => format!("tcp-server {listen}"),
             Self::Stdin { .. } => "stdin".to_owned(),
             Self::File(file) => format!("file {}", file.path.display()),
+            Self::SeedLink(server) => format!("seedlink {}", server.address),
             Self::Folder(folder) => format!("folder {}", folder.path.display()),
         }
     }

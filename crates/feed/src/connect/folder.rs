@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use spandrel_bus::is_without_date;
 use spandrel_record::{ReadOptions, RecordedChannel, RecordedFile, TimeOrigin};
 use tokio::time::sleep;
 
@@ -146,12 +147,21 @@ async fn read_all(
 }
 
 /// Returns the channels of a file, and the times of its first and last sample, ns.
-fn read_file(path: &Path, options: &ReadOptions) -> Result<(Vec<RecordedChannel>, i64, i64), String> {
+fn read_file(
+    path: &Path,
+    options: &ReadOptions,
+) -> Result<(Vec<RecordedChannel>, i64, i64), String> {
     let file = RecordedFile::read(path, options).map_err(|error| with_causes(&error))?;
     let channels = file.channels().to_vec();
     let name = path.display();
-    if channels.iter().any(|channel| channel.origin() != TimeOrigin::Epoch) {
-        return Err(format!("{name}: has no date, must state the date of its samples"));
+    // Numeric times of a table may be seconds since 1970 or since its start.
+    let has_no_date = |channel: &RecordedChannel| {
+        channel.origin() == TimeOrigin::Start && channel.start_ns().is_none_or(is_without_date)
+    };
+    if channels.iter().any(has_no_date) {
+        return Err(format!(
+            "{name}: has no date, must state the date of its samples"
+        ));
     }
     let start_ns = channels.iter().filter_map(RecordedChannel::start_ns).min();
     let end_ns = channels.iter().filter_map(RecordedChannel::end_ns).max();
@@ -225,7 +235,10 @@ fn files(folder: &Path, memory: &Path) -> Result<BTreeMap<String, Done>, String>
 impl Memory {
     fn read(path: &Path) -> Result<Self, String> {
         let failed = |why: &dyn std::fmt::Display| {
-            format!("cannot use {}, so all files are read again: {why}", path.display())
+            format!(
+                "cannot use {}, so all files are read again: {why}",
+                path.display()
+            )
         };
         match std::fs::read(path) {
             Ok(bytes) => serde_json::from_slice(&bytes).map_err(|error| failed(&error)),
@@ -243,7 +256,8 @@ impl Memory {
             };
             self.files.remove(&oldest);
         }
-        let failed = |why: &dyn std::fmt::Display| format!("cannot write {}: {why}", path.display());
+        let failed =
+            |why: &dyn std::fmt::Display| format!("cannot write {}: {why}", path.display());
         let bytes = serde_json::to_vec(self).map_err(|error| failed(&error))?;
         let mut new = path.as_os_str().to_owned();
         new.push(".new");

@@ -191,7 +191,9 @@ impl Follower {
     /// was renamed.
     fn successors_by_identity(&self) -> Result<VecDeque<PathBuf>, String> {
         let path = &self.plan.path;
-        let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let name = path
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned());
         let name = name.unwrap_or_default();
         if self.last.is_none() {
             let renamed = format!("{name}.");
@@ -212,8 +214,14 @@ impl Follower {
             }
             Err(error) => return Err(format!("cannot look at {}: {error}", path.display())),
         };
-        let is_same = self.last.as_ref().is_some_and(|(last, _)| *last == identity(&found));
-        let is_shorter = self.open.as_ref().is_some_and(|open| found.len() < open.position);
+        let is_same = self
+            .last
+            .as_ref()
+            .is_some_and(|(last, _)| *last == identity(&found));
+        let is_shorter = self
+            .open
+            .as_ref()
+            .is_some_and(|open| found.len() < open.position);
         Ok(match is_same && !is_shorter {
             true => VecDeque::new(),
             false => [path.clone()].into(),
@@ -371,5 +379,7 @@ fn identity(metadata: &Metadata) -> Identity {
 pub(super) fn modified_ns(metadata: &Metadata) -> i64 {
     let modified = metadata.modified().ok();
     let since = modified.and_then(|modified| modified.duration_since(UNIX_EPOCH).ok());
-    since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+    since.map_or(0, |since| {
+        i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
+    })
 }
