@@ -63,7 +63,7 @@ pub use packet::Packet;
 pub use settings::{FeedConfig, FeedSettings};
 pub use shell::{FeedPlan, FeedService, WhenEnded};
 pub use source_plan::{
-    ChannelPlan, DropFolder, GrowingFile, NodePlan, SeedLinkServer, SourceKind, SourcePlan, Stamps,
-    StartAt, StructurePlan,
+    ChannelPlan, DropFolder, GrowingFile, NodePlan, SeedLinkServer, SeedLinkVersion, SourceKind,
+    SourcePlan, Stamps, StartAt, StructurePlan,
 };
 pub use station_xml::StationXml;

@@ -1,40 +1,34 @@
 //! Connects the core to the sources and to the bus.
 
-use std::collections::BTreeMap;
+mod of_ingest;
+
 use std::time::Duration;
 
 use spandrel_bus::{
     Block, BoxedFuture, Bus, Event, EventKind, InstrumentState, Keep, Keys, LiveToken, Name,
     NumberedPublisher, NumberedStream, ProgressWatch, SampleBlock, Service, StreamState,
-    is_without_date,
 };
 use spandrel_service::{
     EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
 use tokio::task::JoinSet;
-use tokio::time::{MissedTickBehavior, interval, timeout};
+use tokio::time::{MissedTickBehavior, interval};
 use tracing::{info, warn};
 
 use crate::connect::{Arrivals, Arrived, Clocks, read};
-use crate::core_input::{Input, Output, Recorded};
+use crate::core_input::{Input, Output};
 use crate::error::FeedError;
 use crate::feed::Feed;
 use crate::gap::GapReport;
 use crate::gate::Ahead;
 use crate::settings::FeedConfig;
 use crate::source_plan::SourcePlan;
+use of_ingest::last_ns;
 
 /// Interval at which time passes for the core. Blocks of slow channels wait so long at most.
 pub(crate) const TICK: Duration = Duration::from_millis(50);
 /// Number of samples that a node keeps for readers that missed some, as `spandrel simulate` does.
 const SAMPLES_KEPT: u64 = 16_384;
-/// Timeout of the query for the last frame of ingest.
-const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
-/// Number of such queries while ingest is present.
-const POSITION_ATTEMPTS: u32 = 5;
-/// Longest wait at a stop until ingest has processed the last samples.
-const PATIENCE_AFTER_STOP: Duration = Duration::from_secs(2);
-
 /// What happens when all sources have ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenEnded {
@@ -254,32 +248,6 @@ impl FeedService {
         }
     }
 
-    /// Returns for each source whether it must wait for ingest.
-    fn held(&mut self) -> Vec<bool> {
-        for of in self.structures.iter().filter(|of| !of.is_distributed) {
-            let Some(progress) = of.progress.latest() else {
-                continue;
-            };
-            let nodes = self.core.config().nodes.iter().zip(&mut self.ahead);
-            for (_, ahead) in nodes.filter(|(node, _)| node.structure == of.index) {
-                ahead.processed(progress.header.time_ns);
-            }
-        }
-        let config = self.core.config();
-        let is_ahead = |node: usize| {
-            let of = config.nodes.get(node).map(|node| node.structure);
-            let is_ingested = self
-                .structures
-                .iter()
-                .any(|structure| Some(structure.index) == of && !structure.is_distributed);
-            is_ingested && self.ahead.get(node).is_some_and(|ahead| !ahead.has_room())
-        };
-        let is_held = |source: &SourcePlan| {
-            source.kind.can_repeat() && source.channels.iter().any(|channel| is_ahead(channel.node))
-        };
-        config.sources.iter().map(is_held).collect()
-    }
-
     async fn handle(&mut self, input: Input) -> Result<(), FeedError> {
         let now = self.clocks.now();
         self.handle_at(input, now).await
@@ -371,86 +339,6 @@ impl FeedService {
         Ok(of.events.put(&event).await?)
     }
 
-    /// Queries the frames that exist already, for each structure that ingest records.
-    async fn recorded(&self) -> BTreeMap<usize, Recorded> {
-        let mut recorded = BTreeMap::new();
-        for of in self.structures.iter().filter(|of| !of.is_distributed) {
-            let found = self.recorded_of(of).await;
-            let structure = of.keys.structure().as_str();
-            match found {
-                Some(found) => {
-                    info!(
-                        structure,
-                        frame = found.next,
-                        "feed resumes where the frames end"
-                    );
-                    recorded.insert(of.index, found);
-                }
-                None => info!(structure, "no frames to resume from"),
-            }
-        }
-        recorded
-    }
-
-    async fn recorded_of(&self, of: &FedStructure) -> Option<Recorded> {
-        let structure = of.keys.structure().as_str();
-        let needs_it = self.core.config().sources.iter().any(|source| {
-            source.kind.can_repeat()
-                && source.channels.iter().any(|channel| {
-                    let node = self.core.config().nodes.get(channel.node);
-                    node.is_some_and(|node| node.structure == of.index)
-                })
-        });
-        let live = of.keys.all_live(Service::Ingest);
-        if needs_it {
-            // The samples stay at the source until ingest can say what it has.
-            let mut watch = self.bus.watch_live(live.clone()).await.ok()?;
-            if watch.present().is_empty() && timeout(POSITION_TIMEOUT, watch.some()).await.is_err()
-            {
-                warn!(structure, "waiting for the ingest service on this bus");
-                watch.some().await;
-            }
-        }
-        let recording = of.keys.recording();
-        for _ in 0..POSITION_ATTEMPTS {
-            if let Some(at) = self.bus.stream_position(&recording, POSITION_TIMEOUT).await {
-                if at.state == StreamState::Ended || at.header.sequence == 0 {
-                    return None;
-                }
-                let last = self
-                    .bus
-                    .last_item::<spandrel_bus::FrameBlock>(&recording, POSITION_TIMEOUT)
-                    .await;
-                if let Some((block, _)) = last {
-                    let recorded = Recorded {
-                        frames: block.grid()?,
-                        next: block.end(),
-                    };
-                    return self.is_plausible(structure, &recorded).then_some(recorded);
-                }
-            }
-            let present = self.bus.query_tokens(&live, POSITION_TIMEOUT).await.ok()?;
-            if present.is_empty() {
-                break;
-            }
-        }
-        None
-    }
-
-    /// Returns `true` if frames can be continued by samples that are measured now.
-    fn is_plausible(&self, structure: &str, recorded: &Recorded) -> bool {
-        let last_ns = last_ns(recorded);
-        let now_ns = self.clocks.now().wall_ns;
-        if is_without_date(last_ns) || last_ns > now_ns {
-            warn!(
-                structure,
-                last_ns, now_ns, "the last frame is not of the past; the feed does not resume"
-            );
-            return false;
-        }
-        true
-    }
-
     async fn put_status(&self) -> Result<(), FeedError> {
         for of in &self.structures {
             let (processed_ns, done) = self.core.published(of.index);
@@ -480,25 +368,6 @@ impl FeedService {
         Ok(())
     }
 
-    /// Waits until ingest has processed the last samples, because it can fetch samples only while
-    /// this process runs.
-    async fn wait_for_ingest(&mut self) {
-        for of in &mut self.structures {
-            let Some(last_ns) = self.core.published(of.index).0 else {
-                continue;
-            };
-            let done = of.progress.latest();
-            let is_done = |time_ns: i64| time_ns >= last_ns;
-            if done.is_none_or(|progress| !is_done(progress.header.time_ns)) {
-                let reached = of
-                    .progress
-                    .wait_for(|progress| is_done(progress.header.time_ns));
-                // Another node may be missing, so that frames wait for it.
-                let _ = timeout(PATIENCE_AFTER_STOP, reached).await;
-            }
-        }
-    }
-
     async fn withdraw(self) -> Result<(), FeedError> {
         info!("feed stopped");
         let tokens = self.structures.into_iter().map(|of| of.token);
@@ -507,11 +376,6 @@ impl FeedService {
         }
         Ok(())
     }
-}
-
-/// Returns the time of the last frame, ns.
-fn last_ns(recorded: &Recorded) -> i64 {
-    recorded.frames.time_ns(recorded.next.saturating_sub(1))
 }
 
 /// Formats a time as seconds since 1970.

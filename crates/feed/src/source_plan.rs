@@ -64,6 +64,17 @@ pub enum SourceKind {
 pub struct SeedLinkServer {
     /// Address, HOST:PORT.
     pub address: String,
+    /// Highest version of the protocol that the client uses.
+    pub newest: SeedLinkVersion,
+}
+
+/// A version of the SeedLink protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SeedLinkVersion {
+    /// SeedLink 3.
+    Three,
+    /// SeedLink 4.
+    Four,
 }
 
 /// A file that grows, and its rotation.

@@ -1,7 +1,7 @@
 //! A client for SeedLink 3 and 4.
 //!
-//! No crate is used. `seedlink-rs-client` 0.4 allocates as many bytes as the server claims (up to 4
-//! GiB per packet), reads lines of any length, cannot resume by time in version 4, and requires all
+//! No crate is used, for three reasons. `seedlink-rs-client` 0.4 allocates as many bytes as the
+//! server claims, up to 4 GiB per packet. It cannot resume by time in version 4. It requires all
 //! features of tokio and a second decoder of miniSEED.
 //!
 //! Source: IRIS and GFZ, *SeedLink protocol 3.1*; FDSN, *SeedLink protocol 4.0* (2022).
@@ -19,7 +19,7 @@ use tokio::time::timeout;
 use crate::connect::Outlet;
 use crate::connect::retry::Retry;
 use crate::core_input::Link;
-use crate::source_plan::SeedLinkServer;
+use crate::source_plan::{SeedLinkServer, SeedLinkVersion};
 use packet::packets_of;
 use request::{Resume, Station, stations};
 use wire::{Connection, WireError};
@@ -56,6 +56,7 @@ pub(crate) async fn read(
             Ok(Ok(stream)) => {
                 let mut session = Session {
                     connection: Connection::new(stream),
+                    newest: plan.newest,
                     stations: &stations,
                     since_ns,
                     progress: &mut progress,
@@ -83,6 +84,7 @@ pub(crate) async fn read(
 /// One connection.
 struct Session<'a> {
     connection: Connection,
+    newest: SeedLinkVersion,
     stations: &'a [Station],
     since_ns: Option<i64>,
     progress: &'a mut Progress,
@@ -93,7 +95,7 @@ impl Session<'_> {
     /// Requests the stations and passes their packets on. Returns without an error if the feed
     /// stops.
     async fn run(&mut self) -> Result<(), WireError> {
-        let version = self.connection.hello().await?;
+        let version = self.connection.hello(self.newest).await?;
         let mut accepted = 0;
         for station in self.stations {
             match self.request(station, version).await {
@@ -151,30 +153,38 @@ impl Session<'_> {
         last
     }
 
+    /// Sends all commands. One of them must be accepted.
+    async fn any_accepted(&mut self, commands: &[String]) -> Result<(), WireError> {
+        let mut result = None;
+        for command in commands {
+            match self.connection.command(command).await {
+                Ok(()) => result = Some(Ok(())),
+                Err(error @ WireError::Rejected { .. }) => {
+                    result.get_or_insert(Err(error));
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        result.unwrap_or(Ok(()))
+    }
+
     async fn request(
         &mut self,
         station: &Station,
-        version: wire::Version,
+        version: SeedLinkVersion,
     ) -> Result<(), WireError> {
         self.connection.command(&station.command(version)).await?;
         for channel in station.selections(version) {
-            self.first_accepted(&channel).await?;
+            self.any_accepted(&channel).await?;
         }
         let resume = match (self.progress.get(&station.name()), self.since_ns) {
-            (Some(received), _) => Resume::After(received.sequence),
+            (Some(last), _) => Resume::After {
+                sequence: last.sequence,
+                end_ns: last.end_ns,
+            },
             (None, Some(since_ns)) => Resume::Since(since_ns),
             (None, None) => Resume::Now,
         };
-        let command = resume.command(version);
-        match self.connection.command(&command).await {
-            // The server may have numbered its packets again.
-            Err(WireError::Rejected { .. }) if matches!(resume, Resume::After(_)) => {
-                let received = self.progress.get(&station.name());
-                let resume = received.map_or(Resume::Now, |last| Resume::Since(last.end_ns));
-                let command = resume.command(version);
-                self.connection.command(&command).await
-            }
-            result => result,
-        }
+        self.first_accepted(&resume.commands(version)).await
     }
 }

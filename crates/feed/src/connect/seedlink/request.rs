@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 
-use super::wire::Version;
+use crate::source_plan::SeedLinkVersion as Version;
 
 /// Sequence numbers of version 3 have 24 bits.
 const SEQUENCE_MASK: u64 = 0xFF_FFFF;
@@ -21,8 +21,14 @@ pub(super) struct Station {
 /// Where the transfer of a station starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Resume {
-    /// After the packet with this number.
-    After(u64),
+    /// With the packet of this number, the last that was received. Some servers send it again, and
+    /// others send the next one. A request for the next number would lose a packet of the latter.
+    After {
+        /// Number of that packet.
+        sequence: u64,
+        /// Time of its last sample, ns.
+        end_ns: i64,
+    },
     /// At this time, ns.
     Since(i64),
     /// With the next packet.
@@ -73,7 +79,7 @@ impl Station {
         }
     }
 
-    /// Returns the commands that select each channel. The first one that the server accepts counts.
+    /// Returns the commands that select each channel. The server must accept one per channel.
     pub(super) fn selections(&self, version: Version) -> Vec<Vec<String>> {
         let commands = |(location, channel): &(String, String)| {
             // Two characters of the location and three of the channel; D is data.
@@ -82,7 +88,7 @@ impl Station {
                 Version::Three => vec![three],
                 Version::Four => {
                     let codes: Vec<String> = channel.chars().map(String::from).collect();
-                    // `seedlink-rs-server` 0.4 accepts only the form of version 3.
+                    // `seedlink-rs-server` 0.4 accepts both, and understands that of version 3.
                     vec![format!("SELECT {location}_{}", codes.join("_")), three]
                 }
             }
@@ -92,22 +98,24 @@ impl Station {
 }
 
 impl Resume {
-    /// Returns the command.
-    pub(super) fn command(self, version: Version) -> String {
+    /// Returns the commands in the order of preference. The first one that the server accepts
+    /// counts.
+    pub(super) fn commands(self, version: Version) -> Vec<String> {
+        let time_3 = |time_ns: i64| format!("TIME {}", time(time_ns, "%Y,%m,%d,%H,%M,%S"));
+        let time_4 = |time_ns: i64| format!("DATA ALL {}", time(time_ns, "%Y-%m-%dT%H:%M:%SZ"));
         match (self, version) {
-            (Self::After(sequence), Version::Three) => {
-                format!("DATA {:06X}", (sequence + 1) & SEQUENCE_MASK)
+            // The server may have numbered its packets again.
+            (Self::After { sequence, end_ns }, Version::Three) => vec![
+                format!("DATA {:06X}", sequence & SEQUENCE_MASK),
+                time_3(end_ns),
+            ],
+            (Self::After { sequence, end_ns }, Version::Four) => {
+                vec![format!("DATA {sequence}"), time_4(end_ns)]
             }
-            (Self::After(sequence), Version::Four) => {
-                format!("DATA {}", sequence.saturating_add(1))
-            }
-            (Self::Since(time_ns), Version::Three) => {
-                format!("TIME {}", time(time_ns, "%Y,%m,%d,%H,%M,%S"))
-            }
-            (Self::Since(time_ns), Version::Four) => {
-                format!("DATA ALL {}", time(time_ns, "%Y-%m-%dT%H:%M:%SZ"))
-            }
-            (Self::Now, _) => "DATA".to_owned(),
+            (Self::Since(time_ns), Version::Three) => vec![time_3(time_ns)],
+            // `seedlink-rs-server` 0.4 accepts only the form of version 3.
+            (Self::Since(time_ns), Version::Four) => vec![time_4(time_ns), time_3(time_ns)],
+            (Self::Now, _) => vec!["DATA".to_owned()],
         }
     }
 }
@@ -150,15 +158,16 @@ mod tests {
 
     #[test]
     fn transfer_resumes_by_number_or_by_time() {
-        let commands =
-            |resume: Resume| [Version::Three, Version::Four].map(|version| resume.command(version));
-        assert_eq!(
-            commands(Resume::After(0xFF_FFFF)),
-            ["DATA 000000", "DATA 16777216"]
-        );
-        assert_eq!(commands(Resume::After(0x1a)), ["DATA 00001B", "DATA 27"]);
+        let after = Resume::After {
+            sequence: 0x100_001a,
+            end_ns: TIME_NS,
+        };
         let by_time = ["TIME 2026,11,23,20,30,05", "DATA ALL 2026-11-23T20:30:05Z"];
-        assert_eq!(commands(Resume::Since(TIME_NS)), by_time);
-        assert_eq!(commands(Resume::Now), ["DATA", "DATA"]);
+        assert_eq!(after.commands(Version::Three), ["DATA 00001A", by_time[0]]);
+        assert_eq!(after.commands(Version::Four), ["DATA 16777242", by_time[1]]);
+        let since = Resume::Since(TIME_NS);
+        assert_eq!(since.commands(Version::Three), [by_time[0]]);
+        assert_eq!(since.commands(Version::Four), [by_time[1], by_time[0]]);
+        assert_eq!(Resume::Now.commands(Version::Four), ["DATA"]);
     }
 }

@@ -6,6 +6,8 @@ use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
+use crate::source_plan::SeedLinkVersion as Version;
+
 /// Timeout of an answer to a command.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 /// Time without a packet after which a connection counts as broken.
@@ -16,15 +18,6 @@ const MAX_LINE_BYTES: u64 = 4096;
 const RECORD_BYTES: usize = 512;
 /// Maximum size of the data of a packet in version 4. Records have at most some KiB.
 const MAX_PAYLOAD_BYTES: usize = 1 << 20;
-
-/// Version of the protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Version {
-    /// SeedLink 3.
-    Three,
-    /// SeedLink 4.
-    Four,
-}
 
 /// A packet with a miniSEED record.
 #[derive(Debug)]
@@ -67,11 +60,11 @@ impl Connection {
     }
 
     /// Greets the server and agrees on the version.
-    pub(super) async fn hello(&mut self) -> Result<Version, WireError> {
+    pub(super) async fn hello(&mut self, newest: Version) -> Result<Version, WireError> {
         self.send("HELLO").await?;
         let software = self.line().await?;
         let _organization = self.line().await?;
-        if !software.contains("SLPROTO:4") {
+        if newest == Version::Three || !software.contains("SLPROTO:4") {
             return Ok(Version::Three);
         }
         self.send("SLPROTO 4.0").await?;
