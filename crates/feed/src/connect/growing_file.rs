@@ -184,7 +184,7 @@ impl Follower {
         if let Some((_, last)) = &self.last {
             files.retain(|(path, _)| path > last);
         }
-        Ok(self.from_start(files))
+        Ok(self.needed_at_start(files))
     }
 
     /// Returns the file itself if it has been replaced, and at the start the files into which it
@@ -204,7 +204,7 @@ impl Follower {
             if matches!(self.start, Start::Beginning) {
                 files.retain(|(path, _)| *path == self.plan.path);
             }
-            return Ok(self.from_start(files));
+            return Ok(self.needed_at_start(files));
         }
         let found = match std::fs::metadata(path) {
             Ok(found) => found,
@@ -229,7 +229,7 @@ impl Follower {
     }
 
     /// Drops the files that are not needed at the start.
-    fn from_start(&self, mut files: Vec<(PathBuf, Metadata)>) -> VecDeque<PathBuf> {
+    fn needed_at_start(&self, mut files: Vec<(PathBuf, Metadata)>) -> VecDeque<PathBuf> {
         match self.start {
             Start::Since(since_ns) => {
                 let newest = files.len().saturating_sub(1);

@@ -1,4 +1,5 @@
 use super::*;
+use crate::source_plan::Stamps;
 
 const HOUSE: &str = r#"
 [structure]
