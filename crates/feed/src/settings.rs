@@ -2,6 +2,7 @@
 
 mod calibrated;
 mod kind;
+mod mqtt;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
