@@ -18,6 +18,7 @@ use spandrel_bus::{
     Bus, Delivery, Event, EventKind, FrameBlock, InstrumentState, Service, Start, Status,
     Subscription, TimeGrid,
 };
+use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -26,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use support::{Process, Site, spandrel, within};
 
 /// A house whose two channels belong to one node, at 100 Hz.
@@ -75,8 +76,7 @@ const PACKET: i64 = 25;
 
 /// Returns a time `seconds` ago, in whole steps.
 fn ago(seconds: i64) -> i64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-    (now.as_nanos() as i64 - seconds * SECOND_NS) / STEP_NS * STEP_NS
+    (Clock::of_machine().now_ns() - seconds * SECOND_NS) / STEP_NS * STEP_NS
 }
 
 /// Returns the counts of sample `number` of the two channels.

@@ -10,12 +10,12 @@
 mod support;
 
 use spandrel_bus::{Bus, Delivery, FrameBlock, InstrumentState, Service, Start, Status, TimeGrid};
+use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{SystemTime, UNIX_EPOCH};
 use support::{DEADLINE, Process, Site, skip, within};
 
 /// A house whose two channels belong to one node, at 100 Hz.
@@ -92,7 +92,7 @@ impl Broker {
             return None;
         };
         let address = format!("127.0.0.1:{port}");
-        let begun = std::time::Instant::now();
+        let begun = tokio::time::Instant::now();
         while TcpStream::connect(&address).is_err() {
             assert!(begun.elapsed() < DEADLINE, "mosquitto does not listen");
             std::thread::yield_now();
@@ -151,8 +151,7 @@ fn send(stream: &mut TcpStream, kind: u8, body: &[u8]) {
 }
 
 fn ago(seconds: i64) -> i64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-    (now.as_nanos() as i64 - seconds * 1_000_000_000) / STEP_NS * STEP_NS
+    (Clock::of_machine().now_ns() - seconds * 1_000_000_000) / STEP_NS * STEP_NS
 }
 
 fn configure(site: &Site, address: &str, more: &str) -> PathBuf {

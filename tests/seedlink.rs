@@ -13,9 +13,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use seedlink_rs_server::{DataStore, SeedLinkServer, ServerConfig, ShutdownHandle};
 use spandrel_bus::{Bus, Delivery, FrameBlock, Service, Start, Status, TimeGrid};
+use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use support::{Process, Site, within};
 
 const HOUSE: &str = r#"
@@ -173,8 +174,7 @@ impl Server {
 
 /// Returns the time one hour ago, in whole steps.
 fn an_hour_ago() -> i64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-    (now.as_nanos() as i64 - 3600 * SECOND_NS) / STEP_NS * STEP_NS
+    (Clock::of_machine().now_ns() - 3600 * SECOND_NS) / STEP_NS * STEP_NS
 }
 
 fn configure(site: &Site, address: &str, more: &str) -> PathBuf {
