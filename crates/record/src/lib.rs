@@ -73,8 +73,8 @@ pub use csv_writer::CsvWriter;
 pub use error::RecordError;
 pub use estimate_writer::EstimateWriter;
 pub use fault::Fault;
-pub use formats::mini_seed::read as read_mini_seed;
 pub use format::Format;
+pub use formats::mini_seed::read as read_mini_seed;
 pub use frame_log::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LogSyncer, LoggedFrames,
     NodePosition, OpenedLog,
