@@ -108,6 +108,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
     let mut all = match role {
         Role::Router | Role::Database => Vec::new(),
         Role::Server => [
+            Role::Gateway,
             Role::Worker,
             Role::Alert,
             Role::History,
@@ -194,7 +195,14 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         Role::Operator => [rights(Role::Dashboard), each(Right::Put, &[K::Acknowledge])].concat(),
         // The publisher of a replayed or simulated record waits for its readers and queries the
         // last sample that ingest has stored.
-        Role::Gateway => [rights(Role::Sensor), each(Right::Query, &[K::Recording])].concat(),
+        // A feed also reports gaps of its instruments as events, and its own status.
+        Role::Gateway => [
+            rights(Role::Sensor),
+            each(Right::Query, &[K::Recording]),
+            each(Right::Put, &[K::Event]),
+            of_service(Service::Feed),
+        ]
+        .concat(),
         Role::NodeWorker => [
             each(Right::Subscribe, &[K::Samples, K::Feedback]),
             each(Right::Query, &[K::Buffer]),
@@ -259,12 +267,13 @@ mod tests {
     }
 
     #[test]
-    fn nobody_but_sensors_puts_samples() {
+    fn only_sensors_and_those_who_run_a_feed_publish_samples() {
         let putters: Vec<Role> = Role::ALL
             .into_iter()
             .filter(|role| may(*role, Right::Put, K::Samples))
             .collect();
-        assert_eq!(putters, [Role::Gateway, Role::Sensor]);
+        // A server can run the feed.
+        assert_eq!(putters, [Role::Server, Role::Gateway, Role::Sensor]);
     }
 
     #[test]

@@ -323,7 +323,11 @@ mod tests {
         );
         assert_eq!(
             keys("gateway.tower", Right::Put),
-            ["spandrel/tower/sensor/*/samples"]
+            [
+                "spandrel/tower/event",
+                "spandrel/tower/sensor/*/samples",
+                "spandrel/tower/status/feed/*"
+            ]
         );
     }
 

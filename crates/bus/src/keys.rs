@@ -311,6 +311,8 @@ impl Keys {
 pub enum Service {
     /// A sensor node, real, simulated or replayed.
     Sensor,
+    /// The service that connects instruments to the bus.
+    Feed,
     /// The sensor-ingest service.
     Ingest,
     /// The identification worker.
@@ -329,8 +331,9 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Sensor,
+        Self::Feed,
         Self::Ingest,
         Self::Identify,
         Self::Fuse,
@@ -345,6 +348,7 @@ impl Service {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Sensor => "sensor",
+            Self::Feed => "feed",
             Self::Ingest => "ingest",
             Self::Identify => "identify",
             Self::Fuse => "fuse",

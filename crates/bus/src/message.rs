@@ -61,7 +61,9 @@ pub use probability::RoundedProbability;
 pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
 pub use state::StateMessage;
-pub use status::{Load, Standing, Status, is_without_date, reported_pace};
+pub use status::{
+    InstrumentState, InstrumentStatus, Load, Standing, Status, is_without_date, reported_pace,
+};
 pub use text::MAX_LABEL_BYTES;
 
 use text::{check_label, check_text};

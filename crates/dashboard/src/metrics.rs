@@ -399,6 +399,7 @@ mod tests {
             frames_behind: None,
             fit: None,
             undecided: std::collections::BTreeMap::new(),
+            instruments: std::collections::BTreeMap::new(),
             state: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),

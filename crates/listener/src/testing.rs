@@ -74,6 +74,7 @@ pub(crate) fn status(service: Service) -> Status {
         frames_behind: None,
         fit: None,
         undecided: BTreeMap::new(),
+        instruments: BTreeMap::new(),
         state: None,
         done: 0,
         drops: BTreeMap::new(),

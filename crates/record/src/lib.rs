@@ -74,6 +74,7 @@ pub use error::RecordError;
 pub use estimate_writer::EstimateWriter;
 pub use fault::Fault;
 pub use format::Format;
+pub use formats::mini_seed::read as read_mini_seed;
 pub use frame_log::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LogSyncer, LoggedFrames,
     NodePosition, OpenedLog,

@@ -44,6 +44,20 @@ impl TimeForm {
     }
 }
 
+/// Parses a time as ns since 1970, or since the start of a recording without a date.
+///
+/// The text is a number in the given unit, or a date and time in ISO 8601. A date without a UTC
+/// offset counts as UTC. Returns `None` for any other text.
+///
+/// ```
+/// use spandrel_record::{TimeUnit, record_time::parse_time_ns};
+/// assert_eq!(parse_time_ns("1507760140.53", TimeUnit::Seconds), Some(1_507_760_140_530_000_000));
+/// assert_eq!(parse_time_ns("1970-01-01T00:00:01Z", TimeUnit::Seconds), Some(1_000_000_000));
+/// ```
+pub fn parse_time_ns(text: &str, unit: TimeUnit) -> Option<i64> {
+    number_to_ns(text, unit.fraction_digits()).or_else(|| iso_8601_to_ns(text))
+}
+
 /// Parses seconds as nanoseconds.
 fn seconds_to_ns(text: &str) -> Option<i64> {
     number_to_ns(text, TimeUnit::Seconds.fraction_digits())

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use spandrel_bus::{
-    BusError, DisplayPublisher, FitVerdict, Keys, Load, Name, Pace, Service, Standing, Status,
-    UndecidedBecause,
+    BusError, DisplayPublisher, FitVerdict, InstrumentStatus, Keys, Load, Name, Pace, Service,
+    Standing, Status, UndecidedBecause,
 };
 
 use crate::{Clock, ServiceInstance};
@@ -38,6 +38,8 @@ pub struct Report {
     pub fit: Option<FitVerdict>,
     /// Number of watched parameters without a decision, by reason.
     pub undecided: BTreeMap<UndecidedBecause, u64>,
+    /// State of each instrument by its name.
+    pub instruments: BTreeMap<String, InstrumentStatus>,
 }
 
 impl Report {
@@ -98,6 +100,7 @@ impl StatusPublisher {
             frames_behind: report.frames_behind,
             fit: report.fit,
             undecided: report.undecided,
+            instruments: report.instruments,
             drops: report.drops,
             restarts: report.restarts,
             version: env!("CARGO_PKG_VERSION").to_owned(),

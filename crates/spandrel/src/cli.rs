@@ -49,6 +49,12 @@ pub enum Command {
     /// Run all services of one machine in one process.
     #[command(after_help = "Example: spandrel run --config spandrel.toml")]
     Run(RunArguments),
+    /// Connect instruments to the bus, and publish their samples as sensor nodes do.
+    #[command(
+        after_help = "Examples: spandrel feed --config spandrel.toml --check\n          \
+                      spandrel feed --config spandrel.toml"
+    )]
+    Feed(FeedArguments),
     /// Align the samples of all nodes to frames, and store them for subscribers that miss some.
     #[command(after_help = "Example: spandrel ingest --config spandrel.toml")]
     Ingest(ServiceArguments),
@@ -342,6 +348,31 @@ pub struct RunArguments {
     #[command(flatten)]
     pub page: PageArguments,
 }
+
+#[derive(Debug, Args)]
+pub struct FeedArguments {
+    #[command(flatten)]
+    pub service: ServiceArguments,
+    /// Listen to all sources, print what arrives on each channel, and publish nothing.
+    #[arg(long)]
+    pub check: bool,
+    /// Duration of the check in seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = check_seconds, requires = "check")]
+    pub duration: f64,
+}
+
+/// Parses a positive duration in seconds.
+fn check_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds <= MAX_CHECK_S => Ok(seconds),
+        Ok(_) | Err(_) => Err(format!(
+            "must be a number above 0 and at most {MAX_CHECK_S}"
+        )),
+    }
+}
+
+/// Longest check of sources, s: one day.
+const MAX_CHECK_S: f64 = 86_400.0;
 
 /// Speed at which data is sent.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,6 +7,7 @@ mod convert;
 mod dashboard;
 mod demo;
 mod estimate;
+mod feed;
 mod info;
 mod progress;
 mod replay;
@@ -39,6 +40,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
             Share::ALL,
             &arguments.page,
         ),
+        Command::Feed(arguments) => feed::run(&arguments),
         Command::Ingest(arguments) => run::one(&arguments, run::Services::INGEST, Share::ALL),
         Command::Identify(arguments) => {
             let precedence = if arguments.standby {

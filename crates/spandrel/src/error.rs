@@ -4,6 +4,7 @@ use spandrel_access::AccessError;
 use spandrel_alert::AlertError;
 use spandrel_bus::{BusError, NameError};
 use spandrel_dashboard::DashboardError;
+use spandrel_feed::FeedError;
 use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
 use spandrel_ingest::IngestError;
@@ -130,6 +131,17 @@ pub enum AppError {
     /// The bus cannot be joined or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// The feed failed.
+    #[error(transparent)]
+    Feed(#[from] FeedError),
+    /// Some channels of the sources delivered nothing during a check.
+    #[error("no samples from {missing} of {all} channels")]
+    ChannelsMissing {
+        /// Number of channels without samples.
+        missing: usize,
+        /// Number of configured channels.
+        all: usize,
+    },
     /// The ingest service failed.
     #[error(transparent)]
     Ingest(#[from] IngestError),
@@ -283,6 +295,7 @@ impl AppError {
             Self::Alert(error) => error.is_bad_input(),
             Self::Bus(error) => error.is_bad_input(),
             Self::Dashboard(error) => error.is_bad_input(),
+            Self::Feed(error) => error.is_bad_input(),
             Self::History(error) => error.is_bad_input(),
             Self::Identify(error) => error.is_bad_input(),
             Self::Ingest(error) => error.is_bad_input(),
@@ -316,6 +329,7 @@ impl AppError {
             | Self::WrongRole { .. } => true,
             Self::Fuse(_)
             | Self::FiguresMissed { .. }
+            | Self::ChannelsMissing { .. }
             | Self::NothingMeasured
             | Self::Io { .. }
             | Self::Panicked { .. } => false,

@@ -7,6 +7,7 @@ use crate::supervision::supervise;
 use spandrel_alert::{AlertPlan, AlertService, Baseline};
 use spandrel_bus::{Bus, Keys, Name, Service};
 use spandrel_dashboard::{DashboardPlan, DashboardService, Listen, PageSettings};
+use spandrel_feed::{FeedConfig, FeedPlan, FeedService, WhenEnded};
 use spandrel_fuse::{FusePlan, FuseService};
 use spandrel_history::{Address, HistoryPlan, HistoryService, Keep};
 use spandrel_identify::{
@@ -189,7 +190,8 @@ impl Share<'_> {
 }
 
 /// The order in which services stop: that of the data flow. They start in the opposite order.
-const STOP_ORDER: [Service; 7] = [
+const STOP_ORDER: [Service; 8] = [
+    Service::Feed,
     Service::Ingest,
     Service::Identify,
     Service::Fuse,
@@ -342,6 +344,25 @@ impl Running {
             .map(|monitored| monitored.structure.name())
             .collect();
         names.join(", ")
+    }
+
+    /// Starts the feed of all sources.
+    ///
+    /// # Errors
+    /// The feed cannot start.
+    pub async fn start_feed(
+        &mut self,
+        config: &FeedConfig,
+        when_ended: WhenEnded,
+    ) -> Result<(), AppError> {
+        let plan = FeedPlan {
+            instance: self.instance(Service::Feed),
+            structures: self.monitored.clone(),
+            config: config.clone(),
+            when_ended,
+        };
+        self.start::<FeedService>(Service::Feed, &self.names(), plan)
+            .await
     }
 
     /// Starts ingest for each structure. With `state`, ingest records its frames.

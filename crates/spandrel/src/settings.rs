@@ -7,6 +7,7 @@ use config::{Config, Environment, File, FileFormat};
 use serde::Deserialize;
 use spandrel_bus::{BusConfig, Mode, TlsConfig};
 use spandrel_dashboard::{DashboardError, Listen, PageCertificate, PageSettings, Tokens};
+use spandrel_feed::FeedSettings;
 use spandrel_history::{Address, Keep};
 use spandrel_notify::NotifySettings;
 use std::collections::BTreeMap;
@@ -34,6 +35,8 @@ pub struct Settings {
     pub dashboard: DashboardSettings,
     /// Settings of the history.
     pub history: HistorySettings,
+    /// Instruments that the feed connects to the bus.
+    pub feed: FeedSettings,
     /// Recipients of notifications.
     pub notify: NotifySettings,
     /// Settings of persistent state.
@@ -196,6 +199,9 @@ impl Settings {
             path: arguments.config.clone(),
             source: Box::new(source),
         })?;
+        if let Some(file) = &arguments.config {
+            settings.feed.resolve(file);
+        }
         if let Some(folder) = arguments.config.as_deref().and_then(Path::parent) {
             settings.resolve_paths(folder);
         }

@@ -6,12 +6,15 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FitVerdict, Format, Malformed, Message, Pace, UndecidedBecause, bounded, check_count,
-    check_finite, check_label,
+    check_finite, check_label, check_text,
 };
 use crate::name::Name;
 
 /// Maximum number of reasons in one status. The reasons come from a closed set.
 const MAX_REASONS: usize = 1024;
+
+/// Maximum number of instruments in one status.
+const MAX_INSTRUMENTS: usize = 1024;
 
 /// Whether a service keeps up with its input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,6 +55,58 @@ pub enum Standing {
     Joining,
 }
 
+/// State of the connection to an instrument.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InstrumentState {
+    /// The connection is being established.
+    Connecting,
+    /// The connection exists, but no usable sample has arrived.
+    Connected,
+    /// Usable samples arrive.
+    Receiving,
+    /// The connection exists, but usable samples no longer arrive.
+    Silent,
+    /// The connection is lost or rejected, or the instrument sends nothing usable.
+    Failed,
+    /// The instrument has ended its data, as at the end of standard input.
+    Ended,
+}
+
+impl InstrumentState {
+    /// Returns the name of the state, as in the message.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Connecting => "connecting",
+            Self::Connected => "connected",
+            Self::Receiving => "receiving",
+            Self::Silent => "silent",
+            Self::Failed => "failed",
+            Self::Ended => "ended",
+        }
+    }
+}
+
+/// State and counts of one instrument.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InstrumentStatus {
+    /// State of the connection.
+    pub state: InstrumentState,
+    /// Wall-clock time of the last change of the state, ns since the Unix epoch, UTC.
+    pub since_ns: i64,
+    /// Number of accepted samples, counted per channel.
+    pub samples: u64,
+    /// Number of errors: failed connections, and rejected messages and samples.
+    pub errors: u64,
+    /// The last error, in words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_error: Option<String>,
+    /// Wall-clock time of the last error, ns since the Unix epoch, UTC.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_error_ns: Option<i64>,
+}
+
 /// Status of a service, published once per second and when the load changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
@@ -87,6 +142,9 @@ pub struct Status {
     /// it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub undecided: BTreeMap<UndecidedBecause, u64>,
+    /// State of each instrument by its name. Only feed reports it.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub instruments: BTreeMap<String, InstrumentStatus>,
     /// Number of dropped, lost or recovered items since the start, by reason.
     #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub drops: BTreeMap<String, u64>,
@@ -128,6 +186,13 @@ impl Message for Status {
         if let Some(lag) = self.lag_s {
             check_finite("lag", lag)?;
         }
+        check_count("instruments", self.instruments.len(), 0, MAX_INSTRUMENTS)?;
+        for (name, instrument) in &self.instruments {
+            check_label("instrument", name)?;
+            if let Some(error) = &instrument.last_error {
+                check_text("last error", error)?;
+            }
+        }
         check_count("drops", self.drops.len(), 0, MAX_REASONS)?;
         for reason in self.drops.keys() {
             check_label("drop reason", reason)?;
@@ -154,6 +219,7 @@ mod tests {
             frames_behind: None,
             fit: None,
             undecided: BTreeMap::new(),
+            instruments: BTreeMap::new(),
             drops: BTreeMap::new(),
             restarts: 0,
             version: String::new(),

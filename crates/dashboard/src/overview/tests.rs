@@ -358,6 +358,7 @@ fn status(service: Service, time_ns: i64, pace: Option<Pace>) -> Input {
         frames_behind: None,
         fit: None,
         undecided: std::collections::BTreeMap::new(),
+        instruments: std::collections::BTreeMap::new(),
         state: None,
         done: 1,
         drops: std::collections::BTreeMap::new(),

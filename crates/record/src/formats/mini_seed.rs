@@ -22,8 +22,12 @@ pub(crate) fn is_mini_seed(head: &[u8]) -> bool {
     record3::is_record(head) || record2::is_record(head)
 }
 
-/// Reads all series. Skips text channels such as logs.
-pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
+/// Reads all series of miniSEED records of version 2 or 3, as in a file or in the packets of
+/// SeedLink. Skips text channels such as logs.
+///
+/// # Errors
+/// A record is damaged, or no record has samples.
+pub fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut records = Vec::new();
     let mut start = 0;
     while start < bytes.len() {

@@ -1,4 +1,4 @@
-//! `spandrel run`, `ingest`, `identify`, `fuse`, `alert`, `history` and `notify`: run services
+//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `history` and `notify`: run services
 //! until stopped.
 
 use super::print;
@@ -12,8 +12,10 @@ use crate::supervision::{Hangups, feed_watchdog, tell_systemd};
 use sd_notify::NotifyState;
 use spandrel_bus::{Bus, Service};
 use spandrel_dashboard::PageSettings;
+use spandrel_feed::{FeedConfig, FeedError, WhenEnded};
 use spandrel_history::Address;
 use spandrel_identify::Precedence;
+use spandrel_structure::Structure;
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
 
@@ -30,6 +32,7 @@ pub struct Services(&'static [Service]);
 impl Services {
     /// All services of one machine.
     pub const ALL: Self = Self(&[
+        Service::Feed,
         Service::Ingest,
         Service::Identify,
         Service::Fuse,
@@ -38,6 +41,8 @@ impl Services {
         Service::Notify,
         Service::Dashboard,
     ]);
+    /// Only the feed.
+    pub const FEED: Self = Self(&[Service::Feed]);
     /// Only ingest.
     pub const INGEST: Self = Self(&[Service::Ingest]);
     /// Only identification.
@@ -83,6 +88,7 @@ struct Plan {
     served: Option<PageSettings>,
     database: Option<Address>,
     state: Option<State>,
+    feed: Option<FeedConfig>,
 }
 
 impl Plan {
@@ -124,6 +130,11 @@ impl Plan {
             return Err(AppError::NoRecipients);
         }
         settings.notify.check()?;
+        let feed = match services.has(Service::Feed) {
+            true if !settings.feed.is_empty() => Some(checked_feed(&settings, &watched)?),
+            true if services == Services::FEED => return Err(FeedError::NoSource.into()),
+            true | false => None,
+        };
         let served = if services.has(Service::Dashboard) {
             settings.dashboard.page(page)?
         } else {
@@ -145,6 +156,7 @@ impl Plan {
             served,
             database,
             state,
+            feed,
         })
     }
 
@@ -161,6 +173,7 @@ impl Plan {
             self.watched.iter().any(|watched| !is_fused(watched)),
         );
         let wanted = [
+            (self.feed.is_some(), Need::PUT_SAMPLES),
             (services.has(Service::Ingest) && any_whole, Need::PUT_FRAMES),
             (
                 services.has(Service::Identify) && any_whole,
@@ -186,7 +199,13 @@ impl Plan {
             .iter()
             .map(|watched| watched.structure.name())
             .collect();
-        let nodes = share.nodes.iter().map(String::as_str).collect();
+        let fed = self.feed.iter().flat_map(|feed| &feed.nodes);
+        let nodes = share
+            .nodes
+            .iter()
+            .map(String::as_str)
+            .chain(fed.map(|node| node.name.as_str()))
+            .collect();
         let work = Work {
             subcommand: services.name(),
             needs: &needs,
@@ -211,6 +230,7 @@ impl Plan {
             served,
             database,
             state,
+            feed,
         } = self;
         let mut running = Running::new(bus, watched, state.as_ref());
         if let Some(served) = served {
@@ -241,8 +261,24 @@ impl Plan {
         if services.has(Service::Ingest) {
             running.start_ingest(state.as_ref()).await?;
         }
+        if let Some(feed) = feed {
+            let when_ended = match services == Services::FEED {
+                true => WhenEnded::Stop,
+                false => WhenEnded::Wait,
+            };
+            running.start_feed(feed, when_ended).await?;
+        }
         Ok(running)
     }
+}
+
+/// Checks the sources of the configuration against the structures.
+///
+/// # Errors
+/// A source has mistakes.
+pub fn checked_feed(settings: &Settings, watched: &[Watched]) -> Result<FeedConfig, AppError> {
+    let structures: Vec<&Structure> = watched.iter().map(|watched| &watched.structure).collect();
+    Ok(settings.feed.check(&structures)?)
 }
 
 /// Runs the services until Ctrl-C or SIGTERM. SIGHUP rereads the configuration and structure files

@@ -141,6 +141,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         frames_behind: None,
         fit: None,
         undecided: BTreeMap::new(),
+        instruments: BTreeMap::new(),
         state: None,
         done: 1200,
         drops: drops

@@ -1,0 +1,385 @@
+//! Lines of a file that grows and is rotated.
+//!
+//! The folder is polled, because notifications of the operating system do not cover network file
+//! systems. A file is followed by its handle, so that a renamed file is read to its end.
+
+use std::collections::VecDeque;
+use std::fs::{File, Metadata};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, UNIX_EPOCH};
+
+use tokio::time::sleep;
+
+use crate::connect::Outlet;
+use crate::connect::lines::pass_on;
+use crate::connect::retry::Retry;
+use crate::core_input::Link;
+use crate::lines::{LineFormat, LineSplitter, Split, cells};
+use crate::source_plan::{GrowingFile, StartAt};
+
+/// Interval between two looks at a file.
+const POLL: Duration = Duration::from_millis(200);
+/// Size of a read in bytes.
+const READ_BYTES: usize = 64 << 10;
+/// Longest header in bytes.
+const MAX_HEADER_BYTES: u64 = 64 << 10;
+/// A file that was last modified so long before the last recorded frame contains nothing new, ns.
+/// Clocks of file systems may differ from those of instruments.
+const MARGIN_NS: i64 = 60_000_000_000;
+
+/// Follows a file until the feed stops.
+pub(crate) async fn read(plan: GrowingFile, since_ns: Option<i64>, outlet: Outlet) {
+    let mut retry = Retry::new();
+    let mut follower = Follower::new(plan, since_ns);
+    outlet.link(Link::Connecting).await;
+    while !outlet.is_closed() {
+        match follower.step(&outlet).await {
+            Ok(Step::Read) => retry.reset(),
+            Ok(Step::AtEnd) => sleep(POLL).await,
+            Err(why) => {
+                outlet.failed(why).await;
+                retry.pause().await;
+            }
+        }
+    }
+}
+
+/// Result of one look at the file.
+enum Step {
+    /// Bytes were read.
+    Read,
+    /// Nothing new.
+    AtEnd,
+}
+
+/// The position in a sequence of files.
+struct Follower {
+    plan: GrowingFile,
+    /// Start position of the first file.
+    start: Start,
+    open: Option<OpenFile>,
+    /// Files that follow, in order.
+    next: VecDeque<PathBuf>,
+    /// Device and inode of the last file, and its path.
+    last: Option<(Identity, PathBuf)>,
+}
+
+/// Where to start when the feed starts.
+#[derive(Clone, Copy)]
+enum Start {
+    /// With all files that may have samples after this time, ns.
+    Since(i64),
+    /// At the beginning of the oldest file.
+    Beginning,
+    /// At the end of the newest file.
+    End,
+    /// The feed has started already.
+    Started,
+}
+
+/// Device and inode.
+type Identity = (u64, u64);
+
+struct OpenFile {
+    path: PathBuf,
+    identity: Identity,
+    file: File,
+    position: u64,
+    splitter: LineSplitter,
+    format: LineFormat,
+}
+
+impl Follower {
+    fn new(plan: GrowingFile, since_ns: Option<i64>) -> Self {
+        let start = match (since_ns, plan.start) {
+            (Some(since_ns), _) => Start::Since(since_ns),
+            (None, StartAt::Start) => Start::Beginning,
+            (None, StartAt::End) => Start::End,
+        };
+        Self {
+            plan,
+            start,
+            open: None,
+            next: VecDeque::new(),
+            last: None,
+        }
+    }
+
+    async fn step(&mut self, outlet: &Outlet) -> Result<Step, String> {
+        if self.open.is_none() && !self.open_next(outlet).await? {
+            return Ok(Step::AtEnd);
+        }
+        let Some(open) = &mut self.open else {
+            return Ok(Step::AtEnd);
+        };
+        let lines = open.read()?;
+        if let Some(lines) = lines {
+            if !pass_on(&open.format, lines, outlet).await {
+                self.open = None;
+            }
+            return Ok(Step::Read);
+        }
+        // The writer may have appended between the read and this look. Only a file that has a
+        // successor is complete, and it is read once more before it is left.
+        if self.has_successor()? && open_is_at_end(self.open.as_ref())? {
+            if let Some(mut left) = self.open.take() {
+                let rest: Vec<Split> = left.splitter.end().into_iter().collect();
+                pass_on(&left.format, rest, outlet).await;
+            }
+            return Ok(Step::Read);
+        }
+        Ok(Step::AtEnd)
+    }
+
+    /// Opens the next file. Returns `false` if there is none yet.
+    async fn open_next(&mut self, outlet: &Outlet) -> Result<bool, String> {
+        if self.next.is_empty() {
+            self.next = self.successors()?;
+        }
+        let Some(path) = self.next.pop_front() else {
+            return Ok(false);
+        };
+        let mut opened = match OpenFile::open(&path, &self.plan.format)? {
+            Some(opened) => opened,
+            None => {
+                // The header is not complete yet.
+                self.next.push_front(path);
+                return Ok(false);
+            }
+        };
+        if matches!(self.start, Start::End) && self.next.is_empty() {
+            opened.go_to_end()?;
+        }
+        self.start = match self.start {
+            Start::End if !self.next.is_empty() => Start::End,
+            _ => Start::Started,
+        };
+        self.last = Some((opened.identity, path));
+        self.open = Some(opened);
+        outlet.link(Link::Open).await;
+        Ok(true)
+    }
+
+    fn has_successor(&mut self) -> Result<bool, String> {
+        if self.next.is_empty() {
+            self.next = self.successors()?;
+        }
+        Ok(!self.next.is_empty())
+    }
+
+    /// Returns the files after the last one, in order.
+    fn successors(&self) -> Result<VecDeque<PathBuf>, String> {
+        match self.plan.is_pattern() {
+            true => self.successors_by_name(),
+            false => self.successors_by_identity(),
+        }
+    }
+
+    /// Returns the files of a pattern with a later name.
+    fn successors_by_name(&self) -> Result<VecDeque<PathBuf>, String> {
+        let mut files = self.files(|name| self.plan.matches(name))?;
+        files.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
+        if let Some((_, last)) = &self.last {
+            files.retain(|(path, _)| path > last);
+        }
+        Ok(self.needed_at_start(files))
+    }
+
+    /// Returns the file itself if it has been replaced, and at the start the files into which it
+    /// was renamed.
+    fn successors_by_identity(&self) -> Result<VecDeque<PathBuf>, String> {
+        let path = &self.plan.path;
+        let name = path
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned());
+        let name = name.unwrap_or_default();
+        if self.last.is_none() {
+            let renamed = format!("{name}.");
+            let mut files = self.files(|other| other == name || other.starts_with(&renamed))?;
+            files.sort_by_key(|(path, metadata)| {
+                (*path == self.plan.path, modified_ns(metadata), path.clone())
+            });
+            if matches!(self.start, Start::Beginning) {
+                files.retain(|(path, _)| *path == self.plan.path);
+            }
+            return Ok(self.needed_at_start(files));
+        }
+        let found = match std::fs::metadata(path) {
+            Ok(found) => found,
+            // Between the rename and the creation, the file does not exist.
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Ok(VecDeque::new());
+            }
+            Err(error) => return Err(format!("cannot look at {}: {error}", path.display())),
+        };
+        let is_same = self
+            .last
+            .as_ref()
+            .is_some_and(|(last, _)| *last == identity(&found));
+        let is_shorter = self
+            .open
+            .as_ref()
+            .is_some_and(|open| found.len() < open.position);
+        Ok(match is_same && !is_shorter {
+            true => VecDeque::new(),
+            false => [path.clone()].into(),
+        })
+    }
+
+    /// Drops the files that are not needed at the start.
+    fn needed_at_start(&self, mut files: Vec<(PathBuf, Metadata)>) -> VecDeque<PathBuf> {
+        match self.start {
+            Start::Since(since_ns) => {
+                let newest = files.len().saturating_sub(1);
+                let mut index = 0;
+                files.retain(|(_, metadata)| {
+                    let is_needed = modified_ns(metadata) >= since_ns.saturating_sub(MARGIN_NS);
+                    index += 1;
+                    is_needed || index > newest
+                });
+            }
+            Start::End => {
+                files.drain(..files.len().saturating_sub(1));
+            }
+            Start::Beginning | Start::Started => {}
+        }
+        files.into_iter().map(|(path, _)| path).collect()
+    }
+
+    fn files(&self, is_wanted: impl Fn(&str) -> bool) -> Result<Vec<(PathBuf, Metadata)>, String> {
+        let folder = self.plan.folder();
+        let failed = |error| format!("cannot read the folder {}: {error}", folder.display());
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(failed)? {
+            let entry = entry.map_err(failed)?;
+            if !is_wanted(&entry.file_name().to_string_lossy()) {
+                continue;
+            }
+            // A file may disappear meanwhile.
+            if let Ok(metadata) = std::fs::metadata(entry.path())
+                && metadata.is_file()
+            {
+                files.push((entry.path(), metadata));
+            }
+        }
+        Ok(files)
+    }
+}
+
+fn open_is_at_end(open: Option<&OpenFile>) -> Result<bool, String> {
+    let Some(open) = open else {
+        return Ok(true);
+    };
+    let found = open.file.metadata().map_err(|error| open.failed(&error))?;
+    // A file that was truncated is shorter than what was read.
+    Ok(found.len() <= open.position)
+}
+
+impl OpenFile {
+    /// Opens a file. Returns `None` if its header is not complete yet.
+    fn open(path: &Path, format: &LineFormat) -> Result<Option<Self>, String> {
+        let failed = |error: std::io::Error| format!("cannot read {}: {error}", path.display());
+        let mut file = File::open(path).map_err(failed)?;
+        let identity = identity(&file.metadata().map_err(failed)?);
+        let mut position = 0;
+        let format = match format.needs_header() {
+            false => format.clone(),
+            true => {
+                let mut header = String::new();
+                let mut head = BufReader::new(&mut file).take(MAX_HEADER_BYTES);
+                head.read_line(&mut header).map_err(failed)?;
+                if !header.ends_with('\n') {
+                    return Ok(None);
+                }
+                position = header.len() as u64;
+                format
+                    .with_header(header.trim())
+                    .map_err(|fault| format!("{}: {fault}", path.display()))?
+            }
+        };
+        file.seek(SeekFrom::Start(position)).map_err(failed)?;
+        Ok(Some(Self {
+            path: path.to_owned(),
+            identity,
+            file,
+            position,
+            splitter: LineSplitter::default(),
+            format,
+        }))
+    }
+
+    fn failed(&self, error: &std::io::Error) -> String {
+        format!("cannot read {}: {error}", self.path.display())
+    }
+
+    /// Moves behind the last complete line.
+    fn go_to_end(&mut self) -> Result<(), String> {
+        while self.read()?.is_some() {}
+        Ok(())
+    }
+
+    /// Reads the next lines. Returns `None` at the end of the file.
+    fn read(&mut self) -> Result<Option<Vec<Split>>, String> {
+        let mut bytes = vec![0; READ_BYTES];
+        let read = match self.file.read(&mut bytes) {
+            Ok(read) => read,
+            Err(error) => return Err(self.failed(&error)),
+        };
+        if read == 0 {
+            return Ok(None);
+        }
+        self.position += read as u64;
+        let mut lines = Vec::new();
+        self.splitter
+            .push(bytes.get(..read).unwrap_or_default(), &mut lines);
+        Ok(Some(lines))
+    }
+}
+
+impl LineFormat {
+    /// Returns `true` if the columns are those of the header.
+    fn needs_header(&self) -> bool {
+        matches!(self, Self::Csv { columns, .. } if columns.is_empty())
+    }
+
+    /// Returns the format with the columns of a header.
+    fn with_header(&self, header: &str) -> Result<Self, String> {
+        let Self::Csv {
+            separator,
+            time,
+            fields,
+            ..
+        } = self
+        else {
+            return Ok(self.clone());
+        };
+        let columns: Vec<String> = cells(header, *separator).map(str::to_owned).collect();
+        let needed = fields.iter().chain(time.iter().map(|time| &time.name));
+        for name in needed {
+            if !columns.contains(name) {
+                let columns = columns.join(", ");
+                return Err(format!("has no column {name}, its columns are {columns}"));
+            }
+        }
+        Ok(Self::Csv {
+            separator: *separator,
+            columns,
+            time: time.clone(),
+            fields: fields.clone(),
+        })
+    }
+}
+
+fn identity(metadata: &Metadata) -> Identity {
+    (metadata.dev(), metadata.ino())
+}
+
+pub(super) fn modified_ns(metadata: &Metadata) -> i64 {
+    let modified = metadata.modified().ok();
+    let since = modified.and_then(|modified| modified.duration_since(UNIX_EPOCH).ok());
+    since.map_or(0, |since| {
+        i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
+    })
+}

@@ -1,0 +1,282 @@
+use spandrel_bus::{Block, InstrumentState, SampleBlock, TimeGrid};
+
+use super::*;
+use crate::calibration::Calibration;
+use crate::core_input::{Link, Recorded};
+use crate::gap::GapReport;
+use crate::lines::LineFormat;
+use crate::source_plan::{NodePlan, SourceKind, SourcePlan, StructurePlan};
+
+/// 100 Hz.
+const STEP: i64 = 10_000_000;
+const SECOND: i64 = 1_000_000_000;
+/// A time in 2026, ns.
+const T0: i64 = 1_790_000_000 * SECOND;
+
+/// Returns a feed of a datacast with channels `EHZ` and `ENZ` of one node. 100 counts are 1 m/s².
+fn feed() -> Feed {
+    let channel = |label: &str, position: usize| ChannelPlan {
+        label: label.to_owned(),
+        node: 0,
+        position,
+        channel: format!("roof-{position}"),
+        calibration: Calibration::new(100.0, 0.0, 1.0),
+        unit: "m/s2",
+    };
+    let config = FeedConfig {
+        structures: vec![StructurePlan {
+            name: "house".to_owned(),
+            file: "house.toml".into(),
+        }],
+        nodes: vec![NodePlan {
+            structure: 0,
+            name: "roof".to_owned(),
+            channels: 2,
+            rate_hz: 100.0,
+        }],
+        sources: vec![SourcePlan {
+            name: "shake".to_owned(),
+            kind: SourceKind::Udp {
+                listen: "127.0.0.1:0".to_owned(),
+                format: LineFormat::RaspberryShake,
+            },
+            stamps: Stamps::Source { jitter_s: 0.0 },
+            wait_s: 1.0,
+            channels: vec![channel("EHZ", 0), channel("ENZ", 1)],
+        }],
+        remarks: Vec::new(),
+    };
+    Feed::new(config, 7)
+}
+
+/// The moment `elapsed_ns` after the start.
+fn at(elapsed_ns: i64) -> Moment {
+    Moment {
+        wall_ns: T0 + elapsed_ns,
+        elapsed_ns,
+    }
+}
+
+/// Returns the packet number `number` of a channel, whose values are the numbers of its samples.
+fn packet(label: &str, number: i64) -> Packet {
+    Packet {
+        label: label.to_owned(),
+        start_ns: Some(T0 + number * 25 * STEP),
+        rate_hz: None,
+        values: (number * 25..number * 25 + 25)
+            .map(|sample| 100.0 * sample as f64)
+            .collect(),
+    }
+}
+
+/// Sends packets as they are measured.
+fn send(feed: &mut Feed, packets: &[Packet], at: Moment) -> Vec<Output> {
+    let mut out = Vec::new();
+    let packets = packets.to_vec();
+    feed.handle(Input::Packets { source: 0, packets }, at, &mut out);
+    out
+}
+
+fn blocks(out: &[Output]) -> Vec<&SampleBlock> {
+    out.iter()
+        .filter_map(|output| match output {
+            Output::Block { block, .. } => Some(block),
+            _ => None,
+        })
+        .collect()
+}
+
+fn lost(out: &[Output]) -> Vec<&GapReport> {
+    out.iter()
+        .filter_map(|output| match output {
+            Output::Lost(lost) => Some(lost),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn packets_become_numbered_blocks_in_si_units() {
+    let mut feed = feed();
+    let mut out = Vec::new();
+    for number in 0..4 {
+        out.extend(send(&mut feed, &[packet("EHZ", number)], at(number)));
+        out.extend(send(&mut feed, &[packet("ENZ", number)], at(number)));
+    }
+    let (mut sequence, mut values) = (0, Vec::new());
+    for block in blocks(&out) {
+        assert_eq!((block.header.epoch, block.header.sequence), (7, sequence));
+        assert_eq!(block.header.time_ns, T0 + sequence as i64 * STEP);
+        sequence = block.end();
+        values.extend(block.iter().map(<[f64]>::to_vec));
+    }
+    let expected: Vec<Vec<f64>> = (0..100).map(|sample| vec![f64::from(sample); 2]).collect();
+    assert_eq!(values, expected);
+    assert!(feed.drops(0).is_empty());
+}
+
+#[test]
+fn lost_packet_is_counted_and_reported_to_the_sample() {
+    let mut feed = feed();
+    send(&mut feed, &[packet("EHZ", 0), packet("ENZ", 0)], at(0));
+    send(&mut feed, &[packet("EHZ", 1)], at(SECOND));
+    send(&mut feed, &[packet("EHZ", 2), packet("ENZ", 2)], at(SECOND));
+    let mut out = Vec::new();
+    feed.handle(Input::Tick, at(SECOND), &mut out);
+    let expected = GapReport {
+        node: 0,
+        channel: "roof-1".to_owned(),
+        samples: 25,
+        from_ns: T0 + 25 * STEP,
+        to_ns: T0 + 50 * STEP,
+        because: LostBecause::NotDelivered,
+    };
+    assert_eq!(lost(&out), [&expected]);
+    assert_eq!(
+        feed.drops(0),
+        [("undelivered-samples".to_owned(), 25)].into()
+    );
+}
+
+#[test]
+fn losses_that_repeat_are_added_to_one_report() {
+    let mut feed = feed();
+    let mut out = Vec::new();
+    // Every third packet of one channel is lost, for 20 s.
+    for number in 0..80 {
+        let now = at(number * SECOND / 4);
+        out.extend(send(&mut feed, &[packet("EHZ", number)], now));
+        if number % 3 != 1 {
+            out.extend(send(&mut feed, &[packet("ENZ", number)], now));
+        }
+        feed.handle(Input::Tick, now, &mut out);
+    }
+    feed.handle(Input::Stop, at(20 * SECOND), &mut out);
+    let reports = lost(&out);
+    assert!(reports.len() <= 4, "{reports:?}");
+    let samples: u64 = reports.iter().map(|report| report.samples).sum();
+    assert_eq!(samples, 26 * 25);
+}
+
+#[test]
+fn samples_lost_while_the_feed_was_stopped_are_reported_per_channel() {
+    let mut feed = feed();
+    let recorded = Recorded {
+        frames: TimeGrid::new(T0 - 100 * STEP, 100.0).unwrap(),
+        next: 60, // the last frame is 41 steps before the first sample
+    };
+    let mut out = Vec::new();
+    feed.handle(
+        Input::Recorded {
+            structure: 0,
+            recorded,
+        },
+        at(0),
+        &mut out,
+    );
+    out.extend(send(
+        &mut feed,
+        &[packet("EHZ", 0), packet("ENZ", 0)],
+        at(0),
+    ));
+    feed.handle(Input::Tick, at(0), &mut out);
+    let found: Vec<(u64, LostBecause)> = lost(&out)
+        .iter()
+        .map(|report| (report.samples, report.because))
+        .collect();
+    assert_eq!(found, [(40, LostBecause::FeedStopped); 2]);
+}
+
+#[test]
+fn repeated_packets_are_dropped_and_counted() {
+    let mut feed = feed();
+    for number in [0, 1, 1, 0, 2] {
+        for label in ["EHZ", "ENZ"] {
+            send(&mut feed, &[packet(label, number)], at(number * SECOND / 4));
+        }
+    }
+    assert_eq!(feed.published(0).1, 75);
+    assert_eq!(feed.drops(0), [("repeated-samples".to_owned(), 100)].into());
+}
+
+#[test]
+fn clock_that_goes_back_begins_an_epoch_without_losing_samples() {
+    let mut feed = feed();
+    let mut out = Vec::new();
+    let mut now = 0;
+    // A minute forwards by mistake, then back.
+    for number in (240..260).chain(0..40) {
+        now += SECOND / 4;
+        for label in ["EHZ", "ENZ"] {
+            out.extend(send(&mut feed, &[packet(label, number)], at(now)));
+        }
+    }
+    feed.handle(Input::Stop, at(now), &mut out);
+    let set_back: Vec<&Output> = out
+        .iter()
+        .filter(|output| matches!(output, Output::SetBack { .. }))
+        .collect();
+    assert_eq!(set_back.len(), 1);
+    let of_new_epoch: Vec<f64> = blocks(&out)
+        .iter()
+        .filter(|block| block.header.epoch == 8)
+        .flat_map(|block| block.samples.iter().copied())
+        .collect();
+    let expected: Vec<f64> = (0..1000)
+        .flat_map(|sample| [f64::from(sample); 2])
+        .collect();
+    assert_eq!(of_new_epoch, expected);
+}
+
+#[test]
+fn wrong_rate_stops_the_channel_and_names_both_rates() {
+    let mut feed = feed();
+    let mut out = Vec::new();
+    for number in 0..60 {
+        // 50 Hz: the packets come twice as far apart.
+        let slow = Packet {
+            start_ns: Some(T0 + number * 50 * STEP),
+            ..packet("EHZ", number)
+        };
+        let now = at(number * SECOND / 2);
+        feed.handle(
+            Input::Link {
+                source: 0,
+                link: Link::Open,
+            },
+            now,
+            &mut out,
+        );
+        out.extend(send(&mut feed, &[slow], now));
+    }
+    let status = feed.status(0).unwrap();
+    assert_eq!(status.state, InstrumentState::Failed);
+    let expected = "EHZ: sampling rate is 50.0000 Hz, must be 100 Hz, the rate of its node in the \
+                    structure file";
+    assert_eq!(status.last_error.as_deref(), Some(expected));
+}
+
+#[test]
+fn unmapped_channel_is_seen_and_disturbs_nothing() {
+    let mut feed = feed();
+    send(&mut feed, &[packet("EHE", 0), packet("EHZ", 0)], at(0));
+    let (_, unmapped) = feed.seen(0).unwrap();
+    assert_eq!(*unmapped, [("EHE".to_owned(), 25)].into());
+    assert_eq!(feed.status(0).unwrap().errors, 0);
+}
+
+#[test]
+fn late_channel_is_reported_and_the_other_is_published() {
+    let mut feed = feed();
+    let mut out = send(&mut feed, &[packet("EHZ", 0)], at(0));
+    feed.handle(Input::Tick, at(SECOND), &mut out);
+    assert_eq!(
+        blocks(&out).iter().map(|block| block.count()).sum::<u64>(),
+        25
+    );
+    out.clear();
+    out.extend(send(&mut feed, &[packet("ENZ", 0)], at(SECOND)));
+    feed.handle(Input::Tick, at(SECOND), &mut out);
+    let late = lost(&out);
+    assert_eq!((late[0].samples, late[0].because), (25, LostBecause::Late));
+}

@@ -1,0 +1,334 @@
+//! SeedLink servers that the feed reads. The server is `seedlink-rs-server`, not our own code.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use seedlink_rs_server::{DataStore, SeedLinkServer, ServerConfig, ShutdownHandle};
+use spandrel_bus::{Bus, Delivery, FrameBlock, Service, Start, Status, TimeGrid};
+use spandrel_service::Clock;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use support::{Process, Site, within};
+
+const HOUSE: &str = r#"
+[structure]
+name = "house"
+sampling-rate-hz = 100
+[model]
+kind = "shear-building"
+storeys = 1
+mass-kg = 20_000
+first-frequency-hz = 2.0
+[damping]
+kind = "rayleigh"
+ratio = 0.02
+[[parameter]]
+name = "storey-1"
+scales = "stiffness"
+of = ["storey-1"]
+[[excitation]]
+name = "ground"
+kind = "ground"
+std = 0.1
+measured-on = "ground"
+[[node]]
+name = "shake"
+[[node.channel]]
+name = "ground"
+quantity = "ground-acceleration"
+unit = "m/s2"
+noise-std = 0.005
+range = 1e9
+[[node.channel]]
+name = "roof"
+quantity = "absolute-acceleration"
+dof = "floor-1"
+unit = "m/s2"
+noise-std = 0.005
+range = 1e9
+"#;
+
+const STEP_NS: i64 = 10_000_000;
+const SECOND_NS: i64 = 1_000_000_000;
+/// Samples of a record of 512 bytes with integers of 32 bits: (512 − 64) / 4.
+const RECORD: i64 = 112;
+
+/// Returns the counts of sample `number` of a station.
+fn counts(station: usize, number: i64) -> i32 {
+    let number = number as i32;
+    [5 * number, 1 - number][station]
+}
+
+/// Returns a miniSEED 2 record of station `R1` or `R2`, big endian, without compression.
+///
+/// Source: SEED reference manual v2.4, chapter 8.
+fn record(station: usize, t0_ns: i64, number: i64) -> Vec<u8> {
+    let start_ns = t0_ns + number * STEP_NS;
+    let (day, of_day_ns) = (
+        start_ns.div_euclid(86_400 * SECOND_NS),
+        start_ns.rem_euclid(86_400 * SECOND_NS),
+    );
+    let (year, day_of_year) = year_and_day(day);
+    let seconds = of_day_ns / SECOND_NS;
+    let mut bytes = format!(
+        "{:06}D {:<5}{:<2}{:<3}{:<2}",
+        1,
+        format!("R{}", station + 1),
+        "00",
+        "ENZ",
+        "AM"
+    )
+    .into_bytes();
+    bytes.extend((year as u16).to_be_bytes());
+    bytes.extend((day_of_year as u16).to_be_bytes());
+    bytes.extend([
+        (seconds / 3600) as u8,
+        (seconds / 60 % 60) as u8,
+        (seconds % 60) as u8,
+        0,
+    ]);
+    bytes.extend(((of_day_ns % SECOND_NS / 100_000) as u16).to_be_bytes());
+    bytes.extend((RECORD as u16).to_be_bytes());
+    bytes.extend(100_i16.to_be_bytes()); // rate factor
+    bytes.extend(1_i16.to_be_bytes()); // rate multiplier
+    bytes.extend([0, 0, 0, 1]); // flags, number of blockettes
+    bytes.extend(0_i32.to_be_bytes()); // time correction
+    bytes.extend(64_u16.to_be_bytes()); // start of the samples
+    bytes.extend(48_u16.to_be_bytes()); // first blockette
+    bytes.extend(1000_u16.to_be_bytes());
+    bytes.extend(0_u16.to_be_bytes()); // no further blockette
+    bytes.extend([3, 1, 9, 0]); // 32-bit integers, big endian, 2⁹ bytes
+    bytes.resize(64, 0);
+    for sample in number..number + RECORD {
+        bytes.extend(counts(station, sample).to_be_bytes());
+    }
+    assert_eq!(bytes.len(), 512);
+    bytes
+}
+
+/// Returns the year and the day of the year (from 1) of a day since 1970.
+fn year_and_day(mut day: i64) -> (i64, i64) {
+    let mut year = 1970;
+    loop {
+        let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+        let days = if is_leap { 366 } else { 365 };
+        if day < days {
+            return (year, day + 1);
+        }
+        day -= days;
+        year += 1;
+    }
+}
+
+/// A running server.
+struct Server {
+    store: DataStore,
+    address: String,
+    shutdown: ShutdownHandle,
+    running: tokio::task::JoinHandle<()>,
+}
+
+impl Server {
+    /// Starts a server that keeps its packets in a folder.
+    async fn start(address: &str, journal: &Path) -> Self {
+        let config = ServerConfig {
+            persist_dir: Some(journal.to_owned()),
+            ..ServerConfig::default()
+        };
+        let server = SeedLinkServer::bind_with_config(address, config)
+            .await
+            .unwrap();
+        Self {
+            store: server.store().clone(),
+            address: server.local_addr().unwrap().to_string(),
+            shutdown: server.shutdown_handle(),
+            running: tokio::spawn(server.run()),
+        }
+    }
+
+    /// Adds records of both stations.
+    fn push(&self, t0_ns: i64, records: std::ops::Range<i64>) {
+        for number in records {
+            for station in 0..2 {
+                let name = format!("R{}", station + 1);
+                let record = record(station, t0_ns, number * RECORD);
+                self.store.push("AM", &name, &record).unwrap();
+            }
+        }
+    }
+
+    async fn stop(self) {
+        self.shutdown.shutdown();
+        self.running.await.unwrap();
+    }
+}
+
+/// Returns the time one hour ago, in whole steps.
+fn an_hour_ago() -> i64 {
+    (Clock::of_machine().now_ns() - 3600 * SECOND_NS) / STEP_NS * STEP_NS
+}
+
+fn configure(site: &Site, address: &str, more: &str) -> PathBuf {
+    let channel = |label: &str, channel: &str| {
+        format!(
+            "[[feed.source.channel]]\nsource = \"{label}\"\nchannel = \"{channel}\"\nsensitivity = 100\n"
+        )
+    };
+    let text = format!(
+        "[[feed.source]]\nname = \"hub\"\nkind = \"seedlink\"\naddress = \"{address}\"\n{more}\n"
+    ) + &channel("AM.R1.00.ENZ", "ground")
+        + &channel("AM.R2.00.ENZ", "roof");
+    let path = site.folder().join("feed.toml");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn start_feed(site: &Site, configuration: &Path) -> Process {
+    let mut command = site.connecting("feed");
+    let feed = Process::start(command.arg("--config").arg(configuration));
+    feed.wait_for_log("feed ready");
+    feed
+}
+
+/// The frames of ingest by the number of the sample.
+struct Frames {
+    stream: spandrel_bus::Stream<FrameBlock>,
+    found: BTreeMap<i64, Vec<f64>>,
+    t0_ns: i64,
+}
+
+impl Frames {
+    async fn follow(bus: &Bus, site: &Site, t0_ns: i64) -> Self {
+        let (keys, settings) = (site.keys(), bus.reading(Start::Beginning).patient());
+        let stream = bus.follow(keys.frames(), keys.recording(), settings).await;
+        Self {
+            stream: stream.unwrap(),
+            found: BTreeMap::new(),
+            t0_ns,
+        }
+    }
+
+    async fn up_to(&mut self, number: i64) {
+        within(&format!("frame with sample {number}"), async {
+            while self
+                .found
+                .last_key_value()
+                .is_none_or(|(last, _)| *last < number)
+            {
+                let Delivery::Block(block) = self.stream.deliveries().recv_async().await.unwrap()
+                else {
+                    panic!("ingest has lost frames");
+                };
+                let grid = TimeGrid::new(block.t0_ns, block.sampling_rate_hz).unwrap();
+                for (frame, values) in (block.header.sequence..).zip(block.values.chunks(2)) {
+                    let number = (grid.time_ns(frame) - self.t0_ns).div_euclid(STEP_NS);
+                    self.found.insert(number, values.to_vec());
+                }
+            }
+        })
+        .await;
+    }
+
+    /// Checks that samples 0 to `count` are complete and equal those of the server.
+    fn expect_all(&self, count: i64) {
+        assert_eq!(self.found.len() as i64, count);
+        for (number, values) in &self.found {
+            let sent = [0, 1].map(|station| f64::from(counts(station, *number)) / 100.0);
+            assert_eq!(values[..], sent, "sample {number}");
+        }
+    }
+}
+
+async fn start_site(configuration: &str, address: &str) -> (Site, Process, Bus, PathBuf) {
+    let site = Site::with(HOUSE);
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let path = configure(&site, address, configuration);
+    (site, ingest, bus, path)
+}
+
+/// Kills the feed at random moments, and then restarts the server. No sample is lost.
+async fn nothing_is_lost(protocol: &str) {
+    let journal = tempfile::tempdir().unwrap();
+    let server = Server::start("127.0.0.1:0", journal.path()).await;
+    let address = server.address.clone();
+    let (site, _ingest, bus, path) = start_site(protocol, &address).await;
+    let t0_ns = an_hour_ago();
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let mut random = ChaCha8Rng::seed_from_u64(20_062);
+    let mut next = 0;
+    for _ in 0..4 {
+        let feed = start_feed(&site, &path);
+        let records = random.random_range(10..90);
+        server.push(t0_ns, next..next + records);
+        let samples = random.random_range(1..records * RECORD);
+        frames.up_to(next * RECORD + samples).await;
+        next += records;
+        feed.kill();
+        server.push(t0_ns, next..next + 5);
+        next += 5;
+    }
+    let feed = start_feed(&site, &path);
+    frames.up_to(next * RECORD - 1).await;
+    server.stop().await;
+    feed.wait_for_log("state=\"failed\"");
+    let server = Server::start(&address, journal.path()).await;
+    server.push(t0_ns, next..next + 20);
+    next += 20;
+    frames.up_to(next * RECORD - 1).await;
+    frames.expect_all(next * RECORD);
+    feed.stop().expect_code(0);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn version_4_loses_nothing_when_feed_or_server_restart() {
+    nothing_is_lost("").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn version_3_loses_nothing_when_feed_or_server_restart() {
+    nothing_is_lost("protocol = \"3\"").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wrong_rate_of_a_record_is_an_error_with_both_rates() {
+    let journal = tempfile::tempdir().unwrap();
+    let server = Server::start("127.0.0.1:0", journal.path()).await;
+    let (site, _ingest, bus, path) = start_site("", &server.address).await;
+    let statuses = bus
+        .subscribe::<Status>(site.keys().statuses(Service::Feed), 256)
+        .await
+        .unwrap();
+    let feed = start_feed(&site, &path);
+    let mut slow = record(0, an_hour_ago(), 0);
+    slow[32..34].copy_from_slice(&50_i16.to_be_bytes());
+    server.store.push("AM", "R1", &slow).unwrap();
+    let error = within("an error", async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if let Some(error) = status.instruments["hub"].last_error.clone() {
+                return error;
+            }
+        }
+    })
+    .await;
+    assert!(
+        error.starts_with("AM.R1.00.ENZ: sampling rate is 50.0000 Hz, must be 100 Hz"),
+        "{error}"
+    );
+    feed.stop().expect_code(0);
+    tokio::time::timeout(Duration::from_secs(30), server.stop())
+        .await
+        .unwrap();
+}
