@@ -253,7 +253,7 @@ fn the_reply_that_there_is_nothing_more_may_be_json() {
 
 proptest! {
     #[test]
-    fn samples_survive_json_to_the_bit(
+    fn samples_survive_json_bit_for_bit(
         epoch: u64,
         sequence in 0u64..1 << 60,
         time_ns: i64,
