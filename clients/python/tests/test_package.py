@@ -46,13 +46,13 @@ def test_the_installed_package_has_its_modules_and_types(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("page", "begin"),
+    ("page", "begin", "modules"),
     [
-        ("clients/python/README.md", "```sh install\n"),
-        ("docs/how-to.md", "   ```sh\n   python3 -m venv"),
+        ("clients/python/README.md", "```sh install\n", "matplotlib, spandrel"),
+        ("docs/how-to.md", "   ```sh\n   python3 -m venv", "spandrel"),
     ],
 )
-def test_the_install_commands_of_the_pages_work_as_printed(tmp_path, page, begin):
+def test_the_install_commands_of_the_pages_work_as_printed(tmp_path, page, begin, modules):
     """Needs the package index, and is skipped without it."""
     text = (REPOSITORY / page).read_text()
     start = text.index(begin) + begin.index("\n") + 1
@@ -66,5 +66,5 @@ def test_the_install_commands_of_the_pages_work_as_printed(tmp_path, page, begin
     run(["cp", "-r", str(FOLDER), str(tmp_path / "clients" / "python")])
     run(["bash", "-euo", "pipefail", "-c", script], cwd=tmp_path)
     python = tmp_path / "spandrel-python" / "bin" / "python"
-    asks = "import spandrel; print(spandrel.Sensor.__name__, spandrel.__file__)"
+    asks = f"import {modules}; print(spandrel.Sensor.__name__, spandrel.__file__)"
     assert "site-packages" in run([str(python), "-c", asks])

@@ -36,6 +36,16 @@ def wait_until(what, is_there):
         time.sleep(0.02)
 
 
+def wait_for_ingest(statuses, is_reached):
+    """Returns the first status of ingest that fulfils a condition."""
+    deadline = time.monotonic() + DEADLINE_S
+    while time.monotonic() < deadline:
+        status = statuses.receive(1.0)
+        if status is not None and status.service == "ingest" and is_reached(status):
+            return status
+    raise AssertionError(f"waited {DEADLINE_S} s in vain for ingest")
+
+
 def assert_recorded(rows, count):
     assert len(rows) == count
     for index, row in enumerate(rows):
@@ -88,16 +98,14 @@ def test_nothing_is_lost_while_ingest_is_killed_and_restarts(site):
         "house", [spandrel.Status], connect=site.endpoint, root=site.root
     ) as statuses:
         nodes.publish(0, 200)
-        while statuses.receive(DEADLINE_S).done < 200:
-            pass
+        wait_for_ingest(statuses, lambda status: status.done >= 200)
         ingest.kill()
         for first in range(200, 400, 50):
             nodes.publish(first, 50)
         with site.start("ingest") as ingest:
             for first in range(400, 600, 50):
                 nodes.publish(first, 50)
-            while statuses.receive(DEADLINE_S).done < 600:
-                pass
+            wait_for_ingest(statuses, lambda status: status.done >= 600)
             nodes.ground.close(timeout=0.1)
             nodes.roof.close(timeout=DEADLINE_S)
             ingest.stop()
@@ -156,12 +164,8 @@ def test_json_samples_of_a_plain_script_are_recorded(site):
                 }
                 publishers[node].put(json.dumps(block))
         publishers["roof"].put('{"source": "roof", "sample": [1]}')
-        refused = 0
-        while refused < 1:
-            status = statuses.receive(DEADLINE_S)
-            refused = status.drops.get("refused-undecodable", 0)
-        while status.done < 200:
-            status = statuses.receive(DEADLINE_S)
+        wait_for_ingest(statuses, lambda status: status.drops.get("refused-undecodable") == 1)
+        wait_for_ingest(statuses, lambda status: status.done >= 200)
         ingest.wait_for("unknown field `sample`")
         session.close()
         ingest.stop()
@@ -304,7 +308,7 @@ def test_an_iteration_raises_unsupported_versions_and_continues(pair):
     with spandrel.subscribe("house", [spandrel.Parameter], connect=endpoint) as messages:
         publisher_of(session, 9).put(parameter(1.0))
         with pytest.raises(spandrel.UnsupportedVersion):
-            next(messages)
+            messages.receive(DEADLINE_S)
         publisher_of(session, 2).put(parameter(2.0))
         assert next(messages).mean == 2.0
         assert messages.receive(timeout=0.01) is None
@@ -322,7 +326,7 @@ def test_a_full_queue_drops_the_oldest_message_and_counts_it(pair, caplog):
     assert "dropped because the queue was full" in caplog.text
 
 
-def test_a_callback_receives_messages_and_its_errors_go_elsewhere(pair):
+def test_a_callback_receives_messages_and_its_errors_go_elsewhere(pair, caplog):
     session, endpoint = pair
     received, errors = [], []
 
@@ -340,5 +344,42 @@ def test_a_callback_receives_messages_and_its_errors_go_elsewhere(pair):
         good.put(parameter(3.0))
         wait_until("two messages and an error", lambda: received == [1.0, 3.0] and errors)
         assert isinstance(errors[0], spandrel.UnsupportedVersion)
+        assert "the callback of a subscription failed" in caplog.text
         with pytest.raises(ValueError):
             messages.receive()
+
+
+def test_only_the_acknowledged_alert_confirms_an_acknowledgement(pair):
+    session, endpoint = pair
+    alert = {
+        "structure": "house",
+        "parameter": "storey-1",
+        "time_ns": 5,
+        "since_ns": 4,
+        "rule_loss": 0.05,
+        "rule_credibility": 0.99,
+        "credibility": 1.0,
+        "loss": 0.1,
+        "loss_interval": {"level": 0.95, "low": 0.09, "high": 0.11},
+        "mean": 0.9,
+        "std": 0.003,
+        "reference": 1.0,
+        "reference_std": 0.0,
+        "why": "it has lost 10 %",
+    }
+    key = "spandrel/house/alert/storey-1"
+    received = []
+
+    def confirm(sample):
+        message = json.loads(sample.payload.to_string())
+        received.append((message["who"], message["note"], str(sample.encoding)))
+        # The alert service revises the alert at the same time.
+        for state, who in (("raised", None), ("acknowledged", message["who"])):
+            text = json.dumps({**alert, "state": state, "acknowledged_by": who})
+            session.put(key, text, encoding="application/json;spandrel.alert.v2")
+
+    subscriber = session.declare_subscriber(f"{key}/acknowledge", confirm)
+    found = spandrel.acknowledge("house", "storey-1", "Ada", "seen", connect=endpoint)
+    assert (found.state, found.acknowledged_by) == ("acknowledged", "Ada")
+    assert received == [("Ada", "seen", "application/json;spandrel.acknowledgement.v1")]
+    subscriber.undeclare()
