@@ -28,7 +28,7 @@ static const int64_t STEP_NS = 1000000000 / RATE_HZ;
 
 /* Position of a node in its stream. */
 struct stream {
-    const char *node;
+    const char* node;
     uint64_t epoch;    /* rises at each start */
     uint64_t sequence; /* number of the next sample */
     int64_t start_ns;  /* time of sample 0, ns since the Unix epoch, UTC */
@@ -41,7 +41,7 @@ struct text {
     bool fits;
 };
 
-static void append(struct text *text, const char *format, ...) {
+static void append(struct text* text, const char* format, ...) {
     size_t room = sizeof text->bytes - text->length;
     va_list arguments;
     va_start(arguments, format);
@@ -55,16 +55,19 @@ static void append(struct text *text, const char *format, ...) {
 }
 
 /* Writes a block of samples. 17 digits identify every number exactly. A missing sample is null. */
-static void write_block(struct text *text, const struct stream *stream, const double *samples, size_t count,
-                        bool ended) {
+static void write_block(struct text* text, const struct stream* stream, const double* samples,
+                        size_t count, bool ended) {
     text->length = 0;
     text->fits = true;
-    append(text, "{\"source\":\"%s\",\"epoch\":%" PRIu64 ",\"sequence\":%" PRIu64, stream->node, stream->epoch,
-           stream->sequence);
-    append(text, ",\"time_ns\":%" PRId64 ",\"sampling_rate_hz\":%d,\"channels\":1,\"state\":\"%s\",\"samples\":[",
-           stream->start_ns + (int64_t)stream->sequence * STEP_NS, RATE_HZ, ended ? "ended" : "running");
+    append(text, "{\"source\":\"%s\",\"epoch\":%" PRIu64 ",\"sequence\":%" PRIu64, stream->node,
+           stream->epoch, stream->sequence);
+    append(text,
+           ",\"time_ns\":%" PRId64
+           ",\"sampling_rate_hz\":%d,\"channels\":1,\"state\":\"%s\",\"samples\":[",
+           stream->start_ns + (int64_t)stream->sequence * STEP_NS, RATE_HZ,
+           ended ? "ended" : "running");
     for (size_t index = 0; index < count; index++) {
-        const char *comma = index == 0 ? "" : ",";
+        const char* comma = index == 0 ? "" : ",";
         if (isfinite(samples[index])) {
             append(text, "%s%.17g", comma, samples[index]);
         } else {
@@ -74,8 +77,9 @@ static void write_block(struct text *text, const struct stream *stream, const do
     append(text, "]}");
 }
 
-/* Waits for the next block of the instrument. This one repeats a ramp, whose tenth sample is missing. */
-static void read_instrument(uint64_t sequence, double *samples) {
+/* Waits for the next block of the instrument. This one repeats a ramp, whose tenth sample is
+ * missing. */
+static void read_instrument(uint64_t sequence, double* samples) {
     z_sleep_ms(1000 * SAMPLES_PER_BLOCK / RATE_HZ);
     for (uint64_t index = 0; index < SAMPLES_PER_BLOCK; index++) {
         uint64_t step = (sequence + index) % 100;
@@ -83,13 +87,13 @@ static void read_instrument(uint64_t sequence, double *samples) {
     }
 }
 
-static int publish(const z_loaned_publisher_t *publisher, const struct text *text) {
+static int publish(const z_loaned_publisher_t* publisher, const struct text* text) {
     if (!text->fits) {
         fprintf(stderr, "a block exceeds %d bytes\n", BLOCK_BYTES);
         return -1;
     }
     z_owned_bytes_t payload;
-    if (z_bytes_copy_from_buf(&payload, (const uint8_t *)text->bytes, text->length) < 0) {
+    if (z_bytes_copy_from_buf(&payload, (const uint8_t*)text->bytes, text->length) < 0) {
         fprintf(stderr, "no memory for a block\n");
         return -1;
     }
@@ -101,7 +105,7 @@ static int publish(const z_loaned_publisher_t *publisher, const struct text *tex
 }
 
 /* zenoh-pico sends nothing before it knows a reader. */
-static void wait_for_reader(const z_loaned_publisher_t *publisher) {
+static void wait_for_reader(const z_loaned_publisher_t* publisher) {
     z_matching_status_t status = {false};
     for (int waited = 0; waited < WAIT_FOR_READER_MS; waited += 10) {
         if (z_publisher_get_matching_status(publisher, &status) == 0 && status.matching) {
@@ -112,7 +116,8 @@ static void wait_for_reader(const z_loaned_publisher_t *publisher) {
     fprintf(stderr, "no ingest reads these samples yet\n");
 }
 
-static int run(const z_loaned_session_t *session, const char *prefix, const char *node, uint64_t blocks) {
+static int run(const z_loaned_session_t* session, const char* prefix, const char* node,
+               uint64_t blocks) {
     char samples_key[KEY_BYTES], live_key[KEY_BYTES];
     int lengths[] = {
         snprintf(samples_key, sizeof samples_key, "%s/sensor/%s/samples", prefix, node),
@@ -154,7 +159,8 @@ static int run(const z_loaned_session_t *session, const char *prefix, const char
     struct timespec now;
     timespec_get(&now, TIME_UTC);
     int64_t start_ns = (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
-    struct stream stream = {.node = node, .epoch = (uint64_t)start_ns, .sequence = 0, .start_ns = start_ns};
+    struct stream stream = {
+        .node = node, .epoch = (uint64_t)start_ns, .sequence = 0, .start_ns = start_ns};
     static struct text text;
     double samples[SAMPLES_PER_BLOCK];
     int result = 0;
@@ -174,8 +180,8 @@ static int run(const z_loaned_session_t *session, const char *prefix, const char
     return result == 0 ? 0 : 1;
 }
 
-int main(int argc, char **argv) {
-    char *end = NULL;
+int main(int argc, char** argv) {
+    char* end = NULL;
     errno = 0;
     unsigned long blocks = argc == 5 ? strtoul(argv[4], &end, 10) : 0;
     if (argc != 5 || errno != 0 || end == argv[4] || *end != '\0') {

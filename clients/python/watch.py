@@ -37,7 +37,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, help="end after this time")
     parser.add_argument("--history", metavar="PARAMETER", help="show past values of a parameter")
     parser.add_argument("--points", type=int, default=1000)
-    parser.add_argument("--plot", metavar="FILE", help="save a plot to a file, such as storey-2.png")
+    parser.add_argument(
+        "--plot", metavar="FILE", help="save a plot to a file, such as storey-2.png"
+    )
     return parser.parse_args()
 
 
@@ -118,7 +120,9 @@ def main() -> None:
         certificate=args.certificate,
         root=args.root,
     )
-    print(f"{len(past.points)} rows of {past.name}, resolution {past.resolution_s or 'as displayed'}")
+    print(
+        f"{len(past.points)} rows of {past.name}, resolution {past.resolution_s or 'as displayed'}"
+    )
     if past.points:
         print(f"last {past.points[-1].mean:.4f} ± {past.points[-1].std:.4f}")
     if args.plot:

@@ -91,7 +91,9 @@ def environment(state: pathlib.Path) -> Dict[str, str]:
 class Process:
     """A running program, which is killed at the end of a `with` statement."""
 
-    def __init__(self, command: Sequence[str], state: pathlib.Path, extra: Optional[Dict[str, str]] = None) -> None:
+    def __init__(
+        self, command: Sequence[str], state: pathlib.Path, extra: Optional[Dict[str, str]] = None
+    ) -> None:
         self.command = list(command)
         self.child = subprocess.Popen(
             self.command,
@@ -124,7 +126,9 @@ class Process:
     def wait_for(self, text: str) -> None:
         """Waits until the output contains a text."""
         with self._changed:
-            self._changed.wait_for(lambda: text in "".join(self._lines) or self._has_ended, DEADLINE_S)
+            self._changed.wait_for(
+                lambda: text in "".join(self._lines) or self._has_ended, DEADLINE_S
+            )
         assert text in self.output, f"{self.command}\nlacks {text!r}:\n{self.output}"
 
     def wait(self) -> str:
@@ -192,5 +196,7 @@ def recorded(folder: pathlib.Path) -> List[Dict[str, float]]:
         Process([program(), "convert", str(segment), str(table)], folder).wait()
         with table.open() as file:
             for row in csv.DictReader(file):
-                rows.append({name: float(text) if text else float("nan") for name, text in row.items()})
+                rows.append(
+                    {name: float(text) if text else float("nan") for name, text in row.items()}
+                )
     return rows

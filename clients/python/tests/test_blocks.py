@@ -28,7 +28,11 @@ def block(sequence, values, time_ns=None, ended=False, channels=1):
 
 
 def test_a_third_of_a_nanosecond_does_not_add_up():
-    assert [time_after_ns(1000, 120.0, count) for count in (0, 1, 2)] == [1000, 8_334_333, 16_667_667]
+    assert [time_after_ns(1000, 120.0, count) for count in (0, 1, 2)] == [
+        1000,
+        8_334_333,
+        16_667_667,
+    ]
     assert time_after_ns(0, 120.0, 120_000_000_000) == 10**18
 
 
@@ -37,7 +41,12 @@ def test_samples_may_be_lists_rows_or_arrays():
     assert list(samples_to_array([1, 2.5], 1)) == [1.0, 2.5]
     assert list(samples_to_array([[1], (2.5,)], 1)) == [1.0, 2.5]
     assert list(samples_to_array([[1, 2], [3, 4]], 2)) == [1.0, 2.0, 3.0, 4.0]
-    assert list(samples_to_array(numpy.array([[1, 2], [3, 4]], dtype="float32"), 2)) == [1.0, 2.0, 3.0, 4.0]
+    assert list(samples_to_array(numpy.array([[1, 2], [3, 4]], dtype="float32"), 2)) == [
+        1.0,
+        2.0,
+        3.0,
+        4.0,
+    ]
     assert list(samples_to_array([numpy.float32(0.5), numpy.int16(2)], 1)) == [0.5, 2.0]
     assert list(samples_to_array(array.array("d", [0.1]), 1)) == [0.1]
     assert list(samples_to_array((x for x in [0.1, 0.2]), 1)) == [0.1, 0.2]
@@ -72,7 +81,14 @@ def test_numbers_from_the_page_are_encoded_as_the_page_states():
     # Each byte follows from the tables of docs/topics.md.
     found = encode_samples("roof", 300, 5, 1, 100.0, 2, array.array("d", [0.5, -1.0]), False)
     header = b"\x04roof" + b"\xac\x02" + b"\x05" + b"\x02"
-    rest = struct.pack("<d", 100.0) + b"\x00" + b"\x02" + b"\x02" + struct.pack("<2d", 0.5, -1.0) + b"\x00"
+    rest = (
+        struct.pack("<d", 100.0)
+        + b"\x00"
+        + b"\x02"
+        + b"\x02"
+        + struct.pack("<2d", 0.5, -1.0)
+        + b"\x00"
+    )
     assert found == header + rest
 
 
@@ -166,7 +182,13 @@ def test_no_block_exceeds_the_size_that_the_network_forwards():
     ],
 )
 def test_arguments_are_checked_before_a_connection_is_opened(arguments, told):
-    valid = {"structure": "house", "node": "roof", "channels": 1, "rate": 100.0, "connect": "tcp/127.0.0.1:1"}
+    valid = {
+        "structure": "house",
+        "node": "roof",
+        "channels": 1,
+        "rate": 100.0,
+        "connect": "tcp/127.0.0.1:1",
+    }
     with pytest.raises(ValueError) as raised:
         spandrel.Sensor(**{**valid, **arguments})
     assert told in str(raised.value)

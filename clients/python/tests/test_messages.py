@@ -21,11 +21,15 @@ ENCODING = "application/json;spandrel.parameter.v2"
 
 
 def read(changes=(), key=KEY, encoding=ENCODING):
-    return decode(spandrel.Parameter, key, encoding, json.dumps({**PARAMETER, **dict(changes)}).encode())
+    return decode(
+        spandrel.Parameter, key, encoding, json.dumps({**PARAMETER, **dict(changes)}).encode()
+    )
 
 
 def test_a_message_becomes_a_dataclass():
-    expected = spandrel.Parameter("house", "storey-2", 5, 1.0, 0.2, spandrel.Interval(0.95, 0.6, 1.4))
+    expected = spandrel.Parameter(
+        "house", "storey-2", 5, 1.0, 0.2, spandrel.Interval(0.95, 0.6, 1.4)
+    )
     assert read() == expected
     assert read(encoding="application/json") == expected
     assert type(read().mean) is float
@@ -34,7 +38,9 @@ def test_a_message_becomes_a_dataclass():
 def test_another_version_is_rejected_with_both_versions():
     with pytest.raises(spandrel.UnsupportedVersion) as raised:
         read(encoding="application/json;spandrel.parameter.v3")
-    assert "spandrel.parameter.v3" in str(raised.value) and "spandrel.parameter.v2" in str(raised.value)
+    assert "spandrel.parameter.v3" in str(raised.value) and "spandrel.parameter.v2" in str(
+        raised.value
+    )
 
 
 @pytest.mark.parametrize(
@@ -66,7 +72,9 @@ def test_an_unknown_field_is_reported_once(caplog):
     with caplog.at_level(logging.WARNING, logger="spandrel"):
         for _ in range(3):
             read({"colour-of-the-test": 1})
-    assert [record.message for record in caplog.records if "colour-of-the-test" in record.message] == [
+    assert [
+        record.message for record in caplog.records if "colour-of-the-test" in record.message
+    ] == [
         "Parameter has the field colour-of-the-test, which this package does not know; it is ignored"
     ]
 
@@ -75,7 +83,10 @@ def test_nested_lists_objects_and_reserved_words_are_read():
     text = {
         "structure": "house",
         "time_ns": 5,
-        "classes": [{"class": "baseline", "plausibility": 0.8}, {"class": "soft", "plausibility": 0.2}],
+        "classes": [
+            {"class": "baseline", "plausibility": 0.8},
+            {"class": "soft", "plausibility": 0.2},
+        ],
         "leading": "baseline",
         "believed": "baseline",
         "calibrations": 0,
@@ -83,7 +94,10 @@ def test_nested_lists_objects_and_reserved_words_are_read():
     }
     kind = spandrel.ModelClass
     found = decode(kind, "r/house/model-class", encoding_of(kind), json.dumps(text).encode())
-    assert [(each.model_class, each.plausibility) for each in found.classes] == [("baseline", 0.8), ("soft", 0.2)]
+    assert [(each.model_class, each.plausibility) for each in found.classes] == [
+        ("baseline", 0.8),
+        ("soft", 0.2),
+    ]
     status = {
         "structure": "house",
         "service": "ingest",
@@ -96,5 +110,7 @@ def test_nested_lists_objects_and_reserved_words_are_read():
         "version": "0.1.0",
     }
     kind = spandrel.Status
-    found = decode(kind, "r/house/status/ingest/ingest", encoding_of(kind), json.dumps(status).encode())
+    found = decode(
+        kind, "r/house/status/ingest/ingest", encoding_of(kind), json.dumps(status).encode()
+    )
     assert found.drops == {"lost-items": 1} and found.lag_s is None and found.pace is None

@@ -15,14 +15,24 @@ FOLDER = REPOSITORY / "clients" / "python"
 
 
 def run(command, **settings):
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **settings)
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **settings
+    )
     assert done.returncode == 0, f"{command}\n{done.stdout}"
     return done.stdout
 
 
 def test_the_types_are_complete():
     pytest.importorskip("mypy")
-    command = [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", "--cache-dir", "/dev/null"]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--config-file",
+        "pyproject.toml",
+        "--cache-dir",
+        "/dev/null",
+    ]
     assert "no issues found" in run([*command, "src"], cwd=FOLDER)
 
 
@@ -33,7 +43,16 @@ def test_the_installed_package_has_its_modules_and_types(tmp_path):
     # A build writes files beside its sources.
     run(["cp", "-r", str(FOLDER), str(source)])
     run(["rm", "-rf", str(source / "build")])
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+    ]
     target = tmp_path / "installed"
     run([*install, "--target", str(target), str(source)])
     expected = {path.relative_to(FOLDER / "src") for path in (FOLDER / "src").rglob("*.py")}
@@ -58,8 +77,19 @@ def test_the_install_commands_of_the_pages_work_as_printed(tmp_path, page, begin
     start = text.index(begin) + begin.index("\n") + 1
     script = textwrap.dedent(text[start : text.index("```", start)])
     assert "pip install" in script
-    index = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", str(tmp_path)]
-    reached = subprocess.run([*index, "mypy_extensions"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    index = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "--quiet",
+        "--no-deps",
+        "--dest",
+        str(tmp_path),
+    ]
+    reached = subprocess.run(
+        [*index, "mypy_extensions"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     if reached.returncode != 0:
         pytest.skip("the package index cannot be reached")
     (tmp_path / "clients").mkdir()

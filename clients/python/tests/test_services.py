@@ -94,9 +94,12 @@ def test_the_recording_contains_the_published_samples(site, caplog):
 
 def test_nothing_is_lost_while_ingest_is_killed_and_restarts(site):
     ingest = site.start("ingest")
-    with Nodes(site) as nodes, spandrel.subscribe(
-        "house", [spandrel.Status], connect=site.endpoint, root=site.root
-    ) as statuses:
+    with (
+        Nodes(site) as nodes,
+        spandrel.subscribe(
+            "house", [spandrel.Status], connect=site.endpoint, root=site.root
+        ) as statuses,
+    ):
         nodes.publish(0, 200)
         wait_for_ingest(statuses, lambda status: status.done >= 200)
         ingest.kill()
@@ -142,9 +145,12 @@ def test_a_restarted_sensor_begins_a_new_epoch_and_its_samples_count(site):
 
 def test_json_samples_of_a_plain_script_are_recorded(site):
     """Both nodes publish JSON without the package and without a buffer."""
-    with site.start("ingest") as ingest, spandrel.subscribe(
-        "house", [spandrel.Status], connect=site.endpoint, root=site.root
-    ) as statuses:
+    with (
+        site.start("ingest") as ingest,
+        spandrel.subscribe(
+            "house", [spandrel.Status], connect=site.endpoint, root=site.root
+        ) as statuses,
+    ):
         session = spandrel.open_session(site.endpoint)
         epoch = time.time_ns()
         publishers = {}
@@ -174,7 +180,9 @@ def test_json_samples_of_a_plain_script_are_recorded(site):
 
 def test_a_closed_sensor_rejects_samples_and_an_empty_list_publishes_nothing(site):
     with site.start("ingest"):
-        sensor = spandrel.Sensor("house", "ground", 1, RATE_HZ, connect=site.endpoint, root=site.root)
+        sensor = spandrel.Sensor(
+            "house", "ground", 1, RATE_HZ, connect=site.endpoint, root=site.root
+        )
         sensor.publish([])
         assert sensor.published == 0
         with pytest.raises(spandrel.InvalidSamples):
@@ -238,7 +246,11 @@ def test_messages_history_and_acknowledgement_of_a_damaged_building(site):
                 if isinstance(message, spandrel.Alert) and message.state == "raised":
                     raised = message
         assert wanted <= kinds, f"lacks {wanted - kinds}"
-        assert raised.parameter == "storey-2" and raised.loss > 0.05 and "storey-2 has lost" in raised.why
+        assert (
+            raised.parameter == "storey-2"
+            and raised.loss > 0.05
+            and "storey-2 has lost" in raised.why
+        )
 
         confirmed = spandrel.acknowledge("house", "storey-2", "Ada", "seen", **settings)
         assert (confirmed.state, confirmed.acknowledged_by) == ("acknowledged", "Ada")
@@ -248,7 +260,9 @@ def test_messages_history_and_acknowledgement_of_a_damaged_building(site):
         def past():
             return spandrel.history("house", "storey-2", points=20_000, **settings)
 
-        wait_until("the damage in the history", lambda: past().points and past().points[-1].mean < 0.9)
+        wait_until(
+            "the damage in the history", lambda: past().points and past().points[-1].mean < 0.9
+        )
         found = past()
         assert (found.structure, found.kind, found.name) == ("house", "parameter", "storey-2")
         times = [point.time_s for point in found.points]
@@ -266,7 +280,9 @@ def test_messages_history_and_acknowledgement_of_a_damaged_building(site):
 def test_the_error_states_that_no_history_replies(site):
     with site.start("ingest"):
         with pytest.raises(spandrel.NoReply, match="spandrel history"):
-            spandrel.history("house", "storey-1", timeout=2.0, connect=site.endpoint, root=site.root)
+            spandrel.history(
+                "house", "storey-1", timeout=2.0, connect=site.endpoint, root=site.root
+            )
 
 
 @pytest.fixture
@@ -297,7 +313,8 @@ def parameter(mean):
 
 def publisher_of(session, version):
     publisher = session.declare_publisher(
-        "spandrel/house/parameter/storey-1", encoding=f"application/json;spandrel.parameter.v{version}"
+        "spandrel/house/parameter/storey-1",
+        encoding=f"application/json;spandrel.parameter.v{version}",
     )
     wait_until("a subscriber", lambda: publisher.matching_status.matching)
     return publisher

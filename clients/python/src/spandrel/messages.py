@@ -341,7 +341,9 @@ def _convert(kind: Any, value: Any, where: str) -> Any:
     if origin is not None:  # a mapping of texts to values
         if not isinstance(value, dict):
             raise _Mismatch(f"{where} is {value!r:.80}, must be an object")
-        return {name: _convert(arguments[1], item, f"{where}.{name}") for name, item in value.items()}
+        return {
+            name: _convert(arguments[1], item, f"{where}.{name}") for name, item in value.items()
+        }
     if is_dataclass(kind):
         return _convert_object(kind, value, where)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
@@ -379,5 +381,7 @@ def _convert_object(kind: Any, value: Any, where: str) -> Any:
     for name in left:
         if (kind.__name__, name) not in _REPORTED:
             _REPORTED.add((kind.__name__, name))
-            _log.warning("%s has the field %s, which this package does not know; it is ignored", where, name)
+            _log.warning(
+                "%s has the field %s, which this package does not know; it is ignored", where, name
+            )
     return kind(**found)

@@ -239,7 +239,9 @@ class Sensor:
 
     def _note_progress(self, sample: zenoh.Sample) -> None:
         if str(sample.encoding) != PROGRESS_ENCODING:
-            _log.warning("progress of ingest has the encoding %s, not %s", sample.encoding, PROGRESS_ENCODING)
+            _log.warning(
+                "progress of ingest has the encoding %s, not %s", sample.encoding, PROGRESS_ENCODING
+            )
             return
         try:
             progress = decode_progress(sample.payload.to_bytes())
@@ -253,7 +255,10 @@ class Sensor:
     def _wait_for_ingest(self, last_ns: int, timeout: float) -> None:
         tokens = self._session.liveliness().get(self._ingest_tokens, timeout=_TOKENS_TIMEOUT_S)
         if not any(reply.ok is not None for reply in tokens):
-            _log.warning("sensor %s: ingest is not present; samples that it has not fetched are lost", self._node)
+            _log.warning(
+                "sensor %s: ingest is not present; samples that it has not fetched are lost",
+                self._node,
+            )
             return
         # A sample belongs to the nearest frame, which is at most half a step earlier.
         done_ns = last_ns - round(0.5e9 / self._rate_hz) - 1
@@ -263,7 +268,11 @@ class Sensor:
 
         with self._progress_changed:
             if not self._progress_changed.wait_for(is_done, timeout):
-                _log.warning("sensor %s: ingest has not processed all samples after %g s", self._node, timeout)
+                _log.warning(
+                    "sensor %s: ingest has not processed all samples after %g s",
+                    self._node,
+                    timeout,
+                )
 
 
 class SampleClock:
@@ -355,4 +364,6 @@ def _number(sample: int, value: Any) -> float:
             return float(value)
         except (TypeError, ValueError):
             pass
-    raise InvalidSamples(f"sample {sample} contains {value!r}, must be a number, or None if it is missing")
+    raise InvalidSamples(
+        f"sample {sample} contains {value!r}, must be a number, or None if it is missing"
+    )

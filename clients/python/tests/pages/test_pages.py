@@ -131,7 +131,10 @@ def test_the_json_script_of_the_topics_page_is_recorded(desk):
     example, script = blocks(TOPICS, "### Samples as JSON")
     assert json.loads(example.text)["samples"] == [[0.012, -0.003], [None, -0.002]]
     services, *_ = blocks(README, "## A sensor")
-    with desk.service(services) as running, spandrel.subscribe("demo", [spandrel.Status]) as statuses:
+    with (
+        desk.service(services) as running,
+        spandrel.subscribe("demo", [spandrel.Status]) as statuses,
+    ):
         desk.run(script)
         while True:
             status = statuses.receive(DEADLINE_S)
@@ -144,7 +147,9 @@ def test_the_json_script_of_the_topics_page_is_recorded(desk):
 
 
 def test_the_sensor_of_the_how_to_page_is_recorded(desk):
-    services, sensor = [block for block in blocks(HOW_TO, "## Connect a sensor in Python") if block.kind != "sh"]
+    services, sensor = [
+        block for block in blocks(HOW_TO, "## Connect a sensor in Python") if block.kind != "sh"
+    ]
     with desk.service(services) as running:
         desk.run(sensor)
         running.child.terminate()
