@@ -74,12 +74,15 @@ class Nodes:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
-        # Frames wait for both nodes, so that neither waits alone for ingest.
-        ending = threading.Thread(target=self.ground.close)
+    def close(self):
+        # Frames wait for both nodes. If one ended first, its buffer would disappear too early.
+        ending = threading.Thread(target=self.ground.close, args=[DEADLINE_S])
         ending.start()
-        self.roof.close()
+        self.roof.close(DEADLINE_S)
         ending.join()
+
+    def __exit__(self, *_):
+        self.close()
 
 
 def test_the_recording_contains_the_published_samples(site, caplog):
@@ -109,8 +112,7 @@ def test_nothing_is_lost_while_ingest_is_killed_and_restarts(site):
             for first in range(400, 600, 50):
                 nodes.publish(first, 50)
             wait_for_ingest(statuses, lambda status: status.done >= 600)
-            nodes.ground.close(timeout=0.1)
-            nodes.roof.close(timeout=DEADLINE_S)
+            nodes.close()
             ingest.stop()
     assert_recorded(site.recorded(), 600)
 
@@ -125,8 +127,7 @@ def test_a_service_that_starts_late_receives_earlier_samples(site):
         nodes.publish(0, 300)
         nodes.publish(300, 100)
         with site.connecting("ingest") as ingest:
-            nodes.ground.close(timeout=0.1)
-            nodes.roof.close(timeout=DEADLINE_S)
+            nodes.close()
             ingest.stop()
     assert_recorded(site.recorded(), 400)
 
