@@ -123,12 +123,15 @@ def test_a_service_that_starts_late_receives_earlier_samples(site):
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([site.endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    settings = {"connect": site.endpoint, "root": site.root}
     with zenoh.open(config), Nodes(site) as nodes:
         nodes.publish(0, 300)
         nodes.publish(300, 100)
-        with site.connecting("ingest") as ingest:
-            nodes.close()
-            ingest.stop()
+        with spandrel.subscribe("house", [spandrel.Status], **settings) as statuses:
+            with site.connecting("ingest") as ingest:
+                wait_for_ingest(statuses, lambda status: status.done >= 400)
+                nodes.close()
+                ingest.stop()
     assert_recorded(site.recorded(), 400)
 
 
