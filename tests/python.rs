@@ -1,7 +1,7 @@
-//! The Python client against running services: its output for the present and the past.
+//! The Python package and its example against running services.
 //!
-//! The test needs Python 3 with the package `eclipse-zenoh` (and `matplotlib` for the plot) as
-//! `python3` or as the program in `PYTHON`. Otherwise it prints that it was skipped, or fails if
+//! The tests need Python 3 with the packages of `clients/python/tests/requirements.txt`, as
+//! `python3` or as the program in `PYTHON`. Otherwise they print that they were skipped, or fail if
 //! `REQUIRE_ALL_TESTS` is set.
 
 #![allow(
@@ -13,28 +13,108 @@
 
 mod support;
 
-use std::path::Path;
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, CaughtUp, Event, FitDisplay, HistorySpan, LossDisplay, Message,
+    ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress,
+    SampleBlock, Status,
+};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use support::{Process, Secured, Site, skip, two_storeys, within};
+use support::{Lab, Process, Secured, Site, skip, two_storeys, within};
 
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 
+/// Returns the folder of the package.
+fn package() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python")
+}
+
 fn python() -> Option<String> {
     let program = std::env::var("PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let has_packages = Command::new(&program)
-        .args(["-c", "import zenoh, matplotlib"])
+        .args(["-c", "import matplotlib, mypy, numpy, pytest, zenoh"])
         .output();
     if has_packages.is_ok_and(|output| output.status.success()) {
         return Some(program);
     }
-    skip("python3 with the packages of clients/python/requirements.txt is not installed");
+    skip("python3 with the packages of clients/python/tests/requirements.txt is not installed");
     None
+}
+
+/// Runs the tests of the package in a file or folder.
+fn pytest(mut command: Command, tests: &str) {
+    command
+        .args(["-m", "pytest", "-q", "--color=no", "-p", "no:cacheprovider"])
+        .arg(tests)
+        .current_dir(package())
+        .env("PROGRAM", env!("CARGO_BIN_EXE_spandrel"));
+    let output = command.output().unwrap();
+    let said = text(&output);
+    println!("{said}");
+    let may_skip = std::env::var_os("REQUIRE_ALL_TESTS").is_none();
+    assert!(may_skip || !said.contains(" skipped"), "{said}");
+}
+
+#[test]
+fn the_tests_of_the_package_pass() {
+    let Some(python) = python() else { return };
+    pytest(Command::new(python), "tests");
+}
+
+/// Runs in its own network, because the pages state the default endpoint.
+#[test]
+fn the_python_code_of_the_pages_runs_as_printed() {
+    let Some(python) = python() else { return };
+    let Some(lab) = Lab::or_skip(&["desk"], 4) else {
+        return;
+    };
+    let mut command = lab.inside("desk");
+    command.arg(python);
+    pytest(command, "tests/pages/test_pages.py");
+}
+
+#[test]
+fn the_package_supports_the_versions_of_the_services() {
+    let Some(python) = python() else { return };
+    let script = "import spandrel\n\
+                  from spandrel import alerts, messages, past, postcard\n\
+                  for kind in spandrel.MESSAGES: print(messages.encoding_of(kind))\n\
+                  print(alerts.ENCODING, past.ENCODING, postcard.SAMPLES_ENCODING)\n\
+                  print(postcard.CAUGHT_UP_ENCODING, postcard.PROGRESS_ENCODING)\n";
+    let mut command = Command::new(python);
+    command
+        .args(["-c", script])
+        .env("PYTHONPATH", package().join("src"));
+    let said = text(&command.output().unwrap());
+    let mut found: Vec<&str> = said.split_whitespace().collect();
+    let mut expected = [
+        ParameterDisplay::encoding(),
+        LossDisplay::encoding(),
+        NoiseDisplay::encoding(),
+        OutlierDisplay::encoding(),
+        ModelClassDisplay::encoding(),
+        FitDisplay::encoding(),
+        NodeDisplay::encoding(),
+        Event::encoding(),
+        AlertMessage::encoding(),
+        Status::encoding(),
+        Acknowledgement::encoding(),
+        HistorySpan::encoding(),
+        SampleBlock::encoding(),
+        CaughtUp::encoding(),
+        Progress::encoding(),
+    ];
+    found.sort_unstable();
+    expected.sort_unstable();
+    assert_eq!(found, expected);
 }
 
 fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
     let mut command = Command::new(python);
-    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python/watch.py"));
+    command
+        .arg(package().join("watch.py"))
+        .env("PYTHONPATH", package().join("src"));
     let root = site.keys().root().to_string();
     command
         .args(["house", "--root", &root, "--connect", site.endpoint()])
@@ -55,9 +135,9 @@ async fn a_script_with_a_certificate_receives_what_a_viewer_may() {
             .args(["--http", "none"]),
     );
     server.wait_for_log("ready structures=1");
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python/watch.py");
     let mut client = Command::new(python);
-    client.arg(script).args([
+    client.env("PYTHONPATH", package().join("src"));
+    client.arg(package().join("watch.py")).args([
         "house",
         "--seconds",
         "20",
@@ -80,7 +160,8 @@ async fn a_script_with_a_certificate_receives_what_a_viewer_may() {
 fn text(output: &Output) -> String {
     assert!(
         output.status.success(),
-        "{}",
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
         String::from_utf8_lossy(&output.stderr)
     );
     String::from_utf8_lossy(&output.stdout).into_owned()

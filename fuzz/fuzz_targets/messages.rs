@@ -5,22 +5,40 @@
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
-    FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 
-/// What decodes is sound, and can be sent on.
+/// A decoded message is valid and can be encoded.
 fn message<M: Message>(payload: &[u8]) {
-    if let Ok(message) = M::decode(&M::encoding(), payload) {
-        message.check().expect("a decoded message is sound");
-        message.encode().expect("a decoded message can be sent on");
+    message_in::<M>(M::FORMAT, payload);
+}
+
+/// The JSON form of a binary message.
+fn text<M: Message>(payload: &[u8]) {
+    message_in::<M>(Format::Json, payload);
+}
+
+fn message_in<M: Message>(format: Format, payload: &[u8]) {
+    if let Ok(message) = M::decode(&M::encoding_as(format), payload) {
+        message.check().expect("a decoded message is valid");
+        message.encode().expect("a decoded message can be encoded");
     }
 }
 
-/// As [`message`], and does with a block what its readers do.
+/// As [`message`], and processes a block as its readers do.
 fn block<B: Block>(payload: &[u8]) {
-    message::<B>(payload);
-    if let Ok(whole) = B::decode(&B::encoding(), payload) {
+    block_in::<B>(B::FORMAT, payload);
+}
+
+/// The JSON form of a block.
+fn text_block<B: Block>(payload: &[u8]) {
+    block_in::<B>(Format::Json, payload);
+}
+
+fn block_in<B: Block>(format: Format, payload: &[u8]) {
+    message_in::<B>(format, payload);
+    if let Ok(whole) = B::decode(&B::encoding_as(format), payload) {
         let half = whole.count() / 2;
         let (mut front, mut back) = (whole.clone(), whole);
         front.truncate(half);
@@ -30,7 +48,7 @@ fn block<B: Block>(payload: &[u8]) {
     }
 }
 
-const TYPES: [fn(&[u8]); 22] = [
+const TYPES: [fn(&[u8]); 24] = [
     block::<SampleBlock>,
     block::<FrameBlock>,
     block::<EstimateBlock>,
@@ -53,6 +71,8 @@ const TYPES: [fn(&[u8]); 22] = [
     message::<StateMessage>,
     message::<FitDisplay>,
     message::<LossDisplay>,
+    text_block::<SampleBlock>,
+    text::<CaughtUp>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {

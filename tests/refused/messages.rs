@@ -16,6 +16,7 @@ use std::collections::BTreeMap;
 const ROWS: usize = 600;
 const BEFORE: usize = 300;
 const SAMPLES: &str = "application/postcard;spandrel.samples.v1";
+const SAMPLES_IN_JSON: &str = "application/json;spandrel.samples.v1";
 
 /// Running services, sound sensors, and the published counts.
 struct Running {
@@ -157,6 +158,11 @@ async fn samples(table: &mut Table, running: &mut Running) {
     });
     let foreign =
         changed(&|block| (block.header.source, block.header.epoch) = ("floor-7".into(), 7));
+    let text = serde_json::to_string(&sound).unwrap();
+    let rewritten = |from: &str, to: &str| {
+        assert!(text.contains(from), "{text}");
+        text.replacen(from, to, 1).into_bytes()
+    };
     let key = running.keys.samples(&name("floor-1"));
     for (given, encoding, payload, counted) in [
         (
@@ -239,6 +245,36 @@ async fn samples(table: &mut Table, running: &mut Running) {
             SAMPLES,
             changed(&|block| block.header.sequence = 1 << 60),
             ("impossible-blocks", 1),
+        ),
+        (
+            "JSON of another version",
+            "application/json;spandrel.samples.v2",
+            text.clone().into_bytes(),
+            ("refused-encoding", 1),
+        ),
+        (
+            "JSON with a misspelt field",
+            SAMPLES_IN_JSON,
+            rewritten("channels", "chanels"),
+            ("refused-undecodable", 1),
+        ),
+        (
+            "JSON whose rows have different lengths",
+            SAMPLES_IN_JSON,
+            rewritten("[[", "[[1.0,"),
+            ("refused-undecodable", 1),
+        ),
+        (
+            "JSON with `NaN`, as Python writes it",
+            "application/json",
+            rewritten("[[", "[[NaN],["),
+            ("refused-undecodable", 1),
+        ),
+        (
+            "JSON with a sampling rate of 0",
+            "application/json",
+            rewritten("\"sampling_rate_hz\":100.0", "\"sampling_rate_hz\":0"),
+            ("refused-malformed", 1),
         ),
     ] {
         put_raw(&running.bus, &key, encoding, payload).await;

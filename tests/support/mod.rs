@@ -31,7 +31,7 @@ pub use record::Record;
 pub use secured::Secured;
 pub use sensors::{Node, Sensors, put_raw};
 pub use site::{Site, free_endpoint};
-pub use skip::{records_or_skip, skip};
+pub use skip::{records_or_skip, skip, zenoh_pico_or_skip};
 
 use std::future::Future;
 use std::time::Duration;

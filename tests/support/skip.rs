@@ -9,6 +9,9 @@ const REQUIRE_ALL: &str = "REQUIRE_ALL_TESTS";
 /// Environment variable that permits skipping the tests that read real records, which are not part
 /// of the repository.
 const WITHOUT_RECORDS: &str = "WITHOUT_RECORDS";
+/// Environment variable that names the folder of zenoh-pico, and one that permits skipping its test.
+const ZENOH_PICO: &str = "ZENOH_PICO";
+const WITHOUT_ZENOH_PICO: &str = "WITHOUT_ZENOH_PICO";
 
 /// Prints why a test is skipped. Panics if `REQUIRE_ALL_TESTS` is set.
 #[track_caller]
@@ -34,6 +37,24 @@ pub fn records_or_skip(name: &str) -> Option<PathBuf> {
     }
     let why = format!("{} does not exist", path.display());
     if std::env::var_os(WITHOUT_RECORDS).is_some() {
+        println!("skipped: {why}");
+    } else {
+        skip(&why);
+    }
+    None
+}
+
+/// Returns the folder of zenoh-pico, which is not part of the repository.
+///
+/// Skips the test if no folder is stated. Panics instead if `REQUIRE_ALL_TESTS` is set and
+/// `WITHOUT_ZENOH_PICO` is not.
+#[track_caller]
+pub fn zenoh_pico_or_skip() -> Option<PathBuf> {
+    if let Some(folder) = std::env::var_os(ZENOH_PICO) {
+        return Some(folder.into());
+    }
+    let why = format!("{ZENOH_PICO} does not name the folder of zenoh-pico");
+    if std::env::var_os(WITHOUT_ZENOH_PICO).is_some() {
         println!("skipped: {why}");
     } else {
         skip(&why);

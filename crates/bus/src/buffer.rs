@@ -120,7 +120,13 @@ impl Buffer {
 }
 
 fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {
-    match sample.encoding().to_string() == CaughtUp::encoding() {
+    // A reply without a type is a block.
+    let encoding = sample.encoding().to_string();
+    let encodings = CaughtUp::ACCEPTED.iter().copied();
+    match encodings
+        .map(CaughtUp::encoding_as)
+        .any(|of| of == encoding)
+    {
         true => read(sample).map(Answer::CaughtUp),
         false => read(sample).map(Answer::Block),
     }

@@ -24,6 +24,7 @@ mod parameter;
 mod probability;
 mod progress;
 mod samples;
+mod samples_text;
 mod state;
 mod status;
 mod text;
@@ -93,8 +94,10 @@ pub trait Message: Serialize + DeserializeOwned {
     /// Version in the encoding. Every change of the fields increments it, because postcard
     /// identifies fields by position.
     const VERSION: u16;
-    /// Format of the payload.
+    /// Format in which the message is encoded.
     const FORMAT: Format;
+    /// Formats that are decoded. Sensor nodes that are scripts send some binary messages as JSON.
+    const ACCEPTED: &'static [Format] = &[Self::FORMAT];
 
     /// Checks constraints that the types do not enforce, after decoding and before encoding.
     ///
@@ -105,7 +108,13 @@ pub trait Message: Serialize + DeserializeOwned {
     /// Returns the Zenoh encoding.
     #[must_use]
     fn encoding() -> String {
-        let format = match Self::FORMAT {
+        Self::encoding_as(Self::FORMAT)
+    }
+
+    /// Returns the Zenoh encoding of this message in a format.
+    #[must_use]
+    fn encoding_as(format: Format) -> String {
+        let format = match format {
             Format::Postcard => "postcard",
             Format::Json => "json",
         };
@@ -143,18 +152,19 @@ pub trait Message: Serialize + DeserializeOwned {
     /// Fails if the type or version differs, if the payload is too large or cannot be decoded, or
     /// if the message is malformed.
     fn decode(encoding: &str, payload: &[u8]) -> Result<Self, DecodeError> {
-        let expected = Self::encoding();
-        let plain_json = Self::FORMAT == Format::Json && encoding == "application/json";
-        if encoding != expected && !plain_json {
-            let found = encoding.chars().take(128).collect();
-            return Err(DecodeError::Encoding { expected, found });
-        }
+        let Some(format) = accepted_format::<Self>(encoding) else {
+            let accepted = Self::ACCEPTED.iter().copied().map(Self::encoding_as);
+            return Err(DecodeError::Encoding {
+                expected: accepted.collect::<Vec<_>>().join(" or "),
+                found: encoding.chars().take(128).collect(),
+            });
+        };
         if payload.len() > MAX_MESSAGE_BYTES {
             return Err(DecodeError::TooLarge {
                 bytes: payload.len(),
             });
         }
-        let message: Self = match Self::FORMAT {
+        let message: Self = match format {
             Format::Postcard => {
                 let (message, rest) = postcard::take_from_bytes(payload)?;
                 if !rest.is_empty() {
@@ -167,6 +177,15 @@ pub trait Message: Serialize + DeserializeOwned {
         message.check()?;
         Ok(message)
     }
+}
+
+/// Returns the format that an encoding names, or `None` if a type does not accept the encoding.
+fn accepted_format<M: Message>(encoding: &str) -> Option<Format> {
+    let names = |format: &Format| {
+        let is_plain_json = *format == Format::Json && encoding == "application/json";
+        is_plain_json || encoding == M::encoding_as(*format)
+    };
+    M::ACCEPTED.iter().copied().find(names)
 }
 
 /// A message with inconsistent parts, or with values beyond the needs of any structure.
@@ -278,7 +297,7 @@ pub enum DecodeError {
     /// The message has another type or version.
     #[error("encoding is {found:?}, expected {expected:?}")]
     Encoding {
-        /// Supported encoding.
+        /// Supported encodings.
         expected: String,
         /// Encoding of the message, cut to 128 characters.
         found: String,
@@ -315,6 +334,14 @@ impl DecodeError {
             Self::TooLarge { .. } => "too-large",
             Self::Postcard(_) | Self::Json(_) | Self::Trailing { .. } => "undecodable",
             Self::Malformed(_) => "malformed",
+        }
+    }
+
+    /// Returns the text of this error with its cause, for a log.
+    pub(crate) fn with_cause(&self) -> String {
+        match std::error::Error::source(self) {
+            Some(cause) => format!("{self}: {cause}"),
+            None => self.to_string(),
         }
     }
 }

@@ -544,7 +544,8 @@ impl<B: Block> Reader<B> {
         let count = counts.refused.entry(error.reason()).or_default();
         *count += 1;
         if count.is_power_of_two() {
-            warn!(key = self.key, %error, reason = error.reason(), count = *count, "message rejected");
+            let (why, reason) = (error.with_cause(), error.reason());
+            warn!(key = self.key, error = %why, reason, count = *count, "message rejected");
         }
     }
 

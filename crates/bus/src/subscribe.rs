@@ -99,7 +99,8 @@ impl Bus {
                     Err(error) => {
                         let times = count(&refusals, error.reason());
                         if times.is_power_of_two() {
-                            warn!(key = %sample.key_expr(), %error, times, "message rejected");
+                            let (key, error) = (sample.key_expr(), error.with_cause());
+                            warn!(%key, error, times, "message rejected");
                         }
                     }
                 }
@@ -170,7 +171,9 @@ impl Bus {
                     key_expression,
                     "more than {MOST_ANSWERS} replies; the rest are ignored"
                 ),
-                Err(error) => warn!(key_expression, %error, "reply rejected"),
+                Err(error) => {
+                    warn!(key_expression, error = error.with_cause(), "reply rejected");
+                }
             }
         }
         Ok(found)

@@ -14,8 +14,8 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Block, Bus, BusConfig, BusError, Delivery, Event, EventKind, Forget, FrameBlock, Gap, Header,
-    Keep, Keys, Message, Mode, NumberedPublisher, NumberedStream, Service, Start, Stream,
-    StreamSettings, StreamState,
+    Keep, Keys, Message, Mode, Name, NumberedPublisher, NumberedStream, SampleBlock, Service,
+    Start, Stream, StreamSettings, StreamState,
 };
 use tokio::time::timeout;
 use zenoh::Wait;
@@ -336,6 +336,68 @@ async fn wrong_versions_and_damaged_messages_are_counted_and_dropped() {
     let refused = stream.counts().refused;
     assert_eq!(refused.get("encoding"), Some(&1));
     assert_eq!(refused.get("undecodable"), Some(&2));
+}
+
+/// Returns one block of a script, with one channel and the samples `sequence`, `sequence + 1`, …
+fn text_of_samples(sequence: u64, count: u64) -> String {
+    let samples: Vec<u64> = (sequence..sequence + count).collect();
+    format!(
+        r#"{{"source":"roof","epoch":1,"sequence":{sequence},"time_ns":{},"sampling_rate_hz":100,"samples":{samples:?}}}"#,
+        sequence * 10_000_000
+    )
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_script_that_publishes_and_replies_in_json_loses_nothing() {
+    let (first, second) = pair().await;
+    let roof = Name::new("roof").unwrap();
+    let answer = move |query: Query| {
+        let parameters = query.parameters().as_str().to_owned();
+        let after = parameters.split(['=', ';']).nth(1).unwrap();
+        let (text, kind) = match after.parse::<u64>().unwrap() {
+            5..10 => (text_of_samples(5, 5), "samples"),
+            _ => (
+                r#"{"source":"roof","epoch":1,"sequence":15}"#.to_owned(),
+                "caught-up",
+            ),
+        };
+        let key = query.key_expr().clone();
+        let reply = query.reply(key, text);
+        reply
+            .encoding(format!("application/json;spandrel.{kind}.v1"))
+            .wait()
+            .unwrap();
+    };
+    let buffer = first.session().declare_queryable(keys().buffer(&roof));
+    let _buffer = buffer.callback(answer).await.unwrap();
+    let settings = StreamSettings::new(Start::Beginning);
+    let (key, buffer_key) = (keys().samples(&roof), keys().buffer(&roof));
+    let stream = second
+        .follow::<SampleBlock>(key.clone(), buffer_key, settings)
+        .await
+        .unwrap();
+    let publisher = first.session().declare_publisher(key);
+    let publisher = publisher.encoding("application/json").await.unwrap();
+    let readers = publisher.matching_listener().await.unwrap();
+    let matching = timeout(DEADLINE, readers.recv_async()).await;
+    assert!(matching.expect("no reader").unwrap().matching());
+    publisher.put(text_of_samples(0, 5)).await.unwrap();
+    publisher
+        .put("{\"source\":\"roof\",\"samples\":[1]}")
+        .await
+        .unwrap();
+    publisher.put(text_of_samples(10, 5)).await.unwrap();
+    let mut found = Vec::new();
+    while found.len() < 15 {
+        let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+        match delivery.expect("the stream hangs").unwrap() {
+            Delivery::Block(block) => found.extend(block.samples),
+            Delivery::Gap(gap) => panic!("{gap:?}"),
+        }
+    }
+    assert_eq!(found, (0..15).map(f64::from).collect::<Vec<_>>());
+    let refused = stream.counts().refused;
+    assert_eq!(refused.get("undecodable"), Some(&1), "{refused:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -13,7 +13,7 @@
 use proptest::prelude::*;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
-    EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, FrameBlock, Header,
+    EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, Header,
     HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
     MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
     OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage,
@@ -33,15 +33,33 @@ const BYTES_PER_BYTE: u64 = 40;
 type Decode = fn(&[u8]);
 
 fn decode<M: Message>(bytes: &[u8]) {
-    if let Ok(message) = M::decode(&M::encoding(), bytes) {
-        message.check().unwrap();
-        message.encode().unwrap();
-    }
+    decode_from::<M>(M::FORMAT, bytes);
+}
+
+fn decode_from<M: Message>(format: Format, bytes: &[u8]) -> Option<M> {
+    let message = M::decode(&M::encoding_as(format), bytes).ok()?;
+    message.check().unwrap();
+    message.encode().unwrap();
+    Some(message)
+}
+
+/// Decodes the JSON form of a binary message.
+fn decode_text<M: Message>(bytes: &[u8]) {
+    decode_from::<M>(Format::Json, bytes);
 }
 
 /// Decodes a block and processes it as a reader does.
 fn decode_block<B: Block>(bytes: &[u8]) {
-    if let Ok(block) = B::decode(&B::encoding(), bytes) {
+    process(decode_from::<B>(B::FORMAT, bytes));
+}
+
+/// Decodes the JSON form of a block and processes it as a reader does.
+fn decode_text_block<B: Block>(bytes: &[u8]) {
+    process(decode_from::<B>(Format::Json, bytes));
+}
+
+fn process<B: Block>(block: Option<B>) {
+    if let Some(block) = block {
         let (mut front, mut back) = (block.clone(), block.clone());
         front.truncate(block.count() / 2);
         back.skip(block.count() / 2);
@@ -248,6 +266,16 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"interval\":{\"level\":0.95,\"low\":0.01,\"high\":0.07},\"probability_of_loss\":0.4,\"rule_loss\":0.05,\
              \"rule_credibility\":0.95,\"reference\":1.0,\"reference_std\":0.01}",
         ),
+        (
+            "samples-json",
+            serde_json::to_vec(&samples).unwrap(),
+            decode_text_block::<SampleBlock>,
+        ),
+        (
+            "caught-up-json",
+            br#"{"source":"roof","epoch":3,"sequence":44,"state":"ended"}"#.to_vec(),
+            decode_text::<CaughtUp>,
+        ),
     ]
 }
 
@@ -357,7 +385,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 22);
+    assert_eq!(messages.len(), 24);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -388,7 +416,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_sound_message(
-        which in 0usize..22,
+        which in 0usize..24,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -397,7 +425,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..20, to in 0usize..20) {
+    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..24, to in 0usize..24) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);
@@ -425,6 +453,16 @@ fn the_largest_message_needs_no_more_memory_than_its_content() {
             large.resize(MAX_MESSAGE_BYTES, fill);
             check(name, &large, decode);
         }
+    }
+    // The shortest samples in JSON. Each takes two bytes here and eight in memory.
+    for (begin, each) in [("[0", ",0"), ("[[0]", ",[0]"), ("[[null]", ",[null]")] {
+        let start = format!(
+            "{{\"source\":\"roof\",\"epoch\":3,\"sequence\":0,\"time_ns\":0,\"sampling_rate_hz\":100,\
+             \"channels\":1,\"samples\":{begin}"
+        );
+        let count = (MAX_MESSAGE_BYTES - start.len() - 2) / each.len();
+        let text = [start.as_str(), &each.repeat(count), "]}"].concat();
+        check("samples-json", text.as_bytes(), decode_text::<SampleBlock>);
     }
     // A single list of absent responses. Each takes one byte here and tens of bytes in memory.
     let feedback = FeedbackMessage {

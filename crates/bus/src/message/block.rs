@@ -5,9 +5,11 @@ use serde::{Deserialize, Serialize};
 use super::{Header, Message};
 
 /// Whether more items follow in this epoch.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StreamState {
     /// More items may follow.
+    #[default]
     Running,
     /// The last item of this block is the last item of the epoch.
     Ended,

@@ -1,8 +1,9 @@
 //! Samples of one node.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::block::continues;
+use super::samples_text::{WrittenSamples, read_samples};
 use super::{
     Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, Malformed, Message, StreamState, check_count,
 };
@@ -28,8 +29,12 @@ pub enum Pace {
 ///
 /// The time of sample j is `header.time_ns + round(j·10⁹/rate)`. A gap in time starts a new block.
 /// Values are in the units of the channels; NaN is missing. Infinite values are allowed here:
-/// ingest counts them as faults of the channel.
+/// ingest counts them as faults of the channel. JSON cannot represent infinite values.
+///
+/// The derived functions of serde write the postcard format. The implementations of its traits
+/// choose between postcard and JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(remote = "Self")]
 pub struct SampleBlock {
     /// Source: name of the node; sequence: number of the first sample in this block.
     pub header: Header,
@@ -54,8 +59,26 @@ impl SampleBlock {
     }
 
     /// Iterates over the samples in order. Each has one value per channel.
-    pub fn iter(&self) -> impl Iterator<Item = &[f64]> {
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &[f64]> {
         self.samples.chunks_exact(usize::from(self.channels).max(1))
+    }
+}
+
+impl Serialize for SampleBlock {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match serializer.is_human_readable() {
+            true => WrittenSamples::of(self).serialize(serializer),
+            false => Self::serialize(self, serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for SampleBlock {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match deserializer.is_human_readable() {
+            true => read_samples(deserializer),
+            false => Self::deserialize(deserializer),
+        }
     }
 }
 
@@ -63,6 +86,7 @@ impl Message for SampleBlock {
     const TYPE: &'static str = "samples";
     const VERSION: u16 = 1;
     const FORMAT: Format = Format::Postcard;
+    const ACCEPTED: &'static [Format] = &[Format::Postcard, Format::Json];
 
     fn check(&self) -> Result<(), Malformed> {
         let channels = usize::from(self.channels);

@@ -298,6 +298,9 @@ proptest! {
             Ok(())
         }
         total::<SampleBlock>(&bytes)?;
+        if let Ok(block) = SampleBlock::decode("application/json", &bytes) {
+            prop_assert!(block.check().is_ok());
+        }
         total::<FrameBlock>(&bytes)?;
         total::<EstimateBlock>(&bytes)?;
         total::<Progress>(&bytes)?;

@@ -1,0 +1,87 @@
+"""Sensors, dashboards and scripts for Spandrel, a structural health monitoring daemon.
+
+- `Sensor`: publishes the samples of a node, and keeps them for services that missed some
+- `subscribe`: receives parameters, losses, alerts, noise levels, fits, events and statuses
+- `history`: queries past values
+- `latest_alerts`, `acknowledge`: query and acknowledge alerts
+- `open_session`: opens a session that several of these can share
+
+The package uses Zenoh's own Python package. docs/topics.md of Spandrel describes all messages.
+"""
+
+from .alerts import acknowledge, latest_alerts
+from .bus import DEFAULT_ENDPOINT, DEFAULT_ROOT, open_session
+from .errors import (
+    Closed,
+    InvalidMessage,
+    InvalidName,
+    InvalidSamples,
+    NoReply,
+    NotConnected,
+    QueryRejected,
+    SpandrelError,
+    UnsupportedVersion,
+)
+from .past import History, Point, history
+from .messages import (
+    MESSAGES,
+    Alert,
+    ChannelFit,
+    ClassCalibration,
+    ClassPlausibility,
+    Event,
+    Fit,
+    Interval,
+    Loss,
+    MaskedSpan,
+    Message,
+    ModelClass,
+    Node,
+    Noise,
+    Outlier,
+    Parameter,
+    Status,
+)
+from .sensor import SAMPLES_KEPT, Sensor
+from .subscription import Subscription, subscribe
+
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "DEFAULT_ROOT",
+    "MESSAGES",
+    "SAMPLES_KEPT",
+    "Alert",
+    "ChannelFit",
+    "ClassCalibration",
+    "ClassPlausibility",
+    "Closed",
+    "Event",
+    "Fit",
+    "History",
+    "Interval",
+    "InvalidMessage",
+    "InvalidName",
+    "InvalidSamples",
+    "Loss",
+    "MaskedSpan",
+    "Message",
+    "ModelClass",
+    "NoReply",
+    "Node",
+    "Noise",
+    "NotConnected",
+    "Outlier",
+    "Parameter",
+    "Point",
+    "QueryRejected",
+    "Sensor",
+    "SpandrelError",
+    "Status",
+    "Subscription",
+    "UnsupportedVersion",
+    "acknowledge",
+    "history",
+    "latest_alerts",
+    "open_session",
+    "subscribe",
+]
