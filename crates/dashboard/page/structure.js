@@ -170,7 +170,7 @@ export class StructurePage {
     setText(this.parts.sentence, overview.sentence);
     showNow(this.parts.now, overview.now, overview.age_s);
     showStale(this.parts.stale, overview);
-    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · ${overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`} · sensors alive ${sensors.alive} of ${sensors.total} · fit: ${fitWord(overview.fit)}`);
+    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · ${overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`} · sensors alive ${sensors.alive} of ${sensors.total} · monitoring: ${overview.monitoring ?? "unknown"} · fit: ${fitWord(overview.fit)}`);
     keyed(
       this.parts.actions,
       raised,

@@ -9,7 +9,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use spandrel_bus::{AlertState, FitReason, FitVerdict, UndecidedBecause};
+use spandrel_bus::{AlertState, FitReason, FitVerdict, MonitoringState, UndecidedBecause};
 use std::fmt;
 use std::sync::atomic::AtomicU64;
 
@@ -30,6 +30,8 @@ struct Metrics {
     noise: Gauges,
     noise_std: Gauges,
     alert: Gauges,
+    monitoring: Gauges,
+    channel_used_share: Gauges,
     fit: Gauges,
     fit_reason: Gauges,
     undecided: Gauges,
@@ -101,6 +103,16 @@ impl Metrics {
             "alert_state",
             "1 for the state of the alert, 0 for the other states",
             &self.alert,
+        );
+        gauge(
+            "alert_monitoring_state",
+            "1 for the state of the monitoring, 0 for the others",
+            &self.monitoring,
+        );
+        gauge(
+            "alert_channel_used_share",
+            "Share of the samples of the last 5 s that the filter has used",
+            &self.channel_used_share,
         );
         gauge(
             "identify_fit_verdict",
@@ -223,6 +235,25 @@ impl Metrics {
                     .get_or_create(&labels)
                     .set(f64::from(u8::from(holds)));
             }
+        }
+        // Without a report, nothing proves that damage would be noticed.
+        let monitoring = store.state.monitoring();
+        let state = monitoring.map_or(MonitoringState::Blind, |display| display.state);
+        for other in MonitoringState::ALL {
+            set(
+                &self.monitoring,
+                "state",
+                other.as_str(),
+                f64::from(u8::from(other == state)),
+            );
+        }
+        for channel in monitoring.iter().flat_map(|display| &display.channels) {
+            set(
+                &self.channel_used_share,
+                "channel",
+                channel.channel.as_str(),
+                channel.used_share,
+            );
         }
         if let Some(display) = &store.state.fit {
             for verdict in FitVerdict::ALL {

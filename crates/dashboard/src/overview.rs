@@ -3,7 +3,10 @@
 use crate::sensors::{SensorHealth, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
-use spandrel_bus::{AlertMessage, AlertState, FitVerdict, Service, Standing, UndecidedBecause};
+use spandrel_bus::{
+    AlertMessage, AlertState, FitVerdict, MonitoringDisplay, MonitoringState, Service, Standing,
+    UndecidedBecause,
+};
 use std::time::Duration;
 
 /// Time after which a structure without any data counts as stale. Before, it may still be starting.
@@ -53,6 +56,8 @@ pub(crate) struct Overview {
     pub(crate) sensors: SensorCount,
     /// Verdict on the fit. `None` if no service judges it.
     pub(crate) fit: Option<FitVerdict>,
+    /// Whether the present data reveal damage. `None` if the alert service does not report it.
+    pub(crate) monitoring: Option<MonitoringState>,
     pub(crate) last_alert: Option<LastAlert>,
     /// Number of raised alerts that are not acknowledged.
     pub(crate) raised: usize,
@@ -145,6 +150,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         time_s: store.state.time_ns.map(|time_ns| time_ns as f64 / 1e9),
         sensors,
         fit: store.state.fit.as_ref().map(|fit| fit.verdict),
+        monitoring: store.state.monitoring().map(|display| display.state),
         last_alert,
         raised,
     }
@@ -246,10 +252,26 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if store.state.alerts.is_empty() {
         return (Level::Learning, "no alert decision yet".to_owned());
     }
-    (
-        Level::Normal,
-        "no loss found that satisfies a rule".to_owned(),
-    )
+    // Only a proof that damage would be noticed makes a structure normal.
+    match store.state.monitoring() {
+        Some(display) if display.state == MonitoringState::Watching => (
+            Level::Normal,
+            "no loss found that satisfies a rule".to_owned(),
+        ),
+        Some(display) => (Level::Warning, display.words()),
+        None => (
+            Level::Undecided,
+            "the alert service does not report whether the data reveal damage".to_owned(),
+        ),
+    }
+}
+
+/// Returns the report on the monitoring if a sensor is the cause.
+fn sensor_trouble(store: &Store) -> Option<&MonitoringDisplay> {
+    let display = store.state.monitoring()?;
+    let mut channels = display.channels.iter();
+    let is_used = channels.all(|channel| channel.state == MonitoringState::Watching);
+    (display.state != MonitoringState::Watching && !is_used).then_some(display)
 }
 
 /// Returns further matters that need attention besides raised alerts, the most urgent first. Each
@@ -266,6 +288,11 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
             sensors.troubled.join(", ")
         )
     });
+    // The report on the monitoring also covers channels of which only some samples are used.
+    let troubled = sensor_trouble(store)
+        .filter(|_| !store.is_stale())
+        .map(MonitoringDisplay::words)
+        .or(troubled);
     let missing =
         missing_service(store).map(|missing| format!("the service {} is gone", missing.as_str()));
     let all = [

@@ -36,6 +36,7 @@ const NEEDS: Needs = Needs {
         T::Classes,
         T::Nodes,
         T::Fit,
+        T::Monitoring,
         T::Estimates,
         T::Acknowledgements,
         T::Alerts,

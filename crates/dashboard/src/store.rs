@@ -248,6 +248,9 @@ impl Store {
                 | EventKind::NodeExcluded
                 | EventKind::NodeSilent
                 | EventKind::NodeBack
+                | EventKind::SamplesDropped
+                | EventKind::SamplesBack
+                | EventKind::Monitoring
                 | EventKind::Gap
                 | EventKind::Overloaded
                 | EventKind::CaughtUp => false,

@@ -3,8 +3,9 @@
 use crate::about::About;
 use crate::store::Store;
 use spandrel_bus::{
-    AlertMessage, AlertState, CredibleInterval, FitDisplay, FitReason, FitVerdict, LossDisplay,
-    Name, ParameterDisplay, Service, UndecidedBecause,
+    AlertMessage, AlertState, ChannelMonitoring, CredibleInterval, FitDisplay, FitReason,
+    FitVerdict, LossDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay, Service,
+    UndecidedBecause,
 };
 use spandrel_listener::{Input, Instance};
 use spandrel_structure::Structure;
@@ -66,6 +67,29 @@ pub(crate) fn fit(verdict: FitVerdict, reasons: &[FitReason]) -> Input {
         reasons,
         follows_jump: false,
         channels: vec![],
+    })
+}
+
+/// Returns a report that the structure is in this state of monitoring, with a reason if it is not
+/// watched.
+pub(crate) fn monitoring(state: MonitoringState) -> Input {
+    let reasons = match state {
+        MonitoringState::Watching => vec![],
+        _ => vec!["33 % of the samples of floor-2 are used".to_owned()],
+    };
+    Input::Monitoring(MonitoringDisplay {
+        structure: name("demo"),
+        time_ns: 5,
+        measured_ns: Some(5),
+        state,
+        since_ns: 5,
+        reasons,
+        parameters: vec![],
+        channels: vec![ChannelMonitoring {
+            channel: name("floor-2"),
+            state,
+            used_share: 0.33,
+        }],
     })
 }
 

@@ -2,8 +2,8 @@
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, EstimateBlock, Event, FitDisplay, HistoryLog, KeyFamily as K,
-    LossDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, Service, Status, Topic, parse_key,
+    LossDisplay, ModelClassDisplay, MonitoringDisplay, Name, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay, Progress, Service, Status, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -27,6 +27,8 @@ pub enum Input {
     Node(NodeDisplay),
     /// The verdict on the fit.
     Fit(FitDisplay),
+    /// Whether the present data reveal damage.
+    Monitoring(MonitoringDisplay),
     /// Estimates of a structure at the sampling rate.
     Estimates(Name, EstimateBlock),
     /// The alert of a parameter has changed.
@@ -109,6 +111,7 @@ impl Input {
             Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
             Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),
             Self::Fit(m) => (&m.structure, Topic::single(K::Fit)),
+            Self::Monitoring(m) => (&m.structure, Topic::single(K::Monitoring)),
             Self::Estimates(structure, _) => (structure, Topic::single(K::Estimates)),
             Self::Alert(m) | Self::StandingAlert(m) => {
                 (&m.structure, Topic::new(K::Alert, &m.parameter))

@@ -45,6 +45,8 @@ pub enum DisplayTopic {
     Nodes,
     /// [`Input::Fit`]
     Fit,
+    /// [`Input::Monitoring`]
+    Monitoring,
     /// [`Input::Estimates`]
     Estimates,
     /// [`Input::Acknowledgement`]
@@ -252,6 +254,7 @@ impl Place {
             T::Classes => self.queue(K::ModelClass, |_, m| Input::Classes(m)).await,
             T::Nodes => self.queue(K::Node, |_, m| Input::Node(m)).await,
             T::Fit => self.queue(K::Fit, |_, m| Input::Fit(m)).await,
+            T::Monitoring => self.queue(K::Monitoring, |_, m| Input::Monitoring(m)).await,
             T::Estimates => self.queue(K::Estimates, Input::Estimates).await,
             T::Acknowledgements => {
                 self.queue(K::Acknowledge, |_, m| Input::Acknowledgement(m))

@@ -2,9 +2,9 @@
 
 use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay, Name,
-    NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Service, Status,
-    is_without_date, reported_pace,
+    AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay,
+    MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
+    Service, Status, is_without_date, reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -45,6 +45,8 @@ pub struct StructureState {
     pub left_out: u64,
     /// Alerts whose service has disappeared, and which no other service has confirmed yet.
     stale_alerts: BTreeSet<Name>,
+    /// Last report on the monitoring, and its arrival time.
+    monitoring: Option<(MonitoringDisplay, Duration)>,
     /// Arrival time of each loss.
     losses_at: BTreeMap<Name, Duration>,
     arrivals: Arrivals,
@@ -119,6 +121,7 @@ impl StructureState {
                 keep(&mut self.nodes, display.node.clone(), display, left_out);
             }
             Input::Fit(display) => self.fit = Some(display),
+            Input::Monitoring(display) => self.monitoring = Some((display, self.now)),
             Input::Alert(alert) => self.take_alert(alert, changes),
             Input::StandingAlert(alert) => {
                 // A change received by subscription is at least as new, unless it comes from an
@@ -190,6 +193,7 @@ impl StructureState {
             self.stale_alerts = self.alerts.keys().cloned().collect();
             self.losses.clear();
             self.losses_at.clear();
+            self.monitoring = None;
         }
         if had_ingest && !self.has(Service::Ingest) {
             self.arrivals.ingest_left();
@@ -255,6 +259,16 @@ impl StructureState {
     #[must_use]
     pub fn stale_for(&self) -> Option<Duration> {
         self.silence().filter(|silence| *silence > STALE_AFTER)
+    }
+
+    /// Returns the last report on whether the present data reveal damage.
+    ///
+    /// Returns `None` if the alert service, which publishes a report each second, has not published
+    /// one for [`STALE_AFTER`].
+    #[must_use]
+    pub fn monitoring(&self) -> Option<&MonitoringDisplay> {
+        let (display, at) = self.monitoring.as_ref()?;
+        (self.now.saturating_sub(*at) <= STALE_AFTER).then_some(display)
     }
 
     /// Returns the time since the last status of an instance, if it exceeds [`STALE_AFTER`].

@@ -1,1 +1,176 @@
+use spandrel_bus::{Estimate, EstimateFlags, Header};
+use std::path::Path;
 
+use super::*;
+
+/// Two storeys, of which only the first has a rule; one accelerometer on each floor.
+const TOWER: &str = include_str!("../../tests/tower.toml");
+
+const RATE_HZ: f64 = 100.0;
+
+fn tower() -> Structure {
+    Structure::parse(TOWER, Path::new("tower.toml")).unwrap()
+}
+
+/// The monitoring of the tower with its decisions, at 100 frames per second.
+struct Bench {
+    monitoring: Monitoring,
+    watch: Watch,
+    next: u64,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self {
+            monitoring: Monitoring::new(&tower()).unwrap(),
+            watch: Watch::new(&tower(), None).unwrap(),
+            next: 0,
+        }
+    }
+
+    /// Processes seconds of estimates of a sound tower. The filter uses the samples for which
+    /// `is_used` returns `true`, and sustains this standard deviation.
+    fn run(&mut self, seconds: u64, sustained_std: f32, is_used: impl Fn(u64) -> bool) {
+        let parameters = self.watch.parameter_count();
+        let channels = self.monitoring.channels.len();
+        let estimates = (0..seconds * RATE_HZ as u64).map(|frame| {
+            let innovation = if is_used(frame) { 0.1 } else { f64::NAN };
+            let mut covariance = Vec::new();
+            for column in 0..parameters {
+                covariance.extend(vec![0.0; column]);
+                covariance.push(1e-6);
+            }
+            Estimate {
+                mean: vec![1.0; parameters],
+                covariance,
+                noise_mean: Vec::new(),
+                noise_covariance: Vec::new(),
+                innovations: vec![innovation; channels],
+                normalised_innovation_squared: 1.0,
+                log_evidence: 0.0,
+                used_channels: 0,
+                flags: EstimateFlags {
+                    prediction_only: innovation.is_nan(),
+                    ..EstimateFlags::working()
+                },
+                sustained_information: vec![sustained_std.powi(-2); parameters],
+            }
+        });
+        let block = EstimateBlock {
+            header: Header {
+                source: "identify".into(),
+                epoch: 1,
+                sequence: self.next,
+                time_ns: 0,
+            },
+            term: 0,
+            t0_ns: 0,
+            sampling_rate_hz: RATE_HZ,
+            parameters: parameters as u16,
+            noise_parameters: 0,
+            channels: channels as u16,
+            estimates: estimates.collect(),
+            state: StreamState::Running,
+        };
+        self.next = block.end();
+        self.watch.handle_block(&block, &mut Vec::new()).unwrap();
+        self.monitoring.take(&block);
+    }
+
+    /// Judges twice, a second apart. The first judgement only finds a candidate.
+    fn judge(&mut self, silence: Duration) -> MonitoringDisplay {
+        self.monitoring.judge(&self.watch, silence, 0);
+        self.monitoring.judge(&self.watch, silence, 1_000_000_000).0
+    }
+}
+
+#[test]
+fn structure_whose_sensors_deliver_and_whose_filter_learns_is_watched() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.state, State::Watching, "{display:?}");
+    assert_eq!(display.reasons, Vec::<String>::new());
+    assert!(
+        display
+            .parameters
+            .iter()
+            .all(|one| one.state == State::Watching)
+    );
+}
+
+#[test]
+fn structure_without_estimates_is_blind() {
+    let display = Bench::new().judge(Duration::ZERO);
+    assert_eq!(display.words(), "blind: no estimates have arrived");
+}
+
+#[test]
+fn estimates_that_cease_to_arrive_make_the_structure_blind() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    assert_eq!(bench.judge(Duration::from_secs(2)).state, State::Watching);
+    let display = bench.judge(Duration::from_secs(4));
+    assert_eq!(display.words(), "blind: no estimates have arrived for 4 s");
+}
+
+#[test]
+fn sensors_of_which_a_third_of_the_samples_is_used_degrade_the_structure_with_the_share() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |frame| frame % 3 == 0);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.state, State::Degraded, "{display:?}");
+    assert!(display.words().contains("33 %"), "{}", display.words());
+}
+
+#[test]
+fn sensors_without_usable_samples_make_the_structure_blind() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    bench.run(10, 0.001, |_| false);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.state, State::Blind, "{display:?}");
+    assert_eq!(
+        display.reasons,
+        ["no sensor of the response delivers usable samples"]
+    );
+}
+
+#[test]
+fn filter_that_learns_nothing_makes_its_parameters_blind_although_the_estimate_is_narrow() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    bench.run(10, 1e6, |_| true);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.state, State::Blind, "{display:?}");
+    let of_rule = display
+        .parameters
+        .iter()
+        .find(|one| one.parameter.as_str() == "storey-1");
+    let why = of_rule.unwrap().why.clone().unwrap();
+    assert!(why.contains("rests on earlier data"), "{why}");
+}
+
+#[test]
+fn state_changes_at_the_second_judgement_and_reports_the_change_once() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    bench.judge(Duration::ZERO);
+    let late = Duration::from_secs(10);
+    let changes: Vec<_> = (2..6)
+        .map(|second| {
+            bench
+                .monitoring
+                .judge(&bench.watch, late, second * 1_000_000_000)
+                .1
+        })
+        .collect();
+    let is_change: Vec<bool> = changes.iter().map(Option::is_some).collect();
+    assert_eq!(is_change, [false, true, false, false]);
+    let change = changes[1].as_ref().unwrap();
+    assert_eq!(
+        (change.before, change.display.state),
+        (State::Watching, State::Blind)
+    );
+    assert_eq!(change.display.since_ns, 3_000_000_000);
+}

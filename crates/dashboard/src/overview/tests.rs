@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{alert, at, demo, fit, hear, name, present, undecided};
+use crate::testing::{alert, at, demo, fit, hear, monitoring, name, present, undecided};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status,
     StreamState,
@@ -58,10 +58,36 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
 }
 
 #[test]
+fn only_a_report_that_damage_would_be_noticed_makes_a_structure_normal() {
+    let mut store = demo();
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
+    store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
+    assert_eq!(overview(&store).level, Level::Undecided);
+    store.handle(monitoring(MonitoringState::Watching));
+    assert_eq!(overview(&store).level, Level::Normal);
+    for state in [MonitoringState::Degraded, MonitoringState::Blind] {
+        store.handle(monitoring(state));
+        let found = overview(&store);
+        assert_eq!(found.level, Level::Warning);
+        let sentence = format!(
+            "{}: 33 % of the samples of floor-2 are used",
+            state.as_str()
+        );
+        assert_eq!(found.sentence, sentence);
+    }
+    // The alert service reports once per second.
+    store.handle(monitoring(MonitoringState::Watching));
+    store.handle(at(10.0));
+    hear(&mut store, "storey-1", 2, 1.0, 0.001);
+    assert_eq!(overview(&store).level, Level::Undecided);
+}
+
+#[test]
 fn a_sensor_that_is_told_to_be_faulty_makes_a_warning_until_it_is_back() {
     let mut store = demo();
     hear(&mut store, "storey-1", 1, 1.0, 0.001);
     store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
+    store.handle(monitoring(MonitoringState::Watching));
     let normal = overview(&store);
     assert_eq!((normal.level, normal.sensors.total), (Level::Normal, 6));
     let event = |kind| Event {

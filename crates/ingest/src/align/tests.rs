@@ -427,6 +427,89 @@ fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come
     );
 }
 
+/// Returns seconds of live blocks of both nodes from `time_ns` on, in epoch `epoch` of the nodes.
+fn live(epoch: u64, time_ns: i64, seconds: i64) -> Vec<(usize, SampleBlock)> {
+    let second = |node: usize, second: i64| {
+        let mut block = block(node, time_ns + second * 100 * STEP, &[1.0; 100]);
+        block.header.epoch = epoch;
+        (node, block)
+    };
+    (0..seconds)
+        .flat_map(|number| [second(0, number), second(1, number)])
+        .collect()
+}
+
+// Its deadline closed the frames of the live samples before all nodes had delivered them.
+#[test]
+fn live_samples_after_a_simulation_of_the_future_are_all_used() {
+    let mut alignment = alignment(&[1, 1]);
+    let mut simulated = live(1, T0 + 60 * 100 * STEP, 2);
+    for (_, block) in &mut simulated {
+        block.state = StreamState::Ended;
+    }
+    feed(&mut alignment, simulated);
+    let time_ns = T0 + 120 * 100 * STEP;
+    alignment.handle(AlignmentInput::Deadline { time_ns }, &mut Vec::new());
+    let out = feed(&mut alignment, live(2, T0, 5));
+    let frames: u64 = out.iter().map(Block::count).sum();
+    assert_eq!(frames, 500);
+    assert_eq!(
+        alignment.counts().nodes.late + alignment.counts().nodes.duplicate,
+        0
+    );
+}
+
+#[test]
+fn live_nodes_that_go_back_together_begin_a_new_run_within_a_second() {
+    let mut alignment = alignment(&[1, 1]);
+    feed(&mut alignment, live(1, T0 + 60 * 100 * STEP, 2));
+    let out = feed(&mut alignment, live(2, T0, 5));
+    let epochs: Vec<u64> = out.iter().map(|block| block.header.epoch).collect();
+    assert!(epochs.contains(&2), "{epochs:?}");
+    let frames: u64 = out
+        .iter()
+        .filter(|block| block.header.epoch == 2)
+        .map(Block::count)
+        .sum();
+    assert!(frames >= 400, "{frames} of 500 frames");
+}
+
+#[test]
+fn live_node_that_goes_back_while_the_other_is_silent_begins_a_new_run() {
+    let mut alignment = alignment(&[1, 1]);
+    feed(&mut alignment, live(1, T0 + 60 * 100 * STEP, 2));
+    let mut out = Vec::new();
+    let of_first = live(2, T0, 5).into_iter().filter(|(node, _)| *node == 0);
+    out.extend(feed(&mut alignment, of_first.collect()));
+    let time_ns = T0 + 10 * 100 * STEP;
+    alignment.handle(AlignmentInput::Deadline { time_ns }, &mut out);
+    assert!(out.iter().any(|block| block.header.epoch == 2));
+    assert_eq!(alignment.counts().nodes.late, 0);
+}
+
+#[test]
+fn live_node_that_goes_back_alone_begins_no_run_and_its_samples_are_late() {
+    let mut alignment = alignment(&[1, 1]);
+    let (mut ahead, back) = (live(1, T0 + 60 * 100 * STEP, 10), live(2, T0, 10));
+    let of_node = |blocks: &[(usize, SampleBlock)], node: usize| -> Vec<(usize, SampleBlock)> {
+        blocks
+            .iter()
+            .filter(|(of, _)| *of == node)
+            .cloned()
+            .collect()
+    };
+    let both = ahead.drain(..2).collect();
+    feed(&mut alignment, both);
+    let mixed = of_node(&ahead, 0).into_iter().zip(of_node(&back, 1));
+    let out = feed(&mut alignment, mixed.flat_map(|(a, b)| [a, b]).collect());
+    assert!(out.iter().all(|block| block.header.epoch == 1));
+    assert!(
+        alignment.counts().nodes.late >= 600,
+        "{:?}",
+        alignment.counts()
+    );
+}
+
 #[test]
 fn long_outputs_are_split() {
     let mut alignment = alignment(&[1]);

@@ -67,12 +67,15 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         .fit
         .as_ref()
         .map(|fit| format!("; fit {}", fit_words(fit)));
+    let monitoring = structure
+        .monitoring()
+        .map(|display| format!("; {}", display.words()));
     let class = structure
         .classes
         .as_ref()
         .map(|classes| format!("; class {}", leading_class(classes)));
     format!(
-        "{}{} {name} {}{}{}{}{}",
+        "{}{} {name} {}{}{}{}{}{}",
         time(time_ns),
         match Origin::of(structure) {
             Origin::Measured => "",
@@ -81,6 +84,7 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         },
         stale.unwrap_or_default(),
         parameters.join(", "),
+        monitoring.unwrap_or_default(),
         fit.unwrap_or_default(),
         class.unwrap_or_default(),
         services(structure)

@@ -24,6 +24,7 @@ const NEEDS: Needs = Needs {
         T::Noise,
         T::Classes,
         T::Fit,
+        T::Monitoring,
         T::Nodes,
         T::Alerts,
         T::Events,

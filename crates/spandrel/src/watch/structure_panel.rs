@@ -13,8 +13,8 @@ use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, Name, NoiseDisplay,
-    Service, Standing,
+    AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, MonitoringState,
+    Name, NoiseDisplay, Service, Standing,
 };
 use spandrel_listener::{InstanceState, StructureState};
 
@@ -329,6 +329,18 @@ fn footer(
         let levels = in_order(&structure.noise).into_iter();
         let levels = levels.map(|(_, level)| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
+    }
+    if let Some(monitoring) = structure.monitoring() {
+        let style = match monitoring.state {
+            MonitoringState::Watching => Style::new(),
+            MonitoringState::Degraded => Style::new().fg(Color::Yellow),
+            MonitoringState::Blind => Style::new().fg(Color::Red),
+        };
+        lines.extend(flow(
+            "monitoring   ",
+            vec![Span::styled(monitoring.words(), style)],
+            width,
+        ));
     }
     if let Some(fit) = &structure.fit {
         let style = if fit.verdict == FitVerdict::Contradicted {
