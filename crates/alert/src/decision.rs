@@ -124,9 +124,9 @@ const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 /// Factor on the standard deviation that shows twice the loss of the rule, above which the present
 /// learning rate counts as blindness.
 ///
-/// The learning rate follows the vibration. A calm that halves the amplitude doubles the standard
-/// deviation, and must not interrupt the decisions.
-const BLIND_FROM: f64 = 2.0;
+/// The learning rate follows the vibration. A calm with a quarter of the amplitude has four times
+/// the standard deviation, and must not interrupt the decisions.
+const BLIND_FROM: f64 = 4.0;
 
 /// Whether a change of a parameter would be noticed at present, and if not, why.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -336,22 +336,24 @@ impl Decision {
         let Stage::Watching { reference, .. } = &self.stage else {
             return None; // the visibility of a loss depends on the reference
         };
+        let is_credible =
+            probability_of_loss(estimate, reference, self.rule.loss()) >= self.rule.credibility();
         let answers = || {
-            let is_credible = probability_of_loss(estimate, reference, self.rule.loss())
-                >= self.rule.credibility();
             is_credible
                 || self
                     .support
                     .excludes_losses(estimate, reference, &self.rule)
         };
-        // Without new data, an estimate does not show whether the part is still sound.
-        let learns = self.sustained_std.is_none_or(|std| {
-            let sustained = ParameterEstimate {
-                std: std / BLIND_FROM,
-                ..*estimate
-            };
-            self.support.shows_losses(&sustained, reference, &self.rule)
-        });
+        // Without new data, an estimate does not show whether the part is still sound. It still
+        // shows a loss.
+        let learns = is_credible
+            || self.sustained_std.is_none_or(|std| {
+                let sustained = ParameterEstimate {
+                    std: std / BLIND_FROM,
+                    ..*estimate
+                };
+                self.support.shows_losses(&sustained, reference, &self.rule)
+            });
         // An uncertain estimate can still satisfy or exclude the rule, but it must come from data.
         // A narrow prior excludes losses without any data. An estimate that depends on an
         // unmeasured excitation is never much narrower than its prior.

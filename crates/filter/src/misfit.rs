@@ -369,7 +369,7 @@ impl MisfitState {
         let excess = (self.innovation_square / LARGEST_USUAL_SQUARE).max(1.0);
         let accepted = (prior / (ratio * before)).min(1.0) / excess;
         if let Some(segment_steps) = segment_steps(fading) {
-            parameter.gained.add(segment_steps, accepted * information);
+            parameter.gained.add(segment_steps, information);
         }
         accepted
     }

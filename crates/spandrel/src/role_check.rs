@@ -192,7 +192,8 @@ mod tests {
     fn a_role_that_may_not_is_told_which_ones_may() {
         let samples = [Need::PUT_SAMPLES];
         let why = "it belongs to viewer.ada, and role viewer may not publish samples, which \
-                   spandrel simulate requires; roles that may: gateway, sensor";
+                   spandrel simulate requires; roles that may: server, gateway, \
+                   sensor";
         assert_eq!(
             told("viewer.ada", &samples, &["ground", "roof"]).as_deref(),
             Some(why)
