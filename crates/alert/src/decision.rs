@@ -125,7 +125,7 @@ const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 /// learning rate counts as blindness.
 ///
 /// The learning rate follows the vibration. A calm with a quarter of the amplitude has four times
-/// the standard deviation, and must not interrupt the decisions.
+/// the standard deviation, and is no blindness.
 const BLIND_FROM: f64 = 4.0;
 
 /// Whether a change of a parameter would be noticed at present, and if not, why.
@@ -139,7 +139,7 @@ pub(crate) enum Vigilance {
     LearnsReference,
     /// Nothing is decided.
     Undecided(UndecidedBecause),
-    /// Nothing is decided, because the present data reveal no change of the parameter.
+    /// The present data reveal no change of the parameter, so that decisions rest on earlier data.
     LearnsNothing,
 }
 
@@ -305,13 +305,11 @@ impl Decision {
             let of_std = ParameterEstimate { std, ..*estimate };
             self.support.shows_losses(&of_std, reference, &self.rule)
         };
-        let learns = self.sustained_std.is_none_or(shows);
+        let learns = |factor: f64| self.sustained_std.is_none_or(|std| shows(std / factor));
         Some(match because {
-            Some(UndecidedBecause::NothingLearnt) if !learns && shows(estimate.std) => {
-                Vigilance::LearnsNothing
-            }
             Some(because) => Vigilance::Undecided(because),
-            None if !learns => Vigilance::LearnsLittle,
+            None if !learns(BLIND_FROM) => Vigilance::LearnsNothing,
+            None if !learns(1.0) => Vigilance::LearnsLittle,
             None => Vigilance::Watching,
         })
     }
@@ -344,21 +342,10 @@ impl Decision {
                     .support
                     .excludes_losses(estimate, reference, &self.rule)
         };
-        // Without new data, an estimate does not show whether the part is still sound. It still
-        // shows a loss.
-        let learns = is_credible
-            || self.sustained_std.is_none_or(|std| {
-                let sustained = ParameterEstimate {
-                    std: std / BLIND_FROM,
-                    ..*estimate
-                };
-                self.support.shows_losses(&sustained, reference, &self.rule)
-            });
         // An uncertain estimate can still satisfy or exclude the rule, but it must come from data.
         // A narrow prior excludes losses without any data. An estimate that depends on an
         // unmeasured excitation is never much narrower than its prior.
         let is_learnt = self.knowledge == Knowledge::Measured
-            && learns
             && (self.support.shows_losses(estimate, reference, &self.rule)
                 || (self.is_measured(estimate) && answers()));
         (!is_learnt).then_some(UndecidedBecause::NothingLearnt)

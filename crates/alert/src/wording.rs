@@ -3,9 +3,7 @@
 use jiff::Timestamp;
 use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words};
 
-use crate::{
-    Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject, probability_of_loss,
-};
+use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
 /// Returns the decision in words. Ignores `alert.why`. `before` is the last announced alert.
 pub(crate) fn describe(
@@ -150,17 +148,6 @@ fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
     };
     let shown = format!("a loss of {}", percent(twice));
     let (sound, scatter) = (reference.mean(), reference.std());
-    let of_twice_the_loss = ParameterEstimate {
-        mean: (1.0 - twice) * sound,
-        ..alert.estimate
-    };
-    let revealed = probability_of_loss(&of_twice_the_loss, reference, alert.rule_loss);
-    if revealed >= alert.rule_credibility {
-        return format!(
-            "the present data reveal nothing about it, so that the estimate rests on earlier data \
-             (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})"
-        );
-    }
     format!(
         "{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})"
     )
