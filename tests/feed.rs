@@ -28,46 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use support::{Process, Site, spandrel, within};
-
-/// A house whose two channels belong to one node, at 100 Hz.
-const HOUSE: &str = r#"
-[structure]
-name = "house"
-sampling-rate-hz = 100
-[model]
-kind = "shear-building"
-storeys = 1
-mass-kg = 20_000
-first-frequency-hz = 2.0
-[damping]
-kind = "rayleigh"
-ratio = 0.02
-[[parameter]]
-name = "storey-1"
-scales = "stiffness"
-of = ["storey-1"]
-[[excitation]]
-name = "ground"
-kind = "ground"
-std = 0.1
-measured-on = "ground"
-[[node]]
-name = "shake"
-[[node.channel]]
-name = "ground"
-quantity = "ground-acceleration"
-unit = "m/s2"
-noise-std = 0.005
-range = 1e9
-[[node.channel]]
-name = "roof"
-quantity = "absolute-acceleration"
-dof = "floor-1"
-unit = "m/s2"
-noise-std = 0.005
-range = 1e9
-"#;
+use support::{HOUSE, Process, Site, spandrel, within};
 
 const STEP_NS: i64 = 10_000_000;
 const SECOND_NS: i64 = 1_000_000_000;

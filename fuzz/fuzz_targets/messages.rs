@@ -5,7 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
-    Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 
@@ -71,6 +71,7 @@ const TYPES: [fn(&[u8]); 24] = [
     message::<StateMessage>,
     message::<FitDisplay>,
     message::<LossDisplay>,
+    message::<MonitoringDisplay>,
     text_block::<SampleBlock>,
     text::<CaughtUp>,
 ];

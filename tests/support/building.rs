@@ -2,6 +2,45 @@
 
 use std::path::{Path, PathBuf};
 
+/// A house whose two channels belong to one node `shake`, at 100 Hz.
+pub const HOUSE: &str = r#"
+[structure]
+name = "house"
+sampling-rate-hz = 100
+[model]
+kind = "shear-building"
+storeys = 1
+mass-kg = 20_000
+first-frequency-hz = 2.0
+[damping]
+kind = "rayleigh"
+ratio = 0.02
+[[parameter]]
+name = "storey-1"
+scales = "stiffness"
+of = ["storey-1"]
+[[excitation]]
+name = "ground"
+kind = "ground"
+std = 0.1
+measured-on = "ground"
+[[node]]
+name = "shake"
+[[node.channel]]
+name = "ground"
+quantity = "ground-acceleration"
+unit = "m/s2"
+noise-std = 0.005
+range = 1e9
+[[node.channel]]
+name = "roof"
+quantity = "absolute-acceleration"
+dof = "floor-1"
+unit = "m/s2"
+noise-std = 0.005
+range = 1e9
+"#;
+
 /// Returns the path of the demo's structure file.
 pub fn five_storeys() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")

@@ -20,7 +20,7 @@ mod sensors;
 mod site;
 mod skip;
 
-pub use building::{distributed_storeys, five_storeys, storeys, two_storeys};
+pub use building::{HOUSE, distributed_storeys, five_storeys, storeys, two_storeys};
 pub use computers::{Computers, packaged_postgresql};
 pub use disk::SmallDisk;
 pub use drops::Drops;

@@ -170,7 +170,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         ]
         .concat(),
         Role::Notify => [
-            each(Right::Subscribe, &[K::Alert, K::Monitoring]),
+            each(Right::Subscribe, &[K::Alert]),
             each(Right::Query, &[K::Alert, K::AlertLog]),
             each(Right::Watch, &[K::Live(Service::Alert)]),
             of_service(Service::Notify),

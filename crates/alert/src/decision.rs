@@ -334,9 +334,9 @@ impl Decision {
         let Stage::Watching { reference, .. } = &self.stage else {
             return None; // the visibility of a loss depends on the reference
         };
-        let is_credible =
-            probability_of_loss(estimate, reference, self.rule.loss()) >= self.rule.credibility();
         let answers = || {
+            let is_credible = probability_of_loss(estimate, reference, self.rule.loss())
+                >= self.rule.credibility();
             is_credible
                 || self
                     .support

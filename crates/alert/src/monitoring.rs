@@ -26,6 +26,9 @@ const DEGRADED_BELOW: f64 = 0.9;
 const BLIND_BELOW: f64 = 0.05;
 /// Time without estimates after which the structure is blind.
 const SILENT_AFTER: Duration = Duration::from_secs(3);
+/// Number of estimates that may be missing before the structure is blind. A station publishes
+/// estimates at the fusion rate only.
+const ESTIMATES_MISSED: f64 = 3.0;
 /// Maximum number of names in a reason.
 const NAMES_SHOWN: usize = 6;
 
@@ -35,14 +38,16 @@ pub(crate) struct Monitoring {
     structure: Name,
     parameters: Vec<WatchedParameter>,
     channels: Vec<WatchedChannel>,
-    segment_frames: u64,
+    /// Rate of the estimates, Hz: that of the frames, or of the fusion.
+    rate_hz: f64,
     /// Segments of the span, oldest first. The last one is incomplete.
     segments: VecDeque<Segment>,
     last: Option<Last>,
-    /// The present state, and the wall-clock time since which it has lasted, ns.
-    state: Option<(State, i64)>,
+    state: Option<Judged>,
     /// A state that the last judgement has found, but not the one before.
     candidate: Option<State>,
+    /// Whether the estimates contain the innovations of the channels.
+    knows_channels: bool,
 }
 
 #[derive(Debug)]
@@ -73,6 +78,15 @@ struct Last {
     state: StreamState,
     phase: Phase,
     sustained_information: Vec<f32>,
+}
+
+/// The present state of the structure, with its reasons.
+#[derive(Debug, Clone)]
+struct Judged {
+    state: State,
+    /// Wall-clock time since which the state has lasted, ns.
+    since_ns: i64,
+    reasons: Vec<String>,
 }
 
 /// A change of the state, with the state before.
@@ -122,11 +136,12 @@ impl Monitoring {
             structure: named(structure.name())?,
             parameters: parameters.collect::<Result<_, AlertError>>()?,
             channels: channels.collect::<Result<_, AlertError>>()?,
-            segment_frames: ((SPAN_S * rate_hz / SEGMENTS as f64) as u64).max(1),
+            rate_hz,
             segments: VecDeque::new(),
             last: None,
             state: None,
             candidate: None,
+            knows_channels: false,
         })
     }
 
@@ -142,8 +157,11 @@ impl Monitoring {
         } else if let Some(last) = &mut self.last {
             last.state = block.state;
         }
+        self.rate_hz = block.sampling_rate_hz;
+        self.knows_channels = block.channels > 0;
+        let segment_frames = ((SPAN_S * self.rate_hz / SEGMENTS as f64) as u64).max(1);
         for estimate in &block.estimates {
-            let is_full = |segment: &Segment| segment.frames >= self.segment_frames;
+            let is_full = |segment: &Segment| segment.frames >= segment_frames;
             if self.segments.back().is_none_or(is_full) {
                 if self.segments.len() > SEGMENTS {
                     self.segments.pop_front();
@@ -177,35 +195,37 @@ impl Monitoring {
     ) -> (MonitoringDisplay, Option<Change>) {
         let parameters = self.parameter_states(watch);
         let channels = self.channel_states();
-        let (found, reasons) = self.structure_state(&parameters, &channels, silence);
-        let before = self.state;
+        let (found, reasons) = self.structure_state(watch, &parameters, &channels, silence);
         let is_repeated = self.candidate.replace(found) == Some(found);
-        let (state, since_ns) = match before {
-            Some((state, since_ns)) if state == found || !is_repeated => (state, since_ns),
-            _ => (found, now_ns),
+        let before = self.state.take();
+        let judged = match &before {
+            Some(before) if before.state == found => Judged {
+                reasons,
+                ..before.clone()
+            },
+            Some(before) if !is_repeated => before.clone(),
+            _ => Judged {
+                state: found,
+                since_ns: now_ns,
+                reasons,
+            },
         };
-        self.state = Some((state, since_ns));
         let display = MonitoringDisplay {
             structure: self.structure.clone(),
             time_ns: now_ns,
             measured_ns: self.last.as_ref().map(|last| last.measured_ns),
-            state,
-            since_ns,
-            // The reasons belong to the state that was found.
-            reasons: if state == State::Watching {
-                Vec::new()
-            } else {
-                reasons
-            },
+            state: judged.state,
+            since_ns: judged.since_ns,
+            reasons: judged.reasons.clone(),
             parameters,
             channels,
         };
-        let change = before
-            .filter(|(before, _)| *before != state)
-            .map(|(before, _)| Change {
-                before,
-                display: display.clone(),
-            });
+        let changed = before.filter(|before| before.state != judged.state);
+        self.state = Some(judged);
+        let change = changed.map(|before| Change {
+            before: before.state,
+            display: display.clone(),
+        });
         (display, change)
     }
 
@@ -236,11 +256,16 @@ impl Monitoring {
     }
 
     fn channel_states(&self) -> Vec<ChannelMonitoring> {
+        if !self.knows_channels {
+            return Vec::new();
+        }
         let frames: u64 = self.segments.iter().map(|segment| segment.frames).sum();
         let states = self.channels.iter().enumerate().map(|(index, channel)| {
-            let used: u64 = { self.segments.iter() }
-                .filter_map(|segment| segment.used.get(index))
-                .sum();
+            let of_channel = self
+                .segments
+                .iter()
+                .filter_map(|segment| segment.used.get(index));
+            let used: u64 = of_channel.sum();
             let expected = (frames as f64 * channel.samples_per_frame).max(1.0);
             let used_share = (used as f64 / expected).min(1.0);
             ChannelMonitoring {
@@ -258,6 +283,7 @@ impl Monitoring {
 
     fn structure_state(
         &self,
+        watch: &Watch,
         parameters: &[ParameterMonitoring],
         channels: &[ChannelMonitoring],
         silence: Duration,
@@ -268,38 +294,48 @@ impl Monitoring {
         if last.state == StreamState::Ended {
             return (State::Blind, vec!["the samples have ended".to_owned()]);
         }
-        if silence > SILENT_AFTER {
+        if silence > SILENT_AFTER.max(Duration::from_secs_f64(ESTIMATES_MISSED / self.rate_hz)) {
             let reason = format!("no estimates have arrived for {} s", silence.as_secs());
             return (State::Blind, vec![reason]);
         }
         let mut reasons = Vec::new();
-        let mut is_blind = false;
         if last.phase == Phase::ExcitationSilent {
             reasons.push(UndecidedBecause::ExcitationSilent.words().to_owned());
-            is_blind = true;
         }
-        let (frames, predicted) = self
-            .segments
-            .iter()
-            .fold((0, 0), |(frames, predicted), next| {
-                (frames + next.frames, predicted + next.predicted)
-            });
-        if predicted as f64 > (1.0 - BLIND_BELOW) * frames as f64 {
+        if self.is_without_response(channels) {
             reasons.push("no sensor of the response delivers usable samples".to_owned());
-            is_blind = true;
-        } else {
+        }
+        let is_blind = !reasons.is_empty();
+        if !self.is_without_response(channels) {
             reasons.extend(channel_reasons(channels));
         }
         reasons.extend(parameter_reasons(parameters));
-        let all_blind = |states: &[ParameterMonitoring]| {
-            !states.is_empty() && states.iter().all(|one| one.state == State::Blind)
+        // Damage is found by the rules. Without rules, every parameter counts.
+        let has_rule = |(index, _): &(usize, _)| watch.vigilance(*index).is_some();
+        let with_rule = parameters.iter().enumerate().filter(has_rule);
+        let mut with_rule = with_rule.map(|(_, parameter)| parameter).peekable();
+        let is_blind_to = |parameter: &ParameterMonitoring| parameter.state == State::Blind;
+        let all_blind = match with_rule.peek() {
+            Some(_) => with_rule.all(is_blind_to),
+            None => !parameters.is_empty() && parameters.iter().all(is_blind_to),
         };
         let state = match () {
-            () if is_blind || all_blind(parameters) => State::Blind,
+            () if is_blind || all_blind => State::Blind,
             () if reasons.is_empty() => State::Watching,
             () => State::Degraded,
         };
         (state, reasons)
+    }
+
+    /// Returns `true` if no response channel is used. In distributed identification, the channels
+    /// are unknown, and a fusion without nodes counts instead.
+    fn is_without_response(&self, channels: &[ChannelMonitoring]) -> bool {
+        if self.knows_channels {
+            return channels.iter().all(|channel| channel.state == State::Blind);
+        }
+        let frames: u64 = self.segments.iter().map(|segment| segment.frames).sum();
+        let predicted: u64 = self.segments.iter().map(|segment| segment.predicted).sum();
+        predicted as f64 > (1.0 - BLIND_BELOW) * frames as f64
     }
 }
 

@@ -15,9 +15,9 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
     EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, Header,
     HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
-    MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage,
-    Status, StreamState, ToldMotion, ToldSamples,
+    MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay,
+    NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock,
+    ScreenedChannel, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -266,6 +266,12 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"interval\":{\"level\":0.95,\"low\":0.01,\"high\":0.07},\"probability_of_loss\":0.4,\"rule_loss\":0.05,\
              \"rule_credibility\":0.95,\"reference\":1.0,\"reference_std\":0.01}",
         ),
+        text::<MonitoringDisplay>(
+            "{\"structure\":\"demo\",\"time_ns\":7,\"measured_ns\":5,\"state\":\"degraded\",\"since_ns\":6,\
+             \"reasons\":[\"33 % of the samples of roof are used\"],\
+             \"parameters\":[{\"parameter\":\"storey-2\",\"state\":\"watching\",\"why\":null,\"sustained_std\":0.01}],\
+             \"channels\":[{\"channel\":\"roof\",\"state\":\"degraded\",\"used_share\":0.33}]}",
+        ),
         (
             "samples-json",
             serde_json::to_vec(&samples).unwrap(),
@@ -385,7 +391,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 24);
+    assert_eq!(messages.len(), 25);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }

@@ -65,6 +65,7 @@ function makeCard(structure) {
       fact("worst", "Worst part"),
       fact("probability", "Probability of loss"),
       fact("sensors", "Sensors alive"),
+      fact("monitoring", "Monitoring"),
       fact("fit", "Fit"),
       fact("lag", "Lag"),
       fact("age", "Data"),
@@ -88,6 +89,7 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
+  setText(fields.monitoring, structure.monitoring ?? "unknown");
   setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.

@@ -288,7 +288,7 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
             sensors.troubled.join(", ")
         )
     });
-    // The report on the monitoring also covers channels of which only some samples are used.
+    // The report on the monitoring also covers channels that lose only some of their samples.
     let troubled = sensor_trouble(store)
         .filter(|_| !store.is_stale())
         .map(MonitoringDisplay::words)

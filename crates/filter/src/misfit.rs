@@ -104,34 +104,40 @@ const SEGMENTS: usize = 8;
 /// Information that the latest half-life has contributed, in segments.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct Gained {
-    /// Sums of complete segments, and of the present one. The segments form a ring.
+    /// Sums of the latest complete segments, as a ring.
     segments: [f64; SEGMENTS],
+    /// Sum of the present segment, and its number of steps.
     present: f64,
+    steps: u64,
     /// Number of complete segments since the start.
     complete: u64,
-    /// Number of steps in the present segment.
-    steps: u64,
+    /// Mean information per step of the complete segments. `None` before the first is complete.
+    per_step: Option<f64>,
 }
 
 impl Gained {
-    /// Adds the information of one step. `segment_steps` is the length of a segment in steps.
-    fn add(&mut self, segment_steps: f64, information: f64) {
+    /// Adds the information of one step. A segment has `segment_steps` steps.
+    fn add(&mut self, segment_steps: u64, information: f64) {
         self.present += information;
         self.steps += 1;
-        if self.steps as f64 >= segment_steps {
-            self.segments[(self.complete % SEGMENTS as u64) as usize] = self.present;
-            self.complete += 1;
-            (self.present, self.steps) = (0.0, 0);
+        if self.steps < segment_steps {
+            return;
         }
+        self.segments[(self.complete % SEGMENTS as u64) as usize] = self.present;
+        self.complete += 1;
+        (self.present, self.steps) = (0.0, 0);
+        let steps = self.complete.min(SEGMENTS as u64) * segment_steps;
+        self.per_step = Some(self.segments.iter().sum::<f64>() / steps as f64);
     }
+}
 
-    /// Returns the mean information per step over the complete segments, or `None` before the first
-    /// segment is complete.
-    fn per_step(&self, segment_steps: f64) -> Option<f64> {
-        let complete = self.complete.min(SEGMENTS as u64);
-        let steps = complete as f64 * segment_steps.ceil();
-        (complete > 0).then(|| self.segments.iter().sum::<f64>() / steps)
-    }
+/// Returns the number of steps in a segment of the half-life, or `None` without fading.
+fn segment_steps(fading: FadingFactor) -> Option<u64> {
+    // λ = 2^(2/N_λ), so that the half-life N_λ is 2 ln 2 times the memory 1/ln λ.
+    let half_life_steps = 2.0 * std::f64::consts::LN_2 * fading.memory_steps();
+    half_life_steps
+        .is_finite()
+        .then(|| (half_life_steps / SEGMENTS as f64).ceil() as u64)
 }
 
 /// Sums of scores over one length.
@@ -241,19 +247,15 @@ impl MisfitState {
     /// Returns the published variance that parameter `j` would have if the filter had always learnt
     /// as much per step as in the last half-life.
     ///
-    /// A steady gain of `j` per step gives `J = j λ/(λ − 1)`, and a published variance of `P/2`
+    /// A steady information of `j` per step gives `J = j/ln λ`, and a published variance of `1/(2J)`
     /// times the ratio of misfit. Returns infinity if nothing was learnt, and `None` in the first
     /// eighth of a half-life and without fading.
     #[must_use]
     pub fn sustained_variance(&self, j: usize, fading: FadingFactor) -> Option<f64> {
         let parameter = &self.parameters[j];
-        let segment_steps = segment_steps(fading)?;
-        let steady = parameter.gained.per_step(segment_steps)? * fading.memory_steps();
+        let steady = parameter.gained.per_step? * fading.memory_steps();
         let of_fading = parameter.squared_information / parameter.information;
-        let ratio = match of_fading > 0.0 {
-            true => parameter.scale / of_fading,
-            false => 1.0,
-        };
+        let ratio = parameter.scale / of_fading;
         Some(0.5 * ratio / steady)
     }
 
@@ -332,13 +334,7 @@ impl MisfitState {
     ///
     /// If the sandwich variance would exceed the prior variance, the data contain less
     /// information than the prior. The correction is then reduced to the information in the data.
-    fn weigh(
-        &mut self,
-        j: usize,
-        settings: &MisfitSettings,
-        fading: FadingFactor,
-        step: Learnt,
-    ) -> f64 {
+    fn weigh(&mut self, j: usize, settings: &MisfitSettings, fading: f64, step: Learnt) -> f64 {
         let Learnt {
             prior,
             before,
@@ -356,10 +352,9 @@ impl MisfitState {
             (parameter.information, parameter.squared_information) =
                 (before.recip(), before.recip());
         }
-        let factor = fading.value();
-        parameter.information = parameter.information / factor + information;
+        parameter.information = parameter.information / fading + information;
         parameter.squared_information =
-            parameter.squared_information / (factor * factor) + information;
+            parameter.squared_information / (fading * fading) + information;
         let after_fading = parameter.squared_information / parameter.information;
         let limit = (prior / before).max(after_fading);
         parameter.scale = (ratio * after_fading).min(limit);
@@ -367,20 +362,8 @@ impl MisfitState {
         // noise level follows within a second or two. Until then, the excess must not change the
         // parameters.
         let excess = (self.innovation_square / LARGEST_USUAL_SQUARE).max(1.0);
-        let accepted = (prior / (ratio * before)).min(1.0) / excess;
-        if let Some(segment_steps) = segment_steps(fading) {
-            parameter.gained.add(segment_steps, information);
-        }
-        accepted
+        (prior / (ratio * before)).min(1.0) / excess
     }
-}
-
-/// Returns the length of a segment of the half-life in steps, or `None` without fading.
-fn segment_steps(fading: FadingFactor) -> Option<f64> {
-    let half_life_steps = 2.0 * std::f64::consts::LN_2 / fading.value().ln();
-    half_life_steps
-        .is_finite()
-        .then(|| half_life_steps / SEGMENTS as f64)
 }
 
 /// What one step has learnt about a parameter.
@@ -469,8 +452,13 @@ impl Workspace {
         covariance: &mut DMatrix<f64>,
     ) {
         let first = mean.len() - self.scores.len();
+        let segment_steps = segment_steps(fading);
         for j in 0..self.scores.len() {
             let at = first + j;
+            if let Some(segment_steps) = segment_steps {
+                let gained = &mut state.parameters[j].gained;
+                gained.add(segment_steps, self.information[j]);
+            }
             let before = covariance[(at, at)] + self.gains[j];
             if before <= 0.0 {
                 continue;
@@ -480,11 +468,83 @@ impl Workspace {
                 before,
                 information: self.information[j],
             };
-            let believed = state.weigh(j, settings, fading, learnt);
+            let believed = state.weigh(j, settings, fading.value(), learnt);
             if believed < 1.0 {
                 mean[at] -= (1.0 - believed) * self.corrections[j];
                 covariance[(at, at)] += (1.0 - believed) * self.gains[j];
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: MisfitSettings = MisfitSettings {
+        block_steps: [10.0, 20.0, 40.0],
+        memory_steps: 1000.0,
+        start_steps: 0,
+        jump_threshold: 1e9,
+        jump_steps: 1,
+        lag_steps: 10,
+        excitation_is_measured: true,
+    };
+
+    /// Returns the sustained and the published variance of one parameter whose filter learns this
+    /// information in each step of each half-life, with a prior variance of 1.
+    fn variances(half_lives: &[f64]) -> (Option<f64>, f64) {
+        const HALF_LIFE: usize = 800;
+        let fading = FadingFactor::from_half_life(HALF_LIFE as f64).unwrap();
+        let mut state = MisfitState::new(1);
+        let mut scratch = Workspace::new(1);
+        let (mut mean, mut covariance) = (DVector::zeros(1), DMatrix::from_element(1, 1, 1.0));
+        let prior_std = DVector::from_element(1, 1.0);
+        for information in half_lives.iter().flat_map(|gain| [*gain; HALF_LIFE]) {
+            let before = (fading.value() * covariance[(0, 0)]).min(1.0);
+            // 1/after = 1/before + information; the gain is before - after
+            let gain = before * before * information / (1.0 + before * information);
+            covariance[(0, 0)] = before - gain;
+            scratch.gains[0] = gain;
+            scratch.information[0] = gain / (before * before);
+            state.take(&SETTINGS, &scratch, 1.0, true);
+            scratch.temper(
+                &mut state,
+                &SETTINGS,
+                fading,
+                &prior_std,
+                &mut mean,
+                &mut covariance,
+            );
+        }
+        let published = covariance[(0, 0)] * state.variance_scale(0);
+        (state.sustained_variance(0, fading), published)
+    }
+
+    #[test]
+    fn filter_that_learns_steadily_sustains_its_published_variance() {
+        let (sustained, published) = variances(&[1000.0; 12]);
+        let ratio = sustained.unwrap() / published;
+        // The sums are discrete: λ/(λ − 1) differs from 1/ln λ by half a step of 577.
+        assert!((ratio - 1.0).abs() < 0.005, "{ratio}");
+    }
+
+    #[test]
+    fn filter_that_ceased_to_learn_a_half_life_ago_sustains_nothing() {
+        let (sustained, published) = variances(&[1000.0, 1000.0, 1000.0, 0.0]);
+        assert_eq!(sustained, Some(f64::INFINITY));
+        assert!(
+            published < 1e-3,
+            "the estimate alone does not show it: {published}"
+        );
+    }
+
+    #[test]
+    fn filter_that_learns_a_hundredth_sustains_a_hundred_times_the_variance() {
+        let before = variances(&[1000.0; 12]).0.unwrap();
+        let mut calm = [1000.0; 13];
+        calm[12] = 10.0;
+        let ratio = variances(&calm).0.unwrap() / before;
+        assert!((ratio - 100.0).abs() < 1.0, "{ratio}");
     }
 }

@@ -293,20 +293,22 @@ impl Alignment {
             return false;
         };
         let queue = &self.queues[node];
-        let number = run.grid.nearest(block.header.time_ns);
-        if number >= run.next as i64 {
-            return false;
-        }
-        let has_gone_back = match block.pace {
+        let next = run.next as i64;
+        match block.pace {
             Pace::Replayed => {
-                queue.epoch.is_some_and(|epoch| block.header.epoch > epoch)
-                    || number.saturating_add(LONGEST_HOLE) < run.next as i64
+                let number = run.grid.nearest(block.header.time_ns);
+                let restarted = queue.epoch.is_some_and(|epoch| block.header.epoch > epoch);
+                let is_far = number.saturating_add(LONGEST_HOLE) < next;
+                number < next && (restarted || is_far || queue.is_parked())
             }
             Pace::Live => {
-                block.header.time_ns.saturating_add(LONGEST_LAG_NS) < run.grid.time_ns(run.next)
+                // The end of a block may still be in time.
+                let last = block.count().saturating_sub(1);
+                let last_ns = block.grid().map_or(i64::MAX, |grid| grid.time_ns(last));
+                let is_far = last_ns.saturating_add(LONGEST_LAG_NS) < run.grid.time_ns(run.next);
+                run.grid.nearest(last_ns) < next && (is_far || queue.is_parked())
             }
-        };
-        has_gone_back || queue.is_parked()
+        }
     }
 
     /// Starts a new run, because all nodes have gone back in time. Otherwise, all their samples

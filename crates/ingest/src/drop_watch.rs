@@ -1,4 +1,4 @@
-//! Detects nodes of which a large share of the samples does not reach the frames.
+//! Detects nodes that lose a large share of their samples on the way to the frames.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -7,8 +7,6 @@ use crate::counts::NodeCounts;
 
 /// Length of the span over which shares are computed.
 const SPAN: Duration = Duration::from_secs(5);
-/// Minimum time between two readings of the counters.
-const READ_EVERY: Duration = Duration::from_millis(900);
 /// Minimum number of samples in a span. A few dropped samples at the start are no finding.
 const MIN_SAMPLES: u64 = 20;
 /// Share of dropped samples above which a node is reported, and below which it has recovered. The
@@ -36,7 +34,6 @@ pub(crate) struct DropWatch {
     /// Advice for the two causes that settings can change.
     lateness_s: f64,
     tolerance_s: f64,
-    read_at: Option<Duration>,
 }
 
 #[derive(Debug, Default)]
@@ -53,7 +50,6 @@ impl DropWatch {
             nodes: (0..nodes).map(|_| Node::default()).collect(),
             lateness_s,
             tolerance_s,
-            read_at: None,
         }
     }
 
@@ -65,12 +61,6 @@ impl DropWatch {
         now: Duration,
         reports: &mut Vec<DropReport>,
     ) {
-        let is_early = |read_at: Duration| now.saturating_sub(read_at) < READ_EVERY;
-        if self.read_at.is_some_and(is_early) {
-            return;
-        }
-        self.read_at = Some(now);
-        let (lateness_s, tolerance_s) = (self.lateness_s, self.tolerance_s);
         for (index, (node, counts)) in self.nodes.iter_mut().zip(counts).enumerate() {
             node.readings.push_back((now, counts));
             let is_over = |(at, _): &mut (Duration, NodeCounts)| now.saturating_sub(*at) > SPAN;
@@ -80,13 +70,12 @@ impl DropWatch {
             };
             let drops = Drops::between(first, &counts);
             let share = drops.share();
-            if drops.received < MIN_SAMPLES || (share <= REPORTED_ABOVE) != node.is_reported {
+            if drops.received < MIN_SAMPLES {
                 continue;
             }
             let span_s = now.saturating_sub(*since).as_secs_f64();
-            if node.is_reported && share < RECOVERED_BELOW {
-                node.is_reported = false;
-                reports.push(DropReport {
+            let report = match node.is_reported {
+                true if share < RECOVERED_BELOW => DropReport {
                     node: index,
                     what: format!(
                         "{:.0} % of the samples of the last {span_s:.0} s reached the frames",
@@ -94,10 +83,8 @@ impl DropWatch {
                     ),
                     why: "its samples arrive in time again".to_owned(),
                     is_over: true,
-                });
-            } else if !node.is_reported {
-                node.is_reported = true;
-                reports.push(DropReport {
+                },
+                false if share > REPORTED_ABOVE => DropReport {
                     node: index,
                     what: format!(
                         "{:.0} % of the samples of the last {span_s:.0} s were dropped: {} of {}",
@@ -105,10 +92,13 @@ impl DropWatch {
                         drops.in_words(),
                         drops.received
                     ),
-                    why: drops.advice(lateness_s, tolerance_s),
+                    why: drops.advice(self.lateness_s, self.tolerance_s),
                     is_over: false,
-                });
-            }
+                },
+                _ => continue,
+            };
+            node.is_reported = !report.is_over;
+            reports.push(report);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Events, on the bus and in the log.
 
-use spandrel_bus::{Bus, BusError, DisplayPublisher, Event, EventKind, Keys};
+use spandrel_bus::{Bus, BusError, DisplayPublisher, Event, EventKind, Keys, MonitoringState};
 use tracing::{Level, info, warn};
 
 /// Publishes the events of one structure and logs them.
@@ -36,16 +36,17 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
     let (what, why) = (event.what.as_str(), event.why.as_str());
     let time_s = start_ns.map(|start_ns| event.time_ns.saturating_sub(start_ns) as f64 / 1e9);
     let time_ns = start_ns.is_none().then_some(event.time_ns);
-    if level(event.kind) == Level::WARN {
+    if level(event) == Level::WARN {
         warn!(structure, subject, time_s, time_ns, what, why, "event");
     } else {
         info!(structure, subject, time_s, time_ns, what, why, "event");
     }
 }
 
-/// Returns the level at which events of a kind are logged.
-fn level(kind: EventKind) -> Level {
-    match kind {
+/// Returns the level at which an event is logged.
+fn level(event: &Event) -> Level {
+    match event.kind {
+        EventKind::Monitoring if event.subject == MonitoringState::Watching.as_str() => Level::INFO,
         EventKind::Calibration
         | EventKind::LeadingClass
         | EventKind::NodeBack

@@ -3,7 +3,7 @@ use std::path::Path;
 
 use super::*;
 
-/// Two storeys, of which only the first has a rule; one accelerometer on each floor.
+/// Two storeys. The stiffness of the lower one is watched.
 const TOWER: &str = include_str!("../../tests/tower.toml");
 
 const RATE_HZ: f64 = 100.0;
@@ -149,6 +149,26 @@ fn filter_that_learns_nothing_makes_its_parameters_blind_although_the_estimate_i
         .find(|one| one.parameter.as_str() == "storey-1");
     let why = of_rule.unwrap().why.clone().unwrap();
     assert!(why.contains("rests on earlier data"), "{why}");
+}
+
+#[test]
+fn reasons_belong_to_the_state_until_another_state_is_confirmed() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |frame| frame % 3 == 0);
+    bench.judge(Duration::ZERO);
+    bench.run(10, 0.001, |_| true);
+    let (display, change) = bench.monitoring.judge(&bench.watch, Duration::ZERO, 0);
+    assert_eq!((display.state, change), (State::Degraded, None));
+    assert!(display.words().contains("33 %"), "{}", display.words());
+}
+
+#[test]
+fn slow_estimates_may_be_as_far_apart_as_three_of_their_periods() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    bench.monitoring.rate_hz = 0.5;
+    assert_eq!(bench.judge(Duration::from_secs(5)).state, State::Watching);
+    assert_eq!(bench.judge(Duration::from_secs(7)).state, State::Blind);
 }
 
 #[test]

@@ -487,6 +487,26 @@ fn live_node_that_goes_back_while_the_other_is_silent_begins_a_new_run() {
     assert_eq!(alignment.counts().nodes.late, 0);
 }
 
+// A node that had been far behind must not lose the end of each later block as well.
+#[test]
+fn end_of_a_late_block_is_used_although_earlier_blocks_had_gone_back() {
+    let mut alignment = alignment(&[1, 1]);
+    let now = T0 + 60 * 100 * STEP;
+    feed(&mut alignment, live(1, now, 1));
+    feed(&mut alignment, vec![(1, block(1, T0, &[5.0; 100]))]);
+    alignment.handle(AlignmentInput::Lost { node: 1 }, &mut Vec::new());
+    feed(
+        &mut alignment,
+        vec![(0, block(0, now + 100 * STEP, &[1.0; 10]))],
+    );
+    let late = vec![
+        (1, block(1, now + 105 * STEP, &[7.0; 10])),
+        (0, block(0, now + 110 * STEP, &[1.0; 10])),
+    ];
+    let used = values(&feed(&mut alignment, late));
+    assert_eq!(used.iter().filter(|value| **value == 7.0).count(), 5);
+}
+
 #[test]
 fn live_node_that_goes_back_alone_begins_no_run_and_its_samples_are_late() {
     let mut alignment = alignment(&[1, 1]);

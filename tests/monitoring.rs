@@ -1,0 +1,134 @@
+//! The monitoring state of a structure whose samples are dropped, or whose sensors fall silent.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use spandrel_bus::{
+    Event, EventKind, MonitoringDisplay, MonitoringState, Service, Status, Subscription,
+};
+use std::process::Command;
+use support::{Process, Site, storeys, within};
+
+/// Rules and a half-life with which alerts are decided after some seconds.
+const RULES: &str = r#"
+[filter]
+half-life-s = 4
+[[alert]]
+parameters = "all"
+reference.design-std = 0.02
+loss = 0.3
+credibility = 0.9
+[ingest]
+lateness-s = 0.5
+"#;
+
+/// Waits for a report on the monitoring that satisfies a condition.
+async fn report(
+    reports: &Subscription<MonitoringDisplay>,
+    what: &str,
+    holds: impl Fn(&MonitoringDisplay) -> bool,
+) -> MonitoringDisplay {
+    within(what, async {
+        loop {
+            let (_, display) = reports.messages().recv_async().await.unwrap();
+            if holds(&display) {
+                return display;
+            }
+        }
+    })
+    .await
+}
+
+/// Returns the command of a live simulation.
+fn live(site: &Site, arguments: &[&str]) -> Command {
+    let mut command = site.connecting("simulate");
+    command.arg("--live").args(arguments);
+    command
+}
+
+// The deadline of the simulation, in the future, closed the frames of the live samples: most of
+// them were dropped, and the page showed a sound structure.
+#[tokio::test(flavor = "multi_thread")]
+async fn live_samples_after_a_simulation_are_used() {
+    let site = Site::with(&storeys(2, RULES));
+    let _services = site.run();
+    let bus = site.join().await;
+    let keys = site.keys();
+    let reports = bus.subscribe(keys.monitoring(), 256).await.unwrap();
+    let statuses = bus
+        .subscribe::<Status>(keys.statuses(Service::Ingest), 256)
+        .await
+        .unwrap();
+    let mut simulation = site.connecting("simulate");
+    simulation.args(["--duration", "60", "--speed", "10"]);
+    Process::start(&mut simulation).wait().expect_code(0);
+    let ended = report(&reports, "the end of the simulation", |display| {
+        display.words() == "blind: the samples have ended"
+    })
+    .await;
+    let _live = Process::start(&mut live(&site, &[]));
+    let watched = report(&reports, "live samples that are watched", |display| {
+        display.state == MonitoringState::Watching && display.measured_ns < ended.measured_ns
+    })
+    .await;
+    for channel in &watched.channels {
+        assert!(channel.used_share > 0.99, "{channel:?}");
+    }
+    let drops = within("a status of ingest", async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if status.time_ns >= watched.time_ns {
+                return status.drops;
+            }
+        }
+    })
+    .await;
+    for reason in ["late-samples", "duplicate-samples"] {
+        assert_eq!(drops.get(reason), None, "{drops:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn structure_whose_response_sensors_are_silent_is_blind_and_an_event_reports_it() {
+    let site = Site::with(&storeys(2, RULES));
+    let _services = site.run();
+    let bus = site.join().await;
+    let keys = site.keys();
+    let reports = bus.subscribe(keys.monitoring(), 256).await.unwrap();
+    let events = bus.subscribe::<Event>(keys.event(), 256).await.unwrap();
+    let start = std::time::UNIX_EPOCH
+        .elapsed()
+        .unwrap()
+        .as_secs()
+        .to_string();
+    let _ground = Process::start(&mut live(&site, &["--node", "ground", "--start", &start]));
+    let of_floors = ["--node", "floor-1", "--node", "floor-2", "--start", &start];
+    let floors = Process::start(&mut live(&site, &of_floors));
+    report(&reports, "a watched structure", |display| {
+        display.state == MonitoringState::Watching
+    })
+    .await;
+    floors.kill();
+    let blind = report(&reports, "a blind structure", |display| {
+        display.state == MonitoringState::Blind
+    })
+    .await;
+    let reason = "no sensor of the response delivers usable samples";
+    assert!(blind.words().contains(reason), "{}", blind.words());
+    let event = within("an event about blindness", async {
+        loop {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            if event.kind == EventKind::Monitoring && event.subject == "blind" {
+                return event;
+            }
+        }
+    })
+    .await;
+    assert!(event.why.contains(reason), "{event:?}");
+}
