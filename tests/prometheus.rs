@@ -431,6 +431,8 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
     let expected = [
         "SpandrelDown",
         "SpandrelNothingMeasured",
+        "SpandrelBlind",
+        "SpandrelDegraded",
         "SpandrelServiceGone",
         "SpandrelBehind",
         "SpandrelRecordingWaits",
