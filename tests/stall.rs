@@ -307,6 +307,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
         monitored: monitored.clone(),
         pool,
         precedence: Precedence::Leads,
+        sensors: Vec::new(),
     };
     let identify = IdentifyService::start(&plan).await.unwrap();
     let plan = IngestPlan {

@@ -24,6 +24,7 @@
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::CredibleInterval;
+use spandrel_faults::SensorReference;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::reference::largest_usual_scatter;
@@ -38,7 +39,20 @@ pub struct Baseline {
     structure: String,
     records: usize,
     parameters: Vec<ParameterBaseline>,
+    sensors: Vec<SensorReference>,
+    without_sensor: Vec<WithoutSensor>,
     is_old_file: bool,
+}
+
+/// Effect of leaving out one channel on the parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WithoutSensor {
+    /// Name of the channel.
+    pub channel: String,
+    /// Root mean square of the change of each parameter over the records, as ratios to nominal, in
+    /// state order.
+    pub changes: Vec<f64>,
 }
 
 /// The sound value of one parameter, as ratios to nominal.
@@ -148,10 +162,64 @@ impl Baseline {
             structure: structure.to_owned(),
             records: records.len(),
             parameters,
+            sensors: Vec::new(),
+            without_sensor: Vec::new(),
             is_old_file: false,
         };
         baseline.check()?;
         Ok(baseline)
+    }
+
+    /// Adds what the sensors have shown in the records.
+    #[must_use]
+    pub fn with_sensors(mut self, sensors: Vec<SensorReference>) -> Self {
+        self.sensors = sensors;
+        self
+    }
+
+    /// Adds the records without the channel `channel`, in the order of the records of the baseline.
+    /// A record without a summary is left out.
+    #[must_use]
+    pub fn with_left_out(
+        mut self,
+        channel: &str,
+        records: &[RecordSummary],
+        without: &[Option<RecordSummary>],
+    ) -> Self {
+        let change = |index: usize| {
+            let pairs = records.iter().zip(without);
+            let changes: Vec<f64> = pairs
+                .filter_map(|(with, without)| {
+                    let without = without.as_ref()?.parameters.get(index)?;
+                    Some(without.mean - with.parameters.get(index)?.mean)
+                })
+                .collect();
+            // One more record scatters about the mean as much as these. Without a record, the
+            // change is unknown.
+            let count = changes.len() as f64;
+            let squares: f64 = changes.iter().map(|change| change * change).sum();
+            (count > 0.0).then(|| (squares / count * (1.0 + 1.0 / count)).sqrt())
+        };
+        let changes: Option<Vec<f64>> = (0..self.parameters.len()).map(change).collect();
+        let without = changes.map(|changes| WithoutSensor {
+            channel: channel.to_owned(),
+            changes,
+        });
+        self.without_sensor.extend(without);
+        self
+    }
+
+    /// Returns what the sensors have shown in the records.
+    pub fn sensors(&self) -> &[SensorReference] {
+        &self.sensors
+    }
+
+    /// Returns the usual change of a parameter, by its index, if a channel is left out (ratio to
+    /// nominal). `None` if it is unknown.
+    pub fn change_without(&self, channel: &str, parameter: usize) -> Option<f64> {
+        let mut all = self.without_sensor.iter();
+        let found = all.find(|without| without.channel == channel)?;
+        found.changes.get(parameter).copied()
     }
 
     /// Returns the name of the structure.
@@ -240,6 +308,22 @@ impl Baseline {
         for entry in &self.parameters {
             Reference::new(entry.mean, entry.within_std)
                 .map_err(|error| of_parameter(&entry.parameter, error))?;
+        }
+        if let Some(sensor) = self.sensors.iter().find(|sensor| !sensor.is_valid()) {
+            return Err(AlertError::SensorReference {
+                channel: sensor.channel.clone(),
+            });
+        }
+        for without in &self.without_sensor {
+            let is_valid = |change: &f64| change.is_finite() && *change >= 0.0;
+            if without.changes.len() != self.parameters.len()
+                || !without.changes.iter().all(is_valid)
+            {
+                return Err(AlertError::WithoutSensor {
+                    channel: without.channel.clone(),
+                    expected: self.parameters.len(),
+                });
+            }
         }
         Ok(())
     }

@@ -19,7 +19,7 @@
 //! normal at once.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertState, EstimateFlags, FitVerdict, Phase, UndecidedBecause};
+use spandrel_bus::{AlertState, EstimateFlags, Excluded, FitVerdict, Phase, UndecidedBecause};
 
 use crate::{
     Alert, Learning, ParameterEstimate, Reference, Rule,
@@ -75,6 +75,10 @@ pub struct Decision {
     /// Standard deviation that the present learning rate sustains. Each estimate sets it.
     #[serde(skip)]
     sustained_std: Option<f64>,
+    /// Standard deviation by which the estimate changes if a channel is left out, per observation
+    /// row, as a ratio to nominal. Empty if it is unknown. The structure file and the baseline set it.
+    #[serde(skip)]
+    changes_without: Vec<Option<f64>>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -128,6 +132,10 @@ const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 /// the standard deviation, and is no blindness.
 const BLIND_FROM: f64 = 4.0;
 
+/// Standard deviation of the change of an estimate if a sensor is left out, as a share of the
+/// estimate. It applies if no baseline has measured the change.
+const USUAL_CHANGE_WITHOUT: f64 = 0.15;
+
 /// Whether a change of a parameter would be noticed at present, and if not, why.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Vigilance {
@@ -170,7 +178,16 @@ impl Decision {
             last: None,
             last_alert: None,
             sustained_std: None,
+            changes_without: Vec::new(),
         }
+    }
+
+    /// Sets the change of the estimate if a channel is left out, per observation row. `None` if it
+    /// is unknown.
+    #[must_use]
+    pub(crate) fn with_changes_without(mut self, changes: Vec<Option<f64>>) -> Self {
+        self.changes_without = changes;
+        self
     }
 
     /// Processes one input and appends an alert for each change of state.
@@ -287,6 +304,31 @@ impl Decision {
         }
     }
 
+    /// Returns the estimate with the uncertainty of a model that fewer sensors test.
+    ///
+    /// The error of a model moves the estimate as soon as a sensor is left out. The reference was
+    /// learnt with all sensors.
+    pub(crate) fn with_missing_sensor(
+        &self,
+        estimate: ParameterEstimate,
+        excluded: Excluded,
+    ) -> ParameterEstimate {
+        let change = match excluded {
+            Excluded::None => return estimate,
+            Excluded::One(row) => self
+                .changes_without
+                .get(usize::from(row))
+                .copied()
+                .flatten(),
+            Excluded::Several => None,
+        };
+        let change = change.unwrap_or(USUAL_CHANGE_WITHOUT * estimate.mean);
+        ParameterEstimate {
+            std: estimate.std.hypot(change),
+            ..estimate
+        }
+    }
+
     /// Sets the standard deviation that the present learning rate sustains, for the next estimate.
     /// `None` if it is not measured.
     pub(crate) fn set_sustained_std(&mut self, std: Option<f64>) {
@@ -323,6 +365,7 @@ impl Decision {
         match flags.phase {
             Phase::Training => return Some(UndecidedBecause::NoiseTraining),
             Phase::ExcitationSilent => return Some(UndecidedBecause::ExcitationSilent),
+            Phase::SensorInDoubt => return Some(UndecidedBecause::SensorInDoubt),
             Phase::Working => {}
         }
         if flags.fit == Some(FitVerdict::Contradicted) {

@@ -74,6 +74,26 @@ pub enum AlertError {
         /// Number of records minus one.
         degrees_of_freedom: f64,
     },
+    /// The baseline contains an impossible reference of a sensor.
+    #[error(
+        "the reference of the sensor {channel} is impossible: its factor and its scatters must be \
+         positive, and its delay finite"
+    )]
+    SensorReference {
+        /// Name of the channel.
+        channel: String,
+    },
+    /// The baseline contains an impossible effect of leaving out a sensor.
+    #[error(
+        "the changes without the sensor {channel} are impossible, must be {expected} numbers of \
+         at least 0"
+    )]
+    WithoutSensor {
+        /// Name of the channel.
+        channel: String,
+        /// Number of parameters.
+        expected: usize,
+    },
     /// The records differ by more than the stated scatter permits.
     #[error(
         "the scatter between records is {found:.4}, must be at most {allowed:.4} for a stated \

@@ -58,7 +58,7 @@ pub mod watch;
 pub mod shell;
 
 pub use alert::{Acknowledged, Alert};
-pub use baseline::{Baseline, BetweenRecords, ParameterBaseline, RecordSummary};
+pub use baseline::{Baseline, BetweenRecords, ParameterBaseline, RecordSummary, WithoutSensor};
 pub use credibility::{
     LossEstimate, ParameterEstimate, ParameterLoss, loss_estimate, probability_of_loss,
 };

@@ -53,7 +53,7 @@ pub(crate) struct AlertState {
 
 /// Version of the layout of [`AlertState`]. Every change of a field in it or in a nested type must
 /// increase it. [`version_2`] reads the former layout.
-const VERSION: u16 = 3;
+const VERSION: u16 = 4;
 
 impl AlertState {
     /// Returns the state of a service without any decisions.

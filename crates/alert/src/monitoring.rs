@@ -302,6 +302,9 @@ impl Monitoring {
         if last.phase == Phase::ExcitationSilent {
             reasons.push(UndecidedBecause::ExcitationSilent.words().to_owned());
         }
+        if last.phase == Phase::SensorInDoubt {
+            reasons.push(UndecidedBecause::SensorInDoubt.words().to_owned());
+        }
         if self.is_without_response(channels) {
             reasons.push("no sensor of the response delivers usable samples".to_owned());
         }

@@ -42,8 +42,10 @@ impl Watch {
         for (number, rule) in structure.alert_rules().iter().enumerate() {
             for (position, &index) in rule.parameters.iter().enumerate() {
                 let decision =
-                    decision_from_structure(number, rule, position, parameters, baseline);
-                decisions.push(decision.map_err(|source| in_parameter(parameters, index, source))?);
+                    decision_from_structure(number, rule, position, parameters, baseline)
+                        .map_err(|source| in_parameter(parameters, index, source))?;
+                let changes = changes_without(structure, baseline, index);
+                decisions.push(decision.with_changes_without(changes));
             }
         }
         Ok(Self::from_decisions(parameters.len(), decisions))
@@ -328,6 +330,7 @@ impl Watch {
             decision.set_sustained_std(
                 information.map(|information| f64::from(*information).sqrt().recip()),
             );
+            let of_parameter = decision.with_missing_sensor(of_parameter, estimate.excluded);
             decision.handle(Input::Estimate(of_parameter, estimate.flags), alerts);
         }
     }
@@ -401,6 +404,18 @@ fn decision_from_structure(
         bounds: parameter.bounds(),
     };
     Ok(Decision::new(number, own, subject))
+}
+
+/// Returns the change of a parameter without each channel of the response, if it is known.
+fn changes_without(
+    structure: &Structure,
+    baseline: Option<&Baseline>,
+    parameter: usize,
+) -> Vec<Option<f64>> {
+    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    let rows = structure.observation_channels().iter();
+    let change = |channel: &usize| baseline?.change_without(names.get(*channel)?, parameter);
+    rows.map(change).collect()
 }
 
 /// Adds the name of the parameter to an error of its rule.

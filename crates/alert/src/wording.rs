@@ -123,6 +123,7 @@ fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
         UndecidedBecause::NothingLearnt => nothing_learnt(because, alert),
         UndecidedBecause::NoiseTraining
         | UndecidedBecause::ExcitationSilent
+        | UndecidedBecause::SensorInDoubt
         | UndecidedBecause::ParameterAtBound => {
             let ParameterEstimate { mean, std, .. } = alert.estimate;
             format!("{} (estimate {mean:.3} ± {std:.3})", because.words())

@@ -36,6 +36,7 @@ fn estimate(mean: f64) -> Estimate {
         log_evidence: 0.0,
         used_channels: 1,
         flags: EstimateFlags::working(),
+        excluded: spandrel_bus::Excluded::None,
         sustained_information: Vec::new(),
     }
 }

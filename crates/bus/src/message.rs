@@ -37,7 +37,7 @@ pub use alert::{AlertMessage, AlertState};
 pub use block::{Block, StreamState};
 pub use caught_up::CaughtUp;
 pub use description::Description;
-pub use estimates::{Estimate, EstimateBlock, EstimateFlags, Phase};
+pub use estimates::{Estimate, EstimateBlock, EstimateFlags, Excluded, Phase};
 pub use event::{Event, EventKind};
 pub use feedback::FeedbackMessage;
 pub use fit::{

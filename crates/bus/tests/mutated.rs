@@ -88,6 +88,7 @@ fn estimate() -> Estimate {
         log_evidence: -3.0,
         used_channels: 2,
         flags: EstimateFlags::working(),
+        excluded: spandrel_bus::Excluded::None,
         sustained_information: vec![100.0, 50.0],
     }
 }

@@ -125,6 +125,7 @@ mod tests {
             log_evidence: 0.0,
             used_channels: 2,
             flags: EstimateFlags::working(),
+            excluded: spandrel_bus::Excluded::None,
             sustained_information: Vec::new(),
         };
         EstimateBlock {

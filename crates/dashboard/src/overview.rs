@@ -320,6 +320,7 @@ fn undecided(store: &Store, is_wrong: bool) -> Option<String> {
         Some(UndecidedBecause::NothingLearnt | UndecidedBecause::NoiseTraining) => !is_wrong,
         Some(
             UndecidedBecause::ExcitationSilent
+            | UndecidedBecause::SensorInDoubt
             | UndecidedBecause::FitContradicted
             | UndecidedBecause::ParameterAtBound,
         ) => is_wrong,

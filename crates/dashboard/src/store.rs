@@ -248,6 +248,7 @@ impl Store {
                 | EventKind::NodeExcluded
                 | EventKind::NodeSilent
                 | EventKind::NodeBack
+                | EventKind::ChannelInDoubt
                 | EventKind::SamplesDropped
                 | EventKind::SamplesBack
                 | EventKind::Monitoring

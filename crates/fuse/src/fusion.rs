@@ -7,7 +7,7 @@
 use crate::error::FuseError;
 use crate::node::{Node, SILENT_FUSIONS};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header,
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Excluded, FeedbackMessage, Header,
     LocalMessage, MotionNumbers, Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay,
     StreamState, ToldMotion,
 };
@@ -521,6 +521,7 @@ impl Fusion {
                 prediction_only: fused.used == 0,
                 ..EstimateFlags::working()
             },
+            excluded: Excluded::None,
             sustained_information: Vec::new(),
         };
         outputs.push(Output::Estimates(self.block(

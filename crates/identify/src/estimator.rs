@@ -96,6 +96,21 @@ impl Estimator {
         }
     }
 
+    /// Multiplies the standard deviations of the parameters of a single filter by a factor.
+    ///
+    /// # Errors
+    /// Fails if the covariance is singular.
+    pub fn scale_parameter_std(&mut self, factor: f64) -> Result<(), FilterError> {
+        match self {
+            Self::Filter(filter) if filter.model().parameter_len() > 0 => {
+                let mut parameters = filter.parameters();
+                parameters.covariance *= factor * factor;
+                filter.replace_parameters(&parameters)
+            }
+            Self::Filter(_) | Self::Classes(_) | Self::Particles(_) => Ok(()),
+        }
+    }
+
     /// Discards the motion after a gap that is too long to bridge: the physical state returns to
     /// its prior. Parameters, noise levels and plausibilities remain.
     pub fn forget_motion(&mut self) {

@@ -4,6 +4,7 @@
 mod events;
 mod fit;
 mod hearing;
+mod sensors;
 mod state;
 
 use crate::display::noise_display;
@@ -20,7 +21,8 @@ use spandrel_bus::{
     FitVerdict, FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Phase, StreamState, TimeGrid,
 };
-use spandrel_filter::{BandLimit, Frame, NoisePhase, Step};
+use spandrel_faults::SensorCheck;
+use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 
 /// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
@@ -149,6 +151,13 @@ pub struct Identification {
     last_values: Vec<f64>,
     /// Number of frames since a parameter was last clipped, if ever.
     since_clipped: Option<u64>,
+    check: SensorCheck,
+    /// Observation rows that are never used.
+    left_out: Vec<usize>,
+    /// Frames until the parameters are identified again after a restart without a faulty sensor, 0
+    /// if they are.
+    settling: u64,
+    channel_names: Vec<String>,
 }
 
 /// Returns the initial state of an excitation component.
@@ -307,6 +316,13 @@ impl Identification {
                 })
                 .collect(),
             since_clipped: None,
+            check: SensorCheck::new(structure),
+            left_out: Vec::new(),
+            settling: 0,
+            channel_names: structure
+                .channels()
+                .map(|channel| channel.name().to_owned())
+                .collect(),
         })
     }
 
@@ -460,6 +476,7 @@ impl Identification {
     fn enter_epoch(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
         if self.stream.is_some() {
             self.estimator.forget_motion();
+            self.check.forget_motion();
             self.reset_band_limit();
             outputs.push(self.event(
                 block.header.time_ns,
@@ -485,6 +502,7 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
+        let restarted_by_check = self.check_sensors(time_ns, values, outputs);
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);
@@ -497,6 +515,7 @@ impl Identification {
             *value = channel.map_or(*mean, |channel| self.frame[channel]);
         }
         self.hear_excitations(time_ns, values, outputs);
+        self.mask_faulty();
         let frame = Frame {
             observations: &self.observations,
             excitation: &self.excitation,
@@ -512,7 +531,7 @@ impl Identification {
         let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
         self.unobserved = if observed { 0 } else { self.unobserved + 1 };
         let beyond_recovery = matches!(&self.estimator, Estimator::Particles(particles) if particles.are_beyond_recovery());
-        let restarted = result.is_err() || beyond_recovery;
+        let restarted = result.is_err() || beyond_recovery || restarted_by_check;
         if let Err(error) = &result {
             outputs.push(self.restart(time_ns, &error.to_string()));
         } else if beyond_recovery {
@@ -596,9 +615,19 @@ impl Identification {
     }
 
     fn restart(&mut self, time_ns: i64, why: &str) -> Output {
-        self.restarts += 1;
         self.reset_band_limit();
-        let what = match self.estimator.restart() {
+        let restarted = self.estimator.restart();
+        self.told_restart(time_ns, restarted, why)
+    }
+
+    fn told_restart(
+        &mut self,
+        time_ns: i64,
+        restarted: Result<(), FilterError>,
+        why: &str,
+    ) -> Output {
+        self.restarts += 1;
+        let what = match restarted {
             Ok(()) => "filter restarted from its prior".to_owned(),
             Err(refusal) => format!("filter could not be restarted: {refusal}"),
         };
@@ -638,6 +667,7 @@ impl Identification {
             log_evidence: step.map_or(0.0, |step| step.log_evidence),
             used_channels: used as u16,
             flags: self.flags(restarted, used),
+            excluded: self.excluded(),
             sustained_information: self.sustained_information(),
         }
     }
@@ -662,6 +692,7 @@ impl Identification {
                 NoisePhase::Working if self.hearing.iter().any(Hearing::is_silent) => {
                     Phase::ExcitationSilent
                 }
+                NoisePhase::Working if self.has_sensor_in_doubt() => Phase::SensorInDoubt,
                 NoisePhase::Working => Phase::Working,
             },
             restarted,

@@ -14,6 +14,7 @@ use spandrel_bus::{
     LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, StreamState,
     Subscription,
 };
+use spandrel_faults::SensorReference;
 use spandrel_service::{
     Clock, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
@@ -53,6 +54,8 @@ pub struct IdentifyPlan {
     pub pool: FilterPool,
     /// Whether the instance leads or stands by.
     pub precedence: Precedence,
+    /// What the sensors have shown in the records of the baseline. Empty without a baseline.
+    pub sensors: Vec<SensorReference>,
 }
 
 /// The identification service of one structure.
@@ -61,6 +64,7 @@ pub struct IdentifyService {
     /// `None` while joining, and while a pool thread uses it. It is lost if that thread panics.
     core: Option<Identification>,
     structure: Arc<Structure>,
+    sensors: Vec<SensorReference>,
     bus: Bus,
     pool: FilterPool,
     process: ProcessInput,
@@ -123,6 +127,17 @@ impl spandrel_service::Service for IdentifyService {
     }
 }
 
+/// Creates the core of a structure whose sensors have shown `sensors`.
+fn new_core(
+    structure: &Structure,
+    id: &Name,
+    sensors: &[SensorReference],
+) -> Result<Identification, IdentifyError> {
+    let mut core = Identification::new(structure, id.as_str())?;
+    core.expect_sensors(sensors);
+    Ok(core)
+}
+
 impl IdentifyService {
     fn start_from(plan: &IdentifyPlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
         Box::pin(async move {
@@ -131,6 +146,7 @@ impl IdentifyService {
                 monitored,
                 pool,
                 precedence,
+                sensors,
             } = plan;
             let ServiceInstance { bus, id, clock } = instance;
             let Monitored {
@@ -143,12 +159,13 @@ impl IdentifyService {
                 Some(remembering) => Some(Memory::open(structure, remembering, alert.clone())?),
                 None => None,
             };
-            let core = Identification::new(structure, id.as_str())?;
+            let core = new_core(structure, id, sensors)?;
             if matches!(precedence, Precedence::StandsBy) {
                 standing::check_size(structure, &core)?;
             }
             let mut service = Self {
                 structure: structure.clone(),
+                sensors: sensors.clone(),
                 trouble: Trouble::default(),
                 process: Identification::handle_part,
                 pool: pool.clone(),
@@ -356,7 +373,7 @@ impl IdentifyService {
             self.leave();
             return Ok(());
         }
-        let new = || Identification::new(&self.structure, self.id.as_str());
+        let new = || new_core(&self.structure, &self.id, &self.sensors);
         let mut core = match &mut self.memory {
             Some(memory) => memory.recall_last(new).await?,
             None => new()?,

@@ -59,6 +59,7 @@ fn level(event: &Event) -> Level {
         | EventKind::NodeExcluded
         | EventKind::NodeSilent
         | EventKind::ChannelExcluded
+        | EventKind::ChannelInDoubt
         | EventKind::SamplesDropped
         | EventKind::Monitoring
         | EventKind::Gap

@@ -765,6 +765,10 @@ pub struct ValidateArguments {
     /// results.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["cases", "quick", "seed", "seeds", "report", "list"])]
     pub records: Option<PathBuf>,
+
+    /// Identify the records again with one faulty sensor each, which takes some minutes.
+    #[arg(long, requires = "records")]
+    pub faulty_sensors: bool,
     /// Number of concurrent cases [default: number of cores].
     #[arg(long, value_name = "N")]
     pub jobs: Option<usize>,

@@ -26,7 +26,7 @@ const MISSING: &str = "missing-samples";
 /// The structure cannot be identified, the record cannot be read, or `take` fails.
 pub fn identify(
     structure: &Structure,
-    identification: Identification,
+    mut identification: Identification,
     rows: impl Iterator<Item = Result<Row, RecordError>>,
     baseline: Option<&Baseline>,
     mut take: impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
@@ -36,6 +36,7 @@ pub fn identify(
         source,
     })?;
     let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
+    identification.expect_sensors(baseline.map_or(&[], Baseline::sensors));
     let mut chain = Chain {
         alignment: Alignment::new(layout, "ingest".to_owned(), 1),
         collector: Collector::new(structure).with_baseline(baseline),
@@ -79,6 +80,9 @@ pub fn identify(
             .take_effective_share(particles.effective_share());
     }
     chain.collector.take_decided(&chain.watch);
+    chain
+        .collector
+        .take_observed(chain.identification.sensor_check().observed());
     Ok(chain.collector)
 }
 

@@ -413,7 +413,8 @@ impl Running {
         if precedence == Precedence::StandsBy {
             instance.id = Name::new(format!("identify-{:.8}", self.bus.instance()?.as_str()))?;
         }
-        for monitored in self.monitored.clone() {
+        let baselines = self.baselines.clone();
+        for (monitored, baseline) in self.monitored.clone().into_iter().zip(baselines) {
             let structure = monitored.structure.clone();
             if structure.fusion().is_none() {
                 let plan = IdentifyPlan {
@@ -421,6 +422,7 @@ impl Running {
                     monitored,
                     pool: pool.clone(),
                     precedence,
+                    sensors: baseline.map_or_else(Vec::new, |known| known.sensors().to_vec()),
                 };
                 self.start::<IdentifyService>(Service::Identify, structure.name(), plan)
                     .await?;

@@ -23,6 +23,7 @@ use spandrel_bus::{
     AlertMessage, AlertState, CredibleInterval, EstimateBlock, FrameBlock, ModelClassDisplay,
     NodeDisplay, OutlierDisplay, Phase, UndecidedBecause,
 };
+use spandrel_faults::ObservedRelation;
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
@@ -170,6 +171,8 @@ pub struct Collector {
     misfit: (f64, f64),
     samples: Option<Samples>,
     effective_share: Option<f64>,
+    /// Relation of each channel to the others.
+    observed: Vec<Option<ObservedRelation>>,
     baseline: Option<Baseline>,
 }
 
@@ -197,6 +200,7 @@ impl Collector {
             misfit: (0.0, 0.0),
             samples: None,
             effective_share: None,
+            observed: Vec::new(),
             baseline: None,
         }
     }
@@ -212,6 +216,17 @@ impl Collector {
     /// Records the mean effective share of the particles.
     pub fn take_effective_share(&mut self, share: Option<f64>) {
         self.effective_share = share;
+    }
+
+    /// Records the mean relation of each channel to the others.
+    pub fn take_observed(&mut self, observed: Vec<Option<ObservedRelation>>) {
+        self.observed = observed;
+    }
+
+    /// Returns the mean relation of each channel to the others. `None` for a channel that could not
+    /// be compared.
+    pub fn observed(&self) -> &[Option<ObservedRelation>] {
+        &self.observed
     }
 
     /// Records the problems with the samples.

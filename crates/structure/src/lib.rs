@@ -73,6 +73,7 @@ mod truss;
 mod assembly;
 mod check;
 mod classes;
+mod common_motion;
 mod drawing;
 mod excitation_dependence;
 mod filter_settings;
@@ -94,6 +95,7 @@ pub use check::{
     ParameterReport, Severity, Shift, TimeStepReport,
 };
 pub use classes::StructureClasses;
+pub use common_motion::CommonMotion;
 pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
 pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;

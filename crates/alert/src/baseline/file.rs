@@ -1,14 +1,18 @@
-//! The file of a baseline: JSON, version 2. Version 1 is also readable.
+//! The file of a baseline: JSON, version 3. Versions 1 and 2 are also readable.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use spandrel_faults::SensorReference;
 
-use super::{Baseline, ParameterBaseline};
+use super::{Baseline, ParameterBaseline, WithoutSensor};
 use crate::AlertError;
 
 /// Type and version in the file.
-const FORMAT: &str = "spandrel.baseline.v2";
+const FORMAT: &str = "spandrel.baseline.v3";
+
+/// Version 2, without sensors.
+const FORMAT_2: &str = "spandrel.baseline.v2";
 
 /// Version 1. Its scatter between records counted as known, and as zero for one record.
 const FORMAT_1: &str = "spandrel.baseline.v1";
@@ -20,6 +24,12 @@ struct File {
     structure: String,
     records: usize,
     parameters: Vec<ParameterBaseline>,
+    /// What the sensors have shown in the records.
+    #[serde(default)]
+    sensors: Vec<SensorReference>,
+    /// Effect of leaving out one channel.
+    #[serde(default)]
+    without_sensor: Vec<WithoutSensor>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -50,7 +60,7 @@ struct Versioned {
 }
 
 impl Baseline {
-    /// Reads a baseline file of version 2 or 1.
+    /// Reads a baseline file of version 3, 2 or 1.
     ///
     /// The scatter in a file of version 1 counts as estimated from its records. With one record it
     /// is unknown.
@@ -69,17 +79,21 @@ impl Baseline {
         };
         let Versioned { format } = serde_json::from_str(&text).map_err(syntax)?;
         let baseline = match format.as_str() {
-            FORMAT => {
+            FORMAT | FORMAT_2 => {
                 let File {
                     structure,
                     records,
                     parameters,
+                    sensors,
+                    without_sensor,
                     ..
                 } = serde_json::from_str(&text).map_err(syntax)?;
                 Self {
                     structure,
                     records,
                     parameters,
+                    sensors,
+                    without_sensor,
                     is_old_file: false,
                 }
             }
@@ -112,11 +126,13 @@ impl Baseline {
             structure: file.structure,
             records,
             parameters: parameters.collect(),
+            sensors: Vec::new(),
+            without_sensor: Vec::new(),
             is_old_file: true,
         }
     }
 
-    /// Writes the baseline file in version 2.
+    /// Writes the baseline file in version 3.
     ///
     /// # Errors
     /// Fails if the file is not writable.
@@ -126,6 +142,8 @@ impl Baseline {
             structure: self.structure.clone(),
             records: self.records,
             parameters: self.parameters.clone(),
+            sensors: self.sensors.clone(),
+            without_sensor: self.without_sensor.clone(),
         };
         let text =
             serde_json::to_string_pretty(&file).map_err(|source| AlertError::BaselineSyntax {

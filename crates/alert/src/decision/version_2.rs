@@ -40,6 +40,7 @@ impl From<Decision> for crate::Decision {
                 .map(|estimate| (estimate, EstimateFlags::working())),
             last_alert: former.last_alert.map(Into::into),
             sustained_std: None,
+            changes_without: Vec::new(),
         };
         // The filter that made those estimates does not continue. The present filter starts from
         // its prior.

@@ -35,6 +35,7 @@ pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
         log_evidence: 0.0,
         used_channels: 1,
         flags: EstimateFlags::working(),
+        excluded: spandrel_bus::Excluded::None,
         sustained_information: Vec::new(),
     };
     let sequence = state.watch.position().map_or(0, |(_, next)| next);

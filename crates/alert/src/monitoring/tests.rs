@@ -53,6 +53,7 @@ impl Bench {
                     prediction_only: innovation.is_nan(),
                     ..EstimateFlags::working()
                 },
+                excluded: spandrel_bus::Excluded::None,
                 sustained_information: vec![sustained_std.powi(-2); parameters],
             }
         });

@@ -41,6 +41,7 @@ fn estimate(means: [f64; 2], std: f64, phase: Phase) -> Estimate {
             phase,
             ..EstimateFlags::working()
         },
+        excluded: spandrel_bus::Excluded::None,
         sustained_information: Vec::new(),
     }
 }

@@ -621,6 +621,7 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
         log_evidence: 0.0,
         used_channels: 0,
         flags: EstimateFlags::working(),
+        excluded: crate::Excluded::None,
         sustained_information: Vec::new(),
     };
     EstimateBlock {

@@ -19,6 +19,8 @@ pub enum Phase {
     Working,
     /// A measured excitation has no usable samples, so that the estimate is unreliable.
     ExcitationSilent,
+    /// A sensor in use is probably faulty, so that the estimate is unreliable.
+    SensorInDoubt,
 }
 
 /// Special conditions of one frame.
@@ -37,6 +39,18 @@ pub struct EstimateFlags {
     pub fit_reasons: FitReasons,
     /// `true` while the filter follows a sudden change. The estimates are then still changing.
     pub follows_jump: bool,
+}
+
+/// Channels that are excluded because their sensors are faulty.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Excluded {
+    /// All channels are used.
+    #[default]
+    None,
+    /// One channel, by its observation row.
+    One(u16),
+    /// Several channels.
+    Several,
 }
 
 impl EstimateFlags {
@@ -75,6 +89,8 @@ pub struct Estimate {
     pub used_channels: u16,
     /// Special conditions of the frame.
     pub flags: EstimateFlags,
+    /// Channels that the check of the sensors excludes.
+    pub excluded: Excluded,
     /// Information about each parameter that the filter would keep if it continued to learn at its
     /// present rate: one divided by a variance, ratio to nominal. 0 = nothing is being learnt.
     ///

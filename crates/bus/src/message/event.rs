@@ -28,6 +28,8 @@ pub enum EventKind {
     NodeBack,
     /// A channel is excluded.
     ChannelExcluded,
+    /// A channel is probably faulty.
+    ChannelInDoubt,
     /// A channel is included again.
     ChannelBack,
     /// A large share of the samples of a node does not reach the frames.

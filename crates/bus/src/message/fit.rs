@@ -215,16 +215,19 @@ pub enum UndecidedBecause {
     /// The estimate or its reference is too uncertain. Even twice the loss of the rule would not
     /// raise an alert.
     NothingLearnt,
+    /// A sensor in use is probably faulty.
+    SensorInDoubt,
 }
 
 impl UndecidedBecause {
     /// All reasons, in decreasing order of importance.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::NoiseTraining,
         Self::ExcitationSilent,
         Self::FitContradicted,
         Self::ParameterAtBound,
         Self::NothingLearnt,
+        Self::SensorInDoubt,
     ];
 
     /// Returns the name of the reason, as in the message.
@@ -236,6 +239,7 @@ impl UndecidedBecause {
             Self::FitContradicted => "fit-contradicted",
             Self::ParameterAtBound => "parameter-at-bound",
             Self::NothingLearnt => "nothing-learnt",
+            Self::SensorInDoubt => "sensor-in-doubt",
         }
     }
 
@@ -251,6 +255,7 @@ impl UndecidedBecause {
                 "the estimate or its reference is too uncertain to reveal even twice the loss of \
                  the rule"
             }
+            Self::SensorInDoubt => "a sensor is probably faulty",
         }
     }
 }

@@ -49,6 +49,7 @@ fn estimate() -> Estimate {
         log_evidence: -3.0,
         used_channels: 1,
         flags: EstimateFlags::working(),
+        excluded: Excluded::None,
         sustained_information: vec![100.0, 50.0],
     }
 }

@@ -251,6 +251,7 @@ fn estimates_without_the_third_channel() -> EstimateBlock {
         log_evidence: 0.0,
         used_channels: 4,
         flags: EstimateFlags::working(),
+        excluded: spandrel_bus::Excluded::None,
         sustained_information: Vec::new(),
     };
     EstimateBlock {

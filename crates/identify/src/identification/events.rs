@@ -241,7 +241,7 @@ impl Identification {
         self.event_of(IDENTIFY, time_ns, kind, what, why)
     }
 
-    fn event_of(
+    pub(super) fn event_of(
         &self,
         subject: &str,
         time_ns: i64,

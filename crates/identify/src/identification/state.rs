@@ -6,6 +6,7 @@ use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{ClassCalibration, TimeGrid};
+use spandrel_faults::SensorCheckState;
 use spandrel_filter::{BandLimit, FilterError};
 
 /// The whole state of an identification between two inputs, as stored in a checkpoint.
@@ -24,12 +25,14 @@ pub struct IdentificationState {
     hearing: Vec<Hearing>,
     last_values: Vec<f64>,
     since_clipped: Option<u64>,
+    sensors: SensorCheckState,
+    settling: u64,
 }
 
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 4;
+    pub const VERSION: u16 = 5;
 }
 
 impl Identification {
@@ -50,6 +53,8 @@ impl Identification {
             hearing: self.hearing.clone(),
             last_values: self.last_values.clone(),
             since_clipped: self.since_clipped,
+            sensors: self.check.state().clone(),
+            settling: self.settling,
         }
     }
 
@@ -90,6 +95,13 @@ impl Identification {
                 });
             }
         }
+        if !self.check.restore(state.sensors) {
+            return Err(FilterError::Dimension {
+                what: "sensor check of a checkpoint (0: of other channels, 1: of the structure file)",
+                found: 0,
+                expected: 1,
+            });
+        }
         self.estimator.restore(state.estimator)?;
         self.band_limit = state.band_limit;
         self.stream = state.stream;
@@ -105,6 +117,7 @@ impl Identification {
         self.hearing = state.hearing;
         self.last_values = state.last_values;
         self.since_clipped = state.since_clipped;
+        self.settling = state.settling;
         Ok(())
     }
 

@@ -1,7 +1,7 @@
 //! The role of the service among others that identify the same structure: it joins, stands by,
 //! takes over or steps back.
 
-use super::{IdentifyService, follow_frames, start_of};
+use super::{IdentifyService, follow_frames, new_core, start_of};
 use crate::error::IdentifyError;
 use crate::identification::Identification;
 use crate::memory::{Memory, identity};
@@ -113,7 +113,7 @@ impl IdentifyService {
 
     /// Starts identification from the service's own checkpoint.
     pub(super) async fn begin(&mut self) -> Result<(), IdentifyError> {
-        let new = || Identification::new(&self.structure, self.id.as_str());
+        let new = || new_core(&self.structure, &self.id, &self.sensors);
         let core = match &self.memory {
             Some(memory) => memory.recall(new)?,
             None => new()?,
@@ -130,7 +130,7 @@ impl IdentifyService {
             Some(message) => match identity(&self.structure).open(&message.checkpoint) {
                 Err(why) => why.to_string(),
                 Ok(state) => {
-                    let mut core = Identification::new(&self.structure, self.id.as_str())?;
+                    let mut core = new_core(&self.structure, &self.id, &self.sensors)?;
                     match core.restore(state) {
                         Err(why) => why.to_string(),
                         Ok(()) => {

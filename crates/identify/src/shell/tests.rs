@@ -138,6 +138,7 @@ async fn run_with_a_frame_that_panics(remembering: Option<Remembering>) -> Recei
         },
         pool,
         precedence: Precedence::Leads,
+        sensors: Vec::new(),
     };
     let mut service = IdentifyService::start(&plan).await.unwrap();
     service.process = |core, input, outputs| {

@@ -6,16 +6,22 @@ use crate::error::AppError;
 use crate::offline;
 use spandrel_alert::{Baseline, BetweenRecords, RecordSummary};
 use spandrel_bus::{FitVerdict, Phase};
+use spandrel_faults::{ObservedRelation, SensorCheck};
 use spandrel_identify::Identification;
 use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Reference, Structure};
 use std::fmt::Write as _;
+use std::path::Path;
 
 /// Largest share of the frames of a recording in which the data may contradict the model.
 ///
 /// Above this share, little remains except the start, when the filter has not yet detected the
 /// contradiction.
 const LARGEST_CONTRADICTED: f64 = 0.95;
+
+/// Largest number of channels that are left out one after the other. Each costs one more
+/// identification of every recording.
+const MOST_LEFT_OUT: usize = 12;
 
 /// Identifies each recording from its start and writes the mean and scatter of each parameter.
 ///
@@ -32,45 +38,13 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     }
     let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
     let mut records = Vec::new();
+    let mut observed = Vec::new();
     let mut left_out = String::new();
     for path in &arguments.record {
-        let recording = open_record(&structure, path)?;
-        let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
-        let mut contradicted = 0_usize;
-        let identification = Identification::new(&structure, "identify")?;
-        offline::identify(
-            &structure,
-            identification,
-            recorded_rows(recording, 0),
-            None,
-            |block, _| {
-                for (number, estimate) in block.iter() {
-                    if number < skipped || estimate.flags.phase != Phase::Working {
-                        continue;
-                    }
-                    if estimate.flags.fit == Some(FitVerdict::Contradicted) {
-                        contradicted += 1; // such an estimate has no meaning
-                    } else {
-                        let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
-                        frames.push(
-                            estimate
-                                .mean
-                                .iter()
-                                .enumerate()
-                                .map(|(index, mean)| (*mean, std(index)))
-                                .collect(),
-                        );
-                    }
-                }
-                Ok(())
-            },
-        )?;
-        let nothing = || AppError::NothingLearnt {
-            path: path.clone(),
-            skip_s: arguments.skip,
-        };
+        let learnt = learn(&structure, path, skipped, None)?;
+        let contradicted = learnt.contradicted;
         if contradicted > 0 {
-            let share = contradicted as f64 / (contradicted + frames.len()) as f64;
+            let share = contradicted as f64 / (contradicted + learnt.frames.len()) as f64;
             if share > LARGEST_CONTRADICTED {
                 return Err(AppError::BaselineContradicted {
                     path: path.clone(),
@@ -85,7 +59,12 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
                 100.0 * share
             );
         }
-        records.push(RecordSummary::from_estimates(frames).ok_or_else(nothing)?);
+        let nothing = || AppError::NothingLearnt {
+            path: path.clone(),
+            skip_s: arguments.skip,
+        };
+        records.push(RecordSummary::from_estimates(learnt.frames).ok_or_else(nothing)?);
+        observed.push(learnt.observed);
     }
     let names: Vec<&str> = structure
         .parameters()
@@ -96,8 +75,94 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
         .between_std
         .map_or(BetweenRecords::Estimated, BetweenRecords::Stated);
     let baseline = Baseline::from_records(structure.name(), &names, &records, between)?;
+    let baseline = with_sensors(baseline, &structure, arguments, &records, &observed)?;
     baseline.write(&arguments.output)?;
     print(&(left_out + &report(&structure, &baseline)))
+}
+
+/// What one recording shows.
+struct Learnt {
+    /// Mean and standard deviation of each parameter, per frame.
+    frames: Vec<Vec<(f64, f64)>>,
+    /// Number of frames that contradict the model, which are not among them.
+    contradicted: usize,
+    /// Relation of each channel to the others.
+    observed: Vec<Option<ObservedRelation>>,
+}
+
+/// Identifies a recording, without the channel `left_out` if there is one.
+fn learn(
+    structure: &Structure,
+    path: &Path,
+    skipped: u64,
+    left_out: Option<&str>,
+) -> Result<Learnt, AppError> {
+    let recording = open_record(structure, path)?;
+    let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
+    let mut contradicted = 0_usize;
+    let mut identification = Identification::new(structure, "identify")?;
+    if let Some(left_out) = left_out {
+        identification.leave_out(left_out);
+    }
+    let collected = offline::identify(
+        structure,
+        identification,
+        recorded_rows(recording, 0),
+        None,
+        |block, _| {
+            for (number, estimate) in block.iter() {
+                if number < skipped || estimate.flags.phase != Phase::Working {
+                    continue;
+                }
+                if estimate.flags.fit == Some(FitVerdict::Contradicted) {
+                    contradicted += 1; // such an estimate has no meaning
+                } else {
+                    let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
+                    let means = estimate.mean.iter().enumerate();
+                    frames.push(means.map(|(index, mean)| (*mean, std(index))).collect());
+                }
+            }
+            Ok(())
+        },
+    )?;
+    Ok(Learnt {
+        frames,
+        contradicted,
+        observed: collected.observed().to_vec(),
+    })
+}
+
+/// Adds what the sensors show, and how the parameters change without each of them.
+fn with_sensors(
+    baseline: Baseline,
+    structure: &Structure,
+    arguments: &BaselineArguments,
+    records: &[RecordSummary],
+    observed: &[Vec<Option<ObservedRelation>>],
+) -> Result<Baseline, AppError> {
+    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    let check = SensorCheck::new(structure);
+    let mut baseline = baseline.with_sensors(check.learn(&names, observed));
+    let checked = |channel: &&usize| check.health()[**channel].is_some();
+    let channels: Vec<usize> = structure
+        .observation_channels()
+        .iter()
+        .filter(checked)
+        .copied()
+        .collect();
+    if channels.len() > MOST_LEFT_OUT {
+        return Ok(baseline);
+    }
+    let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
+    for channel in channels {
+        let without = arguments.record.iter().map(|path| {
+            let learnt = learn(structure, path, skipped, Some(names[channel]))?;
+            Ok(RecordSummary::from_estimates(learnt.frames))
+        });
+        let without = without.collect::<Result<Vec<_>, AppError>>()?;
+        baseline = baseline.with_left_out(names[channel], records, &without);
+    }
+    Ok(baseline)
 }
 
 /// Returns the contents of the baseline and the losses that the rules can detect with it, as text.

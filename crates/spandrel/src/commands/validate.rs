@@ -4,7 +4,7 @@ use super::{print, progress};
 use crate::cli::ValidateArguments;
 use crate::error::AppError;
 use indicatif::{MultiProgress, ProgressBar};
-use spandrel_validate::robustness::records::real_records;
+use spandrel_validate::robustness::records::{Extent, real_records};
 use spandrel_validate::{Case, Length, Outcome, Plan, Report, ValidateError, Watch, cases, select};
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -23,7 +23,11 @@ pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
         return list();
     }
     if let Some(folder) = &arguments.records {
-        return records(folder, arguments.json);
+        let extent = match arguments.faulty_sensors {
+            true => Extent::FaultySensors,
+            false => Extent::Records,
+        };
+        return records(folder, extent, arguments.json);
     }
     let length = if arguments.quick {
         Length::Quick
@@ -60,9 +64,9 @@ pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
 
 /// Identifies the records of real structures and prints each row as soon as its condition is
 /// complete.
-fn records(folder: &Path, json: bool) -> Result<(), AppError> {
+fn records(folder: &Path, extent: Extent, json: bool) -> Result<(), AppError> {
     let mut printed = Ok(());
-    let rows = real_records(folder, |row| {
+    let rows = real_records(folder, extent, |row| {
         let text = if json {
             format!("{}\n", serde_json::json!(row))
         } else {

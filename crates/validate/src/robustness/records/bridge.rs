@@ -12,24 +12,24 @@ use spandrel_alert::{Baseline, BetweenRecords};
 use spandrel_structure::Structure;
 use std::path::Path;
 
-const FILE: &str = include_str!("bridge.toml");
+pub(super) const FILE: &str = include_str!("bridge.toml");
 
 /// Deck acceleration above which the bridge counts as moving (m/s²), three times the stated noise.
-const MOTION: f64 = 0.06;
+pub(super) const MOTION: f64 = 0.06;
 
 /// Peak acceleration at the base of the bent below which an event is weak (m/s²).
 const WEAK: f64 = 1.0;
 
 /// Start of each record that `spandrel baseline` skips (s), because the recorder starts half a
 /// minute before the motion.
-const SKIP_S: f64 = 30.0;
+pub(super) const SKIP_S: f64 = 30.0;
 
 /// What the title of a row with outlier screening adds.
 const SCREENED: &str = " with [outliers]";
 
 /// Archives with the four channels, in order of time. Three more archives of the folder lack the
 /// base of the bent.
-const EVENTS: [&str; 18] = [
+pub(super) const EVENTS: [&str; 18] = [
     "capemendocino_21nov1986_ce89324p",
     "capemendocinoaftershock_21nov1986_ce89324p",
     "petrolia_25apr1992_ce89324p",
@@ -55,16 +55,16 @@ const EVENTS: [&str; 18] = [
 const FIRST_STRONG: &str = "nc73821036_ce89324p";
 
 /// Parameter of the file.
-const PARAMETER: &str = "supports";
+pub(super) const PARAMETER: &str = "supports";
 
 /// One event with its results.
-struct Event {
-    record: Recorded,
-    is_weak: bool,
+pub(super) struct Event {
+    pub(super) record: Recorded,
+    pub(super) is_weak: bool,
     /// Whether the event precedes the strong earthquake of 2022.
-    is_early: bool,
+    pub(super) is_early: bool,
     /// Results without a baseline.
-    course: Course,
+    pub(super) course: Course,
     /// Batch fit to the whole record: the ratio, and the unexplained share of the variance.
     batch: (f64, f64),
 }
@@ -110,7 +110,7 @@ pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
     ])
 }
 
-fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsError> {
+pub(super) fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsError> {
     let ground = structure
         .excitation_channels()
         .first()
@@ -141,7 +141,11 @@ fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsErr
 
 /// Learns the baseline for an event from all other weak events before the strong earthquake of
 /// 2022.
-fn baseline(structure: &Structure, events: &[Event], own: usize) -> Result<Baseline, RecordsError> {
+pub(super) fn baseline(
+    structure: &Structure,
+    events: &[Event],
+    own: usize,
+) -> Result<Baseline, RecordsError> {
     let names: Vec<&str> = structure
         .parameters()
         .iter()
@@ -355,7 +359,7 @@ fn damaged(
 ///
 /// The unexplained part is the record minus the response at its own batch fit. The stiffness is
 /// therefore the same in each event, and the event contributes only the model error.
-fn with_loss(
+pub(super) fn with_loss(
     replay: &Replay<'_>,
     structure: &Structure,
     event: &Event,

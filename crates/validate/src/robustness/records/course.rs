@@ -3,7 +3,10 @@
 
 use super::RecordsError;
 use spandrel_alert::{Alert, Baseline, RecordSummary, ReferenceRule, Watch};
-use spandrel_bus::{AlertState, EstimateBlock, FitVerdict, FrameBlock, Phase, UndecidedBecause};
+use spandrel_bus::{
+    AlertState, EstimateBlock, Event, EventKind, FitVerdict, FrameBlock, Phase, UndecidedBecause,
+};
+use spandrel_faults::ObservedRelation;
 use spandrel_identify::{Identification, IdentificationInput, Output};
 use spandrel_ingest::{Alignment, Layout};
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, open_record, recorded_rows};
@@ -97,6 +100,11 @@ pub(super) struct Course {
     pub(super) alerts: Vec<(f64, Alert)>,
     /// Number of alerts that are still active at the end.
     pub(super) standing: usize,
+    /// Channels that were excluded, in doubt or used again, with the time since the first frame
+    /// (s).
+    pub(super) sensors: Vec<(f64, EventKind, String)>,
+    /// What the sensors have shown.
+    pub(super) observed: Vec<Option<ObservedRelation>>,
 }
 
 impl Course {
@@ -108,11 +116,25 @@ impl Course {
         baseline: Option<&Baseline>,
         motion: f64,
     ) -> Result<Self, RecordsError> {
+        Self::run_without(structure, rows, baseline, motion, None)
+    }
+
+    /// Identifies the rows of a record without the channel `left_out`.
+    pub(super) fn run_without(
+        structure: &Structure,
+        rows: &[Row],
+        baseline: Option<&Baseline>,
+        motion: f64,
+        left_out: Option<&str>,
+    ) -> Result<Self, RecordsError> {
         let layout = Layout::of(structure)?;
         let nodes = NodePlan::of(structure, Clocks::Right)?;
         let mut alignment = Alignment::new(layout, "ingest".to_owned(), 1);
         let mut cutter = Cutter::new(nodes, 1, BLOCK_SAMPLES);
         let mut chain = Chain::new(structure, baseline, motion)?;
+        if let Some(left_out) = left_out {
+            chain.identification.leave_out(left_out);
+        }
         let (mut samples, mut frames) = (Vec::new(), Vec::new());
         for row in rows {
             cutter.push(row.time_ns, &row.values, &mut samples);
@@ -227,6 +249,7 @@ struct Chain {
     start_ns: Option<i64>,
     points: Vec<Point>,
     alerts: Vec<(f64, Alert)>,
+    sensors: Vec<(f64, EventKind, String)>,
 }
 
 impl Chain {
@@ -235,8 +258,10 @@ impl Chain {
         baseline: Option<&Baseline>,
         motion: f64,
     ) -> Result<Self, RecordsError> {
+        let mut identification = Identification::new(structure, "identify")?;
+        identification.expect_sensors(baseline.map_or(&[], Baseline::sensors));
         Ok(Self {
-            identification: Identification::new(structure, "identify")?,
+            identification,
             watch: Watch::new(structure, baseline)?,
             observed: structure.observation_channels().to_vec(),
             motion,
@@ -246,6 +271,7 @@ impl Chain {
             start_ns: None,
             points: Vec::new(),
             alerts: Vec::new(),
+            sensors: Vec::new(),
         })
     }
 
@@ -270,13 +296,29 @@ impl Chain {
         self.identification
             .handle(IdentificationInput::Frames(block), &mut outputs);
         for output in outputs {
-            if let Output::Estimates(estimates) = output {
-                for piece in pieces(&estimates) {
-                    self.decide(&piece)?;
+            match output {
+                Output::Estimates(estimates) => {
+                    for piece in pieces(&estimates) {
+                        self.decide(&piece)?;
+                    }
                 }
+                Output::Event(event) => self.hear(event),
+                _ => {}
             }
         }
         Ok(())
+    }
+
+    fn hear(&mut self, event: Event) {
+        let concerns_sensor = matches!(
+            event.kind,
+            EventKind::ChannelExcluded | EventKind::ChannelInDoubt | EventKind::ChannelBack
+        );
+        if concerns_sensor {
+            let start_ns = self.start_ns.unwrap_or(event.time_ns);
+            let time_s = event.time_ns.saturating_sub(start_ns) as f64 / 1e9;
+            self.sensors.push((time_s, event.kind, event.subject));
+        }
     }
 
     fn decide(&mut self, block: &EstimateBlock) -> Result<(), RecordsError> {
@@ -326,6 +368,8 @@ impl Chain {
             points: self.points,
             alerts: self.alerts,
             standing,
+            sensors: self.sensors,
+            observed: self.identification.sensor_check().observed(),
         }
     }
 }

@@ -9,6 +9,7 @@
 //! - `pairs`: differences of two records relative to their stated uncertainty
 //! - `shake_table`, `bridge`, `tower`: the structures
 //! - `mistakes`: records that are read with a wrong file
+//! - `sensor_faults`: records with one faulty sensor
 
 mod batch_fit;
 mod bridge;
@@ -17,6 +18,7 @@ mod error;
 mod mistakes;
 mod pairs;
 mod row;
+mod sensor_faults;
 mod shake_table;
 mod tower;
 
@@ -25,11 +27,27 @@ pub use row::Row;
 
 use std::path::Path;
 
-/// Runs all real records below `data`, and calls `done` with each row as soon as it is complete.
+/// Which runs of the real records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// The records as they are, also with a wrong file.
+    Records,
+    /// The records with one faulty sensor each.
+    FaultySensors,
+}
+
+/// Runs the real records below `data`, and calls `done` with each row as soon as it is complete.
 ///
 /// # Errors
 /// Returns an error if an existing record cannot be read or identified.
-pub fn real_records(data: &Path, mut done: impl FnMut(&Row)) -> Result<Vec<Row>, RecordsError> {
+pub fn real_records(
+    data: &Path,
+    extent: Extent,
+    mut done: impl FnMut(&Row),
+) -> Result<Vec<Row>, RecordsError> {
+    if extent == Extent::FaultySensors {
+        return sensor_faults::rows(data, &mut done);
+    }
     let mut all = Vec::new();
     let parts = [shake_table::rows, mistakes::rows, tower::rows, bridge::rows];
     for part in parts {

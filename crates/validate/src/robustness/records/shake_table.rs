@@ -13,11 +13,11 @@ use std::path::{Path, PathBuf};
 
 const STIFF: &str = include_str!("../../../../../docs/examples/shake-table-stiff.toml");
 const FLEXIBLE: &str = include_str!("../../../../../docs/examples/shake-table-flexible.toml");
-const MOTIONS: [&str; 3] = ["sine1.0", "sine2.0", "northridge"];
+pub(super) const MOTIONS: [&str; 3] = ["sine1.0", "sine2.0", "northridge"];
 
 /// Floor acceleration above which the frame counts as moving (m/s²), as in
 /// docs/laboratory-frame.md.
-const MOTION: f64 = 0.5;
+pub(super) const MOTION: f64 = 0.5;
 
 /// Start of each record that `spandrel baseline` skips by default (s).
 const SKIP_S: f64 = 10.0;
@@ -179,7 +179,7 @@ fn pairs(
 }
 
 /// Learns the baseline of all courses except one.
-fn baseline(
+pub(super) fn baseline(
     structure: &Structure,
     courses: &[Course],
     without: Option<usize>,

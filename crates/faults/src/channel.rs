@@ -1,0 +1,67 @@
+//! What is known of one channel.
+
+use serde::{Deserialize, Serialize};
+
+/// A kind of fault, with its size.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum Fault {
+    /// The channel measures a multiple of the motion: the factor, positive.
+    Gain(f64),
+    /// The channel measures the motion with the wrong sign: the factor, positive.
+    Sign(f64),
+    /// The channel measures the motion late (s); negative = early.
+    Delay(f64),
+    /// The channel does not follow the motion and measures less than it: it is dead or stuck.
+    Dead,
+    /// The channel measures more than the motion, or something else.
+    Disturbed,
+}
+
+/// The judgement of a channel.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Soundness {
+    /// There was not enough common motion yet.
+    #[default]
+    Unchecked,
+    /// The channel agrees with the others.
+    Sound,
+    /// A fault is more probable than none.
+    InDoubt,
+    /// A fault is almost certain.
+    Faulty,
+}
+
+/// What is known of one channel.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct ChannelHealth {
+    /// The judgement.
+    pub soundness: Soundness,
+    /// Probability of a fault, 0 to 1.
+    pub probability: f64,
+    /// The most probable fault. `None` for a sound channel.
+    pub fault: Option<Fault>,
+    /// Factor between the channel and the motion of the others, 1 for a sound channel. `None`
+    /// before the first comparison.
+    pub gain: Option<f64>,
+    /// Delay against the others (s). `None` before the first comparison.
+    pub delay_s: Option<f64>,
+    /// Coherence with the others, 0 to 1. `None` before the first comparison.
+    pub coherence: Option<f64>,
+}
+
+impl Fault {
+    /// Returns the fault in words that complete "the sensor".
+    #[must_use]
+    pub fn words(self) -> String {
+        match self {
+            Self::Gain(factor) => format!("measures {factor:.2} times the motion of the others"),
+            Self::Sign(_) => "measures with the opposite sign".to_owned(),
+            Self::Delay(delay_s) if delay_s < 0.0 => {
+                format!("is {:.0} ms earlier than the others", -1e3 * delay_s)
+            }
+            Self::Delay(delay_s) => format!("is {:.0} ms later than the others", 1e3 * delay_s),
+            Self::Dead => "does not follow the motion of the others".to_owned(),
+            Self::Disturbed => "measures something that the others do not".to_owned(),
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! What sound sensors have shown in earlier records.
+
+use crate::hypothesis::Expected;
+use serde::{Deserialize, Serialize};
+
+/// The mean relation of a channel to the others in one record.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ObservedRelation {
+    /// Factor between the channel and the motion of the others, positive.
+    pub gain: f64,
+    /// Delay against the others (s).
+    pub delay_s: f64,
+}
+
+/// What a sound channel shows, learnt from records.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorReference {
+    /// Name of the channel.
+    pub channel: String,
+    /// Factor between the channel and the motion of the others, positive.
+    pub gain: f64,
+    /// Standard deviation of the logarithm of the factor between records.
+    pub ln_gain_std: f64,
+    /// Delay against the others (s).
+    pub delay_s: f64,
+    /// Standard deviation of the delay between records (s).
+    pub delay_std_s: f64,
+}
+
+impl SensorReference {
+    /// Combines records with the usual scatter, which counts as half a record. There must be at
+    /// least one record.
+    pub(crate) fn of(channel: &str, records: &[ObservedRelation], usual: &Expected) -> Self {
+        let gains: Vec<f64> = records.iter().map(|one| libm::log(one.gain)).collect();
+        let delays: Vec<f64> = records.iter().map(|one| one.delay_s).collect();
+        let (ln_gain, ln_gain_std) = mean_and_std(&gains, usual.ln_gain.1);
+        let (delay_s, delay_std_s) = mean_and_std(&delays, usual.delay_s.1);
+        Self {
+            channel: channel.to_owned(),
+            gain: libm::exp(ln_gain),
+            ln_gain_std,
+            delay_s,
+            delay_std_s,
+        }
+    }
+
+    /// Returns `true` if the values are possible.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        let is_positive = |value: f64| value.is_finite() && value > 0.0;
+        is_positive(self.gain)
+            && is_positive(self.ln_gain_std)
+            && is_positive(self.delay_std_s)
+            && self.delay_s.is_finite()
+    }
+}
+
+/// Number of records that the usual scatter counts as.
+const USUAL_RECORDS: f64 = 0.5;
+
+/// Returns the mean of some values, and the standard deviation of a further one.
+fn mean_and_std(values: &[f64], usual_std: f64) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    let variance =
+        (squares + USUAL_RECORDS * usual_std * usual_std) / (count - 1.0 + USUAL_RECORDS);
+    (mean, (variance * (1.0 + 1.0 / count)).sqrt())
+}

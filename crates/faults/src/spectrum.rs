@@ -1,0 +1,219 @@
+//! Fourier coefficients of the low band over overlapping windows, one sample at a time.
+
+use nalgebra::Complex;
+use serde::{Deserialize, Serialize};
+
+/// Length of a window in periods of the fundamental.
+const PERIODS: f64 = 24.0;
+
+/// Windows that run at the same time. Each starts a quarter of a window after the last.
+pub(crate) const OVERLAP: usize = 4;
+
+/// First and last bin of the band. The bins have a distance of 1/24 of the fundamental, so that the
+/// band extends from 0.125 to 0.33 times the fundamental. A Hann window separates bin 3 from a
+/// constant offset.
+const BINS: std::ops::RangeInclusive<usize> = 3..=8;
+
+/// Largest share of missing samples in a window. The last value replaces a missing sample.
+const MISSING_SHARE: f64 = 0.03;
+
+/// The transform of one group of channels.
+#[derive(Debug, Clone)]
+pub(crate) struct Spectrum {
+    /// Number of samples of a window, a multiple of [`OVERLAP`].
+    samples: usize,
+    rate_hz: f64,
+    /// `exp(−2πi n / samples)` for each `n`.
+    turns: Vec<Complex<f64>>,
+}
+
+/// The windows that are being filled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Windows {
+    /// Number of samples since the start.
+    count: u64,
+    last: Vec<f64>,
+    open: Vec<Window>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Window {
+    /// Real and imaginary part per channel and bin, channel by channel.
+    sums: Vec<(f64, f64)>,
+    /// Missing samples per channel.
+    missing: Vec<u32>,
+}
+
+/// The Fourier coefficients of one complete window.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Coefficients {
+    /// Bins of one channel after the other; `None` for a channel with too many missing samples.
+    pub(crate) of_channels: Vec<Option<Vec<Complex<f64>>>>,
+}
+
+impl Spectrum {
+    /// Plans the transform for a fundamental frequency. `None` if the band has too few samples per
+    /// period.
+    pub(crate) fn new(fundamental_hz: f64, rate_hz: f64) -> Option<Self> {
+        let quarter = (PERIODS * rate_hz / (fundamental_hz * OVERLAP as f64)).round();
+        let is_resolved = quarter >= 16.0 && quarter < 1e6;
+        let samples = OVERLAP * is_resolved.then_some(quarter as usize)?;
+        let turn = |n: usize| {
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * n as f64 / samples as f64);
+            Complex::new(cos, -sin)
+        };
+        Some(Self {
+            samples,
+            rate_hz,
+            turns: (0..samples).map(turn).collect(),
+        })
+    }
+
+    /// Returns the frequencies of the bins (Hz).
+    pub(crate) fn frequencies_hz(&self) -> impl Iterator<Item = f64> + '_ {
+        BINS.map(|bin| bin as f64 * self.rate_hz / self.samples as f64)
+    }
+
+    /// Returns the length of a window (s).
+    pub(crate) fn window_s(&self) -> f64 {
+        self.samples as f64 / self.rate_hz
+    }
+
+    /// Returns the squared sum of the window, the factor from the variance of white noise to the
+    /// power of a bin.
+    pub(crate) fn noise_power(&self) -> f64 {
+        0.375 * self.samples as f64
+    }
+
+    /// Takes the values of one frame. Returns the coefficients of a window that is now complete.
+    pub(crate) fn take(
+        &self,
+        windows: &mut Windows,
+        values: impl Iterator<Item = f64>,
+    ) -> Option<Coefficients> {
+        let quarter = self.samples / OVERLAP;
+        let channels = windows.last.len();
+        let bins = BINS.count();
+        let mut is_missing = vec![false; channels];
+        for ((last, value), missing) in windows.last.iter_mut().zip(values).zip(&mut is_missing) {
+            *missing = !value.is_finite();
+            if value.is_finite() {
+                *last = value;
+            }
+        }
+        let mut complete = None;
+        for (phase, window) in windows.open.iter_mut().enumerate() {
+            let Some(since) = windows.count.checked_sub((phase * quarter) as u64) else {
+                continue;
+            };
+            let place = (since % self.samples as u64) as usize;
+            let weight = 0.5 - 0.5 * self.turns[place].re;
+            for (channel, value) in windows.last.iter().enumerate() {
+                window.missing[channel] += u32::from(is_missing[channel]);
+                let sums = &mut window.sums[channel * bins..(channel + 1) * bins];
+                for (sum, bin) in sums.iter_mut().zip(BINS) {
+                    let turn = self.turns[bin * place % self.samples];
+                    sum.0 += weight * value * turn.re;
+                    sum.1 += weight * value * turn.im;
+                }
+            }
+            if place + 1 == self.samples {
+                let empty = Window::new(channels);
+                complete = Some(self.coefficients(&std::mem::replace(window, empty)));
+            }
+        }
+        windows.count += 1;
+        complete
+    }
+
+    fn coefficients(&self, window: &Window) -> Coefficients {
+        let most = (MISSING_SHARE * self.samples as f64) as u32;
+        let of_channel = |(sums, missing): (&[(f64, f64)], &u32)| {
+            let values = sums.iter().map(|(re, im)| Complex::new(*re, *im));
+            (*missing <= most).then(|| values.collect())
+        };
+        let channels = window.sums.chunks(BINS.count()).zip(&window.missing);
+        Coefficients {
+            of_channels: channels.map(of_channel).collect(),
+        }
+    }
+}
+
+impl Windows {
+    /// Creates empty windows for a number of channels.
+    pub(crate) fn new(channels: usize) -> Self {
+        Self {
+            count: 0,
+            last: vec![0.0; channels],
+            open: vec![Window::new(channels); OVERLAP],
+        }
+    }
+
+    /// Returns `true` if the windows belong to this many channels.
+    pub(crate) fn fits(&self, channels: usize) -> bool {
+        let is_window = |window: &Window| {
+            window.sums.len() == channels * BINS.count() && window.missing.len() == channels
+        };
+        self.last.len() == channels && self.open.len() == OVERLAP && self.open.iter().all(is_window)
+    }
+}
+
+impl Window {
+    fn new(channels: usize) -> Self {
+        Self {
+            sums: vec![(0.0, 0.0); channels * BINS.count()],
+            missing: vec![0; channels],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fundamental of 1 Hz at 20 Hz: windows of 24 s and 480 samples, bins of 1/24 Hz.
+    fn complete(value: impl Fn(f64) -> f64, frames: usize) -> Vec<Coefficients> {
+        let spectrum = Spectrum::new(1.0, 20.0).unwrap();
+        assert_eq!(spectrum.window_s(), 24.0);
+        let mut windows = Windows::new(1);
+        let frames = 0..frames;
+        let taken = frames.filter_map(|frame| {
+            spectrum.take(&mut windows, std::iter::once(value(frame as f64 / 20.0)))
+        });
+        taken.collect()
+    }
+
+    #[test]
+    fn sine_of_a_bin_has_half_its_amplitude_times_the_sum_of_the_window() {
+        let hz = 5.0 / 24.0;
+        let all = complete(
+            |t| 3.0 * (std::f64::consts::TAU * hz * t).cos() + 100.0,
+            960,
+        );
+        // Windows end after 480 samples and after each further 120.
+        assert_eq!(all.len(), 5);
+        let first = all[0].of_channels[0].as_ref().unwrap();
+        // The sum of a Hann window of 480 samples is 240. Its neighbours have half of the peak.
+        assert!((first[2].norm() - 1.5 * 240.0).abs() < 1e-6, "{first:?}");
+        assert!((first[1].norm() - 0.75 * 240.0).abs() < 1e-6, "{first:?}");
+        assert!(
+            first[5].norm() < 1e-6 && first[0].norm() < 1e-6,
+            "an offset must not leak"
+        );
+    }
+
+    #[test]
+    fn window_with_many_missing_samples_has_no_coefficients() {
+        let lost = |from: f64, to: f64| {
+            move |t: f64| {
+                if (from..to).contains(&t) {
+                    f64::NAN
+                } else {
+                    t.sin()
+                }
+            }
+        };
+        assert!(complete(lost(3.0, 3.6), 480)[0].of_channels[0].is_some());
+        assert!(complete(lost(3.0, 5.0), 480)[0].of_channels[0].is_none());
+    }
+}

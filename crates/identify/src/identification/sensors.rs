@@ -1,0 +1,149 @@
+//! The check of the sensors against each other, and its consequences.
+
+use super::{Identification, Output};
+use spandrel_bus::{EventKind, Excluded};
+use spandrel_faults::{Change, SensorCheck, SensorReference, Soundness};
+
+/// Factor on the standard deviation of the parameters while the motion settles after a restart.
+///
+/// The motion is unknown at first. Without this, its error would move the parameters far from
+/// their prior, and a filter with fewer sensors does not always return.
+const HELD: f64 = 0.01;
+
+impl Identification {
+    /// Checks the sensors with the measured values of a frame. Returns `true` if the filter was
+    /// restarted without a faulty sensor.
+    pub(super) fn check_sensors(
+        &mut self,
+        time_ns: i64,
+        values: &[f64],
+        outputs: &mut Vec<Output>,
+    ) -> bool {
+        let changes = self.check.take(values);
+        let excluded = |change: &Change| {
+            change.now == Soundness::Faulty && self.observation_channels.contains(&change.channel)
+        };
+        let excludes = changes.iter().any(excluded);
+        for change in changes {
+            outputs.extend(self.tell_sensor(time_ns, change));
+        }
+        let released = self.settling == 1 && !excludes;
+        self.settling = self.settling.saturating_sub(1);
+        if released {
+            return self.estimator.scale_parameter_std(HELD.recip()).is_ok();
+        }
+        if excludes {
+            let restarted = self.estimator.restart();
+            let held = restarted.and_then(|()| self.estimator.scale_parameter_std(HELD));
+            self.settling = (self.check.window_s() * self.rate_hz()) as u64;
+            outputs.push(self.told_restart(
+                time_ns,
+                held,
+                "the estimates so far contain the samples of a faulty sensor",
+            ));
+        }
+        excludes
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.stream.map_or(0.0, |stream| stream.sampling_rate_hz)
+    }
+
+    fn tell_sensor(&self, time_ns: i64, change: Change) -> Option<Output> {
+        let health = self.check.health()[change.channel]?;
+        let is_response = self.observation_channels.contains(&change.channel);
+        let words = || health.fault.map(|fault| fault.words()).unwrap_or_default();
+        let (kind, what, why) = match (change.before, change.now) {
+            (_, Soundness::Faulty) if is_response => (
+                EventKind::ChannelExcluded,
+                format!("the sensor {}: its samples are not used", words()),
+                "far below the first natural frequency, all sensors of a direction measure the \
+                 same motion, whatever the stiffness",
+            ),
+            (_, Soundness::Faulty) => (
+                EventKind::ChannelExcluded,
+                format!("the sensor {}: alerts are suspended", words()),
+                "the excitation of the structure is not known",
+            ),
+            (_, Soundness::InDoubt) => (
+                EventKind::ChannelInDoubt,
+                format!("perhaps the sensor {}: alerts are suspended", words()),
+                "its motion differs from that of the other sensors where the stiffness has no \
+                 effect",
+            ),
+            (Soundness::Faulty, Soundness::Sound | Soundness::Unchecked) => (
+                EventKind::ChannelBack,
+                "the sensor is used again".to_owned(),
+                "it agrees with the other sensors again",
+            ),
+            (Soundness::InDoubt, Soundness::Sound | Soundness::Unchecked) => (
+                EventKind::ChannelBack,
+                "the sensor is no longer in doubt".to_owned(),
+                "it agrees with the other sensors",
+            ),
+            (Soundness::Sound | Soundness::Unchecked, Soundness::Sound | Soundness::Unchecked) => {
+                return None;
+            }
+        };
+        let name = &self.channel_names[change.channel];
+        Some(self.event_of(name, time_ns, kind, &what, why))
+    }
+
+    /// Removes the samples of faulty sensors from the values of the filter.
+    pub(super) fn mask_faulty(&mut self) {
+        for row in 0..self.observations.len() {
+            if self.left_out.contains(&row) || self.is_excluded(row) {
+                self.observations[row] = f64::NAN;
+            }
+        }
+    }
+
+    /// Returns `true` if a sensor in use is probably faulty.
+    pub(super) fn has_sensor_in_doubt(&self) -> bool {
+        let faulty_ground = || {
+            let mut measured = self.excitation_channels.iter().flatten();
+            measured.any(|channel| self.is_faulty(*channel))
+        };
+        self.check.is_in_doubt() || self.settling > 0 || faulty_ground()
+    }
+
+    /// Returns the channels that the check excludes.
+    pub(super) fn excluded(&self) -> Excluded {
+        let mut rows = (0..self.observation_channels.len()).filter(|row| self.is_excluded(*row));
+        match (rows.next(), rows.next()) {
+            (None, _) => Excluded::None,
+            (Some(row), None) => Excluded::One(row as u16),
+            (Some(_), Some(_)) => Excluded::Several,
+        }
+    }
+
+    fn is_excluded(&self, row: usize) -> bool {
+        self.is_faulty(self.observation_channels[row])
+    }
+
+    fn is_faulty(&self, channel: usize) -> bool {
+        let health = self.check.health()[channel];
+        health.is_some_and(|health| health.soundness == Soundness::Faulty)
+    }
+
+    /// Returns the check of the sensors.
+    #[must_use]
+    pub fn sensor_check(&self) -> &SensorCheck {
+        &self.check
+    }
+
+    /// Expects of the sensors what they have shown in earlier records.
+    pub fn expect_sensors(&mut self, references: &[SensorReference]) {
+        let names: Vec<&str> = self.channel_names.iter().map(String::as_str).collect();
+        self.check.expect(&names, references);
+    }
+
+    /// Never uses the channel with this name. Returns `false` if no response is measured by it.
+    pub fn leave_out(&mut self, channel: &str) -> bool {
+        let names = &self.channel_names;
+        let mut rows = self.observation_channels.iter();
+        let row = rows.position(|index| names[*index] == channel);
+        self.left_out.extend(row);
+        row.is_some()
+    }
+}
