@@ -15,7 +15,7 @@ pub(crate) const OVERLAP: usize = 4;
 const BINS: std::ops::RangeInclusive<usize> = 3..=8;
 
 /// Largest share of missing samples in a window. The last value replaces a missing sample.
-const MISSING_SHARE: f64 = 0.03;
+const MISSING_SHARE: f64 = 0.25;
 
 /// The transform of one group of channels.
 #[derive(Debug, Clone)]
@@ -214,6 +214,6 @@ mod tests {
             }
         };
         assert!(complete(lost(3.0, 3.6), 480)[0].of_channels[0].is_some());
-        assert!(complete(lost(3.0, 5.0), 480)[0].of_channels[0].is_none());
+        assert!(complete(lost(3.0, 9.5), 480)[0].of_channels[0].is_none());
     }
 }

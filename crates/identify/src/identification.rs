@@ -502,7 +502,6 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
-        let restarted_by_check = self.check_sensors(time_ns, values, outputs);
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);
@@ -531,7 +530,7 @@ impl Identification {
         let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
         self.unobserved = if observed { 0 } else { self.unobserved + 1 };
         let beyond_recovery = matches!(&self.estimator, Estimator::Particles(particles) if particles.are_beyond_recovery());
-        let restarted = result.is_err() || beyond_recovery || restarted_by_check;
+        let restarted = result.is_err() || beyond_recovery;
         if let Err(error) = &result {
             outputs.push(self.restart(time_ns, &error.to_string()));
         } else if beyond_recovery {
@@ -548,7 +547,8 @@ impl Identification {
             self.tell_outliers(time_ns, outputs);
             self.tell_classes(time_ns, outputs);
         }
-        let estimate = self.estimate(result.ok(), restarted);
+        let without_faulty = self.check_sensors(time_ns, values, outputs);
+        let estimate = self.estimate(result.ok(), restarted || without_faulty);
         estimates.push(estimate);
         if let Some(stream) = &mut self.stream {
             stream.next = number + 1;

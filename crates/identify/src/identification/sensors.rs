@@ -3,6 +3,7 @@
 use super::{Identification, Output};
 use spandrel_bus::{EventKind, Excluded};
 use spandrel_faults::{Change, SensorCheck, SensorReference, Soundness};
+use spandrel_filter::Verdict;
 
 /// Factor on the standard deviation of the parameters while the motion settles after a restart.
 ///
@@ -19,7 +20,15 @@ impl Identification {
         values: &[f64],
         outputs: &mut Vec<Output>,
     ) -> bool {
-        let changes = self.check.take(values);
+        let mut values = values.to_vec();
+        if let Some(outliers) = self.estimator.outliers() {
+            for (screen, channel) in outliers.channels().iter().zip(&self.observation_channels) {
+                if screen.verdict() == Verdict::Outlier {
+                    values[*channel] = f64::NAN; // a spike is no fault of the whole channel
+                }
+            }
+        }
+        let changes = self.check.take(&values);
         let excluded = |change: &Change| {
             change.now == Soundness::Faulty && self.observation_channels.contains(&change.channel)
         };
