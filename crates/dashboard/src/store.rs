@@ -251,6 +251,7 @@ impl Store {
                 | EventKind::SamplesDropped
                 | EventKind::SamplesBack
                 | EventKind::Monitoring
+                | EventKind::Maintenance
                 | EventKind::Gap
                 | EventKind::Overloaded
                 | EventKind::CaughtUp => false,
