@@ -768,3 +768,52 @@ async fn live_simulation_pages_nobody() {
     assert!(paged.try_recv().is_err(), "a simulation pages nobody");
     services.stop().expect_code(0);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_what_nobody_has_acknowledged_is_escalated() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (bus, keys) = (site.host().await, site.keys());
+    let (first, told) = http(0);
+    let (second, escalated) = http(0);
+    let states = "states = [\"raised\", \"acknowledged\", \"cleared\"]";
+    let text = format!(
+        "[[notify.webhook]]\nurl = \"http://{first}/\"\n{states}\n\
+         [[notify.webhook]]\nurl = \"http://{second}/\"\n{states}\nafter-s = 6\n\
+         [state]\nfolder = \"none\"\n"
+    );
+    let notify = start_notify(&site, &bus, &text).await;
+    let put = async |parameter: &str, seconds, state| {
+        let parameter = Name::new(parameter).unwrap();
+        let publisher = bus.publish_display(keys.alert(&parameter)).await.unwrap();
+        let alert = AlertMessage {
+            parameter,
+            ..alert(&site, seconds, state)
+        };
+        publisher.put(&alert).await.unwrap();
+    };
+    put("storey-1", 10, AlertState::Raised).await;
+    put("storey-2", 10, AlertState::Raised).await;
+    put("storey-1", 11, AlertState::Acknowledged).await;
+    let mut at_once: Vec<String> = (0..3)
+        .map(|_| told.recv_timeout(DEADLINE).unwrap().body["state"].to_string())
+        .collect();
+    at_once.sort();
+    assert_eq!(at_once, ["\"acknowledged\"", "\"raised\"", "\"raised\""]);
+    let body = escalated.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(
+        (&body["parameter"], &body["state"]),
+        (&"storey-2".into(), &"raised".into())
+    );
+    let unanswered = body["unanswered"].as_str().unwrap();
+    assert!(unanswered.ends_with(" s"), "{unanswered}");
+    // Its end is sent, and nothing of the other one.
+    put("storey-1", 20, AlertState::Cleared).await;
+    put("storey-2", 20, AlertState::Cleared).await;
+    let end = escalated.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(
+        (&end["parameter"], &end["state"]),
+        (&"storey-2".into(), &"cleared".into())
+    );
+    notify.stop().expect_code(0);
+    bus.close().await.unwrap();
+}

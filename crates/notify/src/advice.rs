@@ -130,6 +130,7 @@ mod tests {
             alerts: &BTreeMap::new(),
             monitoring: display.as_ref(),
             origin: Origin::Measured,
+            fit: None,
             absent: &absent
                 .iter()
                 .map(|node| name(node))

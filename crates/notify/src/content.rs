@@ -5,7 +5,8 @@ use crate::origin::Origin;
 use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    AlertMessage, ChannelMonitoring, MonitoringDisplay, MonitoringState, Name, is_without_date,
+    AlertMessage, ChannelMonitoring, FitReasons, FitVerdict, MonitoringDisplay, MonitoringState,
+    Name, fit_in_words, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -42,6 +43,8 @@ pub(crate) struct Circumstances {
     pub(crate) title: String,
     /// Where the structure stands; empty if the structure file does not say.
     pub(crate) place: String,
+    /// How well the model explains the data; empty if it is not assessed.
+    pub(crate) fit: String,
     /// How good the data are.
     pub(crate) quality: String,
     /// Other alerts of the structure that are not normal.
@@ -216,6 +219,8 @@ pub(crate) struct Scene<'s> {
     /// Last report on the monitoring. `None` if the alert service is silent.
     pub(crate) monitoring: Option<&'s MonitoringDisplay>,
     pub(crate) origin: Origin,
+    /// Present verdict on the fit.
+    pub(crate) fit: Option<FitVerdict>,
     /// Nodes that were present before and are not any longer.
     pub(crate) absent: &'s BTreeSet<Name>,
 }
@@ -229,7 +234,15 @@ impl Scene<'_> {
             Report::Monitoring(display) => (None, display.measured_ns),
             Report::Summary(_) => (None, None),
         };
+        // The verdict at the deciding frame, with its reasons, precedes the present one.
+        let fit = match &report {
+            Report::Alert(alert) if alert.fit.is_some() => alert.fit.zip(Some(alert.fit_reasons)),
+            _ => self.fit.zip(Some(FitReasons::default())),
+        };
         let circumstances = Circumstances {
+            fit: fit
+                .map(|(verdict, reasons)| fit_in_words(verdict, reasons))
+                .unwrap_or_default(),
             title: self.facts.title.clone(),
             place: self.facts.place.clone(),
             quality: self.quality(),
@@ -339,6 +352,7 @@ mod tests {
                 &["a part of roof"],
             )),
             origin: Origin::Measured,
+            fit: Some(FitVerdict::Supported),
             absent: &BTreeSet::new(),
         }
         .compose(report)
@@ -387,6 +401,7 @@ mod tests {
             of("storey-4", AlertState::Normal),
         ];
         let Circumstances {
+            fit,
             quality,
             others,
             title,
@@ -403,5 +418,17 @@ mod tests {
             .collect();
         assert_eq!(states, ["storey-3 raised", "storey-1 pending"]);
         assert_eq!((&*title, &*place), ("House by the lake", "Lake Road 4"));
+        assert_eq!(fit, "the data support the model");
+        let doubtful = AlertMessage {
+            fit: Some(FitVerdict::Doubtful),
+            ..alert(20, AlertState::Raised)
+        };
+        let own = compose(Report::Alert(doubtful), &[], None)
+            .circumstances
+            .fit;
+        assert_eq!(
+            own,
+            fit_in_words(FitVerdict::Doubtful, FitReasons::default())
+        );
     }
 }

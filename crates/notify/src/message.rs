@@ -200,7 +200,7 @@ mod tests {
             "Measured at: 1970-01-01T00:00:20Z",
             "0.8760 of nominal, standard deviation 0.0123",
             "12.4 %, between 9.0 % and 15.0 % with 99.0 % credibility\nRule:",
-            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %\nData:        watching\n",
+            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %\nFit:         supported\nData:        watching\n",
             "Samples:     measured\nAlso:        storey-1 pending: it has lost 6 %\n",
         ] {
             assert!(text.contains(part), "{part}\n{text}");

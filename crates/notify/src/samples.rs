@@ -81,6 +81,7 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
     let circumstances = Circumstances {
         title: "TEST: title".to_owned(),
         place: "TEST: place".to_owned(),
+        fit: "TEST: doubtful".to_owned(),
         quality: "TEST: degraded; samples used in the last 5 s: test-channel 33 %".to_owned(),
         others: vec!["TEST: other-part pending (made up)".to_owned()],
         origin: Origin::Measured,

@@ -30,8 +30,8 @@ pub(crate) enum Receiver {
         from: Mailbox,
         to: Vec<Mailbox>,
         /// Templates of subject and text.
-        templates: [Template; 2],
-        email: Email,
+        templates: Box<[Template; 2]>,
+        email: Box<Email>,
     },
 }
 
@@ -97,8 +97,8 @@ fn by_mail(email: &Email, index: usize) -> Result<Receiver, NotifyError> {
         transport: Box::new(builder.build()),
         from: mailbox(&email.from)?,
         to: email.to.iter().map(mailbox).collect::<Result<_, _>>()?,
-        templates: email.templates(&format!("email[{index}]"))?,
-        email: email.clone(),
+        templates: Box::new(email.templates(&format!("email[{index}]"))?),
+        email: Box::new(email.clone()),
     })
 }
 
@@ -182,9 +182,10 @@ impl Receiver {
                 transport,
                 from,
                 to,
-                templates: [subject, text],
+                templates,
                 ..
             } => {
+                let [subject, text] = &**templates;
                 let subject = subject.render(content)?;
                 // A subject is one line.
                 let subject = subject.split_whitespace().collect::<Vec<_>>().join(" ");

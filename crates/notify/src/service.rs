@@ -10,8 +10,8 @@ use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use crate::sight::Sight;
 use spandrel_bus::{
-    AlertMessage, BoxedFuture, Event, EventKind, Keys, LiveToken, LiveWatch, Maintenance, Name,
-    Service, Subscription, parse_key, reported_pace,
+    AlertMessage, BoxedFuture, Event, EventKind, FitVerdict, Keys, LiveToken, LiveWatch,
+    Maintenance, Name, Service, Subscription, parse_key, reported_pace,
 };
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
 use spandrel_service::{
@@ -497,6 +497,7 @@ impl Source {
             alerts: &self.state.alerts,
             monitoring: self.sight.report(now),
             origin: self.origins.origin(),
+            fit: newest_fit(&self.state),
             absent: &absent.filter(|node| !present.contains(node)).collect(),
         };
         for report in reports {
@@ -512,6 +513,13 @@ impl Source {
             told: self.sight.told,
         }
     }
+}
+
+/// Returns the newest verdict on the fit that a status reports.
+fn newest_fit(state: &StructureState) -> Option<FitVerdict> {
+    let statuses = state.statuses().map(|(_, status)| status);
+    let assessed = statuses.filter(|status| status.fit.is_some());
+    assessed.max_by_key(|status| status.time_ns)?.fit
 }
 
 fn facts(monitored: &Monitored, settings: &NotifySettings) -> Facts {

@@ -5,7 +5,7 @@ use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior, Value};
 use serde_json::{Map, json};
-use spandrel_bus::{AlertMessage, fit_in_words};
+use spandrel_bus::AlertMessage;
 
 /// All variables of a template.
 pub(crate) const VARIABLES: [&str; 34] = [
@@ -165,6 +165,7 @@ pub(crate) fn variables(content: &Content) -> Map<String, serde_json::Value> {
     );
     set("sentence", json!(content.sentence()));
     set("time", json!(iso_8601(content.time_ns())));
+    set("fit", json!(circumstances.fit));
     set("quality", json!(circumstances.quality));
     set("others", json!(circumstances.others));
     set("origin", json!(circumstances.origin.as_str()));
@@ -217,9 +218,6 @@ fn of_alert(alert: &AlertMessage, set: &mut impl FnMut(&str, serde_json::Value))
     if let Some(within) = within.filter(|within| Some(*within) != alert.loss_interval) {
         set("loss_low_within_record", percent(within.low));
         set("loss_high_within_record", percent(within.high));
-    }
-    if let Some(verdict) = alert.fit {
-        set("fit", json!(fit_in_words(verdict, alert.fit_reasons)));
     }
     if let Some(because) = alert.undecided_because {
         set("undecided", json!(because.words()));

@@ -82,6 +82,7 @@ pub(crate) fn circumstances() -> Circumstances {
     Circumstances {
         title: "House by the lake".to_owned(),
         place: "Lake Road 4".to_owned(),
+        fit: "supported".to_owned(),
         quality: "watching".to_owned(),
         others: vec!["storey-1 pending: it has lost 6 %".to_owned()],
         origin: Origin::Measured,

@@ -45,7 +45,7 @@ fn each_change_is_sent_once_to_whom_it_concerns() {
     let due = outbox.due(s(0));
     assert_eq!(
         due.iter()
-            .map(|notice| (notice.receiver, of(&notice).state))
+            .map(|notice| (notice.receiver, of(notice).state))
             .collect::<Vec<_>>(),
         [(0, AlertState::Raised)]
     );
