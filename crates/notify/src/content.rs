@@ -157,6 +157,12 @@ impl Content {
         }
     }
 
+    /// Returns how this report ends another one, in a line of a summary.
+    pub(crate) fn end(&self) -> String {
+        let state = self.state().map_or("", NoticeState::as_str);
+        format!("{state} at {}", iso_8601(self.time_ns()))
+    }
+
     /// Returns the report in a line of a summary.
     pub(crate) fn line(&self) -> String {
         let state = self.state().map_or("", NoticeState::as_str);

@@ -595,7 +595,7 @@ impl Receiver {
         let mut ends = false;
         for held in &mut self.held {
             if held.content.subject() == of && held.content.is_open() && held.over.is_none() {
-                held.over = Some(end.line());
+                held.over = Some(end.end());
                 ends = true;
             }
         }
@@ -634,8 +634,8 @@ impl Receiver {
             if held.over.is_some() || cause.is_some() {
                 let cause = cause.unwrap_or_else(|| "quiet hours".to_owned());
                 let lines = summaries.entry((of.0.clone(), cause)).or_default();
-                lines.push(held.content.line());
-                lines.extend(held.over.clone());
+                let end = held.over.as_ref().map(|end| format!("; {end}"));
+                lines.push(held.content.line() + &end.unwrap_or_default());
             }
             if held.over.is_none() {
                 lasting.push(held);

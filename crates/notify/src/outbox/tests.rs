@@ -379,11 +379,13 @@ fn send(outbox: &mut Outbox, moment: Moment) -> Vec<String> {
         let state = content.state().map_or("summary", NoticeState::as_str);
         match &content.report {
             Report::Summary(summary) => {
-                let lines: Vec<&str> = summary
-                    .lines
-                    .iter()
-                    .map(|line| line.split(": ").next().unwrap())
-                    .collect();
+                // Start and end of each line, without its sentence.
+                let short = |line: &String| {
+                    let start = line.split(": ").next().unwrap_or_default();
+                    let end = line.rsplit_once("; ").map_or("lasts", |(_, end)| end);
+                    format!("{start} ({end})")
+                };
+                let lines: Vec<String> = summary.lines.iter().map(short).collect();
                 sent.push(format!("{}: {}", summary.cause, lines.join("; ")));
             }
             Report::Alert(_) | Report::Monitoring(_) => sent.push(state.to_owned()),
@@ -434,6 +436,7 @@ fn escalation_waits_and_only_what_nobody_acknowledged_is_sent() {
     take(&mut outbox, &alert(20, AlertState::Raised), s(0));
     assert_eq!(send(&mut outbox, at(s(1799))), NONE);
     let mut next = saved(&outbox, wish(), s(1799));
+    assert_eq!(send(&mut next, at(s(1799))), NONE);
     assert_eq!(send(&mut next, at(s(1800))), ["raised"], "after a restart");
     assert_eq!(send(&mut outbox, at(s(1800))), ["raised"]);
     // The receiver knows of the alert, so that what follows is sent at once.
@@ -512,7 +515,7 @@ fn quiet_hours_end_with_what_lasts_and_one_summary_of_what_has_ended() {
     assert_eq!(
         send(&mut outbox, at(s(6 * 3600))),
         [
-            "quiet hours: 1970-01-01T00:00:20Z storey-1 pending; 1970-01-01T00:00:30Z storey-1 normal",
+            "quiet hours: 1970-01-01T00:00:20Z storey-1 pending (normal at 1970-01-01T00:00:30Z)",
             "pending"
         ]
     );
@@ -532,8 +535,9 @@ fn maintenance_mutes_and_its_end_is_followed_by_a_summary_and_by_what_lasts() {
     assert_eq!(outbox.muted, 2);
     let mut outbox = saved(&outbox, Wish::default(), s(3599));
     let sent = send(&mut outbox, at(s(3600)));
-    let summary = "maintenance by ada (new bearings): 1970-01-01T00:00:20Z storey-2 raised; \
-                   1970-01-01T00:00:30Z storey-2 cleared; 1970-01-01T00:00:40Z monitoring blind";
+    let summary = "maintenance by ada (new bearings): \
+                   1970-01-01T00:00:20Z storey-2 raised (cleared at 1970-01-01T00:00:30Z); \
+                   1970-01-01T00:00:40Z monitoring blind (lasts)";
     assert_eq!(sent, [summary, "blind"]);
     assert_eq!(outbox.maintenance(&name("house")), []);
 }
