@@ -3,8 +3,9 @@
 use crate::error::NotifyError;
 use crate::origin::Origins;
 use crate::outbox::{Remembered, version_1, version_2};
+use crate::sight::Told;
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertMessage, MonitoringState, Name};
+use spandrel_bus::{AlertMessage, Name};
 use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Place};
 use spandrel_service::Clock;
 use std::path::Path;
@@ -31,8 +32,7 @@ pub(crate) struct Situation {
     /// Changes of alerts whose notices are not composed yet.
     pub(crate) fresh: Vec<AlertMessage>,
     pub(crate) origins: Origins,
-    /// The state of the last notice about the monitoring, unless it was `watching`.
-    pub(crate) told: Option<MonitoringState>,
+    pub(crate) told: Told,
 }
 
 /// [`State`] in version 2, before notices about the monitoring.
@@ -303,7 +303,6 @@ mod tests {
         first.maintain(period.clone(), 10);
         let situation = Situation {
             fresh: vec![crate::testing::alert(20, AlertState::Raised)],
-            told: Some(MonitoringState::Blind),
             ..Situation::default()
         };
         let (mut memory, _) = Memory::open(folder.path(), &house).unwrap();

@@ -478,14 +478,17 @@ impl Source {
             wall_ns,
         });
         if has_changed {
-            // What was notified about other samples says nothing about these.
-            self.sight.told = None;
+            self.sight.told.change_origin();
         }
         let mut reports = Vec::new();
         while let Some((alert, _)) = self.fresh.pop_front_if(|(_, due)| *due <= now) {
             reports.push(Report::Alert(alert));
         }
-        reports.extend(self.sight.look(now, wall_ns).map(Report::Monitoring));
+        reports.extend(
+            self.sight
+                .look(self.origins.origin(), now, wall_ns)
+                .map(Report::Monitoring),
+        );
         if has_changed || !reports.is_empty() {
             outbox.mark_changed(self.keys.structure());
         }

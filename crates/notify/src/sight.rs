@@ -1,7 +1,9 @@
 //! Decides when the monitoring of a structure is worth a notice: once it has been blind or degraded
 //! for a time, and once it is watching again. It has no clock: the time is an argument.
 
+use crate::origin::Origin;
 use crate::settings::Delays;
+use serde::{Deserialize, Serialize};
 use spandrel_bus::{MonitoringDisplay, MonitoringState as State, Name};
 use std::time::Duration;
 
@@ -21,8 +23,30 @@ pub(crate) struct Sight {
     state: Option<(State, Duration)>,
     /// Time since which the structure has not been watched.
     impaired: Option<Duration>,
-    /// The state of the last notice, unless it was `watching`.
-    pub(crate) told: Option<State>,
+    pub(crate) told: Told,
+}
+
+/// The state of the last notice, unless it was `watching`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Told {
+    /// While the samples were measured.
+    measured: Option<State>,
+    /// While the samples came from the present recording or simulation.
+    other: Option<State>,
+}
+
+impl Told {
+    /// Forgets the former recording or simulation, after the origin of the samples has changed.
+    pub(crate) fn change_origin(&mut self) {
+        self.other = None;
+    }
+
+    fn of(&mut self, origin: Origin) -> &mut Option<State> {
+        match origin {
+            Origin::Measured => &mut self.measured,
+            Origin::Replayed | Origin::Simulated => &mut self.other,
+        }
+    }
 }
 
 impl Sight {
@@ -34,7 +58,7 @@ impl Sight {
             started: now,
             state: None,
             impaired: None,
-            told: None,
+            told: Told::default(),
         }
     }
 
@@ -58,9 +82,14 @@ impl Sight {
         self.heard.as_ref()?.0.measured_ns
     }
 
-    /// Returns the report for a notice, if one is due. `wall_ns` is the wall-clock time, ns since
+    /// Returns the report for a notice about samples of this origin, if one is due. `wall_ns` is the wall-clock time, ns since
     /// the Unix epoch, UTC.
-    pub(crate) fn look(&mut self, now: Duration, wall_ns: i64) -> Option<MonitoringDisplay> {
+    pub(crate) fn look(
+        &mut self,
+        origin: Origin,
+        now: Duration,
+        wall_ns: i64,
+    ) -> Option<MonitoringDisplay> {
         if now.saturating_sub(self.started) <= SILENT_AFTER {
             return None; // what the bus knows has not arrived yet
         }
@@ -70,7 +99,8 @@ impl Sight {
         }
         let (state, since) = self.state?;
         let lasted = |since: Duration| now.saturating_sub(since);
-        let is_due = match (state, self.told) {
+        let told = self.told.of(origin);
+        let is_due = match (state, *told) {
             (State::Watching, told) => told.is_some() && lasted(since) >= self.delays.watching,
             (State::Blind, told) => {
                 told != Some(State::Blind) && lasted(since) >= self.delays.blind
@@ -85,7 +115,7 @@ impl Sight {
         if !is_due {
             return None;
         }
-        self.told = (state != State::Watching).then_some(state);
+        *told = (state != State::Watching).then_some(state);
         Some(match self.report(now) {
             Some(report) => report.clone(),
             None => self.silence(lasted(since), wall_ns),
@@ -149,7 +179,7 @@ mod tests {
                     let report = monitoring(second as i64, *state, since.1 as i64, &[*reason]);
                     sight.take(report, s(second));
                 }
-                let notice = sight.look(s(second), second as i64 * 1_000_000_000);
+                let notice = sight.look(Origin::Measured, s(second), second as i64 * 1_000_000_000);
                 told.extend(notice.map(|report| (second, report.state, report.reasons.join(";"))));
                 second += 1;
             }
@@ -222,19 +252,41 @@ mod tests {
     fn blindness_from_before_the_start_is_told_once_the_bus_was_heard() {
         let mut sight = Sight::new(name("house"), delays(), s(1000));
         sight.take(monitoring(5000, State::Blind, 0, &["x"]), s(1001));
-        assert_eq!(sight.look(s(1001), 0), None);
+        assert_eq!(sight.look(Origin::Measured, s(1001), 0), None);
         sight.take(monitoring(5005, State::Blind, 0, &["x"]), s(1006));
-        assert!(sight.look(s(1006), 0).is_some());
+        assert!(sight.look(Origin::Measured, s(1006), 0).is_some());
         // The next run has already told it.
         let mut next = Sight::new(name("house"), delays(), s(2000));
         next.told = sight.told;
         next.take(monitoring(6000, State::Blind, 0, &["x"]), s(2006));
-        assert_eq!(next.look(s(2006), 0), None);
+        assert_eq!(next.look(Origin::Measured, s(2006), 0), None);
         next.take(monitoring(6001, State::Watching, 6001, &[]), s(2007));
         next.take(monitoring(6090, State::Watching, 6001, &[]), s(2096));
         assert_eq!(
-            next.look(s(2096), 0).map(|report| report.state),
+            next.look(Origin::Measured, s(2096), 0)
+                .map(|report| report.state),
             Some(State::Watching)
         );
+    }
+
+    #[test]
+    fn replay_after_blindness_does_not_hide_its_end() {
+        let mut sight = Sight::new(name("house"), delays(), s(0));
+        let (blind, watching) = (State::Blind, State::Watching);
+        sight.take(monitoring(100, blind, 0, &["x"]), s(100));
+        let look = |sight: &mut Sight, origin, second| {
+            let report = sight.look(origin, s(second), 0);
+            report.map(|report| report.state)
+        };
+        assert_eq!(look(&mut sight, Origin::Measured, 100), Some(blind));
+        sight.told.change_origin();
+        sight.take(monitoring(200, watching, 101, &[]), s(200));
+        assert_eq!(look(&mut sight, Origin::Replayed, 200), None);
+        sight.take(monitoring(300, blind, 201, &["x"]), s(300));
+        assert_eq!(look(&mut sight, Origin::Replayed, 300), Some(blind));
+        sight.told.change_origin();
+        assert_eq!(look(&mut sight, Origin::Measured, 300), None, "told before");
+        sight.take(monitoring(400, watching, 301, &[]), s(400));
+        assert_eq!(look(&mut sight, Origin::Measured, 400), Some(watching));
     }
 }
