@@ -631,6 +631,16 @@ async fn maintenance_mutes_across_a_restart_and_ends_with_a_summary() {
     let notify = start_notify(&site, &bus, &text).await;
     assert_eq!(maintenance(&[]), told, "after a restart");
     assert!(hooks.try_recv().is_err(), "muted");
+    // A misspelt part mutes nothing, and the command says so.
+    let mut misspelt = spandrel("maintenance");
+    misspelt
+        .args(["house", "--until", &until, "--reason", "paint"])
+        .args(["--parameter", "story-2", "--who", "grace"])
+        .args(["--root", keys.root().as_str(), "--connect", site.endpoint()]);
+    Process::start(&mut misspelt)
+        .wait()
+        .expect_code(1)
+        .expect_told(&["no confirmation", "that the parameter exists"]);
     assert_eq!(maintenance(&["--end"]), "house: no maintenance\n");
     let summary = hooks.recv_timeout(DEADLINE).unwrap().body;
     assert_eq!(summary["kind"], "summary");

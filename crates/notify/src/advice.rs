@@ -118,6 +118,7 @@ mod tests {
             structure: name("house"),
             title: String::new(),
             place: String::new(),
+            parameters: Vec::new(),
             channels: vec![
                 ("ground-node".to_owned(), vec!["ground".to_owned()]),
                 ("roof-node".to_owned(), vec!["roof".to_owned()]),

@@ -211,6 +211,8 @@ pub(crate) struct Facts {
     pub(crate) structure: Name,
     pub(crate) title: String,
     pub(crate) place: String,
+    /// Names of the parameters.
+    pub(crate) parameters: Vec<String>,
     /// Names of the channels of each node, by the name of the node.
     pub(crate) channels: Vec<(String, Vec<String>)>,
     /// Public address of the page, without a slash at the end.
@@ -344,6 +346,7 @@ mod tests {
             structure: name("house"),
             title: "House by the lake".to_owned(),
             place: "Lake Road 4".to_owned(),
+            parameters: Vec::new(),
             channels: vec![("roof-node".to_owned(), vec!["roof".to_owned()])],
             public_url: public_url.map(str::to_owned),
         };

@@ -23,7 +23,7 @@ pub(crate) enum Receiver {
         agent: ureq::Agent,
         webhook: Webhook,
         authorization: Option<String>,
-        template: Option<Template>,
+        template: Option<Box<Template>>,
     },
     Email {
         transport: Box<SmtpTransport>,
@@ -51,7 +51,9 @@ pub(crate) fn receivers(settings: &NotifySettings) -> Result<Vec<Receiver>, Noti
             agent: agent.into(),
             webhook: webhook.clone(),
             authorization: token.map(|token| format!("Bearer {token}")),
-            template: webhook.template(&format!("webhook[{index}]"))?,
+            template: webhook
+                .template(&format!("webhook[{index}]"))?
+                .map(Box::new),
         });
     }
     for (index, email) in settings.email.iter().enumerate() {

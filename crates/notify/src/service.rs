@@ -430,7 +430,14 @@ impl Source {
     async fn maintain(&mut self, outbox: &mut Outbox, wall_ns: i64) -> Result<(), NotifyError> {
         let requests: Vec<_> = self.maintenance.messages().try_iter().collect();
         for (_, request) in requests {
-            let is_own = request.structure == *self.keys.structure();
+            let mut parameters = self.facts.parameters.iter();
+            let is_known = |part: &Name| parameters.any(|known| known == part.as_str());
+            let is_own = request.structure == *self.keys.structure()
+                && request.parameter.as_ref().is_none_or(is_known);
+            if !is_own {
+                let (structure, parameter) = (&request.structure, &request.parameter);
+                warn!(%structure, ?parameter, "maintenance of an unknown parameter or structure rejected");
+            }
             let change = is_own.then(|| outbox.maintain(request, wall_ns)).flatten();
             if let Some(change) = change {
                 self.put_event(&change, wall_ns).await?;
@@ -527,6 +534,7 @@ fn newest_fit(state: &StructureState) -> Option<FitVerdict> {
 
 fn facts(monitored: &Monitored, settings: &NotifySettings) -> Facts {
     let structure = &monitored.structure;
+    let parameters = structure.parameters().iter();
     let channels = structure.nodes().iter().map(|node| {
         let channels = node.channels().iter();
         let names = channels.map(|channel| channel.name().to_owned()).collect();
@@ -536,6 +544,9 @@ fn facts(monitored: &Monitored, settings: &NotifySettings) -> Facts {
         structure: monitored.keys.structure().clone(),
         title: structure.description().trim().to_owned(),
         place: structure.location().trim().to_owned(),
+        parameters: parameters
+            .map(|parameter| parameter.name().to_owned())
+            .collect(),
         channels: channels.collect(),
         public_url: settings.base_url(),
     }

@@ -207,8 +207,8 @@ pub enum AppError {
     },
     /// Notify does not run, or has not confirmed a request.
     #[error(
-        "no confirmation from notify within {within_s} s; check that it runs for this structure \
-         and that the configuration names a receiver"
+        "no confirmation from notify within {within_s} s; check that it runs for this structure, \
+         that the configuration names a receiver, and that the parameter exists"
     )]
     NoAnswerOfNotify {
         /// The time limit, s.
