@@ -10,7 +10,10 @@
 mod support;
 
 use serde_json::Value;
-use spandrel_bus::{AlertMessage, AlertState, Bus, Keys, Name, Service, Status};
+use spandrel_bus::{
+    AlertMessage, AlertState, Bus, Event, EventKind, Keys, MonitoringDisplay, MonitoringState,
+    Name, REFERENCE_IS_LEARNT, Service, Status,
+};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -126,13 +129,16 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
     let site = Site::with(&two_storeys(DAMAGED));
     let (hook, hooks) = http(2);
     let (manager, managed) = http(0);
+    let (pager, paged) = http(0);
     let (server, mails) = smtp();
     std::fs::write(site.folder().join("token"), format!("{TOKEN}\n")).unwrap();
     let configuration = site.folder().join("spandrel.toml");
     let text = format!(
-        "[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\ntoken-file = \"token\"\n\
-         [[notify.webhook]]\nurl = \"http://{manager}/api/v2/alerts\"\nformat = \"alertmanager\"\n\
-         [[notify.email]]\nserver = \"127.0.0.1\"\nport = {}\nencryption = \"none\"\n\
+        "[notify]\npublic-url = \"https://bridges.example\"\n\
+         [[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\ntoken-file = \"token\"\nsimulations = true\n\
+         [[notify.webhook]]\nurl = \"http://{manager}/api/v2/alerts\"\nformat = \"alertmanager\"\nsimulations = true\n\
+         [[notify.webhook]]\nurl = \"http://{pager}/\"\n\
+         [[notify.email]]\nserver = \"127.0.0.1\"\nport = {}\nencryption = \"none\"\nsimulations = true\n\
          from = \"Bridges <bridges@site.example>\"\nto = [\"ada@site.example\", \"bo@site.example\"]\n",
         server.port()
     );
@@ -180,6 +186,10 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
             "{}",
             attempt.body
         );
+        assert_eq!(attempt.body["origin"], "replayed");
+        let link = attempt.body["link"].as_str().unwrap();
+        let page = "https://bridges.example/#/structure/house?parameter=storey-2";
+        assert!(link.starts_with(page), "{link}");
     }
     let alert = managed.recv_timeout(DEADLINE).unwrap();
     assert!(
@@ -193,7 +203,7 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
     for part in [
         "RCPT TO:<ada@site.example>",
         "RCPT TO:<bo@site.example>",
-        "Subject: house: alert of storey-2 raised",
+        "Subject: [REPLAYED] house: alert of storey-2 raised",
     ] {
         assert!(mail.contains(part), "{part}\n{mail}");
     }
@@ -208,6 +218,7 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
         "told once"
     );
     assert!(mails.try_recv().is_err(), "told once");
+    assert!(paged.try_recv().is_err(), "a replay pages nobody");
     bus.close().await.unwrap();
     let finished = services.stop().expect_code(0);
     for secret in [TOKEN, "s3cret-path"] {
@@ -281,7 +292,8 @@ async fn notices_survive_kills_between_failures_and_arrive_under_one_key_each() 
     let (manager, managed) = answering(|| false);
     let configuration = site.folder().join("spandrel.toml");
     let text = format!(
-        "[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\n[[notify.webhook]]\nurl = \"http://{manager}/\"\n\
+        "[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\nstates = [\"raised\", \"cleared\"]\n\
+         [[notify.webhook]]\nurl = \"http://{manager}/\"\nstates = [\"raised\", \"cleared\"]\n\
          [state]\nfolder = \"state\"\n"
     );
     std::fs::write(&configuration, text).unwrap();
@@ -398,6 +410,8 @@ async fn notices_survive_kills_between_failures_and_arrive_under_one_key_each() 
 fn the_error_names_unusable_settings() {
     let site = Site::with(&two_storeys(DAMAGED));
     let configuration = site.folder().join("spandrel.toml");
+    let template = "{\n  \"loss\": {{ losss }}\n}\n";
+    std::fs::write(site.folder().join("body.json"), template).unwrap();
     for (text, parts) in [
         (
             "[[notify.webhook]]\nurl = \"gopher://x/s3cret\"\n",
@@ -412,6 +426,43 @@ fn the_error_names_unusable_settings() {
             &["notify.email[0].to", "\"somebody\""],
         ),
         ("[[notify.pager]]\nnumber = 1\n", &["pager", "webhook"]),
+        (
+            "[notify]\npublic-url = \"bridges.example\"\n",
+            &["notify.public-url", "bridges.example", "https://"],
+        ),
+        (
+            "[notify]\nblind-after-s = -1\n",
+            &["notify.blind-after-s", "-1", "30 days"],
+        ),
+        (
+            "[[notify.webhook]]\nurl = \"http://x/\"\ntemplate-file = \"body.json\"\n",
+            &[
+                "body.json:2",
+                "webhook[0].template-file",
+                "`losss`",
+                "loss_low",
+            ],
+        ),
+        (
+            "[[notify.webhook]]\nurl = \"http://x/\"\nstates = [\"blinded\"]\n",
+            &["blinded", "blind", "degraded", "watching"],
+        ),
+        (
+            "[[notify.webhook]]\nurl = \"http://x/\"\nquiet = [{ from = \"22:00\", to = \"06:00\", zone = \"Mars/Base\" }]\n",
+            &[
+                "notify.webhook[0].quiet[0].zone",
+                "Mars/Base",
+                "Europe/Zurich",
+            ],
+        ),
+        (
+            "[[notify.webhook]]\nurl = \"http://x/\"\nquiet = [{ from = \"10 pm\", to = \"06:00\", zone = \"UTC\" }]\n",
+            &["10 pm", "22:00"],
+        ),
+        (
+            "[[notify.webhook]]\nurl = \"http://x/\"\nformat = \"alertmanager\"\nafter-s = 60\n",
+            &["notify.webhook[0].format", "after-s"],
+        ),
         ("", &["no recipients of notices"]),
     ] {
         std::fs::write(&configuration, text).unwrap();
@@ -426,4 +477,353 @@ fn the_error_names_unusable_settings() {
             .expect_told(parts);
         assert!(!finished.stderr.contains("s3cret"), "{}", finished.stderr);
     }
+}
+
+/// Publishes reports on the monitoring, as the alert service does each second, until it is dropped.
+struct Reports(tokio::task::JoinHandle<()>);
+
+impl Drop for Reports {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+async fn report(bus: &Bus, keys: &Keys, state: MonitoringState, reason: &str) -> Reports {
+    let publisher = bus.publish_display(keys.monitoring()).await.unwrap();
+    let since_ns = now_ns();
+    let (structure, reason) = (keys.structure().clone(), reason.to_owned());
+    let mut every = tokio::time::interval(Duration::from_millis(200));
+    Reports(tokio::spawn(async move {
+        loop {
+            every.tick().await;
+            let display = MonitoringDisplay {
+                structure: structure.clone(),
+                time_ns: now_ns(),
+                measured_ns: Some(since_ns),
+                state,
+                since_ns,
+                reasons: vec![reason.clone()],
+                parameters: Vec::new(),
+                channels: Vec::new(),
+            };
+            publisher.put(&display).await.unwrap();
+        }
+    }))
+}
+
+fn now_ns() -> i64 {
+    i64::try_from(std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos()).unwrap()
+}
+
+/// Starts notify with a configuration, and waits until it is ready.
+async fn start_notify(site: &Site, bus: &Bus, text: &str) -> Process {
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, text).unwrap();
+    let process = Process::start(
+        site.connecting("notify")
+            .arg("--config")
+            .arg(&configuration),
+    );
+    let tokens = site.keys().all_live(Service::Notify);
+    let mut tokens = bus.watch_live(tokens).await.unwrap();
+    within("token of notify", tokens.some()).await;
+    process
+}
+
+fn states(requests: &Receiver<Request>, count: usize) -> Vec<(String, String)> {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let next = |_| {
+        let body = requests.recv_timeout(DEADLINE).unwrap().body;
+        (text(&body["kind"]), text(&body["state"]))
+    };
+    (0..count).map(next).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn blind_structure_and_silent_alert_service_are_notified_and_their_end_is() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (bus, keys) = (site.host().await, site.keys());
+    let (hook, hooks) = http(0);
+    let text = format!(
+        "[notify]\nblind-after-s = 1\nwatching-after-s = 1\n\
+         [[notify.webhook]]\nurl = \"http://{hook}/\"\n[state]\nfolder = \"state\"\n"
+    );
+    let learning = report(&bus, &keys, MonitoringState::Blind, REFERENCE_IS_LEARNT).await;
+    let notify = start_notify(&site, &bus, &text).await;
+    // Learning for longer than the delay of blindness is no loss of sight.
+    let next = hooks.recv_timeout(Duration::from_secs(8));
+    assert!(next.is_err(), "learning pages nobody");
+    drop(learning);
+    let blind = report(&bus, &keys, MonitoringState::Blind, "no samples arrive").await;
+    let first = hooks.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(first["state"], "blind");
+    assert_eq!(first["reasons"][0], "no samples arrive");
+    assert_eq!(first["title"], site.structure().description());
+    drop(blind);
+    let watching = report(&bus, &keys, MonitoringState::Watching, "").await;
+    let of = |state: &str| ("monitoring".to_owned(), state.to_owned());
+    assert_eq!(states(&hooks, 1), [of("watching")]);
+    // Nothing is heard of the structure any longer.
+    drop(watching);
+    let silent = hooks.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(silent["state"], "blind");
+    let reason = silent["reasons"][0].as_str().unwrap();
+    assert!(
+        reason.contains("alert service has sent no report"),
+        "{reason}"
+    );
+    let advice = silent["advice"].as_str().unwrap();
+    assert!(advice.contains("Check the server"), "{advice}");
+    // The next run knows that the blindness was notified.
+    notify.stop().expect_code(0);
+    let notify = start_notify(&site, &bus, &text).await;
+    let _watching = report(&bus, &keys, MonitoringState::Watching, "").await;
+    assert_eq!(states(&hooks, 1), [of("watching")]);
+    notify.stop().expect_code(0);
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn maintenance_mutes_across_a_restart_and_ends_with_a_summary() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (bus, keys) = (site.host().await, site.keys());
+    let (hook, hooks) = http(0);
+    let text =
+        format!("[[notify.webhook]]\nurl = \"http://{hook}/\"\n[state]\nfolder = \"state\"\n");
+    let events = bus.subscribe::<Event>(keys.event(), 64).await.unwrap();
+    let _watching = report(&bus, &keys, MonitoringState::Watching, "").await;
+    let notify = start_notify(&site, &bus, &text).await;
+    let maintenance = |options: &[&str]| {
+        let mut command = spandrel("maintenance");
+        command.arg(site.structure().name()).args(options).args([
+            "--who",
+            "grace",
+            "--root",
+            keys.root().as_str(),
+            "--connect",
+            site.endpoint(),
+        ]);
+        Process::start(&mut command).wait().expect_code(0).stdout
+    };
+    assert_eq!(maintenance(&[]), "house: no maintenance\n");
+    let until = (now_ns() / 1_000_000_000 + 3600).to_string();
+    let told = maintenance(&["--until", &until, "--reason", "new bearings"]);
+    assert!(told.contains("by grace: new bearings"), "{told}");
+    let event = within("an event", events.messages().recv_async())
+        .await
+        .unwrap()
+        .1;
+    assert_eq!(
+        (event.kind, &*event.why),
+        (EventKind::Maintenance, "grace: new bearings")
+    );
+
+    let publisher = bus
+        .publish_display(keys.alert(&Name::new("storey-2").unwrap()))
+        .await
+        .unwrap();
+    publisher
+        .put(&alert(&site, 100, AlertState::Raised))
+        .await
+        .unwrap();
+    muted(&bus, &keys).await;
+    notify.stop().expect_code(0);
+    let notify = start_notify(&site, &bus, &text).await;
+    assert_eq!(maintenance(&[]), told, "after a restart");
+    assert!(hooks.try_recv().is_err(), "muted");
+    // A misspelt part mutes nothing, and the command says so.
+    let mut misspelt = spandrel("maintenance");
+    misspelt
+        .args(["house", "--until", &until, "--reason", "paint"])
+        .args(["--parameter", "story-2", "--who", "grace"])
+        .args(["--root", keys.root().as_str(), "--connect", site.endpoint()]);
+    Process::start(&mut misspelt)
+        .wait()
+        .expect_code(1)
+        .expect_told(&["no confirmation", "that the parameter exists"]);
+    assert_eq!(maintenance(&["--end"]), "house: no maintenance\n");
+    let summary = hooks.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(summary["kind"], "summary");
+    assert_eq!(summary["cause"], "maintenance by grace (new bearings)");
+    let line = summary["lines"][0].as_str().unwrap();
+    assert!(line.contains("storey-2 raised"), "{line}");
+    // The alert lasts.
+    assert_eq!(
+        states(&hooks, 1),
+        [("alert".to_owned(), "raised".to_owned())]
+    );
+    notify.stop().expect_code(0);
+    bus.close().await.unwrap();
+}
+
+/// Waits until notify has muted a notice. It publishes its status after the notice is on disk.
+async fn muted(bus: &Bus, keys: &Keys) {
+    let statuses = bus
+        .subscribe(keys.statuses(Service::Notify), 64)
+        .await
+        .unwrap();
+    within("a muted notice", async {
+        loop {
+            let (_, status): (_, Status) = statuses.messages().recv_async().await.unwrap();
+            if status.drops.contains_key("muted-notices") {
+                return;
+            }
+        }
+    })
+    .await;
+}
+
+#[test]
+fn maintenance_without_notify_says_so() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let mut command = spandrel("maintenance");
+    command.args(["house", "--listen", site.endpoint()]);
+    Process::start(&mut command)
+        .wait()
+        .expect_code(1)
+        .expect_told(&["no confirmation from notify", "check that it runs"]);
+}
+
+#[test]
+fn test_notice_tells_what_happened_at_each_receiver() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (hook, hooks) = http(0);
+    let (broken, _refused) = answering(|| true);
+    let (server, mails) = smtp();
+    let template = "{\"text\": {{ sentence }}, \"key\": {{ key }}}";
+    std::fs::write(site.folder().join("body.json"), template).unwrap();
+    let configuration = site.folder().join("spandrel.toml");
+    let good = format!(
+        "[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\ntemplate-file = \"body.json\"\n\
+         [[notify.email]]\nserver = \"127.0.0.1\"\nport = {}\nencryption = \"none\"\n\
+         from = \"Bridges <bridges@site.example>\"\nto = [\"ada@site.example\"]\nstates = [\"blind\"]\n",
+        server.port()
+    );
+    let test = |text: &str, code: i32| {
+        std::fs::write(&configuration, text).unwrap();
+        let mut command = spandrel("notify");
+        command.arg(site.structure_file()).arg("--config");
+        command.arg(&configuration).arg("--test");
+        Process::start(&mut command).wait().expect_code(code)
+    };
+    let told = test(&good, 0).stdout;
+    let lines: Vec<&str> = told.lines().collect();
+    assert_eq!(lines.len(), 2, "{told}");
+    assert!(
+        lines[0].starts_with(&format!("http://{hook}/…: delivered in ")),
+        "{told}"
+    );
+    assert!(
+        lines[1].starts_with("ada@site.example: delivered in "),
+        "{told}"
+    );
+    let body = hooks.recv_timeout(DEADLINE).unwrap().body;
+    assert!(
+        body["text"].as_str().unwrap().starts_with("TEST: "),
+        "{body}"
+    );
+    let mail = mails.recv_timeout(DEADLINE).unwrap();
+    assert!(
+        mail.contains("Subject: [TEST] house: alert of test-part raised"),
+        "{mail}"
+    );
+    assert!(mail.contains("All values are made up"), "{mail}");
+    let finished = test(
+        &format!("{good}[[notify.webhook]]\nurl = \"http://{broken}/\"\n"),
+        1,
+    );
+    assert!(
+        finished.stdout.contains("failed: replied with 503"),
+        "{}",
+        finished.stdout
+    );
+    finished.expect_told(&["1 of 3 test notices"]);
+}
+
+// A live simulation has the pace of measured samples.
+#[tokio::test(flavor = "multi_thread")]
+async fn live_simulation_pages_nobody() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (pager, paged) = http(0);
+    let (hook, hooks) = http(0);
+    let configuration = site.folder().join("spandrel.toml");
+    let text = format!(
+        "[notify]\nblind-after-s = 1\nwatching-after-s = 0\n\
+         [[notify.webhook]]\nurl = \"http://{pager}/\"\n\
+         [[notify.webhook]]\nurl = \"http://{hook}/\"\nsimulations = true\n\
+         [state]\nfolder = \"none\"\n[history]\ndatabase = \"none\"\n"
+    );
+    std::fs::write(&configuration, text).unwrap();
+    let mut simulation = Process::start(site.listening("simulate").args(["--live"]));
+    let services = Process::start(
+        site.connecting("run")
+            .arg("--config")
+            .arg(&configuration)
+            .args(["--http", "none"]),
+    );
+    services.wait_for_log("ready structures=1");
+    assert!(!simulation.has_ended());
+    simulation.kill();
+    // The blindness after the simulation is still that of a simulation.
+    let body = loop {
+        let body = hooks.recv_timeout(DEADLINE).unwrap().body;
+        if body["state"] == "blind" {
+            break body;
+        }
+    };
+    assert_eq!(
+        (&body["origin"], &body["kind"]),
+        (&"simulated".into(), &"monitoring".into())
+    );
+    assert!(paged.try_recv().is_err(), "a simulation pages nobody");
+    services.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_what_nobody_has_acknowledged_is_escalated() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (bus, keys) = (site.host().await, site.keys());
+    let (first, told) = http(0);
+    let (second, escalated) = http(0);
+    let states = "states = [\"raised\", \"acknowledged\", \"cleared\"]";
+    let text = format!(
+        "[[notify.webhook]]\nurl = \"http://{first}/\"\n{states}\n\
+         [[notify.webhook]]\nurl = \"http://{second}/\"\n{states}\nafter-s = 6\n\
+         [state]\nfolder = \"none\"\n"
+    );
+    let notify = start_notify(&site, &bus, &text).await;
+    let put = async |parameter: &str, seconds, state| {
+        let parameter = Name::new(parameter).unwrap();
+        let publisher = bus.publish_display(keys.alert(&parameter)).await.unwrap();
+        let alert = AlertMessage {
+            parameter,
+            ..alert(&site, seconds, state)
+        };
+        publisher.put(&alert).await.unwrap();
+    };
+    put("storey-1", 10, AlertState::Raised).await;
+    put("storey-2", 10, AlertState::Raised).await;
+    put("storey-1", 11, AlertState::Acknowledged).await;
+    let mut at_once: Vec<String> = (0..3)
+        .map(|_| told.recv_timeout(DEADLINE).unwrap().body["state"].to_string())
+        .collect();
+    at_once.sort();
+    assert_eq!(at_once, ["\"acknowledged\"", "\"raised\"", "\"raised\""]);
+    let body = escalated.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(
+        (&body["parameter"], &body["state"]),
+        (&"storey-2".into(), &"raised".into())
+    );
+    let unanswered = body["unanswered"].as_str().unwrap();
+    assert!(unanswered.ends_with(" s"), "{unanswered}");
+    // Its end is sent, and nothing of the other one.
+    put("storey-1", 20, AlertState::Cleared).await;
+    put("storey-2", 20, AlertState::Cleared).await;
+    let end = escalated.recv_timeout(DEADLINE).unwrap().body;
+    assert_eq!(
+        (&end["parameter"], &end["state"]),
+        (&"storey-2".into(), &"cleared".into())
+    );
+    notify.stop().expect_code(0);
+    bus.close().await.unwrap();
 }

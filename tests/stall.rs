@@ -16,7 +16,9 @@ use spandrel_bus::{
 };
 use spandrel_identify::{FilterPool, IdentifyPlan, IdentifyService, Precedence};
 use spandrel_ingest::{IngestPlan, IngestService};
-use spandrel_sensor::{Clocks, NodePlan, SensorService, SensorSettings, Speed, simulated_rows};
+use spandrel_sensor::{
+    Clocks, NodePlan, Origin, SensorService, SensorSettings, Speed, simulated_rows,
+};
 use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use std::convert::Infallible;
 use std::future::pending;
@@ -323,6 +325,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     ];
     let wait_for = vec![Service::Ingest, Service::Identify, Service::Alert];
     let settings = SensorSettings {
+        origin: Origin::Simulated,
         speed: Speed::Max,
         epoch: 1,
         wait_for,

@@ -5,7 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
-    Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Maintenance, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 
@@ -74,6 +74,7 @@ const TYPES: [fn(&[u8]); 24] = [
     message::<MonitoringDisplay>,
     text_block::<SampleBlock>,
     text::<CaughtUp>,
+    message::<Maintenance>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {

@@ -203,7 +203,7 @@ pub fn structure_files(table: &mut Table) {
 }
 
 /// Mistakes in a configuration file, and what the error names.
-const MISCONFIGURED: [(&str, &str, &[&str]); 18] = [
+const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
     (
         "an unknown key",
         "thread = 3\n",
@@ -278,6 +278,25 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 18] = [
         "an address that is none",
         "[[notify.webhook]]\nurl = \"ftp://x\"\n",
         &["notify.webhook[0].url", "ftp://", "https://"],
+    ),
+    (
+        "an unknown variable in a template",
+        "[[notify.email]]\nserver = \"mail\"\nfrom = \"a@b.example\"\nto = [\"c@d.example\"]\nsubject = \"{{ strucure }}\"\n",
+        &["notify.email[0].subject", "`strucure`", "structure"],
+    ),
+    (
+        "quiet hours in an unknown time zone",
+        "[[notify.webhook]]\nurl = \"http://x/\"\nquiet = [{ from = \"22:00\", to = \"06:00\", zone = \"Mars/Base\" }]\n",
+        &[
+            "notify.webhook[0].quiet[0].zone",
+            "Mars/Base",
+            "Europe/Zurich",
+        ],
+    ),
+    (
+        "a delay of notices without end",
+        "[notify]\nblind-after-s = inf\n",
+        &["notify.blind-after-s", "inf", "30 days"],
     ),
     (
         "a page beyond this machine",

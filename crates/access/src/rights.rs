@@ -170,9 +170,19 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         ]
         .concat(),
         Role::Notify => [
-            each(Right::Subscribe, &[K::Alert]),
+            each(Right::Subscribe, &[K::Alert, K::Monitoring, K::Maintenance]),
+            // The status of ingest and of fuse states whether the samples are live.
+            each(Right::Subscribe, &Service::ALL.map(K::Status)),
+            each(Right::Put, &[K::Event]),
             each(Right::Query, &[K::Alert, K::AlertLog]),
-            each(Right::Watch, &[K::Live(Service::Alert)]),
+            each(
+                Right::Watch,
+                &[
+                    K::Live(Service::Alert),
+                    K::Live(Service::Sensor),
+                    K::Simulated,
+                ],
+            ),
             of_service(Service::Notify),
         ]
         .concat(),
@@ -192,7 +202,11 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         ]
         .concat(),
         Role::Dashboard => [rights(Role::Viewer), of_service(Service::Dashboard)].concat(),
-        Role::Operator => [rights(Role::Dashboard), each(Right::Put, &[K::Acknowledge])].concat(),
+        Role::Operator => [
+            rights(Role::Dashboard),
+            each(Right::Put, &[K::Acknowledge, K::Maintenance]),
+        ]
+        .concat(),
         // The publisher of a replayed or simulated record waits for its readers and queries the
         // last sample that ingest has stored.
         // A feed also reports gaps of its instruments as events, and its own status.
@@ -213,7 +227,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         Role::Sensor => [
             each(Right::Put, &[K::Samples]),
             each(Right::Answer, &[K::Buffer]),
-            each(Right::Announce, &[K::Live(Service::Sensor)]),
+            each(Right::Announce, &[K::Live(Service::Sensor), K::Simulated]),
             progress(Right::Subscribe),
             watch_all(),
         ]
@@ -232,7 +246,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
     match family {
         K::Samples | K::Buffer | K::Local | K::Feedback => true,
         // A node announces itself but watches all others.
-        K::Live(_) | K::Status(_) => matches!(right, Right::Announce | Right::Put),
+        K::Live(_) | K::Status(_) | K::Simulated => matches!(right, Right::Announce | Right::Put),
         K::Frames
         | K::Recording
         | K::Estimates
@@ -248,6 +262,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Event
         | K::Alert
         | K::Acknowledge
+        | K::Maintenance
         | K::Progress(_)
         | K::Leader
         | K::State
@@ -289,7 +304,11 @@ mod tests {
         assert_eq!(put(Role::Dashboard), [K::Status(Service::Dashboard)]);
         assert_eq!(
             put(Role::Operator),
-            [K::Acknowledge, K::Status(Service::Dashboard)]
+            [
+                K::Acknowledge,
+                K::Maintenance,
+                K::Status(Service::Dashboard)
+            ]
         );
     }
 

@@ -319,7 +319,10 @@ mod tests {
         );
         assert_eq!(
             keys("sensor.tower.roof", Right::Announce),
-            ["spandrel/tower/live/sensor/roof"]
+            [
+                "spandrel/tower/live/sensor/roof",
+                "spandrel/tower/simulated/roof"
+            ]
         );
         assert_eq!(
             keys("gateway.tower", Right::Put),
@@ -337,7 +340,11 @@ mod tests {
         assert!(keys("viewer.ada", Right::Subscribe).contains(&"spandrel/*/status/*/*".to_owned()));
         assert_eq!(
             keys("notify.main", Right::Watch),
-            ["spandrel/*/live/alert/*"]
+            [
+                "spandrel/*/live/alert/*",
+                "spandrel/*/live/sensor/*",
+                "spandrel/*/simulated/*"
+            ]
         );
     }
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Block, ChannelMonitoring, EstimateBlock, MonitoringDisplay, MonitoringState as State, Name,
-    ParameterMonitoring, Phase, StreamState, UndecidedBecause,
+    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, StreamState, UndecidedBecause,
 };
 use spandrel_structure::Structure;
 
@@ -350,7 +350,7 @@ fn of_vigilance(vigilance: Vigilance) -> (State, Option<&'static str>) {
             State::Degraded,
             Some("the present data reveal damage only after more time than usual"),
         ),
-        Vigilance::LearnsReference => (State::Blind, Some("the reference is being learnt")),
+        Vigilance::LearnsReference => (State::Blind, Some(REFERENCE_IS_LEARNT)),
         Vigilance::LearnsNothing => (
             State::Blind,
             Some("the present data reveal nothing, so that the estimate rests on earlier data"),

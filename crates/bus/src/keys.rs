@@ -224,6 +224,24 @@ impl Keys {
         self.all(KeyFamily::Acknowledge)
     }
 
+    /// Returns the key on which people begin and end maintenance.
+    #[must_use]
+    pub fn maintenance(&self) -> String {
+        self.all(KeyFamily::Maintenance)
+    }
+
+    /// Returns the key of the liveliness token that marks the samples of one node as simulated.
+    #[must_use]
+    pub fn simulated(&self, node: &Name) -> String {
+        self.key(KeyFamily::Simulated, node)
+    }
+
+    /// Returns the key expression of the tokens of all simulated nodes.
+    #[must_use]
+    pub fn all_simulated(&self) -> String {
+        self.all(KeyFamily::Simulated)
+    }
+
     /// Returns the key of the progress of one service.
     #[must_use]
     pub fn progress(&self, service: Service) -> String {
@@ -415,6 +433,10 @@ pub enum KeyFamily {
     Alert,
     /// [`Keys::acknowledge`], one per parameter
     Acknowledge,
+    /// [`Keys::maintenance`]
+    Maintenance,
+    /// [`Keys::simulated`], one per node
+    Simulated,
     /// [`Keys::progress`] of this service
     Progress(Service),
     /// [`Keys::status`] of the instances of this service
@@ -444,7 +466,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 25] = [
+    const WITHOUT_SERVICE: [Self; 27] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -464,6 +486,8 @@ impl KeyFamily {
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
+        Self::Maintenance,
+        Self::Simulated,
         Self::Leader,
         Self::State,
         Self::Description,
@@ -496,6 +520,8 @@ impl KeyFamily {
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
+            Self::Maintenance => "maintenance",
+            Self::Simulated => "simulated/{of}",
             Self::Progress(_) => "progress/{service}",
             Self::Status(_) => "status/{service}/{of}",
             Self::Live(_) => "live/{service}/{of}",
@@ -696,6 +722,9 @@ mod tests {
             (keys.alert_log(), "spandrel/tower/@alert-log"),
             (keys.leader(&n), "spandrel/tower/leader/identify/storey-1"),
             (keys.state(), "spandrel/tower/@state"),
+            (keys.maintenance(), "spandrel/tower/maintenance"),
+            (keys.simulated(&n), "spandrel/tower/simulated/storey-1"),
+            (keys.all_simulated(), "spandrel/tower/simulated/*"),
         ];
         for (found, expected) in expected {
             assert_eq!(found, expected);

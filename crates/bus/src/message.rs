@@ -15,6 +15,7 @@ mod header;
 mod history;
 mod local;
 mod loss;
+mod maintenance;
 mod model_class;
 mod monitoring;
 mod node;
@@ -52,8 +53,11 @@ pub use local::{
     ToldSamples,
 };
 pub use loss::LossDisplay;
+pub use maintenance::Maintenance;
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
-pub use monitoring::{ChannelMonitoring, MonitoringDisplay, MonitoringState, ParameterMonitoring};
+pub use monitoring::{
+    ChannelMonitoring, MonitoringDisplay, MonitoringState, ParameterMonitoring, REFERENCE_IS_LEARNT,
+};
 pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;
 pub use outlier::{ChannelState, MaskedSpan, OutlierDisplay};

@@ -15,9 +15,9 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
     EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, Header,
     HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
-    MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay,
-    NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock,
-    ScreenedChannel, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
+    Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers,
+    NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress,
+    SampleBlock, ScreenedChannel, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -283,6 +283,10 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             br#"{"source":"roof","epoch":3,"sequence":44,"state":"ended"}"#.to_vec(),
             decode_text::<CaughtUp>,
         ),
+        text::<Maintenance>(
+            "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"until_ns\":3600000000005,\
+             \"who\":\"ada\",\"reason\":\"new bearings\"}",
+        ),
     ]
 }
 
@@ -392,7 +396,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 25);
+    assert_eq!(messages.len(), 26);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -423,7 +427,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_sound_message(
-        which in 0usize..24,
+        which in 0usize..26,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -432,7 +436,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..24, to in 0usize..24) {
+    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..26, to in 0usize..26) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

@@ -119,22 +119,51 @@ impl Checkpoints {
     {
         let open = |bytes: &[u8]| match self.identity.open(bytes) {
             Err(Refusal::Version { found, .. }) if found == former => {
-                let identity = Identity {
-                    version: former,
-                    ..self.identity.clone()
-                };
-                let state = identity.open::<F>(bytes)?;
-                info!(
-                    kind = identity.kind,
-                    of = identity.of,
-                    version = former,
-                    "converted a checkpoint of an earlier layout"
-                );
-                Ok(state.into())
+                self.convert::<T, F>(bytes, former)
             }
             opened => opened,
         };
         self.load(self.places().unwrap_or_default().into_iter().rev(), open)
+    }
+
+    /// Works like [`Checkpoints::load_latest_or_former`] for two former layouts: `F` of version
+    /// `formers[0]`, and `G` of version `formers[1]`.
+    #[must_use]
+    pub fn load_latest_or_formers<T, F, G>(&self, formers: [u16; 2]) -> Loaded<T>
+    where
+        T: DeserializeOwned,
+        F: DeserializeOwned + Into<T>,
+        G: DeserializeOwned + Into<T>,
+    {
+        let [newer, older] = formers;
+        let open = |bytes: &[u8]| match self.identity.open(bytes) {
+            Err(Refusal::Version { found, .. }) if found == newer => {
+                self.convert::<T, F>(bytes, newer)
+            }
+            Err(Refusal::Version { found, .. }) if found == older => {
+                self.convert::<T, G>(bytes, older)
+            }
+            opened => opened,
+        };
+        self.load(self.places().unwrap_or_default().into_iter().rev(), open)
+    }
+
+    fn convert<T, F>(&self, bytes: &[u8], former: u16) -> Result<T, Refusal>
+    where
+        F: DeserializeOwned + Into<T>,
+    {
+        let identity = Identity {
+            version: former,
+            ..self.identity.clone()
+        };
+        let state = identity.open::<F>(bytes)?;
+        info!(
+            kind = identity.kind,
+            of = identity.of,
+            version = former,
+            "converted a checkpoint of an earlier layout"
+        );
+        Ok(state.into())
     }
 
     /// Passes usable states to `restore`, newest first, until it accepts one. Returns the position

@@ -431,6 +431,7 @@ mod tests {
             fit: None,
             undecided: std::collections::BTreeMap::new(),
             instruments: std::collections::BTreeMap::new(),
+            maintenance: Vec::new(),
             state: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),

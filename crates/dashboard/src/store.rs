@@ -252,6 +252,7 @@ impl Store {
                 | EventKind::SamplesDropped
                 | EventKind::SamplesBack
                 | EventKind::Monitoring
+                | EventKind::Maintenance
                 | EventKind::Gap
                 | EventKind::Overloaded
                 | EventKind::CaughtUp => false,

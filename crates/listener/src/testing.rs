@@ -75,6 +75,7 @@ pub(crate) fn status(service: Service) -> Status {
         fit: None,
         undecided: BTreeMap::new(),
         instruments: BTreeMap::new(),
+        maintenance: Vec::new(),
         state: None,
         done: 0,
         drops: BTreeMap::new(),

@@ -26,6 +26,30 @@ pub enum NotifyError {
         /// The error of the operating system.
         source: std::io::Error,
     },
+    /// A template cannot be read.
+    #[error("{}: cannot read the template of notify.{place}", path.display())]
+    TemplateFile {
+        /// The setting.
+        place: String,
+        /// Path of the file.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// A template has an error.
+    #[error("{file}:{line}: template of notify.{place}: {found}, must be {allowed}")]
+    Template {
+        /// The setting.
+        place: String,
+        /// Path of the file, or the name of the setting with the template.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+    },
     /// A checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] spandrel_checkpoint::CheckpointError),
@@ -41,6 +65,12 @@ impl NotifyError {
     /// Returns `true` if a file, an argument or a setting of the user is the cause.
     #[must_use]
     pub fn is_bad_input(&self) -> bool {
-        matches!(self, Self::Setting { .. } | Self::Secret { .. })
+        matches!(
+            self,
+            Self::Setting { .. }
+                | Self::Secret { .. }
+                | Self::TemplateFile { .. }
+                | Self::Template { .. }
+        )
     }
 }

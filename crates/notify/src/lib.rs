@@ -1,18 +1,40 @@
-//! Sends alerts to webhooks, to an Alertmanager and by e-mail.
+//! Sends alerts and losses of sight to webhooks, to an Alertmanager and by e-mail.
 //!
-//! The `outbox` selects the receivers of each alert, drops duplicates, and schedules each notice
-//! and its retries. The shell sends the notices. Undelivered notices survive a restart in the
-//! `memory`. This crate makes no decisions about alerts: that is the responsibility of the alert
-//! service.
+//! - `sight` decides when a blind or degraded structure is worth a notice.
+//! - `origin` distinguishes measured samples from replayed and simulated ones.
+//! - `content` composes a notice from a change and its circumstances, with `advice`.
+//! - `outbox` selects the receivers of each notice, drops duplicates, and schedules each notice and
+//!   its retries. It observes `quiet` hours, maintenance (`muting`) and escalation.
+//! - `template` and `message` write the texts.
+//! - The shell, in `service` and `send`, sends the notices. Undelivered notices survive a restart
+//!   in the `memory`.
+//!
+//! This crate makes no decisions about alerts: that is the responsibility of the alert service.
 
+mod advice;
+mod content;
 mod error;
 mod memory;
 mod message;
+mod muting;
+mod origin;
 mod outbox;
+mod quiet;
+mod samples;
 mod send;
 mod service;
 mod settings;
+mod sight;
+mod state;
+mod template;
+mod trial;
+
+#[cfg(test)]
+mod testing;
 
 pub use error::NotifyError;
+pub use quiet::{Day, QuietHours};
 pub use service::{NotifyPlan, NotifyService};
 pub use settings::{Email, Encryption, NotifySettings, Webhook, WebhookFormat};
+pub use state::NoticeState;
+pub use trial::{Trial, try_receivers};

@@ -1,23 +1,82 @@
 //! The content of notices in the formats of the receivers.
 
-use crate::outbox::Notice;
+use crate::content::{Content, Report, iso_8601};
+use crate::template::variables;
 use serde_json::{Value, json};
-use spandrel_bus::{AlertMessage, AlertState, fit_in_words};
+use spandrel_bus::{AlertMessage, AlertState, MonitoringDisplay, MonitoringState, fit_in_words};
 
-/// Returns the alert as on the bus, with its key and its time in ISO 8601.
-pub(crate) fn plain(notice: &Notice) -> Value {
-    let alert = &notice.alert;
-    let mut value = json!(alert);
-    value["key"] = json!(notice.key);
-    value["time"] = json!(iso_8601(alert.time_ns));
+/// Default template of the subject of an e-mail.
+pub(crate) const MAIL_SUBJECT: &str = include_str!("mail.subject.txt");
+/// Default template of the text of an e-mail.
+pub(crate) const MAIL_TEXT: &str = include_str!("mail.txt");
+
+/// Variables that a webhook receives in addition to the message of the bus.
+const ADDED: [&str; 13] = [
+    "key",
+    "kind",
+    "time",
+    "title",
+    "place",
+    "sentence",
+    "quality",
+    "others",
+    "origin",
+    "advice",
+    "link",
+    "unanswered",
+    "test",
+];
+
+/// Returns the message as on the bus, with its key, its time in ISO 8601 and the circumstances.
+pub(crate) fn plain(content: &Content) -> Value {
+    let mut value = match &content.report {
+        Report::Alert(alert) => json!(alert),
+        Report::Monitoring(display) => json!(display),
+        Report::Summary(summary) => json!(summary),
+    };
+    let variables = variables(content);
+    for name in ADDED {
+        value[name] = variables.get(name).cloned().unwrap_or_default();
+    }
     value
 }
 
 /// Returns the body for Alertmanager's `POST /api/v2/alerts`.
 ///
 /// Alertmanager resolves an alert when its end has passed or when it is not repeated.
-pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
-    let alert = &notice.alert;
+pub(crate) fn for_alertmanager(content: &Content) -> Value {
+    let mut alerts = match &content.report {
+        Report::Alert(alert) => vec![of_alert(alert)],
+        Report::Monitoring(display) => of_monitoring(display),
+        Report::Summary(_) => Vec::new(), // Alertmanager summarises by itself
+    };
+    let circumstances = &content.circumstances;
+    for alert in &mut alerts {
+        let annotations = &mut alert["annotations"];
+        annotations["key"] = json!(content.key);
+        annotations["summary"] = json!(content.sentence());
+        annotations["origin"] = json!(circumstances.origin.as_str());
+        for (name, text) in [
+            ("title", &circumstances.title),
+            ("place", &circumstances.place),
+            ("quality", &circumstances.quality),
+            ("advice", &circumstances.advice),
+        ] {
+            if !text.is_empty() {
+                annotations[name] = json!(text);
+            }
+        }
+        if !circumstances.link.is_empty() {
+            alert["generatorURL"] = json!(circumstances.link);
+        }
+        if content.is_test {
+            alert["labels"]["test"] = json!("true");
+        }
+    }
+    json!(alerts)
+}
+
+fn of_alert(alert: &AlertMessage) -> Value {
     let is_over = matches!(alert.state, AlertState::Cleared | AlertState::Normal);
     let mut value = json!({
         "labels": {
@@ -26,7 +85,7 @@ pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
             "parameter": alert.parameter.as_str(),
             "severity": if matches!(alert.state, AlertState::Pending | AlertState::Undecided) { "warning" } else { "critical" },
         },
-        "annotations": { "summary": alert.why, "state": alert.state.as_str(), "key": notice.key },
+        "annotations": { "state": alert.state.as_str() },
     });
     if let Some(verdict) = alert.fit {
         value["annotations"]["fit"] = json!(fit_in_words(verdict, alert.fit_reasons));
@@ -36,166 +95,144 @@ pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
     if is_over {
         value["endsAt"] = json!(iso_8601(alert.time_ns));
     }
-    json!([value])
+    value
 }
 
-/// Returns the subject and the text of an e-mail.
-pub(crate) fn mail(notice: &Notice) -> (String, String) {
-    let alert = &notice.alert;
-    let subject = format!(
-        "{}: alert of {} {}",
-        alert.structure,
-        alert.parameter,
-        alert.state.as_str()
-    );
-    (
-        subject,
-        format!(
-            "{}.\n\n{}\nKey: {}\n",
-            alert.why,
-            figures(alert),
-            notice.key
-        ),
-    )
-}
-
-fn figures(alert: &AlertMessage) -> String {
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let mut lines = vec![
-        format!("Structure:   {}", alert.structure),
-        format!("Parameter:   {}", alert.parameter),
-        format!("State:       {}", alert.state.as_str()),
-        format!("Measured at: {}", iso_8601(alert.time_ns)),
-        format!(
-            "Estimate:    {:.4} of nominal, standard deviation {:.4}",
-            alert.mean, alert.std
-        ),
+/// Blind and degraded are two alerts. The one that does not hold ends.
+fn of_monitoring(display: &MonitoringDisplay) -> Vec<Value> {
+    let states = [
+        (MonitoringState::Blind, "SpandrelBlind", "critical"),
+        (MonitoringState::Degraded, "SpandrelDegraded", "warning"),
     ];
-    if let Some(reference) = alert.reference {
-        lines.push(format!("Reference:   {reference:.4} of nominal"));
-    }
-    if let (Some(loss), Some(interval)) = (alert.loss, alert.loss_interval) {
-        let (low, high, level) = (
-            percent(interval.low),
-            percent(interval.high),
-            percent(interval.level),
-        );
-        lines.push(format!(
-            "Loss:        {}, between {low} and {high} with {level} credibility",
-            percent(loss)
-        ));
-        if let Some(within) = alert
-            .loss_interval_within_record
-            .filter(|within| *within != interval)
-        {
-            let (low, high) = (percent(within.low), percent(within.high));
-            lines.push(format!(
-                "             within this record between {low} and {high}"
-            ));
+    let alert = |(state, name, severity): (MonitoringState, &str, &str)| {
+        let mut value = json!({
+            "labels": { "alertname": name, "structure": display.structure.as_str(), "severity": severity },
+            "annotations": { "state": display.state.as_str() },
+        });
+        if display.state == state {
+            value["startsAt"] = json!(iso_8601(display.since_ns));
+        } else {
+            value["endsAt"] = json!(iso_8601(display.time_ns));
         }
-    }
-    let (loss, asked) = (percent(alert.rule_loss), percent(alert.rule_credibility));
-    lines.push(format!(
-        "Rule:        more than {loss} lost with {asked} credibility; found {}",
-        percent(alert.credibility)
-    ));
-    if let Some(verdict) = alert.fit {
-        lines.push(format!(
-            "Fit:         {}",
-            fit_in_words(verdict, alert.fit_reasons)
-        ));
-    }
-    if let Some(because) = alert.undecided_because {
-        lines.push(format!("Undecided:   {}", because.words()));
-    }
-    if let Some(who) = &alert.acknowledged_by {
-        lines.push(format!("Seen by:     {who}"));
-    }
-    lines.join("\n") + "\n"
-}
-
-fn iso_8601(time_ns: i64) -> String {
-    let time = jiff::Timestamp::from_nanosecond(i128::from(time_ns));
-    // The calendar of `jiff` includes every time of 64 bits in nanoseconds.
-    time.map_or_else(|_| time_ns.to_string(), |time| time.to_string())
+        value
+    };
+    states.map(alert).into()
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
-    use spandrel_bus::{CredibleInterval, Name};
+    use crate::origin::Origin;
+    use crate::samples::samples;
+    use crate::template::Template;
+    use crate::testing::{alert, content, monitoring, of_alert};
 
-    pub(crate) fn alert(seconds: i64, state: AlertState) -> AlertMessage {
-        AlertMessage {
-            structure: Name::new("house").unwrap(),
-            parameter: Name::new("storey-2").unwrap(),
-            time_ns: seconds * 1_000_000_000,
-            state,
-            since_ns: Some(15_000_000_000),
-            rule_loss: 0.05,
-            rule_credibility: 0.99,
-            credibility: 0.997,
-            loss: Some(0.124),
-            loss_interval: Some(CredibleInterval {
-                level: 0.99,
-                low: 0.09,
-                high: 0.15,
-            }),
-            loss_interval_within_record: None,
-            mean: 0.876,
-            std: 0.0123,
-            reference: Some(1.0),
-            reference_std: Some(0.0),
-            acknowledged_by: None,
-            why: "storey-2 has lost 12.4 % of its stiffness".to_owned(),
-            fit: None,
-            fit_reasons: spandrel_bus::FitReasons::default(),
-            follows_jump: false,
-            undecided_because: None,
-            revision: 0,
-        }
-    }
-
-    fn notice(state: AlertState) -> Notice {
-        Notice {
-            receiver: 0,
-            key: "house/storey-2/20/raised".to_owned(),
-            alert: alert(20, state),
-        }
+    fn mail(content: &Content) -> (String, String) {
+        let render = |source| {
+            let template = Template::parse(source, "mail", &samples("house")).unwrap();
+            template.render(content).unwrap()
+        };
+        (render(MAIL_SUBJECT).trim().to_owned(), render(MAIL_TEXT))
     }
 
     #[test]
-    fn a_program_gets_the_alert_as_on_the_bus_with_its_key() {
-        let value = plain(&notice(AlertState::Raised));
+    fn a_program_gets_the_alert_as_on_the_bus_with_its_key_and_circumstances() {
+        let value = plain(&of_alert(&alert(20, AlertState::Raised)));
         assert_eq!(value["state"], "raised");
-        assert_eq!(value["key"], "house/storey-2/20/raised");
+        assert_eq!(value["key"], "house/storey-2/20000000000/raised");
         assert_eq!(value["time"], "1970-01-01T00:00:20Z");
         assert_eq!(value["why"], "storey-2 has lost 12.4 % of its stiffness");
+        assert_eq!(
+            (&value["kind"], &value["origin"]),
+            (&json!("alert"), &json!("measured"))
+        );
+        assert_eq!(value["others"][0], "storey-1 pending: it has lost 6 %");
+        let blind = monitoring(20, MonitoringState::Blind, 5, &["no samples"]);
+        let value = plain(&content(Report::Monitoring(blind)));
+        assert_eq!(
+            (&value["kind"], &value["state"]),
+            (&json!("monitoring"), &json!("blind"))
+        );
+        assert_eq!(value["reasons"][0], "no samples");
     }
 
     #[test]
     fn alertmanager_gets_one_alert_that_begins_and_ends() {
-        let raised = for_alertmanager(&notice(AlertState::Raised));
+        let raised = for_alertmanager(&of_alert(&alert(20, AlertState::Raised)));
         assert_eq!(raised[0]["labels"]["parameter"], "storey-2");
         assert_eq!(raised[0]["startsAt"], "1970-01-01T00:00:15Z");
         assert!(raised[0].get("endsAt").is_none());
-        let cleared = for_alertmanager(&notice(AlertState::Cleared));
+        assert_eq!(
+            raised[0]["generatorURL"],
+            "https://site.example/#/structure/house"
+        );
+        let cleared = for_alertmanager(&of_alert(&alert(20, AlertState::Cleared)));
         assert_eq!(cleared[0]["labels"], raised[0]["labels"]);
         assert_eq!(cleared[0]["endsAt"], "1970-01-01T00:00:20Z");
     }
 
     #[test]
+    fn alertmanager_gets_blindness_that_begins_and_ends() {
+        let body = |state| {
+            let display = monitoring(20, state, 5, &["x"]);
+            for_alertmanager(&content(Report::Monitoring(display)))
+        };
+        let (blind, watching) = (
+            body(MonitoringState::Blind),
+            body(MonitoringState::Watching),
+        );
+        assert_eq!(blind[0]["labels"]["alertname"], "SpandrelBlind");
+        assert!(blind[0].get("endsAt").is_none() && blind[1].get("endsAt").is_some());
+        assert_eq!(watching[0]["labels"], blind[0]["labels"]);
+        for alert in watching.as_array().unwrap() {
+            assert_eq!(alert["endsAt"], "1970-01-01T00:00:20Z");
+        }
+    }
+
+    #[test]
     fn people_get_the_sentence_and_the_figures_behind_it() {
-        let (subject, text) = mail(&notice(AlertState::Raised));
+        let (subject, text) = mail(&of_alert(&alert(20, AlertState::Raised)));
         assert_eq!(subject, "house: alert of storey-2 raised");
         for part in [
-            "storey-2 has lost 12.4 % of its stiffness.",
-            "1970-01-01T00:00:20Z",
+            "storey-2 has lost 12.4 % of its stiffness.\n",
+            "What to look at first: Inspect storey-2.\nhttps://site.example/#/structure/house\n",
+            "Structure:   house, House by the lake\nPlace:       Lake Road 4\n",
+            "Measured at: 1970-01-01T00:00:20Z",
             "0.8760 of nominal, standard deviation 0.0123",
-            "12.4 %, between 9.0 % and 15.0 % with 99.0 % credibility",
-            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %",
+            "12.4 %, between 9.0 % and 15.0 % with 99.0 % credibility\nRule:",
+            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %\nFit:         supported\nData:        watching\n",
+            "Samples:     measured\nAlso:        storey-1 pending: it has lost 6 %\n",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
+        }
+    }
+
+    #[test]
+    fn people_see_simulations_tests_and_blindness_at_once() {
+        let mut simulated = of_alert(&alert(20, AlertState::Raised));
+        simulated.circumstances.origin = Origin::Simulated;
+        simulated.unanswered_s = Some(1800);
+        let (subject, text) = mail(&simulated);
+        assert_eq!(subject, "[SIMULATED] house: alert of storey-2 raised");
+        assert!(
+            text.starts_with(
+                "The samples are simulated, not measured.\n\nNobody has reacted for 30 min.\n\n"
+            ),
+            "{text}"
+        );
+        let blind = monitoring(
+            20,
+            MonitoringState::Blind,
+            5,
+            &["no samples of roof are used"],
+        );
+        let (subject, text) = mail(&content(Report::Monitoring(blind)));
+        assert_eq!(subject, "house: monitoring blind");
+        assert!(text.contains("State:       blind since 1970-01-01T00:00:05Z\nReason:      no samples of roof are used\n"), "{text}");
+        for sample in samples("house") {
+            let (subject, text) = mail(&sample);
+            assert!(subject.starts_with("[TEST] house: "), "{subject}");
+            assert!(text.starts_with("This is a test of the notices."), "{text}");
         }
     }
 }

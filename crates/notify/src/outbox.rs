@@ -1,13 +1,20 @@
 //! Decides which notices to send, to which receivers, and when. It has no clock: the time is an
 //! argument.
 
+use crate::content::{Content, Report, Subject};
+use crate::muting::{Change, Muting};
+use crate::origin::Origin;
+use crate::quiet::Quiet;
+use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertMessage, AlertState, Name};
+use spandrel_bus::{AlertMessage, Maintenance, Name};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Maximum number of notices in the queue of one receiver. When it is full, the oldest is dropped
-/// and counted.
+use queue::{Held, Receiver, Waiting};
+
+/// Maximum number of notices in the queue of one receiver, and maximum number that it holds back.
+/// Beyond it, the oldest is dropped and counted.
 const MOST_WAITING: usize = 1_000;
 /// Number of keys kept for a structure to detect duplicates. It exceeds the length of the alert
 /// service's log.
@@ -24,96 +31,99 @@ const LOUDER: f64 = 2.0;
 /// Interval at which an active alert is repeated to receivers that require it.
 const REPEAT_EVERY: Duration = Duration::from_secs(60);
 
-/// The alerts that one receiver requests.
-#[derive(Clone, Debug)]
+/// The present moment on both clocks.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Moment {
+    /// Monotonic time, which schedules retries and escalations.
+    pub(crate) now: Duration,
+    /// Wall-clock time, ns since the Unix epoch, UTC, which decides on quiet hours and maintenance.
+    pub(crate) wall_ns: i64,
+}
+
+/// The notices that one receiver requests.
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Wish {
     /// Name of the receiver, the same after each restart and without secrets.
     pub(crate) name: String,
-    pub(crate) states: Vec<AlertState>,
+    pub(crate) states: Vec<NoticeState>,
     /// Whether active alerts are repeated.
     pub(crate) repeats: bool,
+    /// Whether simulated and replayed samples cause notices.
+    pub(crate) simulations: bool,
+    /// Time without reaction after which the receiver gets a notice. Zero for immediate notices.
+    pub(crate) after: Duration,
+    pub(crate) quiet: Vec<Quiet>,
 }
 
 impl Wish {
-    /// Returns `true` if the receiver requests repetitions of this alert.
+    /// Returns `true` if the receiver requests a notice of this state. A summary has none.
+    fn wants(&self, state: Option<NoticeState>) -> bool {
+        state.is_none_or(|state| self.states.contains(&state))
+    }
+
+    /// Returns `true` if the receiver requests repetitions of this notice.
     ///
     /// An unconfirmed alert is also repeated if the receiver requests raised alerts.
-    fn repeats(&self, alert: &AlertMessage) -> bool {
-        let told_as = if alert.state == AlertState::Unconfirmed {
-            AlertState::Raised
-        } else {
-            alert.state
+    fn repeats(&self, content: &Content) -> bool {
+        let stands = match &content.report {
+            Report::Alert(alert) => alert.stands(),
+            Report::Monitoring(_) => content.is_open(),
+            Report::Summary(_) => false,
         };
-        self.repeats
-            && alert.stands()
-            && (self.states.contains(&alert.state) || self.states.contains(&told_as))
+        let told_as = match content.state() {
+            Some(NoticeState::Unconfirmed) => Some(NoticeState::Raised),
+            state => state,
+        };
+        self.repeats && stands && (self.wants(content.state()) || self.wants(told_as))
+    }
+
+    fn is_quiet(&self, content: &Content, wall_ns: i64) -> bool {
+        let mut quiet = self.quiet.iter();
+        quiet.any(|quiet| quiet.holds(content.state(), wall_ns))
     }
 }
 
-/// One alert for one receiver.
+/// One notice for one receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Notice {
     pub(crate) receiver: usize,
-    /// Key of the change, which lets a receiver detect duplicates.
-    pub(crate) key: String,
-    pub(crate) alert: AlertMessage,
+    pub(crate) content: Content,
 }
-
-#[derive(Debug)]
-struct Waiting {
-    notice: Notice,
-    since: Duration,
-    due: Duration,
-    retry_after: Duration,
-    /// Whether this is a repetition of an active alert, which checkpoints omit.
-    is_repeated: bool,
-}
-
-impl Waiting {
-    fn new(notice: Notice, since: Duration, now: Duration) -> Self {
-        Self {
-            notice,
-            since,
-            due: now,
-            retry_after: RETRY_AFTER.0,
-            is_repeated: false,
-        }
-    }
-}
-
-/// The queue of one receiver, in order.
-#[derive(Debug)]
-struct Receiver {
-    wish: Wish,
-    waiting: VecDeque<Waiting>,
-    is_sending: bool,
-    /// Active alerts, with the time of their next repetition.
-    standing: BTreeMap<Subject, (AlertMessage, Duration)>,
-}
-
-/// The subject of an alert: structure and parameter.
-type Subject = (Name, Name);
 
 /// The checkpoint state of the notices of one structure.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Remembered {
     /// Keys of changes that have been processed, oldest first.
     keys: Vec<String>,
-    /// The last change of each alert.
-    last: Vec<AlertMessage>,
+    /// The last change of each subject.
+    last: Vec<Content>,
     /// Undelivered notices in the order of delivery.
     waiting: Vec<Undelivered>,
     /// The changes that were sent for each alert that is not over.
     told: Vec<AlertMessage>,
+    /// Subjects whose open state was sent to a receiver with a delay, with its name.
+    escalated: Vec<(String, Subject)>,
+    /// Present maintenance.
+    maintenance: Vec<Maintenance>,
 }
 
-/// An alert that one receiver has not received yet.
+/// A notice that one receiver has not received yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Undelivered {
     receiver: String,
-    alert: AlertMessage,
+    content: Content,
     /// Age when the checkpoint was written, in s.
     age_s: u64,
+    held: Option<HeldBack>,
+}
+
+/// The state of a notice that is held back.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct HeldBack {
+    /// Time until its escalation, in s, for a receiver with a delay.
+    due_in_s: Option<u64>,
+    muted_by: Option<String>,
+    over: Option<String>,
 }
 
 impl Remembered {
@@ -127,8 +137,9 @@ impl Remembered {
 #[derive(Debug)]
 pub(crate) struct Outbox {
     boxes: Vec<Receiver>,
+    muting: Muting,
     known: BTreeMap<Name, VecDeque<String>>,
-    last: BTreeMap<Subject, AlertMessage>,
+    last: BTreeMap<Subject, Content>,
     /// The last change sent in each state, for each alert that is not over.
     told: BTreeMap<Subject, Vec<AlertMessage>>,
     /// Structures whose state has changed since the last checkpoint.
@@ -136,21 +147,10 @@ pub(crate) struct Outbox {
     pub(crate) sent: u64,
     pub(crate) failures: u64,
     pub(crate) given_up: u64,
-}
-
-/// Returns the key of a change, which is the same for duplicates.
-fn key(alert: &AlertMessage) -> String {
-    format!(
-        "{}/{}/{}/{}",
-        alert.structure,
-        alert.parameter,
-        alert.time_ns,
-        alert.state.as_str()
-    )
-}
-
-fn subject(alert: &AlertMessage) -> Subject {
-    (alert.structure.clone(), alert.parameter.clone())
+    /// Notices about simulated or replayed samples that a receiver does not request.
+    pub(crate) simulated: u64,
+    /// Notices that maintenance has muted.
+    pub(crate) muted: u64,
 }
 
 impl Outbox {
@@ -160,9 +160,12 @@ impl Outbox {
             waiting: VecDeque::new(),
             is_sending: false,
             standing: BTreeMap::new(),
+            held: Vec::new(),
+            escalated: BTreeSet::new(),
         };
         Self {
             boxes: wishes.into_iter().map(empty).collect(),
+            muting: Muting::default(),
             known: BTreeMap::new(),
             last: BTreeMap::new(),
             told: BTreeMap::new(),
@@ -170,49 +173,58 @@ impl Outbox {
             sent: 0,
             failures: 0,
             given_up: 0,
+            simulated: 0,
+            muted: 0,
         }
     }
 
-    /// Processes an alert. A duplicate has no effect.
-    pub(crate) fn take(&mut self, alert: &AlertMessage, now: Duration) {
-        let Some(key) = self.learn(alert) else { return };
-        let of = subject(alert);
+    /// Processes a change. A duplicate has no effect.
+    pub(crate) fn take(&mut self, content: &Content, moment: Moment) {
+        if !self.learn(content.structure(), &content.key) {
+            return;
+        }
+        let of = content.subject();
         // After a gap, an older change can arrive after a newer one.
         let is_latest = self
             .last
             .get(&of)
-            .is_none_or(|last| last.time_ns <= alert.time_ns);
+            .is_none_or(|last| last.time_ns() <= content.time_ns());
         if is_latest {
-            self.last.insert(of.clone(), alert.clone());
+            self.last.insert(of.clone(), content.clone());
         }
-        let is_news = self.is_news(&of, alert);
-        for (receiver, place) in self.boxes.iter_mut().enumerate() {
-            let is_wished = place.wish.states.contains(&alert.state);
+        let is_news = match &content.report {
+            Report::Alert(alert) => self.is_news(&of, alert),
+            Report::Monitoring(_) | Report::Summary(_) => true,
+        };
+        for place in &mut self.boxes {
+            let is_wished = place.wish.wants(content.state());
+            let is_real = content.circumstances.origin == Origin::Measured;
+            if !is_real && !place.wish.simulations {
+                place.standing.remove(&of);
+                self.simulated += u64::from(is_wished && is_news);
+                continue;
+            }
             if is_latest {
                 // An alert that is over is no longer repeated, even to receivers that do not
                 // request its last state.
                 let due = place.standing.remove(&of).map(|(_, due)| due);
-                if place.wish.repeats(alert) {
+                if place.wish.repeats(content) {
                     let next = due
                         .filter(|_| !(is_wished && is_news))
-                        .unwrap_or(now + REPEAT_EVERY);
-                    place.standing.insert(of.clone(), (alert.clone(), next));
+                        .unwrap_or(moment.now + REPEAT_EVERY);
+                    place.standing.insert(of.clone(), (content.clone(), next));
                 }
             }
-            if is_wished && is_news {
-                let notice = Notice {
-                    receiver,
-                    key: key.clone(),
-                    alert: alert.clone(),
-                };
-                place.waiting.push_back(Waiting::new(notice, now, now));
-                if place.waiting.len() > MOST_WAITING {
-                    // The notice that is being sent remains first.
-                    let lost = place.waiting.remove(usize::from(place.is_sending));
-                    self.changed
-                        .extend(lost.map(|lost| lost.notice.alert.structure));
-                    self.given_up += 1;
-                }
+            // A structure that is degraded is no longer blind.
+            let is_end = !content.is_open()
+                || (content.state() == Some(NoticeState::Degraded) && !is_wished);
+            let ends_held = is_latest && is_end && place.end_held(content);
+            if is_wished && is_news && !ends_held {
+                place.admit(content, moment);
+                let period = self.muting.of(&of.0, of.1.as_ref());
+                self.muted += u64::from(period.is_some());
+                place.release(&self.muting, moment, &mut self.changed);
+                self.given_up += place.limit(&mut self.changed);
             }
         }
     }
@@ -254,19 +266,49 @@ impl Outbox {
         is_news
     }
 
-    /// Records an alert without sending it. Returns its key, or `None` if it is a duplicate.
-    pub(crate) fn learn(&mut self, alert: &AlertMessage) -> Option<String> {
-        let key = key(alert);
-        let known = self.known.entry(alert.structure.clone()).or_default();
-        if known.contains(&key) {
-            return None;
+    /// Records a change without sending it. Returns `false` if it is a duplicate.
+    pub(crate) fn learn(&mut self, structure: &Name, key: &str) -> bool {
+        let known = self.known.entry(structure.clone()).or_default();
+        if known.iter().any(|known| known == key) {
+            return false;
         }
-        known.push_back(key.clone());
+        known.push_back(key.to_owned());
         if known.len() > KEYS_REMEMBERED {
             known.pop_front();
         }
-        self.changed.insert(alert.structure.clone());
-        Some(key)
+        self.changed.insert(structure.clone());
+        true
+    }
+
+    /// Begins or ends maintenance. Returns the change.
+    pub(crate) fn maintain(&mut self, message: Maintenance, wall_ns: i64) -> Option<Change> {
+        self.changed.insert(message.structure.clone());
+        self.muting.take(message, wall_ns)
+    }
+
+    /// Returns the present maintenance of a structure.
+    pub(crate) fn maintenance(&self, structure: &Name) -> Vec<Maintenance> {
+        self.muting.of_structure(structure)
+    }
+
+    /// Sends what no longer has to be held back. Returns the maintenance whose time is over.
+    pub(crate) fn release(&mut self, moment: Moment) -> Vec<Change> {
+        let expired = self.muting.expire(moment.wall_ns);
+        for change in &expired {
+            if let Change::Expired(period) = change {
+                self.changed.insert(period.structure.clone());
+            }
+        }
+        for place in &mut self.boxes {
+            place.release(&self.muting, moment, &mut self.changed);
+            self.given_up += place.limit(&mut self.changed);
+        }
+        expired
+    }
+
+    /// Marks a structure for the next checkpoint.
+    pub(crate) fn mark_changed(&mut self, structure: &Name) {
+        self.changed.insert(structure.clone());
     }
 
     /// Returns the structures that have changed since the last call.
@@ -276,31 +318,43 @@ impl Outbox {
 
     /// Returns the checkpoint state of a structure.
     pub(crate) fn remembered(&self, structure: &Name, now: Duration) -> Remembered {
-        let of_structure = |waiting: &&Waiting| {
-            waiting.notice.alert.structure == *structure && !waiting.is_repeated
-        };
+        let is_own = |content: &Content| content.structure() == structure;
+        let age_s = |since: Duration| now.saturating_sub(since).as_secs();
         let undelivered = |place: &Receiver| -> Vec<Undelivered> {
-            let own = place.waiting.iter().filter(of_structure);
-            own.map(|waiting| Undelivered {
+            let own = place.waiting.iter();
+            let own = own.filter(|waiting| is_own(&waiting.content) && !waiting.is_repeated);
+            let waiting = own.map(|waiting| Undelivered {
                 receiver: place.wish.name.clone(),
-                alert: waiting.notice.alert.clone(),
-                age_s: now.saturating_sub(waiting.since).as_secs(),
-            })
-            .collect()
+                content: waiting.content.clone(),
+                age_s: age_s(waiting.since),
+                held: None,
+            });
+            let held = place.held.iter().filter(|held| is_own(&held.content));
+            let held = held.map(|held| Undelivered {
+                receiver: place.wish.name.clone(),
+                content: held.content.clone(),
+                age_s: age_s(held.since),
+                held: Some(HeldBack {
+                    due_in_s: held.due.map(|due| due.saturating_sub(now).as_secs()),
+                    muted_by: held.muted_by.clone(),
+                    over: held.over.clone(),
+                }),
+            });
+            waiting.chain(held).collect()
         };
+        let escalated = |place: &Receiver| -> Vec<(String, Subject)> {
+            let own = place.escalated.iter().filter(|of| of.0 == *structure);
+            own.map(|of| (place.wish.name.clone(), of.clone()))
+                .collect()
+        };
+        let known = self.known.get(structure).into_iter();
         Remembered {
-            keys: self
-                .known
-                .get(structure)
-                .into_iter()
-                .flatten()
-                .cloned()
-                .collect(),
+            keys: known.flatten().cloned().collect(),
             last: self
                 .last
-                .iter()
-                .filter(|(of, _)| of.0 == *structure)
-                .map(|(_, alert)| alert.clone())
+                .values()
+                .filter(|content| is_own(content))
+                .cloned()
                 .collect(),
             waiting: self.boxes.iter().flat_map(undelivered).collect(),
             told: self
@@ -309,6 +363,8 @@ impl Outbox {
                 .filter(|(of, _)| of.0 == *structure)
                 .flat_map(|(_, told)| told.clone())
                 .collect(),
+            escalated: self.boxes.iter().flat_map(escalated).collect(),
+            maintenance: self.muting.of_structure(structure),
         }
     }
 
@@ -328,48 +384,62 @@ impl Outbox {
             last,
             waiting,
             told,
+            escalated,
+            maintenance,
         } = remembered;
+        self.muting.recall(maintenance);
         for alert in told {
-            self.told.entry(subject(&alert)).or_default().push(alert);
+            let of = (alert.structure.clone(), Some(alert.parameter.clone()));
+            self.told.entry(of).or_default().push(alert);
         }
         self.known.insert(structure.clone(), keys.into());
-        for alert in last {
+        for content in last {
+            let is_real = content.circumstances.origin == Origin::Measured;
             for place in &mut self.boxes {
-                if place.wish.repeats(&alert) {
-                    place.standing.insert(subject(&alert), (alert.clone(), now));
+                if place.wish.repeats(&content) && (is_real || place.wish.simulations) {
+                    place
+                        .standing
+                        .insert(content.subject(), (content.clone(), now));
                 }
             }
-            self.last.insert(subject(&alert), alert);
+            self.last.insert(content.subject(), content);
+        }
+        for (name, of) in escalated {
+            let mut boxes = self.boxes.iter_mut();
+            if let Some(place) = boxes.find(|place| place.wish.name == name) {
+                place.escalated.insert(of);
+            }
         }
         let mut lost = 0;
-        for Undelivered {
-            receiver: name,
-            alert,
-            age_s,
-        } in waiting
-        {
-            let wants = |place: &Receiver| {
-                place.wish.name == name && place.wish.states.contains(&alert.state)
+        for undelivered in waiting {
+            let Undelivered {
+                receiver: name,
+                content,
+                age_s,
+                held,
+            } = undelivered;
+            let wants = |place: &&mut Receiver| {
+                place.wish.name == name && place.wish.wants(content.state())
             };
-            let Some((receiver, place)) = self
-                .boxes
-                .iter_mut()
-                .enumerate()
-                .find(|(_, place)| wants(place))
-            else {
+            let Some(place) = self.boxes.iter_mut().find(wants) else {
                 lost += 1;
                 continue;
             };
             let since = now.saturating_sub(Duration::from_secs(age_s) + away);
-            place.waiting.push_back(Waiting::new(
-                Notice {
-                    receiver,
-                    key: key(&alert),
-                    alert,
-                },
-                since,
-                now,
-            ));
+            match held {
+                None => place.waiting.push_back(Waiting::new(content, since, now)),
+                Some(HeldBack {
+                    due_in_s,
+                    muted_by,
+                    over,
+                }) => place.held.push(Held {
+                    content,
+                    since,
+                    due: due_in_s.map(|s| (now + Duration::from_secs(s)).saturating_sub(away)),
+                    muted_by,
+                    over,
+                }),
+            }
         }
         self.given_up += lost as u64;
         lost
@@ -381,16 +451,14 @@ impl Outbox {
         let mut due = Vec::new();
         for (receiver, place) in self.boxes.iter_mut().enumerate() {
             if place.waiting.is_empty() {
-                for (alert, next) in place.standing.values_mut().filter(|(_, next)| *next <= now) {
+                for (of, (content, next)) in &mut place.standing {
+                    if *next > now || self.muting.of(&of.0, of.1.as_ref()).is_some() {
+                        continue;
+                    }
                     *next = now + REPEAT_EVERY;
-                    let notice = Notice {
-                        receiver,
-                        key: key(alert),
-                        alert: alert.clone(),
-                    };
                     place.waiting.push_back(Waiting {
                         is_repeated: true,
-                        ..Waiting::new(notice, now, now)
+                        ..Waiting::new(content.clone(), now, now)
                     });
                 }
             }
@@ -399,7 +467,10 @@ impl Outbox {
             }
             if let Some(first) = place.waiting.front().filter(|waiting| waiting.due <= now) {
                 place.is_sending = true;
-                due.push(first.notice.clone());
+                due.push(Notice {
+                    receiver,
+                    content: first.content.clone(),
+                });
             }
         }
         due
@@ -427,357 +498,19 @@ impl Outbox {
         }
         let done = place.waiting.pop_front().filter(|done| !done.is_repeated);
         self.changed
-            .extend(done.map(|done| done.notice.alert.structure));
+            .extend(done.map(|done| done.content.structure().clone()));
     }
 
-    /// Returns the number of notices in all queues.
+    /// Returns the number of notices in all queues, with those that are held back.
     pub(crate) fn waiting(&self) -> usize {
-        self.boxes.iter().map(|place| place.waiting.len()).sum()
+        let count = |place: &Receiver| place.waiting.len() + place.held.len();
+        self.boxes.iter().map(count).sum()
     }
 }
 
+mod queue;
 pub(crate) mod version_1;
+pub(crate) mod version_2;
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::message::tests::alert;
-
-    fn s(seconds: u64) -> Duration {
-        Duration::from_secs(seconds)
-    }
-
-    fn outbox(repeats: bool) -> Outbox {
-        let states = vec![AlertState::Raised, AlertState::Cleared];
-        let wish = |name: &str, states, repeats| Wish {
-            name: name.to_owned(),
-            states,
-            repeats,
-        };
-        Outbox::new(vec![
-            wish("hook", states, repeats),
-            wish("mail", vec![AlertState::Acknowledged], false),
-        ])
-    }
-
-    #[test]
-    fn each_change_is_sent_once_to_whom_it_concerns() {
-        let mut outbox = outbox(false);
-        for _ in 0..3 {
-            outbox.take(&alert(10, AlertState::Pending), s(0));
-            outbox.take(&alert(20, AlertState::Raised), s(0));
-        }
-        let due = outbox.due(s(0));
-        assert_eq!(
-            due.iter()
-                .map(|notice| (notice.receiver, notice.alert.state))
-                .collect::<Vec<_>>(),
-            [(0, AlertState::Raised)]
-        );
-        assert!(
-            due[0].key.ends_with("/storey-2/20000000000/raised"),
-            "{}",
-            due[0].key
-        );
-        assert_eq!(outbox.due(s(1)), [], "it is on its way");
-        outbox.done(0, true, s(1));
-        outbox.take(&alert(30, AlertState::Acknowledged), s(2));
-        assert_eq!(
-            outbox
-                .due(s(2))
-                .iter()
-                .map(|notice| notice.receiver)
-                .collect::<Vec<_>>(),
-            [1]
-        );
-        assert_eq!((outbox.sent, outbox.waiting()), (1, 1));
-    }
-
-    #[test]
-    fn what_failed_is_sent_again_later_and_later_and_in_order() {
-        let mut outbox = outbox(false);
-        outbox.take(&alert(20, AlertState::Raised), s(0));
-        outbox.take(&alert(40, AlertState::Cleared), s(0));
-        let mut attempts = Vec::new();
-        for second in 0..4_000 {
-            for notice in outbox.due(s(second)) {
-                assert_eq!(
-                    notice.alert.state,
-                    AlertState::Raised,
-                    "the second waits for the first"
-                );
-                attempts.push(second);
-                outbox.done(0, false, s(second));
-            }
-        }
-        assert_eq!(attempts[..6], [0, 2, 6, 14, 30, 62]);
-        assert!(attempts.windows(2).all(|pair| pair[1] - pair[0] <= 300));
-        for notice in outbox.due(s(5_000)) {
-            outbox.done(notice.receiver, true, s(5_000));
-        }
-        assert_eq!(outbox.due(s(5_000))[0].alert.state, AlertState::Cleared);
-        outbox.done(0, false, s(5_000));
-        // A receiver that never recovers is given up after a day.
-        for second in (5_000..200_000).step_by(100) {
-            let due = outbox.due(s(second));
-            due.iter()
-                .for_each(|notice| outbox.done(notice.receiver, false, s(second)));
-        }
-        assert_eq!((outbox.given_up, outbox.waiting()), (1, 0));
-    }
-
-    #[test]
-    fn an_alert_that_stands_is_repeated_to_whoever_wants_that() {
-        let mut outbox = outbox(true);
-        outbox.take(&alert(20, AlertState::Raised), s(0));
-        let mut sent = Vec::new();
-        for second in 0..200 {
-            if second == 150 {
-                outbox.take(&alert(170, AlertState::Cleared), s(second));
-            }
-            for notice in outbox.due(s(second)) {
-                sent.push((second, notice.alert.state));
-                outbox.done(notice.receiver, true, s(second));
-            }
-        }
-        let raised = AlertState::Raised;
-        assert_eq!(
-            sent,
-            [
-                (0, raised),
-                (60, raised),
-                (120, raised),
-                (150, AlertState::Cleared)
-            ]
-        );
-    }
-
-    /// Returns the notices sent for one alert with these states and losses.
-    fn sent(states: &[(AlertState, f64)]) -> Vec<(AlertState, f64)> {
-        let mut outbox = outbox(false);
-        let mut sent = Vec::new();
-        for (second, (state, loss)) in (20..).zip(states) {
-            outbox.take(
-                &AlertMessage {
-                    loss: Some(*loss),
-                    ..alert(second, *state)
-                },
-                s(0),
-            );
-            while let Some(notice) = outbox.due(s(0)).pop() {
-                sent.push((notice.alert.state, notice.alert.loss.unwrap()));
-                outbox.done(notice.receiver, true, s(0));
-            }
-        }
-        sent
-    }
-
-    #[test]
-    fn revision_is_told_once_the_loss_has_doubled() {
-        use AlertState::{Acknowledged, Cleared, Raised};
-        let losses = [0.12, 0.15, 0.2, 0.25, 0.4, 0.49, 0.51].map(|loss| (Raised, loss));
-        assert_eq!(
-            sent(&losses),
-            [(Raised, 0.12), (Raised, 0.25), (Raised, 0.51)]
-        );
-        let seen = [
-            (Raised, 0.12),
-            (Acknowledged, 0.12),
-            (Acknowledged, 0.2),
-            (Cleared, 0.0),
-            (Raised, 0.12),
-        ];
-        assert_eq!(sent(&seen), [seen[0], seen[1], seen[3], seen[4]]);
-    }
-
-    #[test]
-    fn alert_that_is_confirmed_again_and_end_that_is_told_again_are_no_news() {
-        use AlertState::{Cleared, Raised, Unconfirmed};
-        let states =
-            [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
-        assert_eq!(sent(&states), [states[0], states[3], states[5]]);
-    }
-
-    #[test]
-    fn end_of_each_alert_is_told() {
-        use AlertState::{Cleared, Raised};
-        let states = [Raised, Cleared, Raised, Cleared].map(|state| (state, 0.12));
-        assert_eq!(sent(&states), states);
-    }
-
-    #[test]
-    fn what_was_told_is_no_news_in_the_next_life() {
-        let mut first = outbox(false);
-        first.take(&alert(20, AlertState::Raised), s(0));
-        let house = alert(20, AlertState::Raised).structure;
-        let mut second = outbox(false);
-        second.recall(&house, first.remembered(&house, s(0)), s(0), s(0));
-        second.take(
-            &AlertMessage {
-                revision: 1,
-                ..alert(21, AlertState::Raised)
-            },
-            s(0),
-        );
-        assert_eq!(second.waiting(), 1);
-    }
-
-    #[test]
-    fn an_alert_that_is_not_confirmed_is_repeated_and_a_revision_does_not_put_it_off() {
-        let mut outbox = outbox(true);
-        for (second, state) in [
-            (20, AlertState::Raised),
-            (50, AlertState::Raised),
-            (70, AlertState::Unconfirmed),
-        ] {
-            outbox.take(&alert(second, state), s(second as u64));
-            outbox
-                .due(s(second as u64))
-                .iter()
-                .for_each(|notice| outbox.done(notice.receiver, true, s(second as u64)));
-        }
-        assert_eq!(outbox.due(s(79)), []);
-        assert_eq!(outbox.due(s(80))[0].alert.state, AlertState::Unconfirmed);
-    }
-
-    #[test]
-    fn what_waits_is_bounded() {
-        let mut outbox = outbox(false);
-        for second in 0..5_000 {
-            outbox.take(
-                &AlertMessage {
-                    since_ns: Some(second),
-                    ..alert(second, AlertState::Raised)
-                },
-                s(0),
-            );
-        }
-        assert_eq!((outbox.waiting(), outbox.given_up), (MOST_WAITING, 4_000));
-    }
-
-    #[test]
-    fn another_life_goes_on_with_what_was_not_delivered_and_tells_nothing_twice() {
-        let mut first = outbox(false);
-        for (second, state) in [
-            (20, AlertState::Raised),
-            (30, AlertState::Cleared),
-            (40, AlertState::Raised),
-        ] {
-            first.take(&alert(second, state), s(0));
-        }
-        let told = first.due(s(0)).remove(0);
-        first.done(0, true, s(1));
-        let house = alert(20, AlertState::Raised).structure;
-        assert_eq!(
-            first.take_changed().into_iter().collect::<Vec<_>>(),
-            std::slice::from_ref(&house)
-        );
-        let remembered = first.remembered(&house, s(10));
-        assert_eq!(remembered.waiting(), 2);
-
-        let mut second = outbox(false);
-        assert_eq!(second.recall(&house, remembered.clone(), s(100), s(5)), 0);
-        second.take(&told.alert, s(100));
-        let mut keys = Vec::new();
-        while let Some(notice) = second.due(s(100)).pop() {
-            keys.push(notice.key);
-            second.done(0, true, s(100));
-        }
-        assert_eq!(
-            keys,
-            [
-                "house/storey-2/30000000000/cleared",
-                "house/storey-2/40000000000/raised"
-            ]
-        );
-        assert_eq!(second.remembered(&house, s(100)).waiting(), 0);
-
-        // Notices for one receiver do not go to a receiver with another name or other states.
-        let wish = Wish {
-            name: "another".to_owned(),
-            states: vec![AlertState::Raised],
-            repeats: false,
-        };
-        let mut other = Outbox::new(vec![wish]);
-        assert_eq!(
-            (
-                other.recall(&house, remembered, s(0), s(0)),
-                other.waiting(),
-                other.given_up
-            ),
-            (2, 0, 2)
-        );
-    }
-
-    #[test]
-    fn an_alert_that_stood_is_repeated_in_the_next_life_and_repetitions_are_not_remembered() {
-        let mut first = outbox(true);
-        first.take(&alert(20, AlertState::Raised), s(0));
-        first.due(s(0));
-        first.done(0, true, s(0));
-        first.take_changed();
-        assert_eq!(first.due(s(60)).len(), 1);
-        let house = alert(20, AlertState::Raised).structure;
-        let remembered = first.remembered(&house, s(60));
-        assert_eq!(remembered.waiting(), 0);
-        first.done(0, true, s(60));
-        assert!(first.take_changed().is_empty());
-
-        let mut second = outbox(true);
-        second.recall(&house, remembered, s(0), s(0));
-        assert_eq!(second.due(s(0)).len(), 1, "it stands");
-        second.done(0, true, s(0));
-        second.take(&alert(50, AlertState::Cleared), s(1));
-        assert_eq!(second.due(s(1))[0].alert.state, AlertState::Cleared);
-        second.done(0, true, s(1));
-        // A missed change that arrives late does not make the alert active again.
-        second.take(&alert(30, AlertState::Raised), s(2));
-        second.due(s(2));
-        second.done(0, true, s(2));
-        assert_eq!(second.due(s(200)), []);
-    }
-
-    #[test]
-    fn time_away_counts_until_a_notice_is_given_up() {
-        let mut first = outbox(false);
-        first.take(&alert(20, AlertState::Raised), s(0));
-        let house = alert(20, AlertState::Raised).structure;
-        let (start, day) = (GIVE_UP_AFTER, GIVE_UP_AFTER);
-        let mut second = outbox(false);
-        second.recall(
-            &house,
-            first.remembered(&house, s(3_600)),
-            start,
-            day - s(3_600),
-        );
-        assert_eq!(second.due(start).len(), 1);
-        second.done(0, false, start);
-        assert_eq!(second.waiting(), 1, "exactly a day");
-        assert_eq!(second.due(start + s(2)).len(), 1);
-        second.done(0, false, start + s(2));
-        assert_eq!((second.waiting(), second.given_up), (0, 1));
-    }
-
-    #[test]
-    fn what_is_remembered_is_bounded() {
-        let mut outbox = outbox(false);
-        for second in 0..5_000 {
-            outbox.take(
-                &AlertMessage {
-                    since_ns: Some(second),
-                    ..alert(second, AlertState::Raised)
-                },
-                s(0),
-            );
-        }
-        let remembered = outbox.remembered(&alert(0, AlertState::Raised).structure, s(0));
-        assert_eq!(
-            (
-                remembered.keys.len(),
-                remembered.waiting(),
-                remembered.last.len()
-            ),
-            (KEYS_REMEMBERED, MOST_WAITING, 1)
-        );
-    }
-}
+mod tests;

@@ -1,16 +1,17 @@
 //! Sends one notice. The call blocks until the notice is sent or the attempt has failed.
 
+use crate::content::Content;
 use crate::error::NotifyError;
-use crate::message::{for_alertmanager, mail, plain};
-use crate::outbox::{Notice, Wish};
+use crate::message::{for_alertmanager, plain};
+use crate::outbox::Wish;
 use crate::settings::{
-    Email, Encryption, NotifySettings, Webhook, WebhookFormat, read_secret, shown,
+    Conditions, Email, Encryption, NotifySettings, Webhook, WebhookFormat, read_secret, shown,
 };
+use crate::template::Template;
 use lettre::message::Mailbox;
 use lettre::message::header::ContentType;
 use lettre::transport::smtp::authentication::Credentials;
 use lettre::{Message, SmtpTransport, Transport};
-use spandrel_bus::AlertState;
 use std::time::Duration;
 
 /// Time limit for the reply of a receiver.
@@ -22,12 +23,15 @@ pub(crate) enum Receiver {
         agent: ureq::Agent,
         webhook: Webhook,
         authorization: Option<String>,
+        template: Option<Box<Template>>,
     },
     Email {
         transport: Box<SmtpTransport>,
         from: Mailbox,
         to: Vec<Mailbox>,
-        states: Vec<AlertState>,
+        /// Templates of subject and text.
+        templates: Box<[Template; 2]>,
+        email: Box<Email>,
     },
 }
 
@@ -47,6 +51,9 @@ pub(crate) fn receivers(settings: &NotifySettings) -> Result<Vec<Receiver>, Noti
             agent: agent.into(),
             webhook: webhook.clone(),
             authorization: token.map(|token| format!("Bearer {token}")),
+            template: webhook
+                .template(&format!("webhook[{index}]"))?
+                .map(Box::new),
         });
     }
     for (index, email) in settings.email.iter().enumerate() {
@@ -92,27 +99,32 @@ fn by_mail(email: &Email, index: usize) -> Result<Receiver, NotifyError> {
         transport: Box::new(builder.build()),
         from: mailbox(&email.from)?,
         to: email.to.iter().map(mailbox).collect::<Result<_, _>>()?,
-        states: email.states.clone(),
+        templates: Box::new(email.templates(&format!("email[{index}]"))?),
+        email: Box::new(email.clone()),
     })
 }
 
 impl Receiver {
     /// Returns the request of this receiver under a name.
     pub(crate) fn wish(&self, name: String) -> Wish {
+        let conditions: Conditions<'_> = match self {
+            Self::Webhook { webhook, .. } => webhook.conditions(),
+            Self::Email { email, .. } => email.conditions(),
+        };
+        Wish {
+            name,
+            states: conditions.states.to_vec(),
+            repeats: self.is_alertmanager(),
+            simulations: conditions.simulations,
+            after: Duration::from_secs_f64(conditions.after_s),
+            quiet: conditions.quiet(),
+        }
+    }
+
+    fn is_alertmanager(&self) -> bool {
         match self {
-            Self::Webhook { webhook, .. } => {
-                let repeats = webhook.format == WebhookFormat::Alertmanager;
-                Wish {
-                    name,
-                    states: webhook.states.clone(),
-                    repeats,
-                }
-            }
-            Self::Email { states, .. } => Wish {
-                name,
-                states: states.clone(),
-                repeats: false,
-            },
+            Self::Webhook { webhook, .. } => webhook.format == WebhookFormat::Alertmanager,
+            Self::Email { .. } => false,
         }
     }
 
@@ -132,25 +144,27 @@ impl Receiver {
     ///
     /// # Errors
     /// Returns the reason for the failure, without secrets.
-    pub(crate) fn send(&self, notice: &Notice) -> Result<(), String> {
+    pub(crate) fn send(&self, content: &Content) -> Result<(), String> {
         match self {
             Self::Webhook {
                 agent,
                 webhook,
                 authorization,
+                template,
             } => {
-                let body = match webhook.format {
-                    WebhookFormat::Spandrel => plain(notice),
-                    WebhookFormat::Alertmanager => for_alertmanager(notice),
+                let body = match (webhook.format, template) {
+                    (WebhookFormat::Alertmanager, _) => for_alertmanager(content).to_string(),
+                    (WebhookFormat::Spandrel, Some(template)) => template.render(content)?,
+                    (WebhookFormat::Spandrel, None) => plain(content).to_string(),
                 };
                 let mut request = agent
                     .post(&webhook.url)
-                    .header("Content-Type", "application/json");
-                request = request.header("Idempotency-Key", &notice.key);
+                    .header("Content-Type", content_type(webhook))
+                    .header("Idempotency-Key", &content.key);
                 if let Some(authorization) = authorization {
                     request = request.header("Authorization", authorization);
                 }
-                match request.send(body.to_string()) {
+                match request.send(body) {
                     Ok(answer) if answer.status().is_success() => Ok(()),
                     Ok(answer) => Err(format!("replied with {}", answer.status())),
                     // The messages of other errors could contain the whole URL.
@@ -170,19 +184,23 @@ impl Receiver {
                 transport,
                 from,
                 to,
+                templates,
                 ..
             } => {
-                let (subject, text) = mail(notice);
+                let [subject, text] = &**templates;
+                let subject = subject.render(content)?;
+                // A subject is one line.
+                let subject = subject.split_whitespace().collect::<Vec<_>>().join(" ");
                 let mut message = Message::builder().from(from.clone()).subject(subject);
                 // A message ID per change lets mail programs detect duplicates.
-                message = message
-                    .message_id(Some(format!("<{}@spandrel>", notice.key.replace('/', "."))));
+                let id = content.key.replace('/', ".");
+                message = message.message_id(Some(format!("<{id}@spandrel>")));
                 for mailbox in to {
                     message = message.to(mailbox.clone());
                 }
                 let message = message
                     .header(ContentType::TEXT_PLAIN)
-                    .body(text)
+                    .body(text.render(content)?)
                     .map_err(|error| error.to_string())?;
                 transport
                     .send(&message)
@@ -190,5 +208,14 @@ impl Receiver {
                     .map_err(|error| error.to_string())
             }
         }
+    }
+}
+
+/// Returns the media type of the body of a webhook.
+fn content_type(webhook: &Webhook) -> &'static str {
+    let is_json = |path: &std::path::PathBuf| path.extension().is_some_and(|end| end == "json");
+    match webhook.template_file.as_ref().is_none_or(is_json) {
+        true => "application/json",
+        false => "text/plain; charset=utf-8",
     }
 }

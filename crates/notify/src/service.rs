@@ -1,27 +1,47 @@
 //! Connects the outbox to the bus and to the receivers.
 
+use crate::content::{Facts, Report, Scene, alert_key, iso_8601};
 use crate::error::NotifyError;
-use crate::memory::Memory;
-use crate::outbox::{GIVE_UP_AFTER, Outbox, Remembered, Wish};
+use crate::memory::{Memory, Recalled, Situation};
+use crate::muting::Change;
+use crate::origin::{Origins, Signs};
+use crate::outbox::{GIVE_UP_AFTER, Moment, Outbox, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
-use spandrel_bus::{AlertMessage, BoxedFuture, Keys, LiveToken, Name, Service};
-use spandrel_listener::{DisplayTopic, Input, Listener, Needs};
-use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
-use std::collections::BTreeMap;
+use crate::sight::Sight;
+use spandrel_bus::{
+    AlertMessage, BoxedFuture, Event, EventKind, FitVerdict, Keys, LiveToken, LiveWatch,
+    Maintenance, Name, Service, Subscription, parse_key, reported_pace,
+};
+use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
+use spandrel_service::{
+    Clock, EventPublisher, Monitored, Report as StatusReport, STATUS_EVERY, ServiceInstance,
+    StatusPublisher, Stop,
+};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
-/// The alerts. A new alert service reports changes that were decided while no link existed.
+/// The alerts and the monitoring, and what shows whether the samples are measured. A new alert
+/// service reports changes that were decided while no link existed.
 const NEEDS: Needs = Needs {
-    topics: &[DisplayTopic::Alerts],
-    services: &[Service::Alert],
+    topics: &[
+        DisplayTopic::Statuses,
+        DisplayTopic::Monitoring,
+        DisplayTopic::Alerts,
+    ],
+    services: &[Service::Alert, Service::Sensor],
     logs: &[Service::Alert],
 };
 /// Interval between checks for notices that are due.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
+/// Time between a change of an alert and its notice. Meanwhile, the pace of the samples and other
+/// changes of the same moment arrive, which the notice states.
+const SETTLES_AFTER: Duration = Duration::from_millis(2500);
+/// Queue length for maintenance. People send it.
+const MAINTENANCE_WAITING: usize = 64;
 /// Time limit after a stop for the notices that are being sent.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
@@ -42,6 +62,7 @@ pub struct NotifyService {
     receivers: Vec<Arc<Receiver>>,
     outbox: Outbox,
     clock: Monotonic,
+    wall: Clock,
 }
 
 /// The reply of an alert service.
@@ -81,6 +102,18 @@ struct Source {
     memory: Option<Memory>,
     /// Whether a checkpoint or an earlier reply has supplied the state of the alerts.
     has_heard: bool,
+    facts: Facts,
+    state: StructureState,
+    sight: Sight,
+    origins: Origins,
+    /// Changes of alerts whose notices are not composed yet, with the time for it. The queue of the
+    /// listener bounds it.
+    fresh: VecDeque<(AlertMessage, Duration)>,
+    /// Number of alerts received.
+    taken: u64,
+    simulated: LiveWatch,
+    maintenance: Subscription<Maintenance>,
+    events: EventPublisher,
 }
 
 impl spandrel_service::Service for NotifyService {
@@ -122,11 +155,12 @@ impl NotifyService {
                 sources: Vec::new(),
                 receivers,
                 clock: Monotonic::new(),
+                wall: instance.clock,
             };
-            for Monitored {
-                keys, remembering, ..
-            } in structures
-            {
+            for monitored in structures {
+                let Monitored {
+                    keys, remembering, ..
+                } = monitored;
                 let memory = remembering
                     .as_ref()
                     .map(|remembering| Memory::open(&remembering.folder, keys.structure()))
@@ -134,10 +168,26 @@ impl NotifyService {
                 let (memory, recalled) =
                     memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
                 let has_heard = recalled.is_some();
-                if let Some((remembered, away)) = recalled {
-                    service.recall(keys.structure(), remembered, away);
-                }
+                let situation = recalled
+                    .map(|recalled| service.recall(keys.structure(), recalled))
+                    .unwrap_or_default();
+                let now = service.clock.now();
+                let mut sight = Sight::new(keys.structure().clone(), settings.delays(), now);
+                sight.told = situation.told;
+                let due = now + SETTLES_AFTER;
+                let fresh = situation.fresh.into_iter().map(|alert| (alert, due));
                 service.sources.push(Source {
+                    facts: facts(monitored, settings),
+                    state: StructureState::default(),
+                    sight,
+                    origins: situation.origins,
+                    fresh: fresh.collect(),
+                    taken: 0,
+                    simulated: bus.watch_live(keys.all_simulated()).await?,
+                    maintenance: bus
+                        .subscribe(keys.maintenance(), MAINTENANCE_WAITING)
+                        .await?,
+                    events: EventPublisher::declare(bus, keys).await?,
                     listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
                         .await?,
                     status: instance.publish_status(Service::Notify, keys).await?,
@@ -161,10 +211,16 @@ impl NotifyService {
         })
     }
 
-    fn recall(&mut self, structure: &Name, remembered: Remembered, away: Duration) {
+    /// Restores the notices of an earlier run. Returns what else was known.
+    fn recall(&mut self, structure: &Name, recalled: Recalled) -> Situation {
+        let Recalled {
+            notices,
+            situation,
+            away,
+        } = recalled;
         let lost = self
             .outbox
-            .recall(structure, remembered, self.clock.now(), away);
+            .recall(structure, notices, self.clock.now(), away);
         if lost > 0 {
             let structure = structure.as_str();
             warn!(
@@ -173,6 +229,7 @@ impl NotifyService {
                 "dropped notices whose receivers are no longer in the configuration"
             );
         }
+        situation
     }
 
     fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), NotifyError>> {
@@ -214,7 +271,7 @@ impl NotifyService {
                 _ = status.tick() => self.put_status().await?,
                 Some(ended) = sending.join_next() => self.ended(ended),
             }
-            self.take();
+            self.take().await?;
             // The checkpoint precedes the first attempt, so that a retry after a crash has the same
             // key.
             self.keep();
@@ -224,7 +281,8 @@ impl NotifyService {
                 };
                 sending.spawn(async move {
                     let number = notice.receiver;
-                    let sent = tokio::task::spawn_blocking(move || receiver.send(&notice)).await;
+                    let sent =
+                        tokio::task::spawn_blocking(move || receiver.send(&notice.content)).await;
                     (number, sent.unwrap_or_else(|error| Err(error.to_string())))
                 });
             }
@@ -251,20 +309,28 @@ impl NotifyService {
         self.outbox.done(receiver, result.is_ok(), self.clock.now());
     }
 
-    fn take(&mut self) {
-        let now = self.clock.now();
-        for source in &mut self.sources {
-            let mut told = Told::default();
-            for input in source.listener.gather() {
-                match input {
-                    Input::Alert(alert) => self.outbox.take(&alert, now),
-                    Input::LoggedAlert(alert) => told.log.push(alert),
-                    Input::StandingAlert(alert) => told.standing.push(alert),
-                    _ => {}
-                }
-            }
-            source.catch_up(&told, &mut self.outbox, now);
+    fn moment(&self) -> Moment {
+        Moment {
+            now: self.clock.now(),
+            wall_ns: self.wall.now_ns(),
         }
+    }
+
+    async fn take(&mut self) -> Result<(), NotifyError> {
+        let moment = self.moment();
+        for source in &mut self.sources {
+            source.gather(&mut self.outbox, moment.now);
+            source.maintain(&mut self.outbox, moment.wall_ns).await?;
+            source.compose(&mut self.outbox, moment);
+        }
+        for change in self.outbox.release(moment) {
+            let of_change =
+                |source: &&Source| change.period().structure == *source.keys.structure();
+            if let Some(source) = self.sources.iter().find(of_change) {
+                source.put_event(&change, moment.wall_ns).await?;
+            }
+        }
+        Ok(())
     }
 
     /// Saves checkpoints of all structures that have changed.
@@ -272,14 +338,13 @@ impl NotifyService {
         let now = self.clock.now();
         for structure in self.outbox.take_changed() {
             let of_structure = |source: &&mut Source| *source.keys.structure() == structure;
-            let memory = self
-                .sources
-                .iter_mut()
-                .find(of_structure)
-                .and_then(|source| source.memory.as_mut());
-            if let Some(memory) = memory {
+            let Some(source) = self.sources.iter_mut().find(of_structure) else {
+                continue;
+            };
+            let situation = source.situation();
+            if let Some(memory) = &mut source.memory {
                 let remembered = self.outbox.remembered(&structure, now);
-                tokio::task::block_in_place(|| memory.keep(remembered));
+                tokio::task::block_in_place(|| memory.keep(remembered, situation));
             }
         }
     }
@@ -288,6 +353,8 @@ impl NotifyService {
         let counts = [
             ("failed-notices", self.outbox.failures),
             ("given-up-notices", self.outbox.given_up),
+            ("muted-notices", self.outbox.muted),
+            ("simulated-notices", self.outbox.simulated),
         ];
         for source in &self.sources {
             let counts = counts
@@ -300,10 +367,11 @@ impl NotifyService {
                 .and_then(|memory| memory.failures().drops());
             let refused = source.listener.refused().into_iter();
             let drops: BTreeMap<String, u64> = refused.chain(counts).chain(unkept).collect();
-            let report = Report {
-                done: source.listener.taken(),
+            let report = StatusReport {
+                done: source.taken,
                 drops,
-                ..Report::default()
+                maintenance: self.outbox.maintenance(source.keys.structure()),
+                ..StatusReport::default()
             };
             source.status.put(report).await?;
         }
@@ -312,23 +380,175 @@ impl NotifyService {
 }
 
 impl Source {
+    /// Processes what has arrived since the last call.
+    fn gather(&mut self, outbox: &mut Outbox, now: Duration) {
+        let mut told = Told::default();
+        self.state.handle(Input::Now(now), &mut Vec::new());
+        for input in self.listener.gather() {
+            match &input {
+                Input::Alert(alert) => {
+                    self.taken += 1;
+                    self.push(alert, outbox, now);
+                }
+                Input::LoggedAlert(alert) => told.log.push(alert.clone()),
+                Input::StandingAlert(alert) => told.standing.push(alert.clone()),
+                Input::Monitoring(display) => self.sight.take(display.clone(), now),
+                _ => {}
+            }
+            self.state.handle(input, &mut Vec::new());
+        }
+        self.catch_up(&told, outbox, now);
+    }
+
+    /// Queues a change of an alert until its notice can be composed.
+    fn push(&mut self, alert: &AlertMessage, outbox: &mut Outbox, now: Duration) {
+        outbox.mark_changed(&alert.structure);
+        self.fresh.push_back((alert.clone(), now + SETTLES_AFTER));
+    }
+
     /// Processes the reply of an alert service.
     ///
     /// The first reply ever received supplies only the current alerts: older changes are recorded
     /// without sending them.
     fn catch_up(&mut self, told: &Told, outbox: &mut Outbox, now: Duration) {
         let Told { log, standing } = told;
-        if self.has_heard {
-            log.iter().for_each(|alert| outbox.take(alert, now));
-        } else {
-            let is_past = |alert: &&AlertMessage| !standing.contains(alert);
-            log.iter()
-                .filter(is_past)
-                .for_each(|alert| drop(outbox.learn(alert)));
+        for alert in log {
+            if self.has_heard {
+                self.push(alert, outbox, now);
+            } else if !standing.contains(alert) {
+                outbox.learn(&alert.structure, &alert_key(alert));
+            }
         }
-        standing.iter().for_each(|alert| outbox.take(alert, now));
+        standing
+            .iter()
+            .for_each(|alert| self.push(alert, outbox, now));
         // An empty reply means that the service did not answer in time.
         self.has_heard |= !standing.is_empty();
+    }
+
+    /// Begins and ends maintenance, as people have requested.
+    async fn maintain(&mut self, outbox: &mut Outbox, wall_ns: i64) -> Result<(), NotifyError> {
+        let requests: Vec<_> = self.maintenance.messages().try_iter().collect();
+        for (_, request) in requests {
+            let mut parameters = self.facts.parameters.iter();
+            let is_known = |part: &Name| parameters.any(|known| known == part.as_str());
+            let is_own = request.structure == *self.keys.structure()
+                && request.parameter.as_ref().is_none_or(is_known);
+            if !is_own {
+                let (structure, parameter) = (&request.structure, &request.parameter);
+                warn!(%structure, ?parameter, "maintenance of an unknown parameter or structure rejected");
+            }
+            let change = is_own.then(|| outbox.maintain(request, wall_ns)).flatten();
+            if let Some(change) = change {
+                self.put_event(&change, wall_ns).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn put_event(&self, change: &Change, wall_ns: i64) -> Result<(), NotifyError> {
+        let period = change.period();
+        let until = iso_8601(period.until_ns);
+        let what = match change {
+            Change::Begins(_) => format!("maintenance until {until}: no notices are sent"),
+            Change::Ended(_, who) => format!("{who} has ended the maintenance: notices are sent"),
+            Change::Expired(_) => "the maintenance is over: notices are sent".to_owned(),
+        };
+        let subject = period.parameter.as_ref().unwrap_or(&period.structure);
+        let event = Event {
+            structure: period.structure.clone(),
+            time_ns: wall_ns,
+            kind: EventKind::Maintenance,
+            subject: subject.to_string(),
+            what,
+            why: format!("{}: {}", period.who, period.reason),
+        };
+        Ok(self.events.put(&event).await?)
+    }
+
+    /// Composes the notices that are due.
+    fn compose(&mut self, outbox: &mut Outbox, moment: Moment) {
+        let Moment { now, wall_ns } = moment;
+        let root = self.keys.root();
+        let node = |key: &String| parse_key(root, key).and_then(|(_, topic)| topic.of);
+        let simulated = self.simulated.present().iter().filter_map(node).collect();
+        let nodes = self
+            .state
+            .present()
+            .filter(|(service, _)| *service == Service::Sensor);
+        let present: BTreeSet<Name> = nodes.map(|(_, node)| node.clone()).collect();
+        let has_changed = self.origins.look(Signs {
+            present: &present,
+            simulated: &simulated,
+            pace: reported_pace(self.state.statuses().map(|(_, status)| status)),
+            measured_ns: self.sight.measured_ns(),
+            wall_ns,
+        });
+        if has_changed {
+            self.sight.told.change_origin();
+        }
+        let mut reports = Vec::new();
+        while let Some((alert, _)) = self.fresh.pop_front_if(|(_, due)| *due <= now) {
+            reports.push(Report::Alert(alert));
+        }
+        reports.extend(
+            self.sight
+                .look(self.origins.origin(), now, wall_ns)
+                .map(Report::Monitoring),
+        );
+        if has_changed || !reports.is_empty() {
+            outbox.mark_changed(self.keys.structure());
+        }
+        let seen = self.state.seen.iter();
+        let sensors = seen.filter(|(service, _)| *service == Service::Sensor);
+        let absent = sensors.map(|(_, node)| node.clone());
+        let scene = Scene {
+            facts: &self.facts,
+            alerts: &self.state.alerts,
+            monitoring: self.sight.report(now),
+            origin: self.origins.origin(),
+            fit: newest_fit(&self.state),
+            absent: &absent.filter(|node| !present.contains(node)).collect(),
+        };
+        for report in reports {
+            outbox.take(&scene.compose(report), moment);
+        }
+    }
+
+    /// Returns what a checkpoint contains besides the notices.
+    fn situation(&self) -> Situation {
+        Situation {
+            fresh: self.fresh.iter().map(|(alert, _)| alert.clone()).collect(),
+            origins: self.origins.clone(),
+            told: self.sight.told,
+        }
+    }
+}
+
+/// Returns the newest verdict on the fit that a status reports.
+fn newest_fit(state: &StructureState) -> Option<FitVerdict> {
+    let statuses = state.statuses().map(|(_, status)| status);
+    let assessed = statuses.filter(|status| status.fit.is_some());
+    assessed.max_by_key(|status| status.time_ns)?.fit
+}
+
+fn facts(monitored: &Monitored, settings: &NotifySettings) -> Facts {
+    let structure = &monitored.structure;
+    let parameters = structure.parameters().iter();
+    let channels = structure.nodes().iter().map(|node| {
+        let channels = node.channels().iter();
+        let names = channels.map(|channel| channel.name().to_owned()).collect();
+        (node.name().to_owned(), names)
+    });
+    Facts {
+        structure: monitored.keys.structure().clone(),
+        title: structure.description().trim().to_owned(),
+        place: structure.location().trim().to_owned(),
+        parameters: parameters
+            .map(|parameter| parameter.name().to_owned())
+            .collect(),
+        channels: channels.collect(),
+        public_url: settings.base_url(),
     }
 }
 

@@ -1,19 +1,65 @@
 //! Settings of the notification service: receivers, formats and alert states.
 
 use crate::error::NotifyError;
+use crate::message::{MAIL_SUBJECT, MAIL_TEXT};
+use crate::quiet::{Quiet, QuietHours};
+use crate::samples::samples;
+use crate::state::NoticeState;
+use crate::template::Template;
 use lettre::message::Mailbox;
 use serde::Deserialize;
-use spandrel_bus::AlertState;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Longest delay of a notice, s: 30 days.
+const LONGEST_S: f64 = 30.0 * 86_400.0;
 
 /// The receivers of notices.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct NotifySettings {
+    /// Public address of the page, for links. Without it, notices have no link.
+    pub public_url: Option<String>,
+    /// Time after which a blind structure is notified, s.
+    pub blind_after_s: f64,
+    /// Time after which a degraded structure is notified, s.
+    pub degraded_after_s: f64,
+    /// Time after which a structure that is watched again is notified, s.
+    pub watching_after_s: f64,
     /// Programs notified over HTTP.
     pub webhook: Vec<Webhook>,
     /// People notified by e-mail.
     pub email: Vec<Email>,
+}
+
+impl Default for NotifySettings {
+    fn default() -> Self {
+        Self {
+            public_url: None,
+            blind_after_s: 60.0,
+            degraded_after_s: 900.0,
+            watching_after_s: 60.0,
+            webhook: Vec::new(),
+            email: Vec::new(),
+        }
+    }
+}
+
+/// Times for which a state of the monitoring must last before its notice.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Delays {
+    pub(crate) blind: Duration,
+    pub(crate) degraded: Duration,
+    pub(crate) watching: Duration,
+}
+
+/// When a receiver gets a notice: the settings that all receivers have.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Conditions<'s> {
+    pub(crate) states: &'s [NoticeState],
+    pub(crate) simulations: bool,
+    pub(crate) after_s: f64,
+    pub(crate) quiet: &'s [QuietHours],
 }
 
 /// A program notified over HTTP.
@@ -27,9 +73,20 @@ pub struct Webhook {
     pub format: WebhookFormat,
     /// File with a token that is sent as `Authorization: Bearer …`.
     pub token_file: Option<PathBuf>,
-    /// Alert states to send.
+    /// Template of the body. A file that ends with `.json` is sent as JSON.
+    pub template_file: Option<PathBuf>,
+    /// States to send.
     #[serde(default = "usual_states")]
-    pub states: Vec<AlertState>,
+    pub states: Vec<NoticeState>,
+    /// Whether simulated and replayed samples cause notices.
+    #[serde(default)]
+    pub simulations: bool,
+    /// Time without reaction after which the receiver gets a notice, s.
+    #[serde(default)]
+    pub after_s: f64,
+    /// Hours in which notices wait.
+    #[serde(default)]
+    pub quiet: Vec<QuietHours>,
 }
 
 /// The format of a webhook's body.
@@ -62,9 +119,22 @@ pub struct Email {
     pub from: String,
     /// Recipients.
     pub to: Vec<String>,
-    /// Alert states to send.
+    /// Template of the subject.
+    pub subject: Option<String>,
+    /// Template of the text.
+    pub template_file: Option<PathBuf>,
+    /// States to send.
     #[serde(default = "usual_states")]
-    pub states: Vec<AlertState>,
+    pub states: Vec<NoticeState>,
+    /// Whether simulated and replayed samples cause notices.
+    #[serde(default)]
+    pub simulations: bool,
+    /// Time without reaction after which the receiver gets a notice, s.
+    #[serde(default)]
+    pub after_s: f64,
+    /// Hours in which notices wait.
+    #[serde(default)]
+    pub quiet: Vec<QuietHours>,
 }
 
 /// The encryption of the connection to a mail server.
@@ -80,8 +150,116 @@ pub enum Encryption {
     None,
 }
 
-fn usual_states() -> Vec<AlertState> {
-    vec![AlertState::Raised, AlertState::Cleared]
+fn usual_states() -> Vec<NoticeState> {
+    vec![
+        NoticeState::Raised,
+        NoticeState::Cleared,
+        NoticeState::Blind,
+        NoticeState::Watching,
+    ]
+}
+
+impl Webhook {
+    /// Returns the conditions of a notice.
+    pub(crate) fn conditions(&self) -> Conditions<'_> {
+        Conditions {
+            states: &self.states,
+            simulations: self.simulations,
+            after_s: self.after_s,
+            quiet: &self.quiet,
+        }
+    }
+
+    /// Returns the template of the body, if there is one. `place` names this table.
+    pub(crate) fn template(&self, place: &str) -> Result<Option<Template>, NotifyError> {
+        let path = self.template_file.as_deref();
+        let place = format!("{place}.template-file");
+        path.map(|path| read_template(path, place)).transpose()
+    }
+}
+
+impl Email {
+    /// Returns the conditions of a notice.
+    pub(crate) fn conditions(&self) -> Conditions<'_> {
+        Conditions {
+            states: &self.states,
+            simulations: self.simulations,
+            after_s: self.after_s,
+            quiet: &self.quiet,
+        }
+    }
+
+    /// Returns the templates of subject and text. `place` names this table.
+    pub(crate) fn templates(&self, place: &str) -> Result<[Template; 2], NotifyError> {
+        let subject = self.subject.as_deref().unwrap_or(MAIL_SUBJECT);
+        let place_of_subject = format!("{place}.subject");
+        let subject = parse_template(subject, &place_of_subject, place_of_subject.clone())?;
+        let text = match &self.template_file {
+            None => parse_template(MAIL_TEXT, "mail.txt", place.to_owned())?,
+            Some(path) => read_template(path, format!("{place}.template-file"))?,
+        };
+        Ok([subject, text])
+    }
+}
+
+fn read_template(path: &Path, place: String) -> Result<Template, NotifyError> {
+    match std::fs::read_to_string(path) {
+        Ok(source) => parse_template(&source, &path.display().to_string(), place),
+        Err(source) => Err(NotifyError::TemplateFile {
+            place,
+            path: path.to_owned(),
+            source,
+        }),
+    }
+}
+
+fn parse_template(source: &str, file: &str, place: String) -> Result<Template, NotifyError> {
+    Template::parse(source, file, &samples("structure")).map_err(|fault| NotifyError::Template {
+        place,
+        file: file.to_owned(),
+        line: fault.line.unwrap_or(1),
+        found: fault.found,
+        allowed: fault.allowed,
+    })
+}
+
+impl Conditions<'_> {
+    /// Returns the quiet hours with their time zones, which must have been checked.
+    pub(crate) fn quiet(&self) -> Vec<Quiet> {
+        self.quiet.iter().filter_map(Quiet::new).collect()
+    }
+
+    fn check(&self, place: &str) -> Result<(), NotifyError> {
+        check_states(self.states, &format!("{place}.states"))?;
+        check_delay(self.after_s, &format!("{place}.after-s"))?;
+        for (index, hours) in self.quiet.iter().enumerate() {
+            let setting = |what: &str, found: String, allowed| NotifyError::Setting {
+                place: format!("{place}.quiet[{index}].{what}"),
+                found,
+                allowed,
+            };
+            if hours.days.is_empty() {
+                let allowed = "one or more of mon, tue, wed, thu, fri, sat, sun";
+                return Err(setting("days", "empty".to_owned(), allowed));
+            }
+            if Quiet::new(hours).is_none() {
+                let allowed = "a time zone such as Europe/Zurich or UTC";
+                return Err(setting("zone", format!("{:?}", hours.zone), allowed));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_delay(seconds: f64, place: &str) -> Result<(), NotifyError> {
+    match (0.0..=LONGEST_S).contains(&seconds) {
+        true => Ok(()),
+        false => Err(NotifyError::Setting {
+            place: place.to_owned(),
+            found: seconds.to_string(),
+            allowed: "from 0 to 2592000 s (30 days)",
+        }),
+    }
 }
 
 impl NotifySettings {
@@ -91,19 +269,33 @@ impl NotifySettings {
         self.webhook.is_empty() && self.email.is_empty()
     }
 
-    /// Makes relative paths of secret files relative to `folder`.
+    /// Makes relative paths of secrets and templates relative to `folder`.
     pub fn resolve(&mut self, folder: &Path) {
-        let tokens = self
+        let of_webhooks = self
             .webhook
             .iter_mut()
-            .filter_map(|webhook| webhook.token_file.as_mut());
-        let passwords = self
+            .flat_map(|one| [&mut one.token_file, &mut one.template_file]);
+        let of_emails = self
             .email
             .iter_mut()
-            .filter_map(|email| email.password_file.as_mut());
-        tokens
-            .chain(passwords)
-            .for_each(|path| *path = folder.join(&path));
+            .flat_map(|one| [&mut one.password_file, &mut one.template_file]);
+        let paths = of_webhooks.chain(of_emails).filter_map(Option::as_mut);
+        paths.for_each(|path| *path = folder.join(&path));
+    }
+
+    /// Returns the public address of the page without a slash at the end.
+    pub(crate) fn base_url(&self) -> Option<String> {
+        let url = self.public_url.as_deref()?;
+        Some(url.trim_end_matches('/').to_owned())
+    }
+
+    /// Returns the delays of the monitoring, which must have been checked.
+    pub(crate) fn delays(&self) -> Delays {
+        Delays {
+            blind: Duration::from_secs_f64(self.blind_after_s),
+            degraded: Duration::from_secs_f64(self.degraded_after_s),
+            watching: Duration::from_secs_f64(self.watching_after_s),
+        }
     }
 
     /// Checks the values that the types do not restrict, and that files with secrets are readable.
@@ -111,12 +303,22 @@ impl NotifySettings {
     /// # Errors
     /// Returns the first invalid setting.
     pub fn check(&self) -> Result<(), NotifyError> {
+        if let Some(url) = &self.public_url {
+            let has_query = url.contains(['?', '#']);
+            if !is_http(url) || has_query {
+                return Err(NotifyError::Setting {
+                    place: "public-url".to_owned(),
+                    found: format!("{url:?}"),
+                    allowed: "http://… or https://…, without a query or a fragment",
+                });
+            }
+        }
+        check_delay(self.blind_after_s, "blind-after-s")?;
+        check_delay(self.degraded_after_s, "degraded-after-s")?;
+        check_delay(self.watching_after_s, "watching-after-s")?;
         for (index, webhook) in self.webhook.iter().enumerate() {
             let place = |what: &str| format!("webhook[{index}].{what}");
-            let is_http = ["http://", "https://"]
-                .iter()
-                .any(|scheme| webhook.url.starts_with(scheme));
-            if !is_http || host(&webhook.url).is_empty() {
+            if !is_http(&webhook.url) {
                 let found = format!("{:?}", shown(&webhook.url));
                 return Err(NotifyError::Setting {
                     place: place("url"),
@@ -125,7 +327,17 @@ impl NotifySettings {
                 });
             }
             read_secret(webhook.token_file.as_deref(), &place("token-file"))?;
-            check_states(&webhook.states, &place("states"))?;
+            webhook.conditions().check(&format!("webhook[{index}]"))?;
+            webhook.template(&format!("webhook[{index}]"))?;
+            let is_template = webhook.template_file.is_some();
+            let is_held = !webhook.quiet.is_empty() || webhook.after_s > 0.0;
+            if webhook.format == WebhookFormat::Alertmanager && (is_template || is_held) {
+                return Err(NotifyError::Setting {
+                    place: place("format"),
+                    found: "alertmanager, with template-file, quiet or after-s".to_owned(),
+                    allowed: "spandrel with these settings; Alertmanager has its own",
+                });
+            }
         }
         for (index, email) in self.email.iter().enumerate() {
             let place = |what: &str| format!("email[{index}].{what}");
@@ -172,26 +384,32 @@ impl NotifySettings {
                 });
             }
             read_secret(email.password_file.as_deref(), &place("password-file"))?;
-            check_states(&email.states, &place("states"))?;
+            email.conditions().check(&format!("email[{index}]"))?;
+            email.templates(&format!("email[{index}]"))?;
         }
         Ok(())
     }
 }
 
-fn check_states(states: &[AlertState], place: &str) -> Result<(), NotifyError> {
+fn check_states(states: &[NoticeState], place: &str) -> Result<(), NotifyError> {
     if !states.is_empty() {
         return Ok(());
     }
     let (found, allowed) = (
         "empty".to_owned(),
         "one or more of learning, undecided, normal, pending, raised, unconfirmed, acknowledged, \
-         cleared",
+         cleared, blind, degraded, watching",
     );
     Err(NotifyError::Setting {
         place: place.to_owned(),
         found,
         allowed,
     })
+}
+
+fn is_http(url: &str) -> bool {
+    let mut schemes = ["http://", "https://"].iter();
+    schemes.any(|scheme| url.starts_with(scheme)) && !host(url).is_empty()
 }
 
 /// Returns the secret in a file, without the line ending.
@@ -230,7 +448,11 @@ mod tests {
             url: url.to_owned(),
             format: WebhookFormat::Spandrel,
             token_file: None,
+            template_file: None,
             states: usual_states(),
+            simulations: false,
+            after_s: 0.0,
+            quiet: Vec::new(),
         }
     }
 
@@ -243,7 +465,12 @@ mod tests {
             password_file: None,
             from: "Bridges <bridges@site.example>".to_owned(),
             to: vec!["ada@site.example".to_owned()],
+            subject: None,
+            template_file: None,
             states: usual_states(),
+            simulations: false,
+            after_s: 0.0,
+            quiet: Vec::new(),
         }
     }
 
@@ -256,6 +483,7 @@ mod tests {
         let good = NotifySettings {
             webhook: vec![webhook("https://hooks.example/s3cret")],
             email: vec![email()],
+            ..NotifySettings::default()
         };
         assert!(good.check().is_ok());
         for wrong in [

@@ -45,4 +45,4 @@ pub use error::SensorError;
 pub use pace::{Speed, Window};
 pub use record_source::{column_mapping, open_record};
 pub use rows::{Row, recorded_rows, simulated_rows};
-pub use shell::{SAMPLES_KEPT, SensorService, SensorSettings, WINDOW_FRAMES};
+pub use shell::{Origin, SAMPLES_KEPT, SensorService, SensorSettings, WINDOW_FRAMES};

@@ -36,9 +36,21 @@ const PATIENCE_AFTER_STOP: Duration = Duration::from_secs(2);
 /// Timeout of the query for the current frame position of ingest.
 const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// Origin of the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// A model computes the samples. A token marks each node, so that a live simulation does not
+    /// pass for measurements.
+    Simulated,
+    /// The samples come from a recording.
+    Recorded,
+}
+
 /// Settings of a simulation or replay.
 #[derive(Clone, Debug)]
 pub struct SensorSettings {
+    /// Origin of the rows.
+    pub origin: Origin,
     /// Speed of the rows.
     pub speed: Speed,
     /// Epoch of the nodes. It must increase at each start, like the wall clock in ns.
@@ -116,10 +128,16 @@ impl SensorService {
             for service in &settings.wait_for {
                 progress.push((*service, bus.watch_progress(keys.progress(*service)).await?));
             }
+            // The nodes must not appear before their mark, nor outlive it.
             let mut tokens = Vec::new();
+            let mut marks = Vec::new();
             for node in &nodes {
+                if settings.origin == Origin::Simulated {
+                    marks.push(bus.announce(keys.simulated(&node.name)).await?);
+                }
                 tokens.push(bus.announce(keys.live(Service::Sensor, &node.name)).await?);
             }
+            tokens.extend(marks);
             let block_samples = match settings.speed {
                 Speed::Factor(factor) => {
                     ((BLOCK_S * rate_hz * factor) as u64).clamp(1, LARGE_BLOCK)

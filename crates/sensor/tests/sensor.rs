@@ -17,7 +17,7 @@ use spandrel_bus::{
     StreamSettings, StreamState,
 };
 use spandrel_sensor::{
-    NodePace, NodePlan, Row, SensorService, SensorSettings, Speed, WINDOW_FRAMES,
+    NodePace, NodePlan, Origin, Row, SensorService, SensorSettings, Speed, WINDOW_FRAMES,
 };
 use tokio::time::timeout;
 
@@ -72,6 +72,7 @@ async fn sensor(bus: &Bus, wait_for: Vec<Service>) -> SensorService {
         clock_drift_ppm: 0.0,
     };
     let settings = SensorSettings {
+        origin: Origin::Simulated,
         speed: Speed::Max,
         epoch: 1,
         wait_for,

@@ -52,6 +52,7 @@ fn level(event: &Event) -> Level {
         | EventKind::NodeBack
         | EventKind::ChannelBack
         | EventKind::SamplesBack
+        | EventKind::Maintenance
         | EventKind::CaughtUp => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use spandrel_bus::{
-    BusError, DisplayPublisher, FitVerdict, InstrumentStatus, Keys, Load, Name, Pace, Service,
-    Standing, Status, UndecidedBecause,
+    BusError, DisplayPublisher, FitVerdict, InstrumentStatus, Keys, Load, Maintenance, Name, Pace,
+    Service, Standing, Status, UndecidedBecause,
 };
 
 use crate::{Clock, ServiceInstance};
@@ -40,6 +40,8 @@ pub struct Report {
     pub undecided: BTreeMap<UndecidedBecause, u64>,
     /// State of each instrument by its name.
     pub instruments: BTreeMap<String, InstrumentStatus>,
+    /// Present maintenance of the structure.
+    pub maintenance: Vec<Maintenance>,
 }
 
 impl Report {
@@ -101,6 +103,7 @@ impl StatusPublisher {
             fit: report.fit,
             undecided: report.undecided,
             instruments: report.instruments,
+            maintenance: report.maintenance,
             drops: report.drops,
             restarts: report.restarts,
             version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -75,9 +75,21 @@ pub enum Command {
         after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem"
     )]
     History(ServiceArguments),
-    /// Notify people of alerts by webhook, Alertmanager and e-mail.
-    #[command(after_help = "Example: spandrel notify --config spandrel.toml")]
-    Notify(ServiceArguments),
+    /// Notify people of alerts and of blind structures by webhook, Alertmanager and e-mail.
+    #[command(
+        after_help = "Examples: spandrel notify --config spandrel.toml\n          \
+                            spandrel notify --config spandrel.toml --test"
+    )]
+    Notify(NotifyArguments),
+    /// Mute the notices of a structure during maintenance.
+    ///
+    /// Without --until and --end, list the present maintenance.
+    #[command(
+        after_help = "Examples: spandrel maintenance bridge --until 2026-12-01T18:00:00+01:00 --reason \"new bearings\"\n          \
+                            spandrel maintenance bridge --parameter pier-2 --end\n          \
+                            spandrel maintenance bridge"
+    )]
+    Maintenance(MaintenanceArguments),
     /// Serve a web page with parameters and alerts, an HTTP interface and a WebSocket.
     #[command(
         after_help = "Examples: spandrel dashboard bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
@@ -322,6 +334,43 @@ pub struct ServiceArguments {
     /// Structure file; may be repeated [default: structures of the configuration].
     #[arg(value_name = "STRUCTURE.toml")]
     pub structures: Vec<PathBuf>,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct NotifyArguments {
+    #[command(flatten)]
+    pub service: ServiceArguments,
+    /// Send a test notice with made-up values to each receiver, print the results, and exit.
+    ///
+    /// Exits with code 1 if a delivery fails. The services may run at the same time.
+    #[arg(long)]
+    pub test: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct MaintenanceArguments {
+    /// Name of the structure.
+    #[arg(value_name = "STRUCTURE")]
+    pub structure: String,
+    /// End of the maintenance, at most 30 days from now.
+    ///
+    /// Seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z.
+    #[arg(long, value_name = "TIME", requires = "reason", conflicts_with = "end")]
+    pub until: Option<String>,
+    /// End the maintenance now.
+    #[arg(long)]
+    pub end: bool,
+    /// Reason of the maintenance.
+    #[arg(long, value_name = "TEXT", requires = "until")]
+    pub reason: Option<String>,
+    /// Mute only the alerts of this parameter [default: all notices of the structure].
+    #[arg(long, value_name = "NAME")]
+    pub parameter: Option<String>,
+    /// Your name [default: USER].
+    #[arg(long, value_name = "NAME")]
+    pub who: Option<String>,
     #[command(flatten)]
     pub bus: BusArguments,
 }

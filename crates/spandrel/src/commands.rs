@@ -9,6 +9,8 @@ mod demo;
 mod estimate;
 mod feed;
 mod info;
+mod maintenance;
+mod notify;
 mod progress;
 mod replay;
 mod router;
@@ -57,7 +59,8 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, Share::ALL),
         Command::Alert(arguments) => run::one(&arguments, run::Services::ALERT, Share::ALL),
         Command::History(arguments) => run::one(&arguments, run::Services::HISTORY, Share::ALL),
-        Command::Notify(arguments) => run::one(&arguments, run::Services::NOTIFY, Share::ALL),
+        Command::Notify(arguments) => notify::run(&arguments),
+        Command::Maintenance(arguments) => maintenance::run(&arguments),
         Command::Dashboard(arguments) => dashboard::run(&arguments),
         Command::Simulate(arguments) => simulate::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),

@@ -187,6 +187,33 @@ pub enum AppError {
          [[notify.email]]"
     )]
     NoRecipients,
+    /// A test notice was not delivered.
+    #[error("{failed} of {receivers} test notices were not delivered")]
+    NotDelivered {
+        /// Number of failed deliveries.
+        failed: usize,
+        /// Number of receivers.
+        receivers: usize,
+    },
+    /// An option of `spandrel maintenance` is not valid.
+    #[error("{option}: {found}, must be {allowed}")]
+    Maintenance {
+        /// The option.
+        option: &'static str,
+        /// The value found.
+        found: String,
+        /// The allowed values.
+        allowed: &'static str,
+    },
+    /// Notify does not run, or has not confirmed a request.
+    #[error(
+        "no confirmation from notify within {within_s} s; check that it runs for this structure, \
+         that the configuration names a receiver, and that the parameter exists"
+    )]
+    NoAnswerOfNotify {
+        /// The time limit, s.
+        within_s: u64,
+    },
     /// No estimate arrived during a measurement.
     #[error("no estimate was received; check that the measurement is longer than 5 s")]
     NothingMeasured,
@@ -319,6 +346,7 @@ impl AppError {
             | Self::NoPage
             | Self::NoHistory
             | Self::NoRecipients
+            | Self::Maintenance { .. }
             | Self::NoStateFolder
             | Self::SyncTime { .. }
             | Self::WouldOverwrite { .. }
@@ -331,6 +359,8 @@ impl AppError {
             | Self::FiguresMissed { .. }
             | Self::ChannelsMissing { .. }
             | Self::NothingMeasured
+            | Self::NotDelivered { .. }
+            | Self::NoAnswerOfNotify { .. }
             | Self::Io { .. }
             | Self::Panicked { .. } => false,
         }

@@ -49,6 +49,12 @@ impl Need {
         KeyFamily::Live(Service::Dashboard),
     );
     pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
+    pub const MAINTAIN: Self = Self::new("mute notices", Right::Put, KeyFamily::Maintenance);
+    pub const SEE_STATUS: Self = Self::new(
+        "subscribe to the status",
+        Right::Subscribe,
+        KeyFamily::Status(Service::Notify),
+    );
     pub const SEE_PARAMETERS: Self = Self::new(
         "subscribe to parameters",
         Right::Subscribe,
@@ -252,6 +258,8 @@ mod tests {
             Need::NOTIFY,
             Need::SHOW_A_PAGE,
             Need::ACKNOWLEDGE,
+            Need::MAINTAIN,
+            Need::SEE_STATUS,
             Need::SEE_PARAMETERS,
         ] {
             let met = Role::ALL

@@ -45,6 +45,7 @@ pub(crate) struct StructureFile<'t> {
 struct Head {
     name: Option<String>,
     description: String,
+    place: String,
     rate_hz: Option<f64>,
     display_rate_hz: f64,
     distributed: Option<Spanned<bool>>,
@@ -227,6 +228,7 @@ impl<'t> StructureFile<'t> {
             text: self.text.to_owned(),
             name: head.name?,
             description: head.description,
+            place: head.place,
             sampling_rate_hz: head.rate_hz?,
             display_rate_hz: head.display_rate_hz,
             system: system?.clone(),
@@ -258,6 +260,7 @@ fn read_head(file: &mut Section<'_>) -> Head {
     let mut head = Head {
         name: None,
         description: String::new(),
+        place: String::new(),
         rate_hz: None,
         display_rate_hz: DISPLAY_RATE_HZ,
         distributed: None,
@@ -268,6 +271,10 @@ fn read_head(file: &mut Section<'_>) -> Head {
     head.name = section.required_name("name").map(Spanned::into_inner);
     head.description = section
         .text("description")
+        .map(Spanned::into_inner)
+        .unwrap_or_default();
+    head.place = section
+        .text("place")
         .map(Spanned::into_inner)
         .unwrap_or_default();
     head.rate_hz = section

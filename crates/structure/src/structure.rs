@@ -38,6 +38,7 @@ pub struct Structure {
     pub(crate) text: String,
     pub(crate) name: String,
     pub(crate) description: String,
+    pub(crate) place: String,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
     pub(crate) system: LinearSystem,
@@ -113,6 +114,12 @@ impl Structure {
         &self.description
     }
 
+    /// Returns where the structure stands, from the file. Empty if the file does not say.
+    #[must_use]
+    pub fn location(&self) -> &str {
+        &self.place
+    }
+
     /// Returns the names of the degrees of freedom, in the order of the state.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> &[String] {
@@ -127,8 +134,8 @@ impl Structure {
 
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
-    /// It is the file without its comments, alert rules, simulation, record table and description,
-    /// followed by the matrices that it names.
+    /// It is the file without its comments, alert rules, simulation, record table, description and
+    /// place, followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
@@ -141,6 +148,7 @@ impl Structure {
             .and_then(toml::Value::as_table_mut)
         {
             structure.remove("description");
+            structure.remove("place");
         }
         let kind = table
             .get("model")

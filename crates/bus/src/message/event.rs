@@ -38,6 +38,8 @@ pub enum EventKind {
     SamplesBack,
     /// The watch over a structure is blind, degraded, or complete again.
     Monitoring,
+    /// Maintenance began or ended, so that notices are muted or sent again.
+    Maintenance,
     /// Items are permanently lost.
     Gap,
     /// Identification is overloaded and publishes display values less often.

@@ -9,6 +9,9 @@ use crate::name::Name;
 /// Maximum number of reasons in a message. They are summaries, not lists of all parts.
 const MAX_REASONS: usize = 64;
 
+/// Reason of a parameter whose reference is being learnt.
+pub const REFERENCE_IS_LEARNT: &str = "the reference is being learnt";
+
 /// Whether damage of a part, or of a structure, would be noticed at present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -88,6 +91,14 @@ pub struct MonitoringDisplay {
 }
 
 impl MonitoringDisplay {
+    /// Returns `true` if the only reason is that references are being learnt, as after the first
+    /// start.
+    #[must_use]
+    pub fn only_learns(&self) -> bool {
+        let learns = |reason: &String| reason.ends_with(REFERENCE_IS_LEARNT);
+        !self.reasons.is_empty() && self.reasons.iter().all(learns)
+    }
+
     /// Returns state and reasons as a clause without a full stop, such as `blind: no samples`.
     #[must_use]
     pub fn words(&self) -> String {
@@ -171,6 +182,19 @@ mod tests {
         let mut wrong = display();
         wrong.parameters[0].sustained_std = Some(-0.1);
         assert!(matches!(wrong.check(), Err(Malformed::Range { .. })));
+    }
+
+    #[test]
+    fn learning_references_is_not_a_loss_of_sight() {
+        let because = |reasons: &[&str]| MonitoringDisplay {
+            reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect(),
+            ..display()
+        };
+        let of_some = format!("storey-1: {REFERENCE_IS_LEARNT}");
+        assert!(because(&[REFERENCE_IS_LEARNT]).only_learns());
+        assert!(because(&[&of_some]).only_learns());
+        assert!(!because(&[&of_some, "no samples of roof are used"]).only_learns());
+        assert!(!because(&[]).only_learns());
     }
 
     #[test]

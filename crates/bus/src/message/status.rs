@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FitVerdict, Format, Malformed, Message, Pace, UndecidedBecause, bounded, check_count,
-    check_finite, check_label, check_text,
+    FitVerdict, Format, MAX_CHANNELS, Maintenance, Malformed, Message, Pace, UndecidedBecause,
+    bounded, check_count, check_finite, check_label, check_text,
 };
 use crate::name::Name;
 
@@ -145,6 +145,9 @@ pub struct Status {
     /// State of each instrument by its name. Only feed reports it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub instruments: BTreeMap<String, InstrumentStatus>,
+    /// Present maintenance of the structure. Only notify reports it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub maintenance: Vec<Maintenance>,
     /// Number of dropped, lost or recovered items since the start, by reason.
     #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub drops: BTreeMap<String, u64>,
@@ -193,6 +196,10 @@ impl Message for Status {
                 check_text("last error", error)?;
             }
         }
+        check_count("maintenance", self.maintenance.len(), 0, MAX_CHANNELS)?;
+        for maintenance in &self.maintenance {
+            maintenance.check()?;
+        }
         check_count("drops", self.drops.len(), 0, MAX_REASONS)?;
         for reason in self.drops.keys() {
             check_label("drop reason", reason)?;
@@ -220,6 +227,7 @@ mod tests {
             fit: None,
             undecided: BTreeMap::new(),
             instruments: BTreeMap::new(),
+            maintenance: Vec::new(),
             drops: BTreeMap::new(),
             restarts: 0,
             version: String::new(),

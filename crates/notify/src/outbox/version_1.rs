@@ -8,7 +8,7 @@
 use serde::Deserialize;
 use spandrel_bus::{AlertState, CredibleInterval, FitReasons, Name};
 
-/// [`super::Remembered`] of version 1.
+/// [`super::Remembered`] of version 1, which becomes that of version 2.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Remembered {
     keys: Vec<String>,
@@ -16,7 +16,7 @@ pub(crate) struct Remembered {
     waiting: Vec<Undelivered>,
 }
 
-impl From<Remembered> for super::Remembered {
+impl From<Remembered> for super::version_2::Remembered {
     fn from(former: Remembered) -> Self {
         let last: Vec<spandrel_bus::AlertMessage> =
             former.last.into_iter().map(Into::into).collect();
@@ -39,7 +39,7 @@ struct Undelivered {
     age_s: u64,
 }
 
-impl From<Undelivered> for super::Undelivered {
+impl From<Undelivered> for super::version_2::Undelivered {
     fn from(
         Undelivered {
             receiver,

@@ -9,7 +9,8 @@ use crate::services::{block_on, interrupted};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
 use spandrel_sensor::{
-    Clocks, NodePlan, SensorError, SensorService, SensorSettings, open_record, recorded_rows,
+    Clocks, NodePlan, Origin, SensorError, SensorService, SensorSettings, open_record,
+    recorded_rows,
 };
 use spandrel_service::Clock;
 use spandrel_structure::Structure;
@@ -35,6 +36,7 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
         };
         check(&bus, &settings.bus, &work).await?;
         let sensor = SensorSettings {
+            origin: Origin::Recorded,
             speed: arguments.speed.into(),
             epoch: Clock::of_machine().epoch(),
             wait_for: super::simulate::readers(&structure),

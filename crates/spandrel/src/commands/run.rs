@@ -126,10 +126,10 @@ impl Plan {
         if services == Services::HISTORY && database.is_none() {
             return Err(AppError::NoHistory);
         }
+        settings.notify.check()?;
         if services == Services::NOTIFY && settings.notify.is_empty() {
             return Err(AppError::NoRecipients);
         }
-        settings.notify.check()?;
         let feed = match services.has(Service::Feed) {
             true if !settings.feed.is_empty() => Some(checked_feed(&settings, &watched)?),
             true if services == Services::FEED => return Err(FeedError::NoSource.into()),

@@ -10,7 +10,7 @@ use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
 use spandrel_record::RecordWriter;
 use spandrel_sensor::{
-    Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, column_mapping,
+    Clocks, NodePlan, Origin, SensorError, SensorService, SensorSettings, Speed, column_mapping,
     simulated_rows,
 };
 use spandrel_service::Clock;
@@ -131,6 +131,7 @@ pub async fn simulate(
     let (epoch, live) = (Clock::of_machine().epoch(), speed == Speed::Live);
     let wait_for = if live { Vec::new() } else { readers(structure) };
     let settings = SensorSettings {
+        origin: Origin::Simulated,
         speed,
         epoch,
         wait_for,
