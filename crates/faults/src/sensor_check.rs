@@ -166,21 +166,24 @@ impl SensorCheck {
                     }
                 }
             }
-            let comparisons: Vec<Comparison> = compared.into_iter().flatten().collect();
             // Wind and traffic move a structure without the ground, and the channels differently.
-            let is_without_ground = comparisons.iter().any(Comparison::is_without_first);
+            let is_without_ground = compared.iter().flatten().any(Comparison::is_without_first);
             let judged = if is_without_ground {
                 1
             } else {
                 group.channels.len()
             };
             for (member, channel) in group.channels.iter().enumerate().take(judged) {
-                let found = comparisons
-                    .iter()
-                    .max_by(|a, b| a.probabilities[member].total_cmp(&b.probabilities[member]));
-                let (Some(found), Some(health)) = (found, &mut self.state.health[*channel]) else {
+                let Some(health) = &mut self.state.health[*channel] else {
                     continue;
                 };
+                // Among equals, the short memory shows the present fault better.
+                let worst = compared
+                    .iter()
+                    .flatten()
+                    .rev()
+                    .max_by(|a, b| a.probabilities[member].total_cmp(&b.probabilities[member]));
+                let Some(found) = worst else { continue };
                 let support = &mut self.state.support[*channel];
                 let before = health.soundness;
                 group.judge(found, member, health, support);
@@ -412,3 +415,6 @@ impl Group {
         health.fault = fault;
     }
 }
+
+#[cfg(test)]
+mod tests;

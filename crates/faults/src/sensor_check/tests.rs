@@ -1,0 +1,240 @@
+use super::*;
+use std::path::Path;
+
+const TABLE: &str = include_str!("../../../../docs/examples/shake-table-stiff.toml");
+
+/// Floors of the frame, by their channel. Channel 0 is the ground.
+const FLOOR_2: usize = 2;
+
+/// Seconds of each simulation.
+const SECONDS: f64 = 60.0;
+
+fn table(changes: &[(&str, &str)]) -> Structure {
+    let mut text = TABLE.to_owned();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    Structure::parse(&text, Path::new("table.toml")).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Returns the simulated frames of a structure.
+fn frames(structure: &Structure) -> Vec<Vec<f64>> {
+    frames_of(structure, SECONDS)
+}
+
+fn frames_of(structure: &Structure, seconds: f64) -> Vec<Vec<f64>> {
+    let count = (seconds * structure.sampling_rate_hz()) as usize;
+    let frames = structure.simulator(7).take(count);
+    frames.map(|frame| frame.values.clone()).collect()
+}
+
+/// Checks frames with the stiff frame's file. Returns the check and its changes with their times
+/// (s).
+fn checked(frames: &[Vec<f64>]) -> (SensorCheck, Vec<(f64, Change)>) {
+    let structure = table(&[]);
+    let mut check = SensorCheck::new(&structure);
+    let mut changes = Vec::new();
+    for (number, values) in frames.iter().enumerate() {
+        let time_s = number as f64 / structure.sampling_rate_hz();
+        changes.extend(
+            check
+                .take(values)
+                .into_iter()
+                .map(|change| (time_s, change)),
+        );
+    }
+    (check, changes)
+}
+
+/// Returns the channels that were ever in doubt or faulty.
+fn suspected(changes: &[(f64, Change)]) -> Vec<usize> {
+    let doubts = changes
+        .iter()
+        .filter(|(_, change)| matches!(change.now, Soundness::InDoubt | Soundness::Faulty));
+    let mut channels: Vec<usize> = doubts.map(|(_, change)| change.channel).collect();
+    channels.sort_unstable();
+    channels.dedup();
+    channels
+}
+
+/// Changes one channel from 20 s on, and returns its fault and the suspected channels.
+fn with_fault(
+    channel: usize,
+    mut change: impl FnMut(usize, &[Vec<f64>]) -> f64,
+) -> (Option<Fault>, Vec<usize>) {
+    // The structure has lost a fifth of its stiffness, so that the file is wrong as well.
+    let softer = "stiffnesses-n-per-m = [2176, 1840, 1888]";
+    let sound = frames(&table(&[
+        ("stiffnesses-n-per-m = [2720, 2300, 2360]", softer),
+        ("noise-std = 0.3", "noise-std = 0.03"),
+    ]));
+    let mut changed = sound.clone();
+    for (number, values) in changed.iter_mut().enumerate().skip(20 * 120) {
+        values[channel] = change(number, &sound);
+    }
+    let (check, changes) = checked(&changed);
+    let health = check.health()[channel].unwrap();
+    assert_eq!(
+        health.soundness,
+        Soundness::Faulty,
+        "{health:?} {changes:?}"
+    );
+    (health.fault, suspected(&changes))
+}
+
+#[test]
+fn sound_sensors_stay_sound_whatever_the_stiffness() {
+    for stiffness in [
+        "[2720, 2300, 2360]",
+        "[1088, 2300, 2360]",
+        "[2720, 2300, 944]",
+        "[437, 392, 398]",
+    ] {
+        let changed = format!("stiffnesses-n-per-m = {stiffness}");
+        let structure = table(&[("stiffnesses-n-per-m = [2720, 2300, 2360]", &changed)]);
+        let (check, changes) = checked(&frames(&structure));
+        assert_eq!(suspected(&changes), [], "{stiffness}: {changes:?}");
+        let health: Vec<Soundness> = check
+            .health()
+            .iter()
+            .flatten()
+            .map(|one| one.soundness)
+            .collect();
+        assert_eq!(health, [Soundness::Sound; 4], "{stiffness}");
+        assert!(!check.is_in_doubt());
+    }
+}
+
+#[test]
+fn gain_sign_and_delay_are_named_with_their_size() {
+    let (fault, suspected) = with_fault(FLOOR_2, |n, sound| 0.6 * sound[n][FLOOR_2]);
+    let Some(Fault::Gain(factor)) = fault else {
+        panic!("{fault:?}")
+    };
+    assert!((factor - 0.6).abs() < 0.06, "{factor}");
+    assert_eq!(suspected, [FLOOR_2]);
+
+    let (fault, suspected) = with_fault(FLOOR_2, |n, sound| -sound[n][FLOOR_2]);
+    assert!(
+        matches!(fault, Some(Fault::Sign(factor)) if (factor - 1.0).abs() < 0.1),
+        "{fault:?}"
+    );
+    assert_eq!(suspected, [FLOOR_2]);
+
+    // Six samples at 120 Hz are 50 ms.
+    let (fault, suspected) = with_fault(FLOOR_2, |n, sound| sound[n - 6][FLOOR_2]);
+    assert!(
+        matches!(fault, Some(Fault::Delay(delay_s)) if (delay_s - 0.05).abs() < 0.005),
+        "{fault:?}"
+    );
+    assert_eq!(suspected, [FLOOR_2]);
+}
+
+#[test]
+fn dead_sensors_and_other_motions_are_named() {
+    let (fault, suspected) = with_fault(FLOOR_2, |n, _| if n % 2 == 0 { 0.005 } else { -0.005 });
+    assert_eq!((fault, suspected), (Some(Fault::Dead), vec![FLOOR_2]));
+    // The motion of another time.
+    let (fault, suspected) = with_fault(FLOOR_2, |n, sound| 3.0 * sound[n - 1000][FLOOR_2]);
+    assert_eq!((fault, suspected), (Some(Fault::Disturbed), vec![FLOOR_2]));
+}
+
+#[test]
+fn structure_that_moves_without_its_ground_puts_only_the_ground_in_doubt() {
+    let (fault, suspected) = with_fault(0, |_, _| 0.0);
+    assert_eq!((fault, suspected), (Some(Fault::Dead), vec![0]));
+}
+
+#[test]
+fn motion_of_a_single_sensor_is_in_doubt_at_once() {
+    let mut noise = 1_u64;
+    let mut quiet = || {
+        noise = noise
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        ((noise >> 33) as f64 / f64::from(1_u32 << 31) - 0.5) * 1e-3
+    };
+    let mut frames: Vec<Vec<f64>> = (0..2400)
+        .map(|_| (0..4).map(|_| quiet()).collect())
+        .collect();
+    let (check, _) = checked(&frames);
+    assert!(!check.is_in_doubt(), "nothing moves");
+    for (number, values) in frames.iter_mut().enumerate() {
+        values[0] = (number as f64 / 120.0 * std::f64::consts::TAU * 1.6).sin();
+    }
+    let (check, changes) = checked(&frames);
+    assert!(check.is_in_doubt(), "{changes:?}");
+}
+
+#[test]
+fn sensor_that_agrees_again_is_sound_again() {
+    let mut changed = frames_of(&table(&[]), 180.0);
+    for values in changed.iter_mut().skip(1200).take(2400) {
+        values[FLOOR_2] *= -1.0;
+    }
+    let (check, changes) = checked(&changed);
+    let told: Vec<Soundness> = changes
+        .iter()
+        .filter(|(_, change)| change.channel == FLOOR_2 && change.before != Soundness::Unchecked)
+        .map(|(_, change)| change.now)
+        .collect();
+    assert_eq!(told.last(), Some(&Soundness::Sound), "{told:?}");
+    assert!(told.contains(&Soundness::Faulty), "{told:?}");
+    assert_eq!(
+        check.health()[FLOOR_2].and_then(|health| health.fault),
+        None
+    );
+}
+
+#[test]
+fn learnt_references_narrow_what_counts_as_sound() {
+    let structure = table(&[]);
+    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    let (check, _) = checked(&frames(&structure));
+    let observed = check.observed();
+    let learnt = check.learn(&names, &[observed.clone(), observed.clone(), observed]);
+    // Three equal records: (0.5·0.06²/2.5)·(1 + 1/3) = 0.031².
+    assert!(
+        learnt
+            .iter()
+            .all(|one| (one.ln_gain_std - 0.031).abs() < 1e-3),
+        "{learnt:?}"
+    );
+    let mut changed = frames(&structure);
+    for values in &mut changed {
+        values[FLOOR_2] *= 0.82;
+    }
+    let (check, _) = checked(&changed);
+    assert_eq!(check.health()[FLOOR_2].unwrap().soundness, Soundness::Sound);
+    let mut check = SensorCheck::new(&structure);
+    check.expect(&names, &learnt);
+    for values in &changed {
+        check.take(values);
+    }
+    assert_eq!(
+        check.health()[FLOOR_2].unwrap().soundness,
+        Soundness::Faulty
+    );
+}
+
+#[test]
+fn restored_check_continues_with_the_same_bits() {
+    let structure = table(&[]);
+    let mut changed = frames(&structure);
+    changed.iter_mut().for_each(|values| values[FLOOR_2] *= 0.6);
+    let (whole, _) = checked(&changed);
+    let (first, _) = checked(&changed[..1234]);
+    let mut second = SensorCheck::new(&structure);
+    assert!(second.restore(first.state().clone()));
+    for values in &changed[1234..] {
+        second.take(values);
+    }
+    assert_eq!(second.state(), whole.state());
+    let other = Structure::parse(
+        include_str!("../../../../docs/examples/demo.toml"),
+        Path::new("demo.toml"),
+    )
+    .unwrap();
+    assert!(!SensorCheck::new(&other).restore(first.state().clone()));
+}
